@@ -1,0 +1,72 @@
+"""The errors that fmuid raises: few kinds, each one clear sentence, each carrying its data."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+
+
+class FmuidError(Exception):
+    """Base of all errors that fmuid raises on purpose; its text is one sentence for the user."""
+
+
+class InputError(FmuidError):
+    """Something the user gave is wrong: a file, a key, a variable (exit code 2 on the command line).
+
+    The message names what is wrong, where, and the remedy.
+    """
+
+
+class ModelicaError(InputError):
+    """A Modelica construct outside the exported subset.
+
+    Attributes
+    ----------
+    file, line, construct
+        Where it stands and what it is.
+    """
+
+    def __init__(self, file: str, line: int, construct: str) -> None:
+        super().__init__(f"{file}:{line}: {construct}")
+        self.file, self.line, self.construct = file, line, construct
+
+
+class SimulationError(FmuidError):
+    """A simulation did not succeed (exit code 1 on the command line).
+
+    Attributes
+    ----------
+    fmu : str
+        The FMU (or the component and its FMU) that failed.
+    time : float
+        Simulation time of the failing call, s.
+    parameters : dict of str to float
+        The parameter values of the failing simulation.
+    call : str
+        The FMI function and the status it returned.
+    messages : tuple of str
+        What the FMU itself logged during the simulation.
+    """
+
+    def __init__(
+        self, fmu: str, time: float, parameters: Mapping[str, float], call: str, messages: Iterable[str] = ()
+    ) -> None:
+        self.fmu, self.time, self.call = fmu, time, call
+        self.parameters, self.messages = dict(parameters), tuple(messages)
+        values = ", ".join(f"{name} = {value:.6g}" for name, value in self.parameters.items())
+        said = f'; the FMU says: "{" / ".join(self.messages)}"' if self.messages else ""
+        super().__init__(
+            f"simulation of {fmu} failed at t = {time:.6g} s"
+            + (f" with {values}" if values else "")
+            + f": {call}{said}"
+        )
+
+
+def nearest(name: str, known: Iterable[str], count: int = 3) -> str:
+    """Return `` (did you mean 'a' or 'b'?)``, or nothing where no known name is near."""
+    names = list(known)
+    found = difflib.get_close_matches(name, names, n=count, cutoff=0.5)
+    if not found:
+        folded = {known_name.lower(): known_name for known_name in names}
+        found = [folded[f] for f in difflib.get_close_matches(name.lower(), folded, n=count, cutoff=0.5)]
+    return f" (did you mean {' or '.join(repr(f) for f in found)}?)" if found else ""

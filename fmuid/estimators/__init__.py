@@ -1,0 +1,1 @@
+"""Estimators: settings frozen, iteration state separate, one loop each."""

@@ -1,0 +1,1 @@
+"""Modelica to FMU: needs the extra dependencies `fmuid[export]`, not needed to identify."""

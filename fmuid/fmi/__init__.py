@@ -1,0 +1,1 @@
+"""Whatever touches an FMU: its description, its archive, its binary."""
