@@ -1,0 +1,253 @@
+"""What an FMU declares of itself: variables, units, capabilities (FMI 2.0.4, section 2.2)."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from fmuid.errors import InputError
+
+READABLE_VERSIONS = ("2.0",)
+SI_BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One scalar variable of an FMU (FMI 2.0.4, section 2.2.7).
+
+    `start`, `min`, `max` and `nominal` are in `unit`; `type` is Real, Integer, Boolean or String
+    (an enumeration is an Integer).
+    """
+
+    name: str
+    reference: int
+    type: str
+    causality: str
+    variability: str
+    initial: str | None = None
+    unit: str | None = None
+    start: float | int | bool | str | None = None
+    min: float | None = None
+    max: float | None = None
+    nominal: float | None = None
+    description: str = ""
+    is_state: bool = False
+
+    @property
+    def settable(self) -> bool:
+        """Whether a value set before initialisation has an effect that the standard promises."""
+        if self.variability == "constant" or self.causality in ("calculatedParameter", "independent"):
+            return False
+        return self.causality in ("parameter", "input") or self.initial in ("exact", "approx")
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the variable may change continuously, so that interpolation makes sense."""
+        return self.type == "Real" and self.variability == "continuous"
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit that the FMU defines: SI exponents, ``base = factor * value + offset``, and its display units.
+
+    ``display = factor * value + offset`` for each of `display_units` (FMI 2.0.4, section 2.2.2).
+    """
+
+    name: str
+    exponents: tuple[int, ...] | None
+    factor: float
+    offset: float
+    display_units: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """One of the two FMI interfaces and its capabilities (FMI 2.0.4, sections 3.3.1 and 4.3.1)."""
+
+    kind: str
+    identifier: str
+    needs_execution_tool: bool
+    once_per_process: bool
+    get_set_state: bool
+    serialize_state: bool
+    directional_derivatives: bool
+    variable_step: bool = False
+    interpolates_inputs: bool = False
+
+
+@dataclass(frozen=True)
+class Description:
+    """The parts of a modelDescription.xml that fmuid works with."""
+
+    model_name: str
+    fmi_version: str
+    guid: str
+    description: str
+    generation_tool: str
+    variables: Mapping[str, Variable]
+    units: Mapping[str, Unit]
+    interfaces: Mapping[str, Interface]
+    default_experiment: Mapping[str, float]
+    dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    """For each output: the variables that it depends on directly; None where the FMU does not say."""
+
+    def with_causality(self, causality: str) -> list[Variable]:
+        """Return the variables of one causality, in the FMU's order."""
+        return [variable for variable in self.variables.values() if variable.causality == causality]
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of all inputs."""
+        return tuple(variable.name for variable in self.with_causality("input"))
+
+    def conversion(self, variable: Variable, unit: str) -> tuple[float, float]:
+        """Return (factor, offset) such that ``value in variable.unit = factor * value in unit + offset``.
+
+        Raises
+        ------
+        InputError
+            If the FMU defines no conversion between the two units.
+        """
+        if unit == variable.unit:
+            return 1.0, 0.0
+        own = self.units.get(variable.unit or "")
+        if own is not None and unit in own.display_units:
+            factor, offset = own.display_units[unit]
+            return 1.0 / factor, -offset / factor
+        other = self.units.get(unit)
+        if own and other and own.exponents is not None and own.exponents == other.exponents:
+            return other.factor / own.factor, (other.offset - own.offset) / own.factor
+        known = sorted(set(own.display_units) if own else set())
+        known += [u.name for u in self.units.values() if own and u.exponents and u.exponents == own.exponents]
+        raise InputError(
+            f"{self.model_name} defines no conversion from {unit!r} to the unit of {variable.name!r}, "
+            f"{variable.unit or 'none'!r}; convert the column, or use one of: {', '.join(known) or 'no other unit'}"
+        )
+
+
+def read_description(path: Path) -> Description:
+    """Read the model description inside an FMU.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is no zip archive, has no readable model description, or is not FMI 2.0.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such FMU file; check the path")
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"{path} is not an FMU: it is not a zip archive; export the model again")
+    with zipfile.ZipFile(path) as archive:
+        if "modelDescription.xml" not in archive.namelist():
+            raise InputError(f"{path} is not an FMU: it has no modelDescription.xml at its top level")
+        _check_version(path, archive.read("modelDescription.xml"))
+    from fmpy import read_model_description
+
+    try:
+        parsed = read_model_description(str(path), validate=False)
+    except Exception as error:
+        raise InputError(f"{path}: its modelDescription.xml cannot be read: {error}") from error
+    return _convert(parsed)
+
+
+def _check_version(path: Path, text: bytes) -> None:
+    try:
+        version = ElementTree.fromstring(text).get("fmiVersion")
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: its modelDescription.xml is not well-formed XML: {error}") from None
+    if version not in READABLE_VERSIONS:
+        raise InputError(
+            f"{path} is an FMU of FMI {version or 'of unknown version'}, and only FMI "
+            f"{', '.join(READABLE_VERSIONS)} is read; export the model as FMI 2.0 co-simulation"
+        )
+
+
+def _convert(parsed: Any) -> Description:
+    states = {unknown.variable.derivative.name for unknown in parsed.derivatives if unknown.variable.derivative}
+    experiment = parsed.defaultExperiment
+    words = {"start": "startTime", "stop": "stopTime", "tolerance": "tolerance", "step_size": "stepSize"}
+    declared = {word: getattr(experiment, attribute, None) for word, attribute in words.items()}
+    return Description(
+        model_name=parsed.modelName,
+        fmi_version=parsed.fmiVersion,
+        guid=parsed.guid,
+        description=parsed.description or "",
+        generation_tool=parsed.generationTool or "",
+        variables={v.name: _variable(v, v.name in states) for v in parsed.modelVariables},
+        units={unit.name: _unit(unit) for unit in parsed.unitDefinitions},
+        interfaces={
+            kind: _interface(kind, element)
+            for kind, element in (("co-simulation", parsed.coSimulation), ("model-exchange", parsed.modelExchange))
+            if element is not None
+        },
+        default_experiment={word: float(value) for word, value in declared.items() if value is not None},
+        dependencies={
+            unknown.variable.name: None
+            if unknown.dependencies is None
+            else tuple(variable.name for variable in unknown.dependencies)
+            for unknown in parsed.outputs
+        },
+    )
+
+
+def _variable(parsed: Any, is_state: bool) -> Variable:
+    declared = parsed.declaredType
+    kind = "Integer" if parsed.type == "Enumeration" else parsed.type
+
+    def number(attribute: str) -> float | None:
+        text = getattr(parsed, attribute) or (declared and getattr(declared, attribute))
+        return float(text) if text else None
+
+    return Variable(
+        name=parsed.name,
+        reference=parsed.valueReference,
+        type=kind,
+        causality=parsed.causality or "local",
+        variability=parsed.variability or "continuous",
+        initial=parsed.initial,
+        unit=parsed.unit or (declared.unit if declared else None) or None,
+        start=_start(kind, parsed.start),
+        min=number("min"),
+        max=number("max"),
+        nominal=number("nominal"),
+        description=parsed.description or "",
+        is_state=is_state,
+    )
+
+
+def _start(kind: str, text: str | None) -> float | int | bool | str | None:
+    if text is None or kind == "String":
+        return text
+    if kind == "Boolean":
+        return str(text).lower() in ("true", "1")
+    return int(text) if kind == "Integer" else float(text)
+
+
+def _unit(parsed: Any) -> Unit:
+    base = parsed.baseUnit
+    return Unit(
+        name=parsed.name,
+        exponents=None if base is None else tuple(int(getattr(base, si)) for si in SI_BASE_UNITS),
+        factor=1.0 if base is None else float(base.factor),
+        offset=0.0 if base is None else float(base.offset),
+        display_units={display.name: (float(display.factor), float(display.offset)) for display in parsed.displayUnits},
+    )
+
+
+def _interface(kind: str, parsed: Any) -> Interface:
+    return Interface(
+        kind=kind,
+        identifier=parsed.modelIdentifier,
+        needs_execution_tool=bool(parsed.needsExecutionTool),
+        once_per_process=bool(parsed.canBeInstantiatedOnlyOncePerProcess),
+        get_set_state=bool(parsed.canGetAndSetFMUstate),
+        serialize_state=bool(parsed.canSerializeFMUstate),
+        directional_derivatives=bool(parsed.providesDirectionalDerivative),
+        variable_step=bool(getattr(parsed, "canHandleVariableCommunicationStepSize", False)),
+        interpolates_inputs=bool(getattr(parsed, "canInterpolateInputs", False)),
+    )

@@ -1,0 +1,442 @@
+"""Compiled loops over FMI functions: a whole simulation, life cycle included, without returning to Python.
+
+A numba loop calls the FMI functions of the loaded libraries at their addresses. It is compiled once
+and cached on disk, releases the interpreter lock, and needs no compiler on the user's machine. What the
+loop does in which order is laid down beforehand in a `Plan` (built by `fmuid.simulator`): a list of operations,
+each one call that sets or gets the variables of one component from or into the vector of signals.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+# Indices of the FMI functions in a component's row of addresses; also the first word of an operation.
+SET_REAL, GET_REAL, SET_INTEGER, GET_INTEGER, SET_BOOLEAN, GET_BOOLEAN, SET_STRING = range(7)
+SET_DERIVATIVES, DO_STEP, RESET, SETUP, ENTER_INITIALIZATION, EXIT_INITIALIZATION = range(7, 13)
+COPY = 13  # not a call: one signal to another
+FUNCTIONS = (
+    "fmi2SetReal",
+    "fmi2GetReal",
+    "fmi2SetInteger",
+    "fmi2GetInteger",
+    "fmi2SetBoolean",
+    "fmi2GetBoolean",
+    "fmi2SetString",
+    "fmi2SetRealInputDerivatives",
+    "fmi2DoStep",
+    "fmi2Reset",
+    "fmi2SetupExperiment",
+    "fmi2EnterInitializationMode",
+    "fmi2ExitInitializationMode",
+)
+N_FUNCTIONS = len(FUNCTIONS)
+COLUMNS, FIELDS = 9, 21  # of the table of calls and of the memory of one simulation, see below
+HELD, BY_DERIVATIVE, BY_MIDPOINT = range(3)  # what an input does between two samples
+WARNING = 1  # fmi2Warning, the last status that counts as success
+ERROR = 3  # fmi2Error, the last status after which an instance may be reset
+
+
+class Plan(NamedTuple):
+    """What the loop does, as arrays; they are passed on one by one.
+
+    (Numba's cache on disk would bind to this class by name, and an old cache would then break a new release.)
+
+    `operations` has rows (function, component, first value reference, count, first signal); for COPY the
+    row is (COPY, 0, source signal, 1, target signal). `stages` says where each list of operations starts:
+    start values | external inputs | exchange between components | outputs | input derivatives.
+    """
+
+    operations: NDArray[np.intp]
+    stages: NDArray[np.intp]
+    references: NDArray[np.uint32]
+    signals: NDArray[np.float64]
+    strings: NDArray[np.intp]
+    parameter_signals: NDArray[np.intp]
+    input_signals: NDArray[np.intp]
+    input_modes: NDArray[np.intp]
+    derivative_signals: NDArray[np.intp]
+    output_signals: NDArray[np.intp]
+
+
+class Grid(NamedTuple):
+    """The experiment as the loop walks it: times (K,), substeps of each interval (K-1,), input values (K, n_u)."""
+
+    times: NDArray[np.float64]
+    substeps: NDArray[np.intp]
+    inputs: NDArray[np.float64]
+
+
+def _fmi_call(*arguments: Any) -> Any:
+    """Return a compiled function (address, *arguments) -> fmi2Status that calls the address."""
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def call(typing_context: Any, address: Any, values: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+            target, packed = given
+            wanted = [context.get_value_type(argument) for argument in arguments]
+            have = cgutils.unpack_tuple(builder, packed)
+            cast = [context.cast(builder, v, t, w) for v, t, w in zip(have, signature.args[1], arguments, strict=True)]
+            pointer = builder.inttoptr(target, ir.FunctionType(ir.IntType(32), wanted).as_pointer())
+            return builder.call(pointer, cast)
+
+        return types.int32(types.intp, values), generate
+
+    return call
+
+
+class Scratch(NamedTuple):
+    """Arrays that the loop works in; the caller owns them, so that they outlive every use of their addresses."""
+
+    memory: NDArray[np.intp]
+    calls: NDArray[np.intp]
+    signals: NDArray[np.float64]
+    slopes: NDArray[np.float64]
+    words: NDArray[np.int32]
+    ones: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, plan: Plan) -> Scratch:
+        """Return arrays of the sizes that a plan needs."""
+        return cls(
+            np.zeros(FIELDS, np.intp),
+            np.zeros((len(plan.operations), COLUMNS), np.intp),
+            plan.signals.copy(),
+            np.zeros(len(plan.input_signals) + 1),
+            np.zeros(len(plan.references) + 1, np.int32),
+            np.ones(len(plan.references) + 1, np.int32),  # the order of every input derivative
+        )
+
+
+def _memory(kind: Any) -> tuple[Any, Any]:
+    """Return compiled functions load(address, index) and store(address, index, value) for one type."""
+
+    def element(context: Any, builder: Any, address: Any, index: Any) -> Any:
+        pointer = builder.inttoptr(address, context.get_value_type(kind).as_pointer())
+        return builder.gep(pointer, [index])
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def load(typing_context: Any, address: Any, index: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:  # noqa: ARG001
+            return builder.load(element(context, builder, *given))
+
+        return kind(types.intp, types.intp), generate
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def store(typing_context: Any, address: Any, index: Any, value: Any) -> Any:  # noqa: ARG001
+        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:  # noqa: ARG001
+            builder.store(given[2], element(context, builder, *given[:2]))
+            return context.get_dummy_value()
+
+        return types.void(types.intp, types.intp, kind), generate
+
+    return load, store
+
+
+_call_values = _fmi_call(types.intp, types.intp, types.intp, types.intp)
+_call_derivatives = _fmi_call(types.intp, types.intp, types.intp, types.intp, types.intp)
+_call_step = _fmi_call(types.intp, types.float64, types.float64, types.int32)
+_call_setup = _fmi_call(types.intp, types.int32, types.float64, types.float64, types.int32, types.float64)
+_call_plain = _fmi_call(types.intp)
+_load_real, _store_real = _memory(types.float64)
+_load_word, _store_word = _memory(types.intp)
+_load_int32, _store_int32 = _memory(types.int32)
+
+# Columns of the table of calls: one row an operation, with the addresses that the operation needs.
+ADDRESS, HANDLE, REFERENCES, COUNT, VALUES, ORDERS, FUNCTION, COMPONENT, SIGNAL = range(COLUMNS)
+
+
+# The memory of one simulation: sizes and addresses of all that the loop touches, in one array whose address is `m`.
+# Inside the loop nothing is a numpy array and little is passed on: numba counts references to arrays at every call
+# of a function, which would cost more than the FMI calls themselves.
+(
+    N_COMPONENTS,
+    N_INPUTS,
+    N_OUTPUTS,
+    N_TIMES,
+    STAGES,
+    CALLS,
+    SIGNALS,
+    WORDS,
+    HANDLES,
+    ADDRESSES,
+    USED,
+    TIMES,
+    SUBSTEPS,
+    INPUTS,
+    INPUT_SIGNALS,
+    INPUT_MODES,
+    DERIVATIVE_SIGNALS,
+    OUTPUT_SIGNALS,
+    SLOPES,
+    OUTPUTS,
+    REPORT,
+) = range(FIELDS)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill_calls(calls, operations, references, strings, signals, words, ones, handles, addresses):  # type: ignore[no-untyped-def]
+    """Resolve the operations of a plan to addresses; whole numbers go through `words`."""
+    for i in range(operations.shape[0]):
+        function, component = operations[i, 0], operations[i, 1]
+        reference, signal = operations[i, 2], operations[i, 4]
+        calls[i, COUNT], calls[i, FUNCTION] = operations[i, 3], function
+        calls[i, COMPONENT], calls[i, SIGNAL] = component, signal
+        if function == COPY:
+            calls[i, VALUES] = reference
+            continue
+        calls[i, ADDRESS], calls[i, HANDLE] = addresses[component, function], handles[component]
+        calls[i, REFERENCES] = references.ctypes.data + 4 * reference
+        calls[i, VALUES] = signals.ctypes.data + 8 * signal
+        calls[i, ORDERS] = ones.ctypes.data
+        if function >= SET_INTEGER and function <= GET_BOOLEAN:
+            calls[i, VALUES] = words.ctypes.data
+        elif function == SET_STRING:
+            calls[i, VALUES] = strings.ctypes.data + 8 * signal
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fail(m, function, component, status):  # type: ignore[no-untyped-def]
+    """Write a failing call into the report."""
+    _store_word(_load_word(m, REPORT), 0, function)
+    _store_word(_load_word(m, REPORT), 1, component)
+    _store_word(_load_word(m, REPORT), 2, status)
+    return False
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _perform(m, first, last):  # type: ignore[no-untyped-def]
+    """Perform the calls from stage `first` up to stage `last`; stop at the first that fails."""
+    for i in range(_load_word(_load_word(m, STAGES), first), _load_word(_load_word(m, STAGES), last)):
+        row = _load_word(m, CALLS) + 8 * COLUMNS * i
+        address, handle, references = _load_word(row, ADDRESS), _load_word(row, HANDLE), _load_word(row, REFERENCES)
+        count, values = _load_word(row, COUNT), _load_word(row, VALUES)
+        function, signal = _load_word(row, FUNCTION), _load_word(row, SIGNAL)
+        if function <= GET_REAL or function == SET_STRING:
+            status = _call_values(address, (handle, references, count, values))
+        elif function == SET_DERIVATIVES:
+            status = _call_derivatives(address, (handle, references, count, _load_word(row, ORDERS), values))
+        elif function == COPY:
+            _store_real(_load_word(m, SIGNALS), signal, _load_real(_load_word(m, SIGNALS), values))
+            status = np.int32(0)
+        else:
+            for j in range(count):
+                _store_int32(values, j, np.int32(round(_load_real(_load_word(m, SIGNALS), signal + j))))
+            status = _call_values(address, (handle, references, count, values))
+            for j in range(count):
+                _store_real(_load_word(m, SIGNALS), signal + j, np.float64(_load_int32(values, j)))
+        if status > WARNING:
+            return _fail(m, function, _load_word(row, COMPONENT), status)
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _address(m, component, function):  # type: ignore[no-untyped-def]
+    return _load_word(_load_word(m, ADDRESSES), component * N_FUNCTIONS + function)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _prepare(m):  # type: ignore[no-untyped-def]
+    """Reset what was used and set up the experiment; the stop time stays open."""
+    for c in range(_load_word(m, N_COMPONENTS)):
+        handle = _load_word(_load_word(m, HANDLES), c)
+        if _load_word(_load_word(m, USED), c):
+            status = _call_plain(_address(m, c, RESET), (handle,))
+            if status > WARNING:
+                return _fail(m, RESET, c, status)
+        _store_word(_load_word(m, USED), c, 1)
+        status = _call_setup(_address(m, c, SETUP), (handle, 0, 0.0, _load_real(_load_word(m, TIMES), 0), 0, 0.0))
+        if status > WARNING:
+            return _fail(m, SETUP, c, status)
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _all_components(m, function):  # type: ignore[no-untyped-def]
+    """Call a function without further arguments on every component."""
+    for c in range(_load_word(m, N_COMPONENTS)):
+        status = _call_plain(_address(m, c, function), (_load_word(_load_word(m, HANDLES), c),))
+        if status > WARNING:
+            return _fail(m, function, c, status)
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _set_inputs(m, k, after, modes_from):  # type: ignore[no-untyped-def]
+    """Put the inputs, a time `after` past sample k, into the signals; only those of a mode from `modes_from` on."""
+    n, signals, slots = _load_word(m, N_INPUTS), _load_word(m, SIGNALS), _load_word(m, INPUT_SIGNALS)
+    modes, slopes = _load_word(m, INPUT_MODES), _load_word(m, SLOPES)
+    row = _load_word(m, INPUTS) + 8 * n * k
+    for j in range(n):
+        if _load_word(modes, j) >= modes_from:
+            _store_real(signals, _load_word(slots, j), _load_real(row, j) + _load_real(slopes, j) * after)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _set_slopes(m, k, length):  # type: ignore[no-untyped-def]
+    """Find the slopes of the linear inputs in interval k; return whether any input goes by midpoints."""
+    n, signals, slots = _load_word(m, N_INPUTS), _load_word(m, SIGNALS), _load_word(m, DERIVATIVE_SIGNALS)
+    modes, slopes = _load_word(m, INPUT_MODES), _load_word(m, SLOPES)
+    row = _load_word(m, INPUTS) + 8 * n * k
+    by_midpoint = False
+    for j in range(n):
+        mode = _load_word(modes, j)
+        if mode != HELD:
+            slope = (_load_real(row, n + j) - _load_real(row, j)) / length
+            _store_real(slopes, j, slope)
+            _store_real(signals, _load_word(slots, j), slope)
+            by_midpoint = by_midpoint or mode == BY_MIDPOINT
+    return by_midpoint
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _interval(m, k):  # type: ignore[no-untyped-def]
+    """All components from sample k to sample k + 1, in equal substeps; the first exchange is done already."""
+    times = _load_word(m, TIMES)
+    begin = _load_real(times, k)
+    length = _load_real(times, k + 1) - begin
+    if length <= 0.0:  # a time given twice: a step of the inputs
+        return True
+    n = _load_word(_load_word(m, SUBSTEPS), k)
+    h = length / n
+    by_midpoint = _set_slopes(m, k, length)
+    for s in range(n):
+        if s > 0:
+            _set_inputs(m, k, s * h, HELD)
+            if not _perform(m, 1, 3):
+                return False
+        if by_midpoint:
+            _set_inputs(m, k, (s + 0.5) * h, BY_MIDPOINT)
+            if not _perform(m, 1, 2):
+                return False
+        if not _perform(m, 4, 5):
+            return False
+        handles = _load_word(m, HANDLES)
+        for c in range(_load_word(m, N_COMPONENTS)):
+            status = _call_step(_address(m, c, DO_STEP), (_load_word(handles, c), begin + s * h, h, 1))
+            if status > WARNING:
+                return _fail(m, DO_STEP, c, status)
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _record(m, k):  # type: ignore[no-untyped-def]
+    """Write the outputs of sample k."""
+    n, signals, slots = _load_word(m, N_OUTPUTS), _load_word(m, SIGNALS), _load_word(m, OUTPUT_SIGNALS)
+    row = _load_word(m, OUTPUTS) + 8 * n * k
+    for j in range(n):
+        _store_real(row, j, _load_real(signals, _load_word(slots, j)))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _simulate(m):  # type: ignore[no-untyped-def]
+    """One simulation: inputs set, outputs passed on and recorded, all components stepped, sample by sample."""
+    if not (_prepare(m) and _perform(m, 0, 1) and _all_components(m, ENTER_INITIALIZATION)):
+        return False
+    _set_inputs(m, 0, 0.0, HELD)
+    if not (_perform(m, 1, 3) and _all_components(m, EXIT_INITIALIZATION)):
+        return False
+    last = _load_word(m, N_TIMES) - 1
+    for k in range(last + 1):
+        _store_word(_load_word(m, REPORT), 3, k)
+        _set_inputs(m, k, 0.0, HELD)
+        if not _perform(m, 1, 4):
+            return False
+        _record(m, k)
+        if k < last and not _interval(m, k):
+            return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def simulate(  # type: ignore[no-untyped-def]
+    operations,
+    stages,
+    references,
+    start_signals,
+    strings,
+    parameter_signals,
+    input_signals,
+    input_modes,
+    derivative_signals,
+    output_signals,
+    times,
+    substeps,
+    inputs,
+    memory,
+    calls,
+    signals,
+    slopes,
+    words,
+    ones,
+    thetas,
+    handles,
+    addresses,
+    used,
+    outputs,
+    reports,
+):
+    """Simulate one after the other for all thetas on one set of instances.
+
+    Parameters
+    ----------
+    operations, ..., output_signals : arrays
+        The fields of `Plan`.
+    times, substeps, inputs : arrays
+        The fields of `Grid`.
+    memory, ..., ones : arrays
+        The fields of `Scratch`.
+    thetas : (m, N) array
+        Parameter values, in the order of `parameter_signals`.
+    handles : (n_components,) array of intp
+        The instances (fmi2Component).
+    addresses : (n_components, len(FUNCTIONS)) array of intp
+        The FMI functions.
+    used : (n_components,) array of intp
+        Whether an instance must be reset first; updated.
+    outputs : (m, K, n_outputs) array
+        Written.
+    reports : (m, 4) array of intp
+        Written: (function, component, status, sample) of the failing call; function -1 where none failed.
+    """
+    _fill_calls(calls, operations, references, strings, signals, words, ones, handles, addresses)
+    memory[N_COMPONENTS] = handles.size
+    memory[N_INPUTS] = input_signals.size
+    memory[N_OUTPUTS] = output_signals.size
+    memory[N_TIMES] = times.size
+    memory[STAGES] = stages.ctypes.data
+    memory[CALLS] = calls.ctypes.data
+    memory[SIGNALS] = signals.ctypes.data
+    memory[WORDS] = words.ctypes.data
+    memory[HANDLES] = handles.ctypes.data
+    memory[ADDRESSES] = addresses.ctypes.data
+    memory[USED] = used.ctypes.data
+    memory[TIMES] = times.ctypes.data
+    memory[SUBSTEPS] = substeps.ctypes.data
+    memory[INPUTS] = inputs.ctypes.data
+    memory[INPUT_SIGNALS] = input_signals.ctypes.data
+    memory[INPUT_MODES] = input_modes.ctypes.data
+    memory[DERIVATIVE_SIGNALS] = derivative_signals.ctypes.data
+    memory[OUTPUT_SIGNALS] = output_signals.ctypes.data
+    memory[SLOPES] = slopes.ctypes.data
+    for i in range(thetas.shape[0]):
+        reports[i, 0], reports[i, 3] = -1, -1
+        signals[:] = start_signals
+        for j in range(thetas.shape[1]):
+            signals[parameter_signals[j]] = thetas[i, j]
+        memory[OUTPUTS] = outputs[i].ctypes.data
+        memory[REPORT] = reports[i].ctypes.data
+        if not _simulate(memory.ctypes.data):
+            outputs[i] = np.nan
+            if reports[i, 2] > ERROR:  # the instance must not be touched again
+                for rest in range(i + 1, thetas.shape[0]):
+                    reports[rest, :] = reports[i, :]
+                    outputs[rest] = np.nan
+                return

@@ -1,0 +1,165 @@
+"""The simulated outputs of a system over an experiment, as a function of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmuid.errors import InputError, SimulationError
+from fmuid.experiment import Experiment
+from fmuid.fmi.archive import FMU
+from fmuid.plan import PlannedRun, Value, unit_conversion
+from fmuid.system import System
+from fmuid.workers import workers_of
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Simulations of several thetas.
+
+    Attributes
+    ----------
+    outputs : (m, K, n_outputs) array
+        In the units of the experiment's columns; NaN where the simulation failed.
+    errors : tuple of SimulationError or None
+        One for each theta.
+    """
+
+    outputs: NDArray[np.float64]
+    errors: tuple[SimulationError | None, ...]
+
+
+class Simulator:
+    """Simulate a model over an experiment: ``simulator(theta)``.
+
+    The instances are kept and shared by all simulators of one `System`; several thetas are spread over
+    several instances in threads where the FMU allows it.
+
+    Parameters
+    ----------
+    model : System, FMU or path
+    experiment : Experiment
+        Its inputs drive the model, and the outputs are given at its times, the first at initialisation.
+    parameters : sequence of str
+        The variables that theta sets, in this order.
+    values : mapping of str to float, int, bool or str
+        Variables held at a value.
+    step_size : float, optional
+        Largest communication step, s; default: from sample to sample.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, of the wrong causality or type, or given twice.
+
+    Examples
+    --------
+    >>> simulator = Simulator("Coil.fmu", experiment, parameters=["R", "L"])  # doctest: +SKIP
+    >>> simulator([4.0, 0.1]).shape  # doctest: +SKIP
+    (1200, 1)
+    """
+
+    def __init__(
+        self,
+        model: System | FMU | str | Path,
+        experiment: Experiment,
+        parameters: Sequence[str] = (),
+        *,
+        values: Mapping[str, Value] | None = None,
+        step_size: float | None = None,
+    ) -> None:
+        self.system = System.of(model)
+        self.experiment = experiment
+        self.parameters = tuple(parameters)
+        repeated = {name for name in self.parameters if self.parameters.count(name) > 1}
+        if repeated:
+            raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
+        self._run = PlannedRun(self.system, experiment, self.parameters, values or {}, step_size)
+        self._workers = workers_of(self.system)
+        self._conversions = {
+            j: unit_conversion(self.system, name, experiment.units[name])
+            for j, name in enumerate(experiment.output_names)
+            if name in experiment.units
+        }
+        fed = {*experiment.input_names, *self.parameters, *(values or {}), *self.system.connected_inputs}
+        self.unfed_inputs = tuple(
+            v.name for v in self.system.variables.values() if v.causality == "input" and v.name not in fed
+        )
+        """Inputs that nothing feeds: they keep their start values."""
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The outputs, in the order of the last axis."""
+        return self.experiment.output_names
+
+    def __call__(self, theta: ArrayLike) -> NDArray[np.float64]:
+        """Simulate one theta (N,) or several (m, N).
+
+        Returns
+        -------
+        (K, n_outputs) or (m, K, n_outputs) array
+
+        Raises
+        ------
+        SimulationError
+            If a simulation fails; it names FMU, time, parameter values, and what the FMU said.
+        """
+        thetas = np.asarray(theta, dtype=np.float64)
+        batch = self.many(np.atleast_2d(thetas))
+        for error in batch.errors:
+            if error is not None:
+                raise error
+        return batch.outputs[0] if thetas.ndim < 2 else batch.outputs
+
+    def many(self, thetas: ArrayLike) -> Batch:
+        """Simulate several thetas (m, N); a failed one does not end the others.
+
+        Raises
+        ------
+        InputError
+            If thetas has another shape or is not finite.
+        """
+        given = np.ascontiguousarray(thetas, dtype=np.float64)
+        if given.ndim != 2 or given.shape[1] != len(self.parameters):
+            raise InputError(
+                f"theta must have {len(self.parameters)} values (one each for {self._names}); "
+                f"its shape is {given.shape}"
+            )
+        if not np.isfinite(given).all():
+            raise InputError(f"theta must be finite; one of the values for {self._names} is not")
+        outputs = np.empty((len(given), self._run.grid.times.size, len(self.output_names)))
+        reports = np.empty((len(given), 4), np.intp)
+        with self._workers.lock:
+            self._workers.run(self._run, given, outputs, reports)
+            errors = self._explain(given, outputs, reports)
+        for j, (factor, offset) in self._conversions.items():
+            outputs[:, :, j] = (outputs[:, :, j] - offset) / factor
+        return Batch(outputs, errors)
+
+    def close(self) -> None:
+        """Free the instances of the system (also those of its other simulators; they make new ones when needed)."""
+        self._workers.close()
+
+    @property
+    def _names(self) -> str:
+        return ", ".join(self.parameters) or "no parameters"
+
+    def _explain(
+        self, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]
+    ) -> tuple[SimulationError | None, ...]:
+        # a sum is finite only where all its terms are; only then is a closer look needed
+        suspect = (reports[:, 0] >= 0) | ~np.isfinite(outputs.sum(axis=(1, 2)))
+        errors: list[SimulationError | None] = [None] * len(thetas)
+        for i in np.flatnonzero(suspect):
+            named = dict(zip(self.parameters, thetas[i].tolist(), strict=True))
+            worker = self._workers.first
+            known = worker.error(self._run, outputs[i], reports[i], named)
+            if known is None:
+                continue
+            errors[i] = worker.explain(self._run, thetas[i], named) or known
+            outputs[i] = np.nan
+        return tuple(errors)

@@ -1,0 +1,204 @@
+"""Instances of a system, kept and reused: one set for each thread, instantiated once, reset between simulations."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+import time
+import weakref
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.errors import SimulationError
+from fmuid.fmi import kernels
+from fmuid.fmi.archive import FMU
+from fmuid.fmi.instance import Instance, describe_failure, warn
+from fmuid.plan import PlannedRun
+from fmuid.system import System
+
+Array = NDArray[np.float64]
+# Longest that one compiled call should last, s: between calls an interruption gets through.
+CALL_SECONDS = 0.2
+FATAL = 4  # fmi2Fatal
+MESSAGES_TOLD = 3  # of one failed simulation
+
+
+class Worker:
+    """One instance of every component of a system, used by one thread only.
+
+    All calls to an instance, from instantiation to freeing, come from the same thread: some FMUs keep
+    thread-local data. The first worker is the caller's own thread, the others have one each.
+    """
+
+    def __init__(self, components: Mapping[str, FMU], index: int) -> None:
+        self._components, self._index = components, index
+        self._executor = ThreadPoolExecutor(1, f"fmuid-{index}") if index else None
+        self._instances: list[Instance] = []
+        self._used = np.zeros(0, np.intp)
+        self._seconds = CALL_SECONDS  # of one simulation, as last measured
+        self._told: set[str] = set()
+
+    def start(self, task: Callable[..., None], *arguments: Any) -> Future[None] | None:
+        """Run a task in this worker's thread: at once, or returning a future."""
+        if self._executor is not None:
+            return self._executor.submit(task, *arguments)
+        task(*arguments)
+        return None
+
+    def run(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
+        """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, 4)."""
+        done = 0
+        while done < len(thetas):
+            upto = min(len(thetas), done + max(1, int(CALL_SECONDS / self._seconds)))
+            part = slice(done, upto)
+            began = time.perf_counter()
+            self._call(run, thetas[part], outputs[part], reports[part])
+            self._seconds = max((time.perf_counter() - began) / (upto - done), 1e-6)
+            if (reports[part, 0] >= 0).any():
+                self._recover(run, thetas[part], outputs[part], reports[part])
+            done = upto
+        failed = (reports[:, 0] >= 0).any()
+        for instance in self._instances:
+            if instance.messages and not failed:
+                warn(instance, self._told)
+            instance.messages.clear()
+
+    def _recover(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
+        """Instantiate again where an FMU cannot be reset; give up instances after a fatal error."""
+        for i in np.flatnonzero(reports[:, 0] == kernels.RESET):
+            self.close()
+            self._call(run, thetas[i : i + 1], outputs[i : i + 1], reports[i : i + 1])
+        if (reports[reports[:, 0] >= 0, 2] >= FATAL).any():
+            self.close(fatal=True)
+
+    def explain(self, run: PlannedRun, theta: Array, parameters: Mapping[str, float]) -> SimulationError | None:
+        """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
+        outputs = np.empty((1, run.grid.times.size, run.plan.output_signals.size))
+        reports = np.empty((1, 4), np.intp)
+        self._prepare()
+        for instance in self._instances:
+            instance.messages.clear()
+            instance.set_logging(True)
+        self._call(run, theta[np.newaxis], outputs, reports)
+        error = self.error(run, outputs[0], reports[0], parameters)
+        if reports[0, 0] >= 0 and reports[0, 2] >= FATAL:
+            self.close(fatal=True)
+        for instance in self._instances:
+            instance.set_logging(False)
+            instance.messages.clear()
+        return error
+
+    def error(
+        self, run: PlannedRun, outputs: Array, report: NDArray[np.intp], parameters: Mapping[str, float]
+    ) -> SimulationError | None:
+        """Return what a report and the outputs say, as an error; None where the simulation succeeded."""
+        function, component, status, sample = (int(word) for word in report)
+        if function >= 0:
+            said = _last_words(self._instances[component]) if self._instances else []
+            at = float(run.grid.times[max(sample, 0)])
+            return SimulationError(self._labels[component], at, parameters, describe_failure(function, status), said)
+        bad = np.argwhere(~np.isfinite(outputs))
+        if len(bad):
+            row, column = bad[0]
+            what = f"output {run.output_names[column]!r} is not finite"
+            said = [text for instance in self._instances for text in _last_words(instance)]
+            return SimulationError(", ".join(self._labels), float(run.grid.times[row]), parameters, what, said)
+        return None
+
+    def close(self, fatal: bool = False) -> None:
+        """Free the instances; after a fatal error they are left alone."""
+        for instance in self._instances:
+            instance.close(fatal)
+        self._instances = []
+
+    def shut_down(self) -> None:
+        """Free the instances in their own thread and end it."""
+        future = self.start(self.close)
+        if self._executor is not None and future is not None:
+            future.result()
+            self._executor.shutdown()
+
+    @property
+    def _labels(self) -> list[str]:
+        return [f"{name} ({fmu.path})" if name else str(fmu.path) for name, fmu in self._components.items()]
+
+    def _prepare(self) -> None:
+        if not self._instances:
+            for component, fmu in self._components.items():
+                name = f"{component or fmu.name}-{self._index}"
+                self._instances.append(Instance(fmu, name))
+            self._handles = np.array([instance.handle for instance in self._instances], np.intp)
+            self._addresses = np.array([instance.addresses for instance in self._instances], np.intp)
+            self._used = np.zeros(len(self._instances), np.intp)
+
+    def _call(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
+        self._prepare()
+        scratch = kernels.Scratch.of(run.plan)
+        kernels.simulate(
+            *run.plan, *run.grid, *scratch, thetas, self._handles, self._addresses, self._used, outputs, reports
+        )
+
+
+def _last_words(instance: Instance) -> list[str]:
+    """Return the last distinct messages of an instance, warnings and errors before mere information."""
+    serious = [text for status, text in instance.messages if status > 0]
+    words = serious or [text for _, text in instance.messages]
+    return list(dict.fromkeys(words))[-MESSAGES_TOLD:]
+
+
+class Workers:
+    """The workers of one system, shared by all its simulators, as many as the FMUs and the machine allow."""
+
+    def __init__(self, components: Mapping[str, FMU], limit: int) -> None:
+        self.lock = threading.RLock()
+        self._components, self._limit = components, limit
+        self._workers = [Worker(components, 0)]
+
+    def run(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
+        """Simulate all thetas, in equal shares over the workers."""
+        count = min(self._limit, len(thetas))
+        while len(self._workers) < count:
+            self._workers.append(Worker(self._components, len(self._workers)))
+        edges = [len(thetas) * i // count for i in range(count + 1)]
+        shares = [slice(a, b) for a, b in itertools.pairwise(edges)]
+        futures: list[Future[None]] = []
+        try:
+            for i in reversed(range(count)):  # the caller's own share last: it is worked off at once
+                future = self._workers[i].start(
+                    self._workers[i].run, run, thetas[shares[i]], outputs[shares[i]], reports[shares[i]]
+                )
+                futures += [future] if future else []
+        finally:
+            if futures:
+                wait(futures)
+        for future in futures:
+            future.result()
+
+    @property
+    def first(self) -> Worker:
+        """The worker of the caller's own thread."""
+        return self._workers[0]
+
+    def close(self) -> None:
+        """Free all instances; a later simulation makes new ones."""
+        with self.lock:
+            for worker in self._workers:
+                worker.shut_down()
+            self._workers = [Worker(self._components, 0)]
+
+
+# Workers know the components but not the system, so that an entry goes, and frees its instances, with its system.
+_workers: weakref.WeakKeyDictionary[System, Workers] = weakref.WeakKeyDictionary()
+
+
+def workers_of(system: System) -> Workers:
+    """Return the workers of a system, made at the first call."""
+    if system not in _workers:
+        limit = (os.cpu_count() or 1) if system.can_be_repeated else 1
+        _workers[system] = Workers(system.components, limit)
+    return _workers[system]

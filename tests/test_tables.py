@@ -1,0 +1,245 @@
+"""Reading tables: every format against what was written, every broken file with its one sentence."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import savemat
+
+from fmuid.errors import InputError
+from fmuid.tables import read_table
+
+TIMES = np.array([0.0, 0.1, 0.25, 0.25, 0.4])
+SPEED = np.array([1.0, 2.0, 4.0, -4.0, 8.0])
+
+
+def written(tmp_path: Path, text: str | bytes, name: str = "run.csv") -> Path:
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+# --- CSV ---
+
+
+def test_csv_with_names_as_they_are_and_empty_cells(tmp_path: Path) -> None:
+    path = written(tmp_path, '\ufeff\ntime, u,"x[1,2]",der(y)\n0,1.5,2,\n0.1,2.5,3,0.30000000000000004\n')
+    table = read_table(path)
+    assert list(table.columns) == ["time", "u", "x[1,2]", "der(y)"]
+    np.testing.assert_array_equal(table["x[1,2]"], [2, 3])
+    assert np.isnan(table["der(y)"][0])
+    assert table["der(y)"][1] == pytest.approx(0.30000000000000004, rel=1e-15)
+
+
+def test_csv_columns_of_text_are_kept_for_whoever_needs_them(tmp_path: Path) -> None:
+    table = read_table(written(tmp_path, "time,comment\n0,start\n1,end\n"))
+    assert list(table["comment"]) == ["start", "end"]
+
+
+def test_a_time_column_of_another_name(tmp_path: Path) -> None:
+    table = read_table(written(tmp_path, "u,t\n1,0\n2,1\n"), time="t")
+    np.testing.assert_array_equal(table["t"], [0, 1])
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "the table is empty: give a header"),
+        ("\n\n", "the table is empty: give a header"),
+        ("time,u\n", "has a header but no rows: give measured samples"),
+        ("time;u\n0;1\n", "separated by semicolons: separate it by commas and write decimal points"),
+        ("time\tu\n0\t1\n", "separated by tabs: separate it by commas"),
+        ("time,u\n0,0,1,5\n0,1,2,5\n", "the header has 2 names but row 1 has 4 cells: .* write decimal points"),
+        (
+            "time,x[1,2]\n0,1\n1,1\n",
+            r"the header has 3 names but row 1 has 2 cells: .* in quotes, such as \"x\[1,2\]\"",
+        ),
+        ("time,u\n0,1\n1,2,3\n", "no CSV table .*: give every row as many cells as the header"),
+        ("0,1\n1,2\n", "the first line holds numbers: put the names there, 'time' among them"),
+        ("Time,u\n0,1\n", r"the time column 'time' is missing \(did you mean 'Time'\?\)"),
+        ("This is\nno table\n", r"the time column 'time' is missing \(did you mean 'This is'|there is This is\)"),
+        ("time,u,u\n0,1,2\n", "the column 'u' is there twice: rename or remove one"),
+        ("time,u\ns,V\n0,1\n", "column 'time' holds 's' in row 1, which is no real number: give numbers only"),
+        ('time,u\n"0,1",1\n', "column 'time' holds '0,1' in row 1, .*: write numbers with decimal points"),
+        ("time,u\n2026-01-01T00:00,1\n", "column 'time' holds '2026-01-01T00:00' in row 1"),
+        (b"time,gr\xfc\xdfe\n0,1\n", "no UTF-8 text: save it as a UTF-8 CSV file"),
+        (b"PK\x03\x04\x00\x00\xff\xfe\x00", "no UTF-8 text: save it"),
+    ],
+)
+def test_csv_that_is_none(tmp_path: Path, text: str | bytes, sentence: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(InputError, match=sentence) as caught:
+        read_table(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.csv: there is no such file"):
+        read_table(tmp_path / "none.csv")
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(InputError, match=r"folder\.csv: this is a folder"):
+        read_table(tmp_path / "folder.csv")
+    with pytest.raises(
+        InputError, match=r"run\.xlsx: tables of the kind '\.xlsx' are not read: save it as one of \.csv"
+    ):
+        read_table(written(tmp_path, "", "run.xlsx"))
+    with pytest.raises(InputError, match="'without suffix'"):
+        read_table(written(tmp_path, "", "run"))
+
+
+# --- Parquet ---
+
+
+def test_parquet_with_time_as_column_or_index(tmp_path: Path) -> None:
+    frame = pd.DataFrame({"time": TIMES, "w": SPEED, "on": [True, False, True, True, False]})
+    frame.to_parquet(tmp_path / "column.parquet")
+    frame.set_index("time").to_parquet(tmp_path / "index.PARQUET")
+    pd.testing.assert_frame_equal(read_table(tmp_path / "column.parquet"), frame)
+    pd.testing.assert_frame_equal(read_table(tmp_path / "index.PARQUET"), frame)
+
+
+def test_parquet_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"run\.parquet: the file is no readable Parquet table"):
+        read_table(written(tmp_path, "time,u\n0,1\n", "run.parquet"))
+    with pytest.raises(InputError, match=r"run\.parquet: the file is no readable Parquet table"):
+        read_table(written(tmp_path, "", "run.parquet"))
+    pd.DataFrame({"time": [], "u": []}).to_parquet(tmp_path / "empty.parquet")
+    with pytest.raises(InputError, match="a header but no rows"):
+        read_table(tmp_path / "empty.parquet")
+    dates = pd.date_range("2026-01-01", periods=2, freq="s")
+    pd.DataFrame({"time": dates}).to_parquet(tmp_path / "dates.parquet")
+    with pytest.raises(InputError, match=r"column 'time' holds dates or durations .*: convert it to numbers"):
+        read_table(tmp_path / "dates.parquet")
+
+
+# --- MAT of MATLAB ---
+
+
+@pytest.mark.parametrize("version", ["4", "5"])
+def test_mat_vectors_of_the_common_length(tmp_path: Path, version: Any) -> None:
+    content = {"t": TIMES[:, np.newaxis], "w": SPEED[np.newaxis, :], "gain": 35.15, "A": np.eye(5), "long": np.ones(9)}
+    content |= {"label": "hello"}
+    content |= {"count": np.arange(5, dtype=np.int16)} if version == "5" else {}
+    savemat(tmp_path / "run.mat", content, format=version)
+    table = read_table(tmp_path / "run.mat", time="t")
+    assert set(table.columns) == {"t", "w", "count"} & set(content)
+    np.testing.assert_array_equal(table["t"], TIMES)
+    np.testing.assert_array_equal(table["w"], SPEED)
+
+
+def test_mat_without_the_time_lists_what_there_is(tmp_path: Path) -> None:
+    savemat(tmp_path / "run.mat", {"t": TIMES, "vir": SPEED, "data": {"time": TIMES}, "A": np.eye(5)})
+    with pytest.raises(InputError, match=r"run\.mat: the time column 'time' is missing \(there is t, vir\)"):
+        read_table(tmp_path / "run.mat")
+
+
+def test_mat_that_is_none(tmp_path: Path) -> None:
+    header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    with pytest.raises(
+        InputError, match=r"run\.mat: MAT files of version 7\.3 are not read: save it by save\(…, '-v7'\)"
+    ):
+        read_table(written(tmp_path, header.ljust(600, b"\0"), "run.mat"))
+    savemat(tmp_path / "whole.mat", {"time": TIMES})
+    whole = (tmp_path / "whole.mat").read_bytes()
+    for broken in (b"", b"hello", b"time,u\n0,1\n" * 40, whole[:-20], whole[:100]):
+        with pytest.raises(InputError, match=r"run\.mat: the file is no readable MAT file"):
+            read_table(written(tmp_path, broken, "run.mat"))
+
+
+# --- MAT of OpenModelica and Dymola ---
+
+
+def characters(texts: list[str], padding: str) -> np.ndarray[Any, Any]:
+    """Return UTF-8 bytes as the tools write them: one row a text, filled up to the longest."""
+    raw = [text.encode() for text in texts]
+    width = max(map(len, raw))
+    if padding == "space":  # Dymola ends a name by a NUL where there is room, and fills up with spaces
+        raw = [text + b"\0" if len(text) < width else text for text in raw]
+    return np.array([list(text.ljust(width, b" " if padding == "space" else b"\0")) for text in raw], dtype=np.uint8)
+
+
+def write_mat4(path: Path, matrices: dict[str, np.ndarray[Any, Any]]) -> None:
+    """Write MAT-file level 4 by its specification: type, rows, columns, imaginary flag, length of the name; column by
+    column. The digits of the type are machine, 0, precision (0 double, 2 int32, 5 uint8) and text or not.
+    """
+    kinds = {np.dtype(np.uint8): 51, np.dtype(np.int32): 20, np.dtype(np.float64): 0}
+    with path.open("wb") as file:
+        for name, matrix in matrices.items():
+            file.write(struct.pack("<5i", kinds[matrix.dtype], *matrix.shape, 0, len(name) + 1))
+            file.write(name.encode() + b"\0" + matrix.tobytes(order="F"))
+
+
+def result_file(path: Path, transposed: bool, padding: str = "nul", time: str = "time") -> None:
+    """Write a result file by the description in the OpenModelica User's Guide (The MATv4 Result File Format)."""
+    names = [time, "w", "minus_w", "clock", "Rs", "minus_Rs", "größe", "x[1,2]"]
+    place = [(0, 1), (2, 2), (2, -2), (2, 1), (1, 2), (1, -2), (2, 3), (1, 3)]
+    matrices: dict[str, np.ndarray[Any, Any]] = {
+        "name": characters(names, padding),
+        "description": characters([f"{name} [1]" for name in names], padding),
+        "dataInfo": np.array([[matrix, column, 0, -1] for matrix, column in place], dtype=np.int32),
+        "data_1": np.array([[TIMES[0], 9.8, 0.5], [TIMES[-1], 9.8, 0.5]]),
+        "data_2": np.column_stack([TIMES, SPEED, SPEED**2]),
+    }
+    if transposed:
+        matrices = {name: matrix.T for name, matrix in matrices.items()}
+    aclass = characters(["Atrajectory", "1.1", "", "binTrans" if transposed else "binNormal"], padding)
+    write_mat4(path, {"Aclass": aclass, **matrices})
+
+
+@pytest.mark.parametrize("transposed", [True, False])
+@pytest.mark.parametrize("padding", ["nul", "space"])
+@pytest.mark.parametrize("time", ["time", "Time"])
+def test_result_files_either_way_round(tmp_path: Path, transposed: bool, padding: str, time: str) -> None:
+    result_file(tmp_path / "run_res.mat", transposed, padding, time)
+    expected = {
+        "time": TIMES,
+        "w": SPEED,
+        "minus_w": -SPEED,
+        "clock": TIMES,
+        "Rs": np.full(5, 9.8),
+        "minus_Rs": np.full(5, -9.8),
+        "größe": SPEED**2,
+        "x[1,2]": np.full(5, 0.5),
+    }
+    pd.testing.assert_frame_equal(read_table(tmp_path / "run_res.mat"), pd.DataFrame(expected), check_exact=True)
+
+
+def test_of_many_rows_at_an_event_the_first_and_last_stay(tmp_path: Path) -> None:
+    times = np.array([0.0, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
+    content = {
+        "Aclass": characters(["Atrajectory", "1.1", "", "binTrans"], "nul"),
+        "name": characters(["time", "u"], "nul").T,
+        "dataInfo": np.array([[0, 1, 0, -1], [2, 2, 0, -1]], dtype=np.int32).T,
+        "data_1": np.zeros((0, 0)),
+        "data_2": np.column_stack([times, np.arange(8.0)]).T,
+    }
+    write_mat4(tmp_path / "r.mat", content)
+    table = read_table(tmp_path / "r.mat")
+    np.testing.assert_array_equal(table["time"], [0.0, 0.5, 0.5, 1.0, 1.0])
+    np.testing.assert_array_equal(table["u"], [0, 1, 4, 5, 7])
+
+
+def test_what_dymola_exports_as_plotted(tmp_path: Path) -> None:
+    content = {
+        "Aclass": characters(["Atrajectory", "1.0", "Stored by Dymola", "binNormal"], "space"),
+        "names": characters(["Time", "w"], "space"),
+        "data": np.column_stack([TIMES, SPEED]),
+    }
+    write_mat4(tmp_path / "plotted.mat", content)
+    table = read_table(tmp_path / "plotted.mat")
+    np.testing.assert_array_equal(table[["time", "w"]], np.column_stack([TIMES, SPEED]))
+
+
+def test_result_files_without_a_trajectory(tmp_path: Path) -> None:
+    linear = characters(["AlinearSystem", "1.0", "", "binNormal"], "nul")
+    write_mat4(tmp_path / "dslin.mat", {"Aclass": linear, "ABCD": np.eye(3)})
+    with pytest.raises(InputError, match=r"dslin\.mat: the file holds 'AlinearSystem' data and no trajectories"):
+        read_table(tmp_path / "dslin.mat")
+    trajectory = characters(["Atrajectory", "1.1", "", "binTrans"], "nul")
+    write_mat4(tmp_path / "half.mat", {"Aclass": trajectory, "name": characters(["time"], "nul").T})
+    with pytest.raises(InputError, match=r"half\.mat: the result file is incomplete: simulate again"):
+        read_table(tmp_path / "half.mat")
