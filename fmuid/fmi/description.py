@@ -123,7 +123,7 @@ class Description:
         if own and other and own.exponents is not None and own.exponents == other.exponents:
             return other.factor / own.factor, (other.offset - own.offset) / own.factor
         known = sorted(set(own.display_units) if own else set())
-        known += [u.name for u in self.units.values() if own and u.exponents and u.exponents == own.exponents]
+        known += [u.name for u in self.units.values() if own and u is not own and u.exponents == own.exponents]
         raise InputError(
             f"{self.model_name} defines no conversion from {unit!r} to the unit of {variable.name!r}, "
             f"{variable.unit or 'none'!r}; convert the column, or use one of: {', '.join(known) or 'no other unit'}"

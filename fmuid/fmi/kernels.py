@@ -38,7 +38,7 @@ FUNCTIONS = (
     "fmi2ExitInitializationMode",
 )
 N_FUNCTIONS = len(FUNCTIONS)
-COLUMNS, FIELDS = 9, 21  # of the table of calls and of the memory of one simulation, see below
+COLUMNS, FIELDS = 9, 23  # of the table of calls and of the memory of one simulation, see below
 HELD, BY_DERIVATIVE, BY_MIDPOINT = range(3)  # what an input does between two samples
 WARNING = 1  # fmi2Warning, the last status that counts as success
 ERROR = 3  # fmi2Error, the last status after which an instance may be reset
@@ -178,6 +178,8 @@ ADDRESS, HANDLE, REFERENCES, COUNT, VALUES, ORDERS, FUNCTION, COMPONENT, SIGNAL 
     SLOPES,
     OUTPUTS,
     REPORT,
+    DIRECT_INPUTS,
+    DIRECT_OUTPUTS,
 ) = range(FIELDS)
 
 
@@ -202,7 +204,18 @@ def _fill_calls(calls, operations, references, strings, signals, words, ones, ha
             calls[i, VALUES] = strings.ctypes.data + 8 * signal
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True)
+def _direct(calls, operations, first, last, function, slots):  # type: ignore[no-untyped-def]
+    """Return where to write the address of a whole row of the table, if one call takes it as it is; else 0."""
+    if last != first + 1 or operations[first, 0] != function or operations[first, 3] != slots.size:
+        return 0
+    for j in range(slots.size):
+        if slots[j] != operations[first, 4] + j:
+            return 0
+    return calls.ctypes.data + 8 * (COLUMNS * first + VALUES)
+
+
+@numba.njit("boolean(intp, intp, intp, intp)", cache=True, nogil=True, error_model="numpy")
 def _fail(m, function, component, status):  # type: ignore[no-untyped-def]
     """Write a failing call into the report."""
     _store_word(_load_word(m, REPORT), 0, function)
@@ -211,7 +224,7 @@ def _fail(m, function, component, status):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@numba.njit("boolean(intp, intp, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _perform(m, first, last):  # type: ignore[no-untyped-def]
     """Perform the calls from stage `first` up to stage `last`; stop at the first that fails."""
     for i in range(_load_word(_load_word(m, STAGES), first), _load_word(_load_word(m, STAGES), last)):
@@ -237,12 +250,12 @@ def _perform(m, first, last):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit("intp(intp, intp, intp)", cache=True, nogil=True, error_model="numpy")
 def _address(m, component, function):  # type: ignore[no-untyped-def]
     return _load_word(_load_word(m, ADDRESSES), component * N_FUNCTIONS + function)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit("boolean(intp)", cache=True, nogil=True, error_model="numpy")
 def _prepare(m):  # type: ignore[no-untyped-def]
     """Reset what was used and set up the experiment; the stop time stays open."""
     for c in range(_load_word(m, N_COMPONENTS)):
@@ -258,7 +271,7 @@ def _prepare(m):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit("boolean(intp, intp)", cache=True, nogil=True, error_model="numpy")
 def _all_components(m, function):  # type: ignore[no-untyped-def]
     """Call a function without further arguments on every component."""
     for c in range(_load_word(m, N_COMPONENTS)):
@@ -268,18 +281,23 @@ def _all_components(m, function):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@numba.njit("void(intp, intp, float64, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _set_inputs(m, k, after, modes_from):  # type: ignore[no-untyped-def]
     """Put the inputs, a time `after` past sample k, into the signals; only those of a mode from `modes_from` on."""
     n, signals, slots = _load_word(m, N_INPUTS), _load_word(m, SIGNALS), _load_word(m, INPUT_SIGNALS)
     modes, slopes = _load_word(m, INPUT_MODES), _load_word(m, SLOPES)
     row = _load_word(m, INPUTS) + 8 * n * k
+    direct = _load_word(m, DIRECT_INPUTS)
+    if direct:
+        _store_word(direct, 0, row if after == 0.0 else signals + 8 * _load_word(slots, 0))
+        if after == 0.0:
+            return
     for j in range(n):
         if _load_word(modes, j) >= modes_from:
             _store_real(signals, _load_word(slots, j), _load_real(row, j) + _load_real(slopes, j) * after)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@numba.njit("boolean(intp, intp, float64)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _set_slopes(m, k, length):  # type: ignore[no-untyped-def]
     """Find the slopes of the linear inputs in interval k; return whether any input goes by midpoints."""
     n, signals, slots = _load_word(m, N_INPUTS), _load_word(m, SIGNALS), _load_word(m, DERIVATIVE_SIGNALS)
@@ -296,7 +314,7 @@ def _set_slopes(m, k, length):  # type: ignore[no-untyped-def]
     return by_midpoint
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@numba.njit("boolean(intp, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _interval(m, k):  # type: ignore[no-untyped-def]
     """All components from sample k to sample k + 1, in equal substeps; the first exchange is done already."""
     times = _load_word(m, TIMES)
@@ -326,16 +344,24 @@ def _interval(m, k):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _record(m, k):  # type: ignore[no-untyped-def]
-    """Write the outputs of sample k."""
+@numba.njit("boolean(intp, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _sample(m, k):  # type: ignore[no-untyped-def]
+    """Set the inputs of sample k, pass outputs on, and record the outputs."""
     n, signals, slots = _load_word(m, N_OUTPUTS), _load_word(m, SIGNALS), _load_word(m, OUTPUT_SIGNALS)
     row = _load_word(m, OUTPUTS) + 8 * n * k
-    for j in range(n):
-        _store_real(row, j, _load_real(signals, _load_word(slots, j)))
+    direct = _load_word(m, DIRECT_OUTPUTS)
+    if direct:
+        _store_word(direct, 0, row)
+    _set_inputs(m, k, 0.0, HELD)
+    if not _perform(m, 1, 4):
+        return False
+    if not direct:
+        for j in range(n):
+            _store_real(row, j, _load_real(signals, _load_word(slots, j)))
+    return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit("boolean(intp)", cache=True, nogil=True, error_model="numpy")
 def _simulate(m):  # type: ignore[no-untyped-def]
     """One simulation: inputs set, outputs passed on and recorded, all components stepped, sample by sample."""
     if not (_prepare(m) and _perform(m, 0, 1) and _all_components(m, ENTER_INITIALIZATION)):
@@ -346,10 +372,8 @@ def _simulate(m):  # type: ignore[no-untyped-def]
     last = _load_word(m, N_TIMES) - 1
     for k in range(last + 1):
         _store_word(_load_word(m, REPORT), 3, k)
-        _set_inputs(m, k, 0.0, HELD)
-        if not _perform(m, 1, 4):
+        if not _sample(m, k):
             return False
-        _record(m, k)
         if k < last and not _interval(m, k):
             return False
     return True
@@ -426,17 +450,18 @@ def simulate(  # type: ignore[no-untyped-def]
     memory[DERIVATIVE_SIGNALS] = derivative_signals.ctypes.data
     memory[OUTPUT_SIGNALS] = output_signals.ctypes.data
     memory[SLOPES] = slopes.ctypes.data
+    memory[DIRECT_INPUTS] = _direct(calls, operations, stages[1], stages[2], SET_REAL, input_signals)
+    memory[DIRECT_OUTPUTS] = _direct(calls, operations, stages[3], stages[4], GET_REAL, output_signals)
     for i in range(thetas.shape[0]):
         reports[i, 0], reports[i, 3] = -1, -1
-        signals[:] = start_signals
+        for j in range(signals.size):
+            signals[j] = start_signals[j]
         for j in range(thetas.shape[1]):
             signals[parameter_signals[j]] = thetas[i, j]
         memory[OUTPUTS] = outputs[i].ctypes.data
         memory[REPORT] = reports[i].ctypes.data
-        if not _simulate(memory.ctypes.data):
-            outputs[i] = np.nan
-            if reports[i, 2] > ERROR:  # the instance must not be touched again
-                for rest in range(i + 1, thetas.shape[0]):
-                    reports[rest, :] = reports[i, :]
-                    outputs[rest] = np.nan
-                return
+        if not _simulate(np.intp(memory.ctypes.data)) and reports[i, 2] > ERROR:
+            for rest in range(i + 1, thetas.shape[0]):  # the instance must not be touched again
+                for j in range(4):
+                    reports[rest, j] = reports[i, j]
+            return

@@ -1,0 +1,79 @@
+"""What several tests share: the built FMUs and a probe FMU that misbehaves on demand."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import fmpy
+import pytest
+
+HERE = Path(__file__).parent
+FMUS = HERE.parent / "fmus"
+
+_VARIABLES = """
+<ScalarVariable name="gain" valueReference="0" causality="parameter" variability="tunable"><Real start="1"/></ScalarVariable>
+<ScalarVariable name="fail_at" valueReference="1" causality="parameter" variability="fixed"><Real start="1e9" unit="s"/></ScalarVariable>
+<ScalarVariable name="nan_at" valueReference="2" causality="parameter" variability="fixed"><Real start="1e9" unit="s"/></ScalarVariable>
+<ScalarVariable name="fail_init" valueReference="3" causality="parameter" variability="fixed"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="u" valueReference="4" causality="input" variability="continuous"><Real start="0" unit="rad/s"/></ScalarVariable>
+<ScalarVariable name="x" valueReference="5" causality="output" variability="continuous" initial="exact"><Real start="0" unit="rad"/></ScalarVariable>
+<ScalarVariable name="y" valueReference="6" causality="output" variability="continuous"><Real/></ScalarVariable>
+<ScalarVariable name="instances" valueReference="7" causality="output" variability="discrete"><Real/></ScalarVariable>
+<ScalarVariable name="n" valueReference="0" causality="input" variability="discrete"><Integer start="0"/></ScalarVariable>
+<ScalarVariable name="ten_n" valueReference="1" causality="output" variability="discrete"><Integer/></ScalarVariable>
+<ScalarVariable name="b" valueReference="0" causality="input" variability="discrete"><Boolean start="false"/></ScalarVariable>
+<ScalarVariable name="not_b" valueReference="1" causality="output" variability="discrete"><Boolean/></ScalarVariable>
+<ScalarVariable name="word" valueReference="0" causality="parameter" variability="fixed"><String start="nothing"/></ScalarVariable>
+<ScalarVariable name="twice" valueReference="8" causality="calculatedParameter" variability="fixed"><Real/></ScalarVariable>
+<ScalarVariable name="z" valueReference="5" causality="output" variability="continuous"><Real/></ScalarVariable>
+"""
+
+_UNITS = """
+<Unit name="rad/s"><BaseUnit s="-1" rad="1"/><DisplayUnit name="rpm" factor="9.549296585513721"/></Unit>
+<Unit name="krad/s"><BaseUnit s="-1" rad="1" factor="1000"/></Unit>
+<Unit name="rad"><BaseUnit rad="1"/><DisplayUnit name="deg" factor="57.29577951308232"/></Unit>
+<Unit name="s"><BaseUnit s="1"/></Unit>
+"""
+
+
+@cache
+def _probe_library(folder: Path, defines: tuple[str, ...]) -> bytes:
+    headers = Path(fmpy.__file__).parent / "c-code"
+    library = folder / f"probe{'-'.join(defines)}{fmpy.sharedLibraryExtension}"
+    command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", f"-I{headers}", "-o", str(library)]
+    command += ["-Wno-unused-parameter"] + [f"-D{define}" for define in defines] + [str(HERE / "probe" / "probe.c")]
+    subprocess.run(command, check=True, capture_output=True)
+    return library.read_bytes()
+
+
+ProbeMaker = Callable[..., Path]
+
+
+@pytest.fixture(scope="session")
+def probe(tmp_path_factory: pytest.TempPathFactory) -> ProbeMaker:
+    """Return a function that builds the probe FMU: probe(*C defines, attributes of <CoSimulation>...)."""
+    folder = tmp_path_factory.mktemp("probe")
+
+    def make(*defines: str, feedthrough: str = "5", version: str = "2.0", **attributes: str) -> Path:
+        attributes.setdefault("canHandleVariableCommunicationStepSize", "true")
+        said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+        outputs = "".join(f'<Unknown index="{i}"/>' for i in (6, 8, 10, 12))
+        xml = (
+            f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="{version}" modelName="Probe" '
+            f'guid="probe"><CoSimulation modelIdentifier="probe" {said}/><UnitDefinitions>{_UNITS}</UnitDefinitions>'
+            f"<ModelVariables>{_VARIABLES}</ModelVariables><ModelStructure><Outputs>"
+            f'{outputs}<Unknown index="15" dependencies=""/><Unknown index="7" dependencies="{feedthrough}"/></Outputs></ModelStructure></fmiModelDescription>'
+        )
+        path = folder / f"probe{abs(hash((defines, xml)))}.fmu"
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("modelDescription.xml", xml)
+            binary = f"binaries/{fmpy.platform}/probe{fmpy.sharedLibraryExtension}"
+            archive.writestr(binary, _probe_library(folder, defines))
+        return path
+
+    return make
