@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from fmuid.errors import InputError, SimulationError
@@ -20,11 +21,13 @@ COIL = FMUS / "Coil" / "Coil.fmu"
 INDUCTION = FMUS / "InductionMachine" / "InductionMachine.fmu"
 
 
-def table(times: np.ndarray, **columns: object) -> pd.DataFrame:
+def table(times: NDArray[np.float64], **columns: object) -> pd.DataFrame:
     return pd.DataFrame({"time": times, **columns})
 
 
-def coil_response(times: np.ndarray, u: np.ndarray, R: float, L: float, linear: bool) -> np.ndarray:
+def coil_response(
+    times: NDArray[np.float64], u: NDArray[np.float64], R: float, L: float, linear: bool
+) -> NDArray[np.float64]:
     """Closed form of L di/dt = u - R i, u held or linear between samples."""
     i = [0.0]
     for k in range(len(times) - 1):
@@ -55,7 +58,7 @@ def test_induction_machine_equals_its_equations_integrated_by_scipy() -> None:
     inputs = np.column_stack([100 + 20 * rng.normal(size=(300, 2)).cumsum(axis=0), 157 + rng.normal(size=300)])
     Rs, Rr, Lm, Lf = theta = [9.0, 4.0, 0.4, 0.08]
 
-    def slope(t: float, x: np.ndarray) -> list[float]:
+    def slope(t: float, x: NDArray[np.float64]) -> list[float]:
         ud, uq, w = (np.interp(t, times, inputs[:, j]) for j in range(3))
         d, q, fd, fq = x
         return [
@@ -67,7 +70,7 @@ def test_induction_machine_equals_its_equations_integrated_by_scipy() -> None:
 
     x, expected = np.zeros(4), [[0.0, 0.0]]
     for k in range(299):  # interval by interval: the inputs have kinks at the samples
-        x = solve_ivp(slope, times[k : k + 2], x, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+        x = solve_ivp(slope, times[k : k + 2].tolist(), x, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
         expected.append([x[0], x[1]])
     experiment = Experiment(
         table(times, uds=inputs[:, 0], uqs=inputs[:, 1], w=inputs[:, 2], ids=0.0, iqs=0.0),
