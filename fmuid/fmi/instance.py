@@ -113,11 +113,16 @@ class Instance:
         self.handle = int(self._slave.component)
         self.addresses = self._find_functions()
 
+    @property
+    def library(self) -> Any:
+        """The loaded shared library, as ctypes has it."""
+        return self._slave.dll
+
     def _find_functions(self) -> NDArray[np.intp]:
         addresses = np.zeros(len(FUNCTIONS), np.intp)
         for i, function in enumerate(FUNCTIONS):
             try:
-                addresses[i] = ctypes.cast(getattr(self._slave.dll, function), ctypes.c_void_p).value or 0
+                addresses[i] = ctypes.cast(getattr(self.library, function), ctypes.c_void_p).value or 0
             except AttributeError:
                 raise InputError(
                     f"{self.fmu.path}: its binary lacks the function {function}, which FMI 2.0 requires"
