@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +22,7 @@ COIL = FMUS / "Coil" / "Coil.fmu"
 INDUCTION = FMUS / "InductionMachine" / "InductionMachine.fmu"
 
 
-def table(times: NDArray[np.float64], **columns: object) -> pd.DataFrame:
+def table(times: NDArray[np.floating[Any]], **columns: object) -> pd.DataFrame:
     return pd.DataFrame({"time": times, **columns})
 
 

@@ -1,0 +1,115 @@
+"""Writes the equations of a model as C: the generated `model.h` of the FMU's sources."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from fmuid.export.equations import System, column
+
+_FORMATS = {
+    ca.OP_ADD: "{} + {}",
+    ca.OP_SUB: "{} - {}",
+    ca.OP_MUL: "{} * {}",
+    ca.OP_DIV: "{} / {}",
+    ca.OP_INV: "1.0 / {}",
+    ca.OP_NEG: "-{}",
+    ca.OP_TWICE: "2.0 * {}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_SQRT: "sqrt({})",
+    ca.OP_SIN: "sin({})",
+    ca.OP_COS: "cos({})",
+    ca.OP_TANH: "tanh({})",
+    ca.OP_FMIN: "fmin({}, {})",
+    ca.OP_FMAX: "fmax({}, {})",
+    # in derivatives of min and max
+    ca.OP_LT: "(double)({} < {})",
+    ca.OP_LE: "(double)({} <= {})",
+    ca.OP_NOT: "(double)!{}",
+}
+
+
+def header(system: System, guid: str) -> str:
+    """Return the text of `model.h`, the same for the same model."""
+    model, x, u, p = system.model, system.x, system.u, system.p
+    number = system.numbers.get
+    values = [
+        *(number((each.name, "start"), 0.0) for each in system.inputs),
+        *(number((each.name, "value"), 0.0) for each in system.parameters),
+    ]
+    nominals = [number((each.name, "nominal"), 1.0) for each in system.states]
+    names = ", ".join(f'"{name}"' for name in system.names())
+    rates, others, symbols, cached = _hoist(system)
+    sizes = {"NX": x, "NU": u, "NP": p, "NW": others, "NC": symbols}
+    seeds = [ca.SX.sym(name, each.numel()) for name, each in (("xd", x), ("ud", u), ("pd", p))]
+    both = system.plain(ca.vertcat(system.derivatives, system.algebraic))
+    both_seed = ca.densify(ca.jtimes(both, ca.vertcat(x, u, p), ca.vertcat(*seeds)))
+    starts_seed = ca.densify(ca.jtimes(system.starts, p, seeds[2]))
+    point = {"x": x, "u": u, "p": p}
+    directions = dict(zip(("xd", "ud", "pd"), seeds, strict=True))
+    return "\n".join(
+        [
+            f"/* {model.name}, generated: x states, u inputs, p parameters, w other variables, dx = dx/dt,",
+            "   c subexpressions of p alone; names that end in d: derivatives along a direction of x, u, p */",
+            "#include <math.h>",
+            f'#define MODEL_GUID "{guid}"',
+            f"#define MODEL_STEP {model.interval!r} /* largest internal step of the co-simulation, s */",
+            f"enum {{ {', '.join(f'{name} = {each.numel()}' for name, each in sizes.items())} }};",
+            f"static const char *const model_names[] = {{{names}}};",
+            f"static const double model_values[] = {{{_numbers(values)}}}; /* u, p */",
+            f"static const double model_nominals[] = {{{_numbers(nominals)}}}; /* x */",
+            _function("model_cache", {"p": p}, {"c": cached}),
+            _function("model_starts", {"p": p}, {"x": ca.densify(system.starts)}),
+            _function("model_derivatives", point | {"c": symbols}, {"dx": rates}),
+            _function("model_evaluate", point | {"c": symbols}, {"dx": rates, "w": others}),
+            _function("model_starts_seed", {"p": p, "pd": seeds[2]}, {"xd": starts_seed}),
+            _function(
+                "model_seed",
+                point | directions,
+                {"dxd": both_seed[: x.numel()], "wd": both_seed[x.numel() :]},
+            ),
+            "",
+        ]
+    )
+
+
+def _numbers(values: list[float]) -> str:
+    return ", ".join(map(repr, values)) or "0.0"  # C wants at least one
+
+
+def _hoist(system: System) -> tuple[Any, Any, Any, Any]:
+    """Split off what depends on parameters alone.
+
+    Returns
+    -------
+    tuple of SX columns
+        The derivatives and the other variables in terms of x, u, p, c; the symbols c; their values in terms of p.
+    """
+    reciprocals = column(symbol for symbol, _ in system.reciprocals)
+    both = ca.cse(ca.vertcat(system.derivatives, system.algebraic))
+    both, symbols, values = ca.extract_parametric(both, ca.vertcat(system.p, reciprocals))
+    both, nx = ca.densify(both), system.x.numel()
+    cached = column([*(value for _, value in system.reciprocals), *map(system.plain, values)])
+    return both[:nx], both[nx:], column([reciprocals, *symbols]), cached
+
+
+def _function(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> str:
+    """Return a C function of the expressions, every intermediate result a constant of its own."""
+    f = ca.Function(name, [*inputs.values()], ca.cse([*outputs.values()]))
+    read, written = [*inputs], [*outputs]
+    lines, at = [], {}  # place in CasADi's work vector -> C expression of its present content
+    for k in range(f.n_instructions()):
+        operation, places, sources = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
+        if operation == ca.OP_CONST:
+            at[places[0]] = f"({f.instruction_constant(k)!r})"
+        elif operation == ca.OP_INPUT:
+            at[places[0]] = f"{read[sources[0]]}[{sources[1]}]"
+        elif operation == ca.OP_OUTPUT:
+            lines.append(f"  {written[places[0]]}[{places[1]}] = {at[sources[0]]};")
+        else:
+            lines.append(f"  const double t{k} = {_FORMATS[operation].format(*(at[s] for s in sources))};")
+            at[places[0]] = f"t{k}"
+    arguments = [*(f"const double *{each}" for each in read), *(f"double *{each}" for each in written)]
+    unused = [f"  (void){each};" for each in [*read, *written] if not any(f"{each}[" in line for line in lines)]
+    return "\n".join([f"static inline void {name}({', '.join(arguments)}) {{", *unused, *lines, "}"])

@@ -1,0 +1,253 @@
+"""Gives a parsed model its meaning: names, balance, causality -> explicit CasADi expressions.
+
+The unknowns (derivatives of the states, algebraic variables) are solved one equation at a time, each linear in
+its unknown: an equation is taken as soon as all its other variables are known. What is left over is an
+algebraic loop, and refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from fmuid.errors import ModelicaError, nearest
+from fmuid.export.syntax import Declaration, Equation, Model, Node
+
+_OPERATIONS: dict[str, Callable[..., Any]] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+    "neg": lambda a: -a,
+    "sin": ca.sin,
+    "cos": ca.cos,
+    "sqrt": ca.sqrt,
+    "tanh": ca.tanh,
+    "min": ca.fmin,
+    "max": ca.fmax,
+}
+
+
+@dataclass(frozen=True)
+class System:
+    """An explicit model: ``dx/dt = derivatives(x, u, p)``, ``w = algebraic(x, u, p)``, ``x(0) = starts(p)``.
+
+    The declarations are those of the states x, inputs u, parameters p and other variables w, in the order of
+    the elements of the symbols and expressions (SX columns). `reciprocals` are symbols in `derivatives` and
+    `algebraic` and what they stand for, functions 1/(coefficient) of p alone: many evaluations share one.
+    `numbers` are attributes: (variable, "value", "start", "min", "max" or "nominal") -> number.
+    """
+
+    model: Model
+    states: tuple[Declaration, ...]
+    inputs: tuple[Declaration, ...]
+    parameters: tuple[Declaration, ...]
+    others: tuple[Declaration, ...]
+    x: Any
+    u: Any
+    p: Any
+    derivatives: Any
+    algebraic: Any
+    starts: Any
+    reciprocals: tuple[tuple[Any, Any], ...]
+    numbers: Mapping[tuple[str, str], float]
+
+    def names(self) -> list[str]:
+        """Names of all variables in the order of their FMI value references."""
+        known = [each.name for group in (self.states, self.inputs, self.parameters) for each in group]
+        return [*known, *(f"der({each.name})" for each in self.states), *(each.name for each in self.others)]
+
+    def plain(self, expression: Any) -> Any:
+        """Return the expression with its reciprocals written out."""
+        symbols, values = (column(each[k] for each in self.reciprocals) for k in (0, 1))
+        return ca.substitute(expression, symbols, values)
+
+
+def column(elements: Any) -> Any:
+    """Return an SX column of scalar expressions."""
+    return ca.vertcat(*elements, ca.SX(0, 1))
+
+
+def analyse(model: Model) -> System:
+    """Check a model and solve it for its derivatives and algebraic variables.
+
+    Raises
+    ------
+    ModelicaError
+        For an unknown or doubly declared name, a missing value, equations that do not determine their
+        unknowns one after the other, and whatever else has no meaning in the subset.
+    """
+    return _Analysis(model).run()
+
+
+class _Analysis:
+    """Gathers what is known, variable after variable, in the order of `run`."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.declared: dict[str, Declaration] = {}
+        self.known: dict[str, Any] = {}  # name, or der(name) -> its SX
+        self.numbers: dict[tuple[str, str], float] = {}
+        self.reciprocals: dict[str, tuple[Any, Any]] = {}  # coefficient -> symbol, value
+
+    def error(self, line: int, text: str) -> ModelicaError:
+        return ModelicaError(self.model.file, line, text)
+
+    def run(self) -> System:
+        for each in self.model.declarations:
+            if each.name in self.declared:
+                first = self.declared[each.name].line
+                raise self.error(each.line, f"'{each.name}' is already declared at line {first}: rename one")
+            self.declared[each.name] = each
+        for equation in self.model.equations:
+            for name in sorted(equation.names()):
+                self.require_declared(equation.line, name)
+        self.evaluate_numbers()
+        parameters, inputs, variables = self.of("parameter"), self.of("input"), self.of("output", "local")
+        p = self.make_known(parameters)
+        states = self.states()
+        starts = column(self.start(each) for each in states)
+        x, u = self.make_known(states), self.make_known(inputs)
+        others = [each for each in variables if each not in states]
+        rates = [f"der({each.name})" for each in states]
+        self.solve([*rates, *(each.name for each in others)], {symbol.name() for symbol in ca.symvar(p)})
+        return System(
+            model=self.model,
+            states=tuple(states),
+            inputs=tuple(inputs),
+            parameters=tuple(parameters),
+            others=tuple(others),
+            x=x,
+            u=u,
+            p=p,
+            derivatives=column(self.known[name] for name in rates),
+            algebraic=column(self.known[each.name] for each in others),
+            starts=starts,
+            reciprocals=tuple(self.reciprocals.values()),
+            numbers=self.numbers,
+        )
+
+    def of(self, *roles: str) -> list[Declaration]:
+        return [each for each in self.model.declarations if each.role in roles]
+
+    def require_declared(self, line: int, name: str) -> None:
+        if name.removeprefix("der(").removesuffix(")") not in self.declared:
+            hint = ": make it an input" if name == "time" else nearest(name, self.declared) or ": declare it"
+            raise self.error(line, f"unknown variable '{name}'{hint}")
+
+    def make_known(self, declarations: list[Declaration]) -> Any:
+        """Give these variables symbols; return the column of them."""
+        self.known |= {each.name: ca.SX.sym(each.name) for each in declarations}
+        return column(self.known[each.name] for each in declarations)
+
+    # ---- numbers and expressions
+
+    def evaluate_numbers(self) -> None:
+        """Evaluate the constants, in the order of their declarations, then all other numeric attributes."""
+        for each in [*self.of("constant"), *self.of("parameter")]:
+            if each.value is None:
+                raise self.error(each.line, f"{each.role} '{each.name}' has no value: write '= ...' after it")
+            self.numbers[each.name, "value"] = value = self.number(each.value, f"'{each.name}'")
+            if each.role == "constant":
+                self.known[each.name] = ca.SX(value)
+        for each in self.model.declarations:
+            for key, node in each.modifiers.items():
+                if key in ("min", "max", "nominal") or (key == "start" and each.role == "input"):
+                    self.numbers[each.name, key] = self.number(node, f"'{key}' of '{each.name}'")
+            if self.numbers.get((each.name, "nominal"), 1.0) <= 0:
+                raise self.error(each.line, f"'nominal' of '{each.name}' must be positive: give its magnitude")
+
+    def number(self, node: Node, what: str) -> float:
+        return float(self.expression(node, f"{what} must be a number, or an expression of constants above it"))
+
+    def expression(self, node: Node, demand: str) -> Any:
+        """Return an expression's SX; if a name in it is not known, say what is demanded of the expression."""
+        if node.op == "number":
+            return ca.SX(node.args[0])
+        if node.op in ("name", "der"):
+            name = next(node.names())
+            self.require_declared(node.line, name)
+            if name not in self.known:
+                raise self.error(node.line, f"{demand}, not of '{name}'")
+            return self.known[name]
+        result = _OPERATIONS[node.op](*(self.expression(arg, demand) for arg in node.args))
+        if result.is_constant() and not math.isfinite(float(result)):
+            raise self.error(node.line, f"'{node.op}' gives no finite number here: correct its operands")
+        return result
+
+    # ---- states
+
+    def states(self) -> list[Declaration]:
+        """Return the variables that are differentiated."""
+        lines: dict[str, int] = {}  # state -> first equation with its derivative
+        for equation in self.model.equations:
+            for name in equation.names():
+                if name.startswith("der("):
+                    lines.setdefault(name[4:-1], equation.line)
+        variables = self.of("output", "local")
+        for name, line in lines.items():
+            role = self.declared[name].role
+            if self.declared[name] not in variables:
+                raise self.error(line, f"der({name}) of {role} '{name}': declare it output or without a prefix")
+        for each in variables:
+            given = [key for key in ("start", "fixed") if key in each.modifiers]
+            if each.name in lines and len(given) != 2:
+                raise self.error(each.line, f"state '{each.name}' needs both start=... and fixed=true")
+            if each.name not in lines and given:
+                raise self.error(each.line, f"'{given[0]}' of '{each.name}', which is no state: remove it")
+        return [each for each in variables if each.name in lines]
+
+    def start(self, state: Declaration) -> Any:
+        demand = f"'start' of '{state.name}' must be an expression of parameters and constants"
+        return self.expression(state.modifiers["start"], demand)
+
+    # ---- causality
+
+    def solve(self, unknowns: list[str], parameters: set[str]) -> None:
+        """Make the unknowns known, one equation after the other."""
+        waiting = [(equation, equation.names() & {*unknowns}) for equation in self.model.equations]
+        absent = [name for name in unknowns if not any(name in names for _, names in waiting)]
+        if absent or len(waiting) != len(unknowns):
+            detail = f"; no equation has {', '.join(absent)}" if absent else ""
+            raise self.error(
+                self.model.last_line,
+                f"unbalanced model: {len(waiting)} equations for {len(unknowns)} unknowns "
+                f"({', '.join(unknowns)}){detail}: give one equation for each",
+            )
+        while waiting:
+            ready = next((each for each in waiting if len(each[1] - self.known.keys()) <= 1), None)
+            if ready is None:
+                loop = sorted({*unknowns} - self.known.keys())
+                raise self.error(
+                    waiting[0][0].line,
+                    f"algebraic loop between {', '.join(loop)} is outside the exported subset: solve by hand, "
+                    "so that each equation has one unknown more than those before it need",
+                )
+            waiting.remove(ready)
+            equation, names = ready[0], ready[1] - self.known.keys()
+            if not names:
+                text = "this equation has no unknown left, others give all its variables: correct or remove it"
+                raise self.error(equation.line, text)
+            self.solve_one(equation, names.pop(), parameters)
+
+    def solve_one(self, equation: Equation, name: str, parameters: set[str]) -> None:
+        symbol = self.known[name] = ca.SX.sym(name)
+        left, right = self.expression(equation.left, ""), self.expression(equation.right, "")
+        coefficient = ca.jacobian(left - right, symbol)
+        if ca.depends_on(coefficient, symbol):
+            text = f"equation not linear in its unknown {name} is outside the exported subset: solve it by hand"
+            raise self.error(equation.line, text)
+        if coefficient.is_zero():
+            raise self.error(equation.line, f"the unknown {name} of this equation drops out: correct it")
+        rest = ca.substitute(right - left, symbol, 0)
+        involved = {each.name() for each in ca.symvar(coefficient)}
+        if involved and involved <= parameters:
+            key = str(coefficient)
+            self.reciprocals.setdefault(key, (ca.SX.sym(f"1/({key})"), 1 / coefficient))
+            self.known[name] = rest * self.reciprocals[key][0]
+        else:
+            self.known[name] = rest / coefficient

@@ -1,0 +1,78 @@
+"""What a model of the subset consists of, as written: parsed, not yet checked for meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+FUNCTIONS = {"sin": 1, "cos": 1, "sqrt": 1, "tanh": 1, "min": 2, "max": 2}
+"""Functions of the subset and their number of arguments."""
+
+MODIFIERS = {
+    "parameter": ("unit", "min", "max", "nominal"),
+    "constant": ("unit",),
+    "input": ("unit", "min", "max", "nominal", "start"),
+    "output": ("unit", "min", "max", "nominal", "start", "fixed"),
+    "local": ("unit", "min", "max", "nominal", "start", "fixed"),
+}
+"""Roles of variables, and the attributes that a variable of each may have."""
+
+
+@dataclass(frozen=True)
+class Node:
+    """An expression: `op` is "number", "name", "der", an operator + - * /, "neg", or a function's name."""
+
+    line: int
+    op: str
+    args: tuple[Any, ...]
+
+    def names(self) -> Iterator[str]:
+        """Names of the variables in it, derivatives as ``der(x)``."""
+        if self.op == "name":
+            yield self.args[0]
+        elif self.op == "der":
+            yield f"der({self.args[0]})"
+        elif self.op != "number":
+            for arg in self.args:
+                yield from arg.names()
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """One declared variable; `role` is a key of `MODIFIERS`."""
+
+    name: str
+    role: str
+    line: int
+    description: str = ""
+    unit: str | None = None
+    modifiers: Mapping[str, Node] = field(default_factory=dict)
+    value: Node | None = None
+
+
+@dataclass(frozen=True)
+class Equation:
+    """``left = right``."""
+
+    line: int
+    left: Node
+    right: Node
+
+    def names(self) -> set[str]:
+        """Names of the variables in it, derivatives as ``der(x)``."""
+        return {*self.left.names(), *self.right.names()}
+
+
+@dataclass(frozen=True)
+class Model:
+    """A parsed model; `stop_time` and `interval` (s) are those of its experiment annotation."""
+
+    file: str
+    name: str
+    description: str
+    declarations: tuple[Declaration, ...]
+    equations: tuple[Equation, ...]
+    stop_time: float
+    interval: float
+    last_line: int

@@ -1,0 +1,673 @@
+"""The exported machine models against their equations, written here anew and integrated by scipy.
+
+`Reference` knows nothing of the FMUs: plain formulas of method.md section 8 and of the models' README files. The
+FMUs run through FMPy's low-level calls (its `simulate_fmu` does not apply inputs inside an integrator).
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import fmpy.fmi1
+import fmpy.fmi2
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from fmuid.transforms import T23, park
+
+Array = npt.NDArray[Any]
+FMUS = Path(__file__).parents[1] / "fmus"
+TOLERANCE = 1e-7  # of the largest value of each signal: an integration error is a parameter bias
+
+# ---- the reference
+
+
+@dataclass(frozen=True)
+class Reference:
+    """``dx/dt = rates(x, u, p)``, ``y = outputs(x, u, p)``; also for complex arguments (complex-step derivatives)."""
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: dict[str, float]  # not the defaults, nothing zero
+    rates: Callable[..., Any]
+    evaluate: Callable[..., Any]
+    amplitudes: tuple[float, ...]  # of the inputs, around the means
+    step: float  # s, sampling
+    means: tuple[float, ...] = ()
+
+    def integrate(self, times: Array, inputs: Array, linear: bool) -> Array:
+        """Outputs at the times; inputs linear or held between them."""
+        p = self.parameters
+        x = np.array([p[f"{name}_start"] for name in self.states])
+        rows = [self.evaluate(x, inputs[0], p)]
+        for k in range(len(times) - 1):
+            h = times[k + 1] - times[k]
+            slope = (inputs[k + 1] - inputs[k]) / h * linear
+
+            def rates(t: float, x: Array, u: Array = inputs[k], slope: Array = slope) -> Any:
+                return self.rates(x, u + slope * t, p)
+
+            if len(x):
+                x = solve_ivp(rates, (0, h), x, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+            rows.append(self.evaluate(x, inputs[k] + slope * h, p))
+        return np.array(rows)
+
+    def signals(self, count: int = 150) -> tuple[Array, Array]:
+        """Irregular times and random inputs."""
+        rng = np.random.default_rng(2)
+        times = np.concatenate([[0.0], np.cumsum(self.step * rng.uniform(0.5, 1.0, count))])
+        values = rng.uniform(-1, 1, (count + 1, len(self.inputs))) * np.array(self.amplitudes)
+        return times, values + np.array(self.means or 0.0)
+
+
+def first(x: Any, *_: Any) -> Any:
+    return np.array(x)
+
+
+def coil(x: Any, u: Any, p: Any) -> Any:
+    return np.array([(u[0] - p["R"] * x[0]) / p["L"]])
+
+
+def park_machine(x: Any, u: Any, p: Any) -> Any:
+    """method.md section 8, the state equations in Park axes linked to the rotor."""
+    ids, iqs, phidr, phiqr = x
+    uds, uqs, w = u
+    Rs, Rr, Lm, Lf = p["Rs"], p["Rr"], p["Lm"], p["Lf"]
+    return np.array(
+        [
+            (uds - (Rs + Rr) * ids + w * Lf * iqs + Rr / Lm * phidr + w * phiqr) / Lf,
+            (uqs - (Rs + Rr) * iqs - w * Lf * ids + Rr / Lm * phiqr - w * phidr) / Lf,
+            Rr * ids - Rr / Lm * phidr,
+            Rr * iqs - Rr / Lm * phiqr,
+        ]
+    )
+
+
+def rotation(theta: Any) -> Any:
+    return np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+
+
+def phase_matrices(theta: Any, p: Any) -> tuple[Any, Any, Any, Any]:
+    """L_s, M_sr, dM_sr/dθ and L_r of (1.58)."""
+    Lp, turn, eye = 2 / 3 * p["Lm"], 2 * np.pi / 3, np.eye(3)
+    Lr = Lp * (1.5 * eye - 0.5)
+    angles = np.array([[0, turn, -turn], [-turn, 0, turn], [turn, -turn, 0]])
+    return Lr + p["Lf"] * eye, Lp * np.cos(theta + angles), -Lp * np.sin(theta + angles), Lr
+
+
+def three_phase(x: Any, u: Any, p: Any) -> Any:
+    """(1.58) as it stands, solved for the derivatives of all six currents; the rotor's have no zero sequence.
+
+    The fluxes phi_dqr of the state give the rotor currents; the derivatives of the currents give those of phi_dqr.
+    """
+    currents, theta, phi, w = x[:3], x[3], x[4:], u[3]
+    Ls, M, dM, Lr = phase_matrices(theta, p)
+    J = T23.T  # rotor currents of two axes -> of three phases
+    rotor = np.linalg.solve(T23 @ Lr @ J, phi - T23 @ M.T @ currents)
+    whole = np.block([[Ls, M @ J], [T23 @ M.T, T23 @ Lr @ J]])
+    right = np.concatenate(
+        [
+            u[:3] - p["Rs"] * currents - w * dM @ J @ rotor,
+            -p["Rr"] * rotor - w * T23 @ dM.T @ currents,
+        ]
+    )
+    derivatives = np.linalg.solve(whole, right)
+    return np.concatenate([derivatives[:3], [w], -p["Rr"] * rotor])
+
+
+def drive(x: Any, u: Any, p: Any) -> Any:
+    friction = p["Fv"] * x[1] + p["Fc"] * np.tanh(x[1] / p["dq_eps"]) + p["offset"]
+    return np.array([x[1], (p["gtau"] * u[0] - friction) / p["M"]])
+
+
+def nothing(*_: Any) -> Any:
+    return np.zeros(0)
+
+
+def controller(_: Any, u: Any, p: Any) -> Any:
+    qg, q, dq = u
+    v = p["kv"] * (p["kp"] * (qg - q) - dq)
+    return np.array([v if abs(v) < p["v_max"] else p["v_max"] * np.sign(v.real)])
+
+
+MACHINE = {"Rs": 8.5, "Rr": 4.4, "Lm": 0.39, "Lf": 0.081}
+PHASES = {"ia_start": 1.1, "ib_start": 0.3, "ic_start": -0.8, "theta_start": 0.7}
+FLUXES = {"phidr_start": 0.6, "phiqr_start": -0.4}
+DRIVE = {"M": 88.0, "Fv": 230.0, "Fc": 23.0, "offset": -4.0, "gtau": 33.0, "dq_eps": 1.2e-3}
+REFERENCES = {
+    "Coil": Reference(("i",), ("u",), ("i",), {"R": 3.3, "L": 0.08, "i_start": -0.4}, coil, first, (1.0,), 1e-3),
+    "InductionMachine": Reference(
+        ("ids", "iqs", "phidr", "phiqr"),
+        ("uds", "uqs", "w"),
+        ("ids", "iqs", "phidr", "phiqr"),
+        MACHINE | {"ids_start": 1.2, "iqs_start": -0.7} | FLUXES,
+        park_machine,
+        first,
+        (300.0, 300.0, 10.0),
+        7e-4,
+        (0.0, 0.0, 157.0),
+    ),
+    "ThreePhaseInductionMachine": Reference(
+        ("ia", "ib", "ic", "theta", "phidr", "phiqr"),
+        ("ua", "ub", "uc", "w"),
+        ("ia", "ib", "ic", "theta", "phidr", "phiqr"),
+        MACHINE | PHASES | FLUXES,
+        three_phase,
+        first,
+        (300.0, 300.0, 300.0, 10.0),
+        7e-4,
+        (0.0, 0.0, 0.0, 157.0),
+    ),
+    "PositionDrive": Reference(
+        ("q", "dq"), ("v",), ("q", "dq"), DRIVE | {"q_start": 0.1, "dq_start": -0.02}, drive, first, (10.0,), 1e-3
+    ),
+    "PositionController": Reference(
+        (),
+        ("qg", "q", "dq"),
+        ("v",),
+        {"kp": 150.0, "kv": 230.0, "v_max": 9.0},
+        nothing,
+        controller,
+        (3e-4, 3e-4, 0.03),
+        1e-3,
+    ),
+}
+models = pytest.mark.parametrize("model", REFERENCES)
+
+# ---- the FMUs
+
+
+class Instance:
+    """One instance of an FMU, variables by name."""
+
+    def __init__(self, model: str, directory: Path, kind: type[Any] = fmpy.fmi2.FMU2Slave) -> None:
+        if not (directory / "modelDescription.xml").exists():
+            fmpy.extract(str(FMUS / model / f"{model}.fmu"), unzipdir=str(directory))
+        self.description: Any = fmpy.read_model_description(str(directory))
+        self.references = {v.name: v.valueReference for v in self.description.modelVariables}
+        self.messages: list[str] = []
+        self.callbacks = fmpy.fmi2.fmi2CallbackFunctions()
+        self.callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(self.log)
+        self.fmu: Any = kind(
+            guid=self.description.guid, unzipDirectory=str(directory), modelIdentifier=model, instanceName="one"
+        )
+        self.fmu.instantiate(callbacks=self.callbacks)
+
+    def log(self, _: Any, name: bytes, status: int, category: bytes, text: bytes) -> None:
+        assert (name, status, category) == (b"one", fmpy.fmi2.fmi2Error, b"logStatusError")
+        self.messages.append(text.decode())
+
+    def initialise(self, values: dict[str, float] | None = None) -> None:
+        self.fmu.setupExperiment()
+        self.set(values or {})
+        self.fmu.enterInitializationMode()
+        self.fmu.exitInitializationMode()
+
+    def start_model_exchange(self, values: dict[str, float]) -> None:
+        self.initialise(values)
+        assert self.fmu.newDiscreteStates() == (False, False, False, False, False, 0.0)
+        self.fmu.enterContinuousTimeMode()
+
+    def numbers(self, names: Sequence[str]) -> list[int]:
+        return [self.references[name] for name in names]
+
+    def set(self, values: dict[str, float]) -> None:
+        self.fmu.setReal(self.numbers([*values]), [*values.values()])
+
+    def get(self, *names: str) -> Array:
+        return np.array(self.fmu.getReal(self.numbers(names)))
+
+    def slopes(self, names: Sequence[str], values: Array, order: int = 1) -> None:
+        n = len(names)
+        self.fmu.fmi2SetRealInputDerivatives(
+            self.fmu.component,
+            (ctypes.c_uint * n)(*self.numbers(names)),
+            n,
+            (ctypes.c_int * n)(*[order] * n),
+            (ctypes.c_double * n)(*values),
+        )
+
+    def derivatives(self, x: Array) -> Array:
+        n = len(x)
+        self.fmu.setContinuousStates((ctypes.c_double * n)(*x), n)
+        rates = (ctypes.c_double * n)()
+        self.fmu.getDerivatives(rates, n)
+        return np.array(rates)
+
+    def directional(self, unknowns: Sequence[str], known: str) -> Array:
+        return np.array(self.fmu.getDirectionalDerivative(self.numbers(unknowns), self.numbers([known]), [1.0]))
+
+    def run(self, reference: Reference, times: Array, inputs: Array, linear: bool) -> Array:
+        """Co-simulate from the initialised state; outputs at the times."""
+        names, rows = reference.inputs, []
+        for k in range(len(times)):
+            self.set(dict(zip(names, inputs[k], strict=True)))
+            rows.append(self.get(*reference.outputs))
+            if k + 1 < len(times):
+                h = times[k + 1] - times[k]
+                self.slopes(names, (inputs[k + 1] - inputs[k]) / h * linear)
+                self.fmu.doStep(times[k], h)
+        return np.array(rows)
+
+
+Opener = Callable[..., Instance]
+
+
+@pytest.fixture(scope="module")
+def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("fmus")
+
+
+@pytest.fixture
+def opened(unpacked: Path) -> Iterator[Opener]:
+    instances: list[Instance] = []
+
+    def open_instance(model: str, kind: type[Any] = fmpy.fmi2.FMU2Slave) -> Instance:
+        instances.append(Instance(model, unpacked / model, kind))
+        return instances[-1]
+
+    yield open_instance
+    for instance in instances:
+        instance.fmu.fmi2FreeInstance(instance.fmu.component)
+
+
+def relative_error(found: Array, expected: Array) -> float:
+    return float(np.max(np.abs(found - expected).max(0) / np.abs(expected).max(0)))
+
+
+# ---- co-simulation
+
+
+@pytest.mark.parametrize("linear", [True, False], ids=["linear", "held"])
+@models
+def test_co_simulation_follows_the_equations(opened: Opener, model: str, linear: bool) -> None:
+    reference = REFERENCES[model]
+    times, inputs = reference.signals()
+    instance = opened(model)
+    instance.initialise(reference.parameters)
+    found = instance.run(reference, times, inputs, linear)
+    expected = reference.integrate(times, inputs, linear)
+    if not reference.states:  # without states an output follows the inputs at once
+        expected = np.array([reference.evaluate((), u, reference.parameters) for u in inputs])
+    assert relative_error(found, expected) < TOLERANCE
+    assert np.all(np.ptp(found, axis=0) > 0)
+
+
+def test_coil_against_its_closed_form(opened: Opener) -> None:
+    """i(t) = A + B t + (i0 - A) exp(-R t/L) for u = u0 + a t, with B = a/R and A = (u0 - L B)/R."""
+    R, L, i0, u0, a = 3.3, 0.08, -0.4, 1.7, -23.0
+    t = np.linspace(0, 0.1, 101)
+    B = a / R
+    A = (u0 - L * B) / R
+    expected = A + B * t + (i0 - A) * np.exp(-R / L * t)
+    instance = opened("Coil")
+    instance.initialise({"R": R, "L": L, "i_start": i0})
+    found = instance.run(REFERENCES["Coil"], t, (u0 + a * t)[:, None], linear=True)
+    assert relative_error(found, expected[:, None]) < 1e-10
+
+
+def test_induction_machine_at_constant_speed_against_its_matrix_exponential(opened: Opener) -> None:
+    """One substep a sample of 0.7 ms, the method's own, over 3 s."""
+    p, w, h, count = REFERENCES["InductionMachine"].parameters, 157.0, 7e-4, 4300
+    u = np.array([200.0, -100.0, w])
+    A = np.array([park_machine(x, [0, 0, w], p) for x in np.eye(4)]).T
+    steady = np.linalg.solve(A, -park_machine(np.zeros(4), u, p))
+    x, step = np.array([p[f"{name}_start"] for name in ("ids", "iqs", "phidr", "phiqr")]), expm(A * h)
+    rows = [x]
+    for _ in range(count - 1):
+        x = steady + step @ (x - steady)
+        rows.append(x)
+    instance = opened("InductionMachine")
+    instance.initialise(p)
+    found = instance.run(REFERENCES["InductionMachine"], h * np.arange(count), np.tile(u, (count, 1)), linear=False)
+    assert relative_error(found, np.array(rows)) < TOLERANCE
+
+
+def test_controller_is_limited(opened: Opener) -> None:
+    instance = opened("PositionController")
+    instance.initialise()
+    for reference_position, expected in ((0.0, 0.0), (1e-4, 160.18 * 243.45 * 1e-4), (1.0, 10.0), (-1.0, -10.0)):
+        instance.set({"qg": reference_position})
+        assert instance.get("v") == pytest.approx(expected, rel=1e-14)
+
+
+def test_inputs_move_on_along_their_slopes(opened: Opener) -> None:
+    """The value of an input is that at the present time, also after a step; a slope holds until it is changed."""
+    instance = opened("PositionController")
+    instance.initialise()
+    instance.set({"qg": 1e-5})
+    instance.slopes(["qg"], np.array([1e-2]))
+    for k in (1, 2, 3):
+        instance.fmu.doStep((k - 1) * 1e-3, 1e-3)
+        assert instance.get("qg", "v") == pytest.approx([1e-5 * (1 + k), 160.18 * 243.45 * 1e-5 * (1 + k)], rel=1e-12)
+
+
+@models
+def test_long_steps_are_divided(opened: Opener, model: str) -> None:
+    """Substeps of at most the model's Interval: a step of three is three steps of one."""
+    reference = REFERENCES[model]
+    interval = float(opened(model).description.defaultExperiment.stepSize)
+    results = []
+    for parts in (1, 3):
+        instance = opened(model)
+        instance.initialise(reference.parameters)
+        instance.set(dict(zip(reference.inputs, np.array(reference.amplitudes) / 3, strict=True)))
+        for k in range(parts):
+            instance.fmu.doStep(k * 3 * interval / parts, 3 * interval / parts)
+        results.append(instance.get(*reference.outputs))
+    np.testing.assert_allclose(results[0], results[1], rtol=1e-12)
+
+
+# ---- start values, life, state
+
+
+@models
+def test_parameters_give_the_start_values(opened: Opener, model: str) -> None:
+    reference = REFERENCES[model]
+    instance = opened(model)
+    instance.fmu.setupExperiment()
+    instance.set(reference.parameters)
+    expected = [reference.parameters[f"{name}_start"] for name in reference.states]
+    assert list(instance.get(*reference.states)) == expected
+    instance.fmu.enterInitializationMode()
+    instance.set({f"{name}_start": k + 0.5 for k, name in enumerate(reference.states)})
+    assert list(instance.get(*reference.states)) == [k + 0.5 for k in range(len(expected))]
+    instance.set(reference.parameters)
+    instance.fmu.exitInitializationMode()
+    assert list(instance.get(*reference.states)) == expected
+    instance.set({f"{name}_start": 9.0 for name in reference.states})  # too late to act
+    assert list(instance.get(*reference.states)) == expected
+
+
+@models
+def test_tuning_a_parameter_between_steps(opened: Opener, model: str) -> None:
+    reference = REFERENCES[model]
+    times, inputs = reference.signals(10)
+    tuned, fresh = opened(model), opened(model)
+    tuned.initialise()
+    tuned.run(reference, times, inputs, True)
+    tuned.set(reference.parameters)
+    fresh.initialise(reference.parameters | {f"{n}_start": float(tuned.get(n)[0]) for n in reference.states})
+    assert np.array_equal(tuned.run(reference, times, inputs, True), fresh.run(reference, times, inputs, True))
+
+
+@models
+def test_reset_repeats_bit_for_bit(opened: Opener, model: str) -> None:
+    reference = REFERENCES[model]
+    times, inputs = reference.signals(40)
+    instance = opened(model)
+    runs = []
+    for values in ({}, reference.parameters, {}, reference.parameters):
+        instance.initialise(values)
+        runs.append(instance.run(reference, times, inputs, True))
+        instance.fmu.reset()
+    assert np.array_equal(runs[0], runs[2])
+    assert np.array_equal(runs[1], runs[3])
+    assert not np.array_equal(runs[0], runs[1])
+
+
+@models
+def test_instances_are_independent(opened: Opener, model: str) -> None:
+    reference = REFERENCES[model]
+    times, inputs = reference.signals(20)
+    alone, one, other = opened(model), opened(model), opened(model)
+    for instance in (alone, one):
+        instance.initialise(reference.parameters)
+    other.initialise()
+    expected = alone.run(reference, times, inputs, True)
+    other.run(reference, times, -inputs, True)
+    assert np.array_equal(one.run(reference, times, inputs, True), expected)
+
+
+@models
+def test_state_is_saved_restored_and_serialised(opened: Opener, model: str) -> None:
+    reference = REFERENCES[model]
+    times, inputs = reference.signals(40)
+    instance, second = opened(model), opened(model)
+    instance.initialise(reference.parameters)
+    second.initialise()
+    instance.run(reference, times[:20], inputs[:20], True)
+    state = instance.fmu.getFMUstate()
+    data = instance.fmu.serializeFMUstate(state)
+    expected = instance.run(reference, times[20:], inputs[20:], True)
+    instance.fmu.setFMUstate(state)
+    assert np.array_equal(instance.run(reference, times[20:], inputs[20:], True), expected)
+    copy = second.fmu.deSerializeFMUstate(data)
+    second.fmu.setFMUstate(copy)
+    assert np.array_equal(second.run(reference, times[20:], inputs[20:], True), expected)
+    assert second.fmu.serializeFMUstate(copy) == data
+    for owner, each in ((instance, state), (second, copy)):
+        owner.fmu.freeFMUstate(each)
+
+
+def test_state_of_another_model_is_refused(opened: Opener) -> None:
+    coil_, drive_ = opened("Coil"), opened("PositionDrive")
+    data = coil_.fmu.serializeFMUstate(coil_.fmu.getFMUstate())
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        drive_.fmu.deSerializeFMUstate(data)
+    assert "not a state of this FMU" in drive_.messages[0]
+
+
+# ---- model exchange and derivatives
+
+
+def points(reference: Reference) -> Iterator[tuple[Array, Array]]:
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        x = rng.uniform(-1, 1, len(reference.states))
+        if reference.rates is drive:
+            x[1] *= 2e-3  # where friction changes sign
+        yield x, rng.uniform(-1, 1, len(reference.inputs)) * np.array(reference.amplitudes)
+
+
+@models
+def test_derivatives_are_the_equations(opened: Opener, model: str) -> None:
+    reference = REFERENCES[model]
+    instance = opened(model, fmpy.fmi2.FMU2Model)
+    instance.start_model_exchange(reference.parameters)
+    for x, u in points(reference):
+        instance.set(dict(zip(reference.inputs, u, strict=True)))
+        expected = reference.rates(x, u, reference.parameters)
+        np.testing.assert_allclose(instance.derivatives(x), expected, rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(
+            instance.get(*reference.outputs), reference.evaluate(x, u, reference.parameters), rtol=1e-13
+        )
+
+
+@pytest.mark.parametrize("model", ["InductionMachine", "ThreePhaseInductionMachine"])
+def test_model_exchange_integrated_by_scipy(opened: Opener, model: str) -> None:
+    """The right-hand side at the times and inputs that the integrator asks for gives what the co-simulation gives."""
+    reference = REFERENCES[model]
+    times, inputs = reference.signals(30)
+    instance = opened(model, fmpy.fmi2.FMU2Model)
+    instance.start_model_exchange(reference.parameters)
+    x = np.zeros(len(reference.states))
+    start = (ctypes.c_double * len(x))()
+    instance.fmu.getContinuousStates(start, len(x))
+    x, rows = np.array(start), [np.array(start)]
+    for k in range(len(times) - 1):
+        slope = (inputs[k + 1] - inputs[k]) / (times[k + 1] - times[k])
+
+        def rates(t: float, x: Array, k: int = k, slope: Array = slope) -> Array:
+            instance.fmu.setTime(t)
+            instance.set(dict(zip(reference.inputs, inputs[k] + slope * (t - times[k]), strict=True)))
+            return instance.derivatives(x)
+
+        x = solve_ivp(rates, (float(times[k]), float(times[k + 1])), x, method="DOP853", rtol=1e-11, atol=1e-13).y[
+            :, -1
+        ]
+        assert instance.fmu.completedIntegratorStep() == (False, False)
+        rows.append(x)
+    slave = opened(model)
+    slave.initialise(reference.parameters)
+    assert relative_error(slave.run(reference, times, inputs, True), np.array(rows)) < TOLERANCE
+
+
+@models
+def test_directional_derivatives(opened: Opener, model: str) -> None:
+    """Exact: against the complex-step derivatives of the reference, and roughly against differences of the FMU."""
+    reference = REFERENCES[model]
+    instance = opened(model, fmpy.fmi2.FMU2Model)
+    instance.start_model_exchange(reference.parameters)
+    unknowns = [*(f"der({name})" for name in reference.states), *reference.outputs]
+    active = [name for name in reference.parameters if not name.endswith("_start")]
+    for x, u in points(reference):
+        instance.set(dict(zip(reference.inputs, u, strict=True)))
+        instance.derivatives(x)
+        columns = {name: ("x", k) for k, name in enumerate(reference.states)}
+        columns |= {name: ("u", k) for k, name in enumerate(reference.inputs)}
+        columns |= {name: ("p", k) for k, name in enumerate(active)}
+        for name, (kind, k) in columns.items():
+            point = {"x": x.astype(complex), "u": u.astype(complex), "p": dict(reference.parameters)}
+            if kind == "p":
+                point["p"][name] += 1e-30j  # type: ignore[index]
+            else:
+                point[kind][k] += 1e-30j  # type: ignore[index]
+            arguments = (point["x"], point["u"], point["p"])
+            both = np.concatenate([reference.rates(*arguments), reference.evaluate(*arguments)])
+            expected = both.imag / 1e-30
+            scale = 1e-12 * max(1.0, np.abs(expected).max())
+            np.testing.assert_allclose(instance.directional(unknowns, name), expected, rtol=1e-9, atol=scale)
+    for k, name in enumerate(reference.states):  # at the last point
+        eps = np.zeros(len(x))
+        eps[k] = 1e-6 if reference.rates is drive else 1e-4
+        difference = (instance.derivatives(x + eps) - instance.derivatives(x - eps)) / (2 * eps[k])
+        instance.derivatives(x)
+        found = instance.directional(unknowns[: len(x)], name)
+        np.testing.assert_allclose(found, difference, rtol=1e-6, atol=1e-6 * np.abs(difference).max())
+
+
+def test_directional_derivatives_in_initialization_mode(opened: Opener) -> None:
+    """There the states are functions of the start parameters."""
+    instance = opened("Coil")
+    instance.fmu.setupExperiment()
+    instance.fmu.enterInitializationMode()
+    instance.set({"R": 3.0, "L": 0.5})
+    assert list(instance.directional(["i", "der(i)"], "i_start")) == [1.0, -6.0]
+    assert list(instance.directional(["i", "der(i)"], "u")) == [0.0, 2.0]
+
+
+# ---- machines against each other
+
+
+@pytest.mark.parametrize(("speed", "step", "tolerance"), [(0.0, 7e-4, 1e-8), (157.0, 1e-5, 2e-6)])
+def test_three_phase_machine_is_the_park_machine(opened: Opener, speed: float, step: float, tolerance: float) -> None:
+    """Seen through the transforms. Between samples, voltages are linear in one of two turning frames only: (wT)²/8."""
+    count = 1000
+    t = step * np.arange(count)
+    frame = pd.DataFrame({"time": t, "w": np.full(count, speed), "theta": 0.7 + speed * t})
+    for phase, name in enumerate(("ua", "ub", "uc")):
+        frame[name] = 310 * np.cos(314 * t - phase * 2 * np.pi / 3) + 20  # the 20 V: a zero sequence
+    three = REFERENCES["ThreePhaseInductionMachine"]
+    machine = opened("ThreePhaseInductionMachine")
+    machine.initialise(MACHINE | FLUXES | PHASES)
+    phases = machine.run(three, t, frame[list(three.inputs)].to_numpy(), linear=True)
+    frame[list(three.outputs)] = phases
+    np.testing.assert_allclose(frame["theta"], 0.7 + speed * t, rtol=1e-12)
+    frame = park(frame, ["ua", "ub", "uc"], ["uds", "uqs"])
+    frame = park(frame, ["ia", "ib", "ic"], ["ids", "iqs"])
+    two = REFERENCES["InductionMachine"]
+    machine = opened("InductionMachine")
+    starts = {f"{name}_start": float(frame[name].iloc[0]) for name in ("ids", "iqs")}
+    machine.initialise(MACHINE | FLUXES | starts)
+    found = machine.run(two, t, frame[list(two.inputs)].to_numpy(), linear=True)
+    assert relative_error(found, frame[list(two.outputs)].to_numpy()) < tolerance
+
+
+def test_zero_sequence_current_sees_resistance_and_leakage_only(opened: Opener) -> None:
+    """Lf di0/dt = u0 - Rs i0, whatever the rotor does."""
+    reference = REFERENCES["ThreePhaseInductionMachine"]
+    t = 7e-4 * np.arange(100)
+    inputs = np.tile([50.0, 50.0, 50.0, 150.0], (100, 1))
+    machine = opened("ThreePhaseInductionMachine")
+    machine.initialise(reference.parameters)
+    found = machine.run(reference, t, inputs, linear=False)[:, :3].mean(1)
+    final, start = 50 / MACHINE["Rs"], (1.1 + 0.3 - 0.8) / 3
+    expected = final + (start - final) * np.exp(-MACHINE["Rs"] / MACHINE["Lf"] * t)
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+# ---- refusals of the C code: one clear text each, and a way back
+
+
+def refused(instance: Instance, call: Callable[[], Any]) -> str:
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        call()
+    assert len(instance.messages) == 1
+    with pytest.raises(fmpy.fmi1.FMICallException):  # after an error only reset (or a saved state) helps
+        instance.get("i")
+    assert "after an error (reset the instance or restore a state)" in instance.messages[1]
+    instance.fmu.reset()
+    instance.initialise()
+    assert list(instance.get("i")) == [0.0]
+    return instance.messages[0]
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda c: c.set({"R": float("nan")}), "fmi2SetReal: the value given for R at t = 0 is not finite"),
+        (lambda c: c.set({"u": float("inf")}), "the value given for u at t = 0 is not finite"),
+        (lambda c: c.set({"i": 1.0}), "i is computed by the model: only inputs and parameters can be set"),
+        (lambda c: c.fmu.setReal([99], [1.0]), "there is no variable of value reference 99"),
+        (lambda c: c.fmu.getReal([99]), "there is no variable of value reference 99"),
+        (lambda c: c.fmu.getInteger([0]), "fmi2GetInteger: all variables of the model are Real"),
+        (lambda c: c.fmu.setString([0], ["a"]), "fmi2SetString: all variables of the model are Real"),
+        (lambda c: c.slopes(["R"], np.array([1.0])), "is no input"),
+        (lambda c: c.slopes(["u"], np.array([1.0]), order=2), "order 2 of u: only order 1 is supported"),
+        (lambda c: c.slopes(["u"], np.array([np.nan])), "the value given for u at t = 0 is not finite"),
+        (lambda c: c.fmu.doStep(0.0, -1e-3), "fmi2DoStep: from t = 0 by -0.001 is no step"),
+        (lambda c: c.fmu.enterInitializationMode(), "fmi2EnterInitializationMode cannot be called between steps"),
+        (lambda c: c.fmu.getDirectionalDerivative([0], [5], [1.0]), "value reference 5 is no state, input or param"),
+        (lambda c: (c.set({"L": 0.0}), c.get("der(i)")), "der(i) is not finite at t = 0: parameters, inputs or"),
+        (
+            lambda c: (c.set({"L": 1e-9, "u": 1.0}), [c.fmu.doStep(k * 1e-3, 1e-3) for k in range(60)]),
+            "state i is not finite at t = 0.0",
+        ),
+    ],
+)
+def test_refusals(opened: Opener, call: Callable[[Instance], Any], text: str) -> None:
+    instance = opened("Coil")
+    instance.initialise()
+    assert text in refused(instance, lambda: call(instance))
+
+
+def test_refusals_before_and_after(opened: Opener) -> None:
+    instance = opened("Coil")
+    assert "fmi2DoStep cannot be called before initialization mode" in refused(
+        instance, lambda: instance.fmu.doStep(0.0, 1e-3)
+    )
+    instance.fmu.terminate()
+    instance.messages.clear()
+    assert "fmi2SetReal cannot be called after termination" in refused(instance, lambda: instance.set({"u": 1.0}))
+
+
+def test_parameters_are_fixed_in_continuous_time_mode(opened: Opener) -> None:
+    instance = opened("Coil", fmpy.fmi2.FMU2Model)
+    instance.start_model_exchange({})
+    instance.fmu.enterEventMode()
+    instance.set({"R": 2.0})
+    instance.fmu.enterContinuousTimeMode()
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        instance.set({"R": 3.0})
+    assert "parameter R cannot be set in continuous-time mode" in instance.messages[0]
+
+
+def test_wrong_guid_is_refused(opened: Opener) -> None:
+    instance = opened("Coil")
+    instance.fmu.guid = "{another}"
+    component = instance.fmu.component
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        instance.fmu.instantiate(callbacks=instance.callbacks)
+    assert "modelDescription.xml and binary are not of the same export" in instance.messages[0]
+    instance.fmu.component = component
