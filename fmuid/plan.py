@@ -19,8 +19,9 @@ Value = float | int | bool | str
 # Substeps of a sampling interval where an input is linear in between but the FMU can only hold it. Each substep
 # holds the value at its middle, an error of second order in the substep: a hundredth of that of one whole step.
 LINEAR_SUBSTEPS = 10
-# Steps that differ by less count as equal: sampling times are rounded decimal numbers.
-STEP_TOLERANCE = 1e-6
+# Steps that differ by less, relatively, count as equal: sampling times are rounded, often to single precision. A second
+# substep where the table says 1.00002 ms instead of 1 ms would double a sampled controller's rate.
+STEP_TOLERANCE = 1e-3
 
 _SET = {"Real": kernels.SET_REAL, "Integer": kernels.SET_INTEGER, "Boolean": kernels.SET_BOOLEAN}
 _GET = {"Real": kernels.GET_REAL, "Integer": kernels.GET_INTEGER, "Boolean": kernels.GET_BOOLEAN}
