@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 import threading
 import time
@@ -22,9 +23,13 @@ from fmuid.plan import PlannedRun
 from fmuid.system import System
 
 Array = NDArray[np.float64]
+_log = logging.getLogger("fmuid.fmu")
 # Longest that one compiled call should last, s: between calls an interruption gets through.
 CALL_SECONDS = 0.2
 FATAL = 4  # fmi2Fatal
+# Two simulations with the same parameters, before and after a reset, may differ by this share of the largest output:
+# an integrator that keeps its last step length is still the same model.
+RESET_TOLERANCE = 1e-6
 MESSAGES_TOLD = 3  # of one failed simulation
 
 
@@ -41,6 +46,7 @@ class Worker:
         self._instances: list[Instance] = []
         self._used = np.zeros(0, np.intp)
         self._seconds = CALL_SECONDS  # of one simulation, as last measured
+        self._resets: bool | None = None  # whether fmi2Reset brings an instance back to its beginning; not yet known
         self._told: set[str] = set()
 
     def start(self, task: Callable[..., None], *arguments: Any) -> Future[None] | None:
@@ -54,37 +60,57 @@ class Worker:
         """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, 4)."""
         done = 0
         while done < len(thetas):
-            upto = min(len(thetas), done + max(1, int(CALL_SECONDS / self._seconds)))
-            part = slice(done, upto)
+            share = max(1, int(CALL_SECONDS / self._seconds)) if self._resets else 1
+            part = slice(done, min(len(thetas), done + share))
             began = time.perf_counter()
             self._call(run, thetas[part], outputs[part], reports[part])
-            self._seconds = max((time.perf_counter() - began) / (upto - done), 1e-6)
-            if (reports[part, 0] >= 0).any():
-                self._recover(run, thetas[part], outputs[part], reports[part])
-            done = upto
-        failed = (reports[:, 0] >= 0).any()
+            self._seconds = max((time.perf_counter() - began) / share, 1e-6)
+            failed = bool((reports[part, 0] >= 0).any())
+            if failed and (reports[part, 2][reports[part, 0] >= 0] >= FATAL).any():
+                self.close(fatal=True)
+            elif not failed and self._resets is None:
+                self._try_reset(run, thetas[part], outputs[part])
+            done = part.stop
+        self._pass_on_warnings(failed=bool((reports[:, 0] >= 0).any()))
+
+    def _try_reset(self, run: PlannedRun, theta: Array, expected: Array) -> None:
+        """Repeat the first simulation after a reset: an FMU that keeps something is instantiated anew every time."""
+        if not np.isfinite(expected).all():
+            return
+        outputs, report = np.empty_like(expected), np.empty((1, 4), np.intp)
+        self._simulate(run, theta, outputs, report)
+        tolerance = RESET_TOLERANCE * np.abs(expected).max(initial=0.0)
+        self._resets = bool(report[0, 0] < 0 and np.allclose(outputs, expected, rtol=0.0, atol=tolerance))
+        if not self._resets:
+            self._give_up_reset(fatal=bool(report[0, 0] >= 0 and report[0, 2] >= FATAL))
+
+    def _give_up_reset(self, fatal: bool = False) -> None:
+        self._resets = False
+        self.close(fatal)
+        if self._index == 0:
+            _log.warning(
+                "%s: fmi2Reset does not bring it back to its beginning, so it is instantiated anew for every "
+                "simulation, which is slow and, for some FMUs, fails after a thousand times",
+                ", ".join(self._labels),
+            )
+
+    def _pass_on_warnings(self, failed: bool) -> None:
         for instance in self._instances:
             if instance.messages and not failed:
                 warn(instance, self._told)
             instance.messages.clear()
 
-    def _recover(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
-        """Instantiate again where an FMU cannot be reset; give up instances after a fatal error."""
-        for i in np.flatnonzero(reports[:, 0] == kernels.RESET):
-            self.close()
-            self._call(run, thetas[i : i + 1], outputs[i : i + 1], reports[i : i + 1])
-        if (reports[reports[:, 0] >= 0, 2] >= FATAL).any():
-            self.close(fatal=True)
-
     def explain(self, run: PlannedRun, theta: Array, parameters: Mapping[str, float]) -> SimulationError | None:
         """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
         outputs = np.empty((1, run.grid.times.size, run.plan.output_signals.size))
         reports = np.empty((1, 4), np.intp)
+        if self._resets is False:
+            self.close()
         self._prepare()
         for instance in self._instances:
             instance.messages.clear()
             instance.set_logging(True)
-        self._call(run, theta[np.newaxis], outputs, reports)
+        self._simulate(run, theta[np.newaxis], outputs, reports)
         error = self.error(run, outputs[0], reports[0], parameters)
         if reports[0, 0] >= 0 and reports[0, 2] >= FATAL:
             self.close(fatal=True)
@@ -137,7 +163,16 @@ class Worker:
             self._used = np.zeros(len(self._instances), np.intp)
 
     def _call(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
+        if self._resets is False:
+            self.close()
         self._prepare()
+        self._simulate(run, thetas, outputs, reports)
+        if self._resets is None and reports[0, 0] == kernels.RESET:  # the simulation before failed: nothing was known
+            self._give_up_reset(fatal=reports[0, 2] >= FATAL)
+            self._prepare()
+            self._simulate(run, thetas, outputs, reports)
+
+    def _simulate(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
         scratch = kernels.Scratch.of(run.plan)
         kernels.simulate(
             *run.plan, *run.grid, *scratch, thetas, self._handles, self._addresses, self._used, outputs, reports

@@ -189,6 +189,23 @@ def test_after_a_fatal_error_or_without_reset_a_new_instance_serves(probe: Probe
         assert simulator([3.0, 99.0])[:, 0].tolist() == [0, 3, 6, 9]
 
 
+def test_an_fmu_whose_reset_keeps_something_is_instantiated_anew_and_the_user_told(
+    probe: ProbeMaker, caplog: pytest.LogCaptureFixture
+) -> None:
+    times = np.arange(4.0)
+    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="hold")
+    simulator = Simulator(probe("LEAKY_RESET"), experiment, ["gain"])
+    for gains in ([[1.0]], [[2.0], [3.0], [4.0]], [[5.0]] * 9):
+        assert simulator(gains)[:, :, 0].tolist() == [[0, g, 2 * g, 3 * g] for (g,) in gains]
+    assert sum("fmi2Reset does not bring it back" in record.getMessage() for record in caplog.records) == 1
+
+
+def test_a_binary_without_functions_that_nobody_calls_serves(probe: ProbeMaker) -> None:
+    times = np.arange(3.0)
+    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="hold")
+    assert Simulator(probe("INCOMPLETE"), experiment)([])[:, 0].tolist() == [0, 1, 2]
+
+
 def test_one_instance_serves_where_the_fmu_allows_no_more(probe: ProbeMaker) -> None:
     times = np.arange(3.0)
     experiment = Experiment(table(times, instances=0 * times), outputs=["instances"])
@@ -196,6 +213,9 @@ def test_one_instance_serves_where_the_fmu_allows_no_more(probe: ProbeMaker) -> 
     simulators = [Simulator(system, experiment, ["gain"]) for _ in range(2)]
     for simulator in simulators:
         assert (simulator(np.ones((9, 1))) == 1).all()
+    simulators[0].close()
+    with pytest.raises(InputError, match="only once in a process"):
+        simulators[1]([1.0])
 
 
 def test_instances_are_kept_and_freed(probe: ProbeMaker) -> None:

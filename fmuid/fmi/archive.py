@@ -83,11 +83,14 @@ class FMU:
         """
         import fmpy
 
+        name = identifier + fmpy.sharedLibraryExtension
         for folder in (fmpy.platform, fmpy.platform_tuple):
-            path: Path = self.directory / "binaries" / folder / (identifier + fmpy.sharedLibraryExtension)
+            path: Path = self.directory / "binaries" / folder / name
             if path.is_file():
                 return path
         there = f"it has binaries for {', '.join(self.platforms)}" if self.platforms else "it has no binaries at all"
+        if fmpy.platform in self.platforms:
+            there = f"its folder binaries/{fmpy.platform} has no {name}"
         raise InputError(
             f"{self.path} has no binary for this platform ({fmpy.platform}): {there}; export it for this platform"
         )

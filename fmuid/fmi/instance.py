@@ -26,6 +26,7 @@ STATUS_WORDS = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal"
 _log = logging.getLogger("fmuid.fmu")
 _instances: weakref.WeakValueDictionary[int, Instance] = weakref.WeakValueDictionary()
 _keys = itertools.count(1)
+_spent: set[str] = set()  # digests of the FMUs instantiated so far in this process
 
 
 def _receive(environment: int | None, name: bytes, status: int, _category: bytes, message: bytes) -> None:
@@ -56,6 +57,32 @@ def _callbacks() -> fmi2CallbackFunctions:
 _receiver = fmi2CallbackLoggerTYPE(_receive)
 
 
+class FMU2LenientSlave(FMU2Slave):  # type: ignore[misc]
+    """FMPy's co-simulation FMU, without its refusal of binaries that lack functions nobody here calls.
+
+    (FMPy tells the FMI version from the first letters of the class's name.)
+    """
+
+    def _loadFunctions(self) -> None:
+        library = self.dll
+        self.dll = _Stubbed(library)
+        super()._loadFunctions()
+        self.dll = library
+
+
+class _Stubbed:
+    """A library in which every missing function is one that reports an error."""
+
+    def __init__(self, library: Any) -> None:
+        self._library = library
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return getattr(self._library, name)
+        except AttributeError:
+            return ctypes.CFUNCTYPE(ctypes.c_int)(lambda: STATUS_WORDS.index("fmi2Error"))
+
+
 class Instance:
     """One co-simulation instance of an FMU.
 
@@ -84,6 +111,11 @@ class Instance:
         interface = fmu.description.interfaces.get("co-simulation")
         if interface is None:
             raise InputError(f"{fmu.path} offers no co-simulation interface; export it as co-simulation")
+        if interface.once_per_process and fmu.digest in _spent:
+            raise InputError(
+                f"{fmu.path} can be instantiated only once in a process, and was; share one fmuid.System between "
+                f"simulators, or run the next one in another process"
+            )
         self.fmu, self.name = fmu, name
         self.messages: list[tuple[int, str]] = []
         key = next(_keys)
@@ -91,7 +123,7 @@ class Instance:
         library = fmu.library(interface.identifier)
         folder = os.getcwd()  # noqa: PTH109  # FMPy changes the working directory and, on failure, leaves it so
         try:
-            self._slave: Any = FMU2Slave(
+            self._slave: Any = FMU2LenientSlave(
                 guid=fmu.description.guid,
                 modelIdentifier=interface.identifier,
                 unzipDirectory=str(fmu.directory),
@@ -109,6 +141,7 @@ class Instance:
             ) from error
         finally:
             os.chdir(folder)
+        _spent.add(fmu.digest)
         self._finalizer = weakref.finalize(self, _free, self._slave)
         self.handle = int(self._slave.component)
         self.addresses = self._find_functions()
