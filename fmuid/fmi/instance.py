@@ -64,8 +64,8 @@ class FMU2LenientSlave(FMU2Slave):  # type: ignore[misc]
     """
 
     def _loadFunctions(self) -> None:
-        library = self.dll
-        self.dll = _Stubbed(library)
+        library: Any = self.dll
+        self.dll: Any = _Stubbed(library)
         super()._loadFunctions()
         self.dll = library
 

@@ -1,0 +1,5 @@
+"""``python -m fmuid`` is the command ``fmuid``."""
+
+from fmuid.cli import main
+
+main()

@@ -1,0 +1,244 @@
+"""The compound criterion (1.36) as a sum of squares: whitened residuals of all experiments, and the prior's rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmuid.errors import InputError
+from fmuid.problem import Problem
+from fmuid.sensitivity import FiniteDifferences, NoiseLevel, SensitivityError, noise_level
+
+Floats = NDArray[np.float64]
+
+# Of data that are fitted to the last digits of double precision, the residual says nothing about their noise: its
+# standard deviation counts as this share of the measured values at least.
+LEAST_NOISE = 2.0**-47
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The least-squares function at one theta.
+
+    Attributes
+    ----------
+    residual : (n_rows,) array
+        Whitened (measured − simulated)/σ of all counted samples, then the prior rows W(θ₀ − θ) of (1.36).
+    jacobian : (n_rows, N) array
+        Its derivative by theta.
+    """
+
+    residual: Floats
+    jacobian: Floats
+
+
+class Criterion:
+    """The compound criterion J_C (1.36) of a problem with noise variances chosen, as a sum of squares of theta.
+
+    Attributes
+    ----------
+    problem : Problem
+    variance : (n_outputs,) array
+        The noise variances that whiten the residual.
+    least_variance : (n_outputs,) array
+        What the noise of the simulation and rounding leave of any residual.
+    lower, upper : (N,) arrays
+        Bounds.
+    noise : float
+        Root mean square of the simulation's noise in the whitened residual.
+    """
+
+    def __init__(
+        self, problem: Problem, variance: Floats, noise: NoiseLevel, least_variance: Floats, start: Floats
+    ) -> None:
+        self.problem, self.variance, self.least_variance = problem, variance, least_variance
+        self.lower, self.upper = problem.parameters.lower, problem.parameters.upper
+        self._weights = 1.0 / np.sqrt(variance)[problem.groups]
+        self._level, self._start = noise, start
+        self._size = _rms(start * self._weights)
+        rows = noise.outputs[problem.groups] * self._weights
+        self.noise = _rms(rows)
+        self.differences = FiniteDifferences(
+            self._data_residuals, self.lower, self.upper, problem.parameters.reach, rows, self._size
+        )
+
+    def reweighted(self, variance: Floats) -> Criterion:
+        """Return the criterion with other noise variances and the same difference steps."""
+        other = Criterion(self.problem, variance, self._level, self.least_variance, self._start)
+        other.differences = self.differences.with_noise(other._data_residuals, other.differences.noise)
+        return other
+
+    def magnitudes(self, theta: Floats) -> Floats:
+        """Return how large each parameter is at theta (N,)."""
+        return self.problem.parameters.magnitudes(theta)
+
+    def residuals(self, thetas: Floats) -> Floats:
+        """Return the residual (m, n_rows) at thetas (m, N), NaN rows where a simulation failed."""
+        return self.whiten(thetas, self.problem.predict(thetas))
+
+    def whiten(self, thetas: Floats, predictions: Floats) -> Floats:
+        """Return the residual (m, n_rows) of simulations already made."""
+        data = self.problem.measured.size
+        rows = np.empty((len(thetas), data + len(self.problem.parameters.prior_whitening)))
+        np.subtract(self.problem.measured, predictions, out=rows[:, :data])
+        with np.errstate(over="ignore"):  # what overflows is rejected like what fails
+            rows[:, :data] *= self._weights
+        if rows.shape[1] > data:
+            rows[:, data:] = self.problem.parameters.prior_residual(thetas)
+        return rows
+
+    def unwhiten(self, residual: Floats) -> Floats:
+        """Return measured − simulated (n,) of a residual (n_rows,)."""
+        return np.asarray(residual[: self._weights.size] / self._weights, dtype=np.float64)
+
+    def jacobian(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
+        """Return the derivative (n_rows, N) of the residual at theta by finite differences.
+
+        Raises
+        ------
+        SensitivityError
+            If all simulations around theta fail.
+        """
+        derivatives = self.differences.jacobian(theta, residual[: self._weights.size], central=central)
+        return self._with_prior(derivatives)
+
+    def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
+        """Return the norm of the error in each column of a Jacobian at theta (N,).
+
+        Where the outputs are smaller than at the start, so is what noise there was in proportion to them.
+        """
+        outputs = self.problem.measured * self._weights - residual[: self._weights.size]
+        shrunk = min(1.0, _rms(outputs) / self._size) if self._size > 0 else 1.0
+        return shrunk * self.differences.error(theta, central=central)
+
+    def first_jacobian(self, theta: Floats, residual: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the Jacobian at the start, and which parameters act on any output (N,)."""
+        derivatives, acting = self.differences.first_jacobian(theta, residual[: self._weights.size])
+        return self._with_prior(derivatives), acting
+
+    def evaluate(self, theta: ArrayLike) -> Evaluation:
+        """Return residual and (central) Jacobian at theta (N,).
+
+        Raises
+        ------
+        SimulationError
+            If the simulation fails.
+        SensitivityError
+            If all simulations around theta fail.
+        """
+        at = np.array(theta, dtype=np.float64)
+        residual = self.residuals(at[None])[0]
+        if np.isnan(residual).any():
+            raise self.problem.failure(at) or InputError("the simulation gives outputs that are not finite")
+        return Evaluation(residual, self.jacobian(at, residual, central=True))
+
+    def _data_residuals(self, thetas: Floats) -> Floats:
+        rows = self.problem.measured - self.problem.predict(thetas)
+        with np.errstate(over="ignore"):
+            rows *= self._weights
+        return rows
+
+    def _with_prior(self, derivatives: Floats) -> Floats:
+        whitening = self.problem.parameters.prior_whitening
+        # the transpose is what LAPACK works on without a copy: columns one after the other
+        return (np.hstack([derivatives, -whitening.T]) if whitening.size else derivatives).T
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A problem made ready at one theta.
+
+    Attributes
+    ----------
+    theta : (N,) array
+    criterion : Criterion
+    evaluation : Evaluation
+        Residual and central Jacobian there.
+    noise : NoiseLevel
+        Of the simulation itself.
+    """
+
+    theta: Floats
+    criterion: Criterion
+    evaluation: Evaluation
+    noise: NoiseLevel
+
+
+def prepare(problem: Problem, theta: ArrayLike | None = None) -> Start:
+    """Simulate the start, measure the simulation's noise, choose variances and steps, check influence.
+
+    Parameters
+    ----------
+    problem : Problem
+    theta : (N,) array, optional
+        Start elsewhere than the parameters say.
+
+    Raises
+    ------
+    SimulationError
+        If the simulation at the start fails.
+    InputError
+        If theta lies outside the bounds, all simulations around it fail, or a parameter without prior has no effect.
+    """
+    parameters = problem.parameters
+    at = parameters.start if theta is None else np.array(theta, dtype=np.float64)
+    _check_inside(problem, at)
+    base, noise = noise_level(
+        problem.predict,
+        at,
+        parameters.magnitudes(at),
+        parameters.lower,
+        parameters.upper,
+        problem.groups,
+        problem.counts.size,
+    )
+    if np.isnan(base).any():
+        raise problem.failure(at) or InputError(
+            "the simulation at the start gives outputs that are huge or not finite; start elsewhere"
+        )
+    least = np.maximum(noise.outputs**2, LEAST_NOISE**2 * problem.output_variances(problem.measured))
+    least = np.where(least > 0, least, 1.0)
+    from_residual = np.maximum(problem.output_variances(problem.measured - base), least)
+    first = np.where(np.isnan(problem.first_variance), from_residual, problem.first_variance)
+    variance = np.where(np.isnan(problem.variance), first, problem.variance)
+    criterion = Criterion(problem, variance, noise, least, base)
+    residual = criterion.whiten(at[None], base[None])[0]
+    try:
+        jacobian, acting = criterion.first_jacobian(at, residual)
+    except SensitivityError as error:
+        raise InputError(
+            f"the simulation succeeds at the start, but not with {parameters.names[error.index]!r} moved to either "
+            f"side of {at[error.index]:g}; start from where the model is sound, or give bounds"
+        ) from None
+    _check_influence(problem, acting, at)
+    return Start(at, criterion, Evaluation(residual, jacobian), noise)
+
+
+def _check_inside(problem: Problem, theta: Floats) -> None:
+    parameters = problem.parameters
+    if theta.shape != (len(parameters),):
+        raise InputError(f"the start must have {len(parameters)} values; its shape is {theta.shape}")
+    for i in np.flatnonzero(~((theta >= parameters.lower) & (theta <= parameters.upper))):
+        raise InputError(
+            f"the start {theta[i]:g} of {parameters.names[i]!r} lies outside its bounds, "
+            f"{parameters.lower[i]:g} to {parameters.upper[i]:g}"
+        )
+
+
+def _check_influence(problem: Problem, acting: NDArray[np.bool_], theta: Floats) -> None:
+    known = (problem.parameters.prior_whitening != 0).any(axis=0)
+    idle = np.flatnonzero(~acting & ~known)
+    if idle.size == 0:
+        return
+    names = ", ".join(f"{problem.parameters.names[i]!r} (start {theta[i]:g})" for i in idle)
+    said, them = (f"parameters {names} change", "them") if idle.size > 1 else (f"parameter {names} changes", "it")
+    raise InputError(
+        f"{said} no measured output at the start; check that the model uses what is set, start elsewhere, "
+        f"measure an output that depends on {them}, give a prior, or hold {them} at a value"
+    )

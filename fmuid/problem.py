@@ -1,0 +1,242 @@
+"""The problem of an identification: a model, experiments and parameters as one stacked function of theta."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmuid.errors import InputError
+from fmuid.noise import Noise as Noise
+from fmuid.parameters import JointPrior, Parameter, ParameterSet
+from fmuid.predictors import FunctionPredictor, Measurements, Predictor, Table
+
+if TYPE_CHECKING:
+    from fmuid.experiment import Experiment
+    from fmuid.fmi.archive import FMU
+    from fmuid.system import System
+
+Floats = NDArray[np.float64]
+
+
+class Problem:
+    """A model, experiments and parameters: everything that the estimators need, as functions of theta.
+
+    Parameters
+    ----------
+    model : System, FMU or path
+    experiments : Experiment or sequence of Experiment
+    parameters : mapping of str to Parameter
+        By FMU variable.
+    noise : Noise
+    values : mapping of str to float, int, bool or str, optional
+        FMU variables held at a value.
+    step_size : float, optional
+        Largest step of the simulation, s.
+    joint_prior : JointPrior, optional
+        Beside the priors of single parameters.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+    experiments : tuple
+    output_names : tuple of str
+        All measured outputs; those of the same name in several experiments share one noise variance.
+    measured : (n,) array
+        All counted samples, experiment by experiment, sample by sample.
+    groups : (n,) array of int
+        Which output each of them belongs to.
+    counts : (n_outputs,) array of int
+        Samples of each output.
+    variance : (n_outputs,) array
+        The given noise variances, NaN where they are estimated.
+    first_variance : (n_outputs,) array
+        Where the estimation of the variances starts, NaN where the residual decides.
+    simulations : int
+        How many simulations of an experiment were made so far.
+
+    Raises
+    ------
+    InputError
+        If there are no experiments, parameters, outputs or counted samples, or too few for the parameters.
+    """
+
+    def __init__(
+        self,
+        model: System | FMU | str | Path,
+        experiments: Experiment | Sequence[Experiment],
+        parameters: Mapping[str, Parameter],
+        *,
+        noise: Noise | None = None,
+        values: Mapping[str, float | int | bool | str] | None = None,
+        step_size: float | None = None,
+        joint_prior: JointPrior | None = None,
+    ) -> None:
+        # here, because problems made of functions need no FMU and none of what runs them
+        from fmuid.experiment import Experiment
+        from fmuid.simulator import Simulator
+        from fmuid.system import System
+
+        listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
+        system = System.of(model)
+        predictors = [
+            Simulator(system, experiment, tuple(parameters), values=values or {}, step_size=step_size)
+            for experiment in listed
+        ]
+        self._assemble(predictors, listed, parameters, noise or Noise(), joint_prior)
+
+    @classmethod
+    def from_predictors(
+        cls,
+        predictors: Sequence[Predictor],
+        experiments: Sequence[Measurements],
+        parameters: Mapping[str, Parameter],
+        *,
+        noise: Noise | None = None,
+        joint_prior: JointPrior | None = None,
+    ) -> Problem:
+        """Make a problem of anything that simulates, one predictor an experiment.
+
+        The thetas that a predictor takes hold its experiment's values of the parameters, in the order of `parameters`.
+        """
+        problem = cls.__new__(cls)
+        problem._assemble(predictors, experiments, parameters, noise or Noise(), joint_prior)
+        return problem
+
+    @classmethod
+    def from_function(
+        cls,
+        function: Callable[[Floats], ArrayLike],
+        measured: ArrayLike,
+        parameters: Mapping[str, Parameter],
+        *,
+        times: ArrayLike | None = None,
+        outputs: Sequence[str] = ("y",),
+        noise: Noise | None = None,
+        joint_prior: JointPrior | None = None,
+    ) -> Problem:
+        """Make a problem of a Python function instead of an FMU.
+
+        Parameters
+        ----------
+        function : callable
+            Theta (N,), in the order of `parameters`, to outputs (K,) or (K, n_outputs). An `ArithmeticError`, a
+            `SimulationError` or an output that is not finite counts as a simulation that failed.
+        measured : (K,) or (K, n_outputs) array
+            NaN where a sample is missing.
+        parameters : mapping of str to Parameter
+        times : (K,) array, optional
+            For tables and figures; default 0, 1, 2, ...
+        outputs : sequence of str
+            Names of the outputs.
+        noise, joint_prior
+            As for `Problem`.
+        """
+        values = np.array(measured, dtype=np.float64)
+        values = values[:, None] if values.ndim == 1 else values
+        if values.ndim != 2 or values.shape[1] != len(outputs):
+            raise InputError(f"measured needs one column for each of {', '.join(outputs)}; its shape is {values.shape}")
+        clock = np.arange(len(values), dtype=np.float64) if times is None else np.array(times, dtype=np.float64)
+        if clock.shape != (len(values),):
+            raise InputError(f"times must have {len(values)} values, one a sample; its shape is {clock.shape}")
+        table = Table("experiment", clock, tuple(outputs), values, ~np.isnan(values))
+        predictor = FunctionPredictor(function, values.shape)
+        return cls.from_predictors([predictor], [table], parameters, noise=noise, joint_prior=joint_prior)
+
+    def _assemble(
+        self,
+        predictors: Sequence[Predictor],
+        experiments: Sequence[Measurements],
+        parameters: Mapping[str, Parameter],
+        noise: Noise,
+        joint_prior: JointPrior | None,
+    ) -> None:
+        if not experiments:
+            raise InputError("there are no experiments; give at least one table with measured outputs")
+        self.parameters = ParameterSet(parameters, [e.name for e in experiments], joint_prior)
+        self.experiments = tuple(experiments)
+        self._predictors = tuple(predictors)
+        self.noise = noise
+        self.simulations = 0
+        self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
+        if not self.output_names:
+            raise InputError("no outputs are measured; name at least one output to compare with the simulation")
+        self._counted = [np.flatnonzero(e.counted) for e in experiments]
+        self.measured = np.concatenate(
+            [e.output_values.ravel()[kept] for e, kept in zip(experiments, self._counted, strict=True)]
+        )
+        columns = [np.array([self.output_names.index(n) for n in e.output_names], dtype=np.intp) for e in experiments]
+        self.groups = np.concatenate(
+            [np.tile(c, len(e.times))[kept] for e, c, kept in zip(experiments, columns, self._counted, strict=True)]
+        )
+        self.counts = np.bincount(self.groups, minlength=len(self.output_names))
+        self.variance = noise.known(self.output_names)
+        self.first_variance = noise.first(self.output_names)
+        self._check_counts()
+
+    def _check_counts(self) -> None:
+        for name, count in zip(self.output_names, self.counts, strict=True):
+            if count == 0:
+                raise InputError(
+                    f"output {name!r} has no sample that counts: all are missing or discarded; "
+                    "shorten discard or leave the output out"
+                )
+        rows = self.measured.size + len(self.parameters.prior_whitening)
+        if rows < len(self.parameters) or (np.isnan(self.variance).all() and rows == len(self.parameters)):
+            raise InputError(
+                f"{self.measured.size} counted samples are too few for {len(self.parameters)} parameters; "
+                "measure more, estimate fewer, or give priors"
+            )
+
+    def predict(self, thetas: Floats) -> Floats:
+        """Simulate thetas (m, N) and return all counted samples (m, n), NaN rows where a simulation failed."""
+        blocks = []
+        for index, kept in enumerate(self._counted):
+            flat = self._outputs(index, thetas).reshape(len(thetas), -1)
+            blocks.append(flat if kept.size == flat.shape[1] else flat[:, kept])
+        if len(blocks) == 1:
+            return blocks[0]
+        stacked = np.concatenate(blocks, axis=1)
+        stacked[np.isnan(stacked).any(axis=1)] = np.nan
+        return stacked
+
+    def outputs(self, theta: ArrayLike) -> list[Floats]:
+        """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed."""
+        thetas = np.array(theta, dtype=np.float64)[None]
+        return [self._outputs(index, thetas)[0] for index in range(len(self.experiments))]
+
+    def _outputs(self, index: int, thetas: Floats) -> Floats:
+        _, columns = self.parameters.for_experiment(index)
+        if columns.size == thetas.shape[1] or len(thetas) == 1:
+            self.simulations += len(thetas)
+            return self._predictors[index].many(thetas[:, columns]).outputs
+        # what only other experiments depend on leaves this one as it is
+        own, back = np.unique(thetas[:, columns], axis=0, return_inverse=True)
+        self.simulations += len(own)
+        return self._predictors[index].many(own).outputs[back.ravel()]
+
+    def failure(self, theta: Floats) -> Exception | None:
+        """Return why the simulation at theta (N,) fails, None if it does not."""
+        for index, predictor in enumerate(self._predictors):
+            _, columns = self.parameters.for_experiment(index)
+            (error,) = predictor.many(theta[None, columns]).errors
+            if error is not None:
+                return error
+        return None
+
+    def output_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
+        """Return σ̂² = J_j/(K_j − share_j) of each output (1.12), (n_outputs,).
+
+        Parameters
+        ----------
+        residual : (n,) array
+            Measured − simulated, in the outputs' units.
+        shares : (n_outputs,) array, optional
+            How many of the estimated parameters each output pays for; default none, as J(θ)/K of method.md §7.
+        """
+        sums = np.bincount(self.groups, weights=residual**2, minlength=self.counts.size)
+        free = self.counts - (0.0 if shares is None else shares)
+        return np.asarray(sums / np.maximum(free, np.finfo(float).eps), dtype=np.float64)

@@ -1,0 +1,432 @@
+"""The command line from end to end, on coil and machine FMUs with tables of known truth."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid import cli, progress, study_init
+from fmuid.cli import DONE, NOT_SUCCEEDED, WRONG_INPUT, run
+from fmuid.study import Study
+
+FMUS = Path(__file__).parents[1] / "fmus"
+COIL = FMUS / "Coil/Coil.fmu"
+R, L, NOISE, STEP = 4.0, 0.1, 0.02, 1e-3
+
+
+def coil_current(voltage: npt.NDArray[np.float64], start: float) -> npt.NDArray[np.float64]:
+    """Return the current of the coil for a held voltage: exact, sample by sample."""
+    decay = np.exp(-R / L * STEP)
+    current = np.empty(voltage.size)
+    current[0] = start
+    for k in range(voltage.size - 1):
+        current[k + 1] = decay * current[k] + (1 - decay) / R * voltage[k]
+    return current
+
+
+def coil_table(path: Path, start: float, seed: int, noise: float = NOISE) -> None:
+    rng = np.random.default_rng(seed)
+    voltage = np.repeat(rng.choice([-1.0, 1.0], 40), 15)
+    current = coil_current(voltage, start) + noise * rng.normal(size=voltage.size)
+    times = np.linspace(0.0, STEP * (voltage.size - 1), voltage.size)
+    pd.DataFrame({"time": times, "u": voltage, "i": current}).to_csv(path, index=False)
+
+
+STUDY = f"""
+title = "Coil"
+[model]
+fmu = "{COIL.as_posix()}"
+[[experiments]]
+table = "first.csv"
+inputs = ["u"]
+outputs = ["i"]
+interpolation = "hold"
+[parameters]
+R = {{ start = 6.0, min = 0.0 }}
+L = {{ start = 0.05, min = 1e-3 }}
+"""
+SECOND = """
+i_start = { start = 0.0, nominal = 0.1, per_experiment = true }
+[[experiments]]
+table = "second.csv"
+inputs = ["u"]
+outputs = ["i"]
+interpolation = "hold"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    coil_table(tmp_path / "second.csv", 0.2, seed=2)
+    (tmp_path / "study.toml").write_text(STUDY)
+    return tmp_path
+
+
+def result(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "result.json").read_text())
+    return content
+
+
+def fmuid_(*arguments: str | Path) -> int:
+    return run([str(argument) for argument in arguments])
+
+
+# --- identify ----------------------------------------------------------------------------
+
+
+def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    found = result(folder / "results")
+    assert found["status"] == "converged"
+    assert found["converged"] is True
+    for name, truth, start in (("R", R, 6.0), ("L", L, 0.05)):
+        estimate = found["parameters"][name]
+        assert abs(estimate["value"] - truth) < 4 * estimate["std"]
+        assert 0 < estimate["std"] < 0.03 * truth
+        assert estimate["start"] == start
+        assert "pull" not in estimate
+    assert found["covariance"]["names"] == ["R", "L"]
+    diagonal = np.sqrt(np.diag(found["covariance"]["matrix"]))
+    np.testing.assert_allclose(diagonal, [found["parameters"][name]["std"] for name in ("R", "L")])
+    assert found["noise_variance"]["i"] == pytest.approx(NOISE**2, rel=0.2)
+    assert found["version"] == fmuid.__version__
+    assert {"criterion", "iterations", "simulations", "elapsed_s"} <= set(found)
+
+    out, error = capsys.readouterr()
+    assert error == ""
+    assert "iteration 0 " in out
+    assert f"iteration {found['iterations']} " in out
+    for word in ("parameter", "rel. std", "95 % interval", "Ohm", "Converged", "Residual: i std 0.0", "result.json"):
+        assert word in out
+
+
+def test_identify_writes_tables_and_figures(folder: Path) -> None:
+    assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out") == DONE
+    out = folder / "deep/out"
+    assert {path.name for path in out.iterdir()} == {"result.json", "estimates.csv", "trace.csv", "fit.csv", "figures"}
+    figures = {path.name for path in (out / "figures").iterdir()}
+    assert figures == {"parameters.png", "criterion.png", "fit.png", "residuals.png"}
+    found = result(out)
+
+    estimates = pd.read_csv(out / "estimates.csv")
+    assert estimates["parameter"].tolist() == ["R", "L"]
+    assert estimates["unit"].tolist() == ["Ohm", "H"]
+    assert estimates["value"].tolist() == [found["parameters"][name]["value"] for name in ("R", "L")]
+    half = 1.96394 * estimates["std"]  # Student's t for 598 degrees of freedom
+    np.testing.assert_allclose(estimates["lower"], estimates["value"] - half, rtol=1e-6)
+    np.testing.assert_allclose(estimates["upper"], estimates["value"] + half, rtol=1e-6)
+
+    trace = pd.read_csv(out / "trace.csv")
+    assert {"iteration", "criterion", "lambda", "accepted", "R", "L"} <= set(trace.columns)
+    assert trace["iteration"].iloc[-1] == found["iterations"]
+    assert trace["criterion"].iloc[-1] == pytest.approx(found["criterion"])
+    assert (trace["R"].iloc[0], trace["L"].iloc[0]) == (6.0, 0.05)
+
+    fit, table = pd.read_csv(out / "fit.csv"), pd.read_csv(folder / "first.csv")
+    assert list(fit.columns) == ["time", "measured.i", "simulated.i"]
+    np.testing.assert_array_equal(fit["measured.i"], table["i"])
+    exact = coil_current(table["u"].to_numpy(), 0.0)
+    assert np.abs(fit["simulated.i"] - exact).max() < NOISE / 5
+
+
+def test_identify_several_experiments(folder: Path) -> None:
+    study = folder / "study.toml"
+    study.write_text(STUDY + SECOND)
+    assert fmuid_("identify", study) == DONE
+    found = result(folder / "results")["parameters"]
+    assert list(found) == ["R", "L", "i_start[first]", "i_start[second]"]
+    assert found["i_start[first]"]["value"] == pytest.approx(0.0, abs=0.03)
+    assert found["i_start[second]"]["value"] == pytest.approx(0.2, abs=0.03)
+    fit = pd.read_csv(folder / "results/fit.csv")
+    assert list(fit.columns) == ["experiment", "time", "measured.i", "simulated.i"]
+    assert fit["experiment"].value_counts().to_dict() == {"first": 600, "second": 600}
+    units = pd.read_csv(folder / "results/estimates.csv")["unit"]
+    assert units.tolist() == ["Ohm", "H", "A", "A"]
+    assert (folder / "results/figures/fit-second.png").is_file()
+
+
+def test_identify_with_prior(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    prior = "parameters.R.prior={mean = 5.0, std = 0.01}"
+    assert fmuid_("identify", folder / "study.toml", "--set", prior, "--set", "noise.variance=4e-4") == DONE
+    found = result(folder / "results")["parameters"]["R"]
+    assert (found["prior_mean"], found["prior_std"]) == (5.0, 0.01)
+    assert found["pull"] == pytest.approx((found["value"] - 5.0) / 0.01)
+    assert found["pull"] < -1
+    out = capsys.readouterr().out
+    assert "5.000 ± 0.010" in out
+    assert f"{found['pull']:+.2f} std" in out
+
+
+def test_api_gives_what_the_command_writes(folder: Path) -> None:
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    study = fmuid.Study.read(folder / "study.toml")
+    seen: list[int] = []
+    found = study.identify(lambda iteration: seen.append(iteration.number))
+    written = result(folder / "results")
+    assert {name: found[name] for name in found.names} == {
+        name: values["value"] for name, values in written["parameters"].items()
+    }
+    assert seen[-1] == found.iterations
+
+
+def test_not_converged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("identify", folder / "study.toml", "--set", "estimator.max_iterations=1") == NOT_SUCCEEDED
+    assert result(folder / "results")["converged"] is False
+    assert "raise max_iterations" in capsys.readouterr().out
+
+
+def test_bound_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fmuid_("identify", folder / "study.toml", "--set", "parameters.R.max=3.5", "--set", "parameters.R.start=3")
+    assert result(folder / "results")["parameters"]["R"]["value"] == 3.5
+    assert "R is at its bound 3.5" in capsys.readouterr().out
+
+
+def test_undetermined(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """At rest from start to end the inductance has no effect, and with the initial current free it has still none."""
+    times = np.linspace(0.0, 0.1, 101)
+    current = 0.25 + 0.01 * np.random.default_rng(8).normal(size=101)
+    pd.DataFrame({"time": times, "u": 1.0, "i": current}).to_csv(folder / "first.csv", index=False)
+    start = ["--set", "model.values.i_start=0.25", "--set", "parameters.R.start=4"]
+    code = fmuid_("identify", folder / "study.toml", *start)
+    assert code in (NOT_SUCCEEDED, WRONG_INPUT)
+    assert "L" in "".join(capsys.readouterr())
+
+
+def test_interrupted_keeps_the_best_so_far(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = progress.Progress.__call__
+
+    def interrupt(self: progress.Progress, iteration: Any) -> None:
+        shown(self, iteration)
+        if iteration.number == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(progress.Progress, "__call__", interrupt)
+    assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
+    first = result(folder / "results")
+    assert first["status"].startswith("interrupted")
+    assert first["converged"] is False
+    assert first["parameters"]["R"]["value"] != 6.0
+    assert "Interrupted" in capsys.readouterr().out
+
+    monkeypatch.undo()
+    assert fmuid_("identify", folder / "study.toml", "--resume") == DONE
+    second = result(folder / "results")
+    assert second["parameters"]["R"]["start"] == first["parameters"]["R"]["value"]
+    assert second["parameters"]["R"]["value"] == pytest.approx(R, rel=0.05)
+
+
+def test_interrupted_before_the_search(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Study, "read", interrupt)
+    assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
+    assert capsys.readouterr().err == "error: interrupted\n"
+
+
+def test_failing_simulation(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What the model cannot simulate at the start ends with one sentence and code 1."""
+    assert fmuid_("identify", folder / "study.toml", "--set", "model.values.i_start=1e308") == NOT_SUCCEEDED
+    sentence = capsys.readouterr().err
+    assert sentence.startswith("error: simulation of ")
+    assert "Coil.fmu failed at t = 0 s with R = 6, L = 0.05" in sentence
+    assert sentence.count("\n") == 1
+
+
+def test_resume_of_another_study(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    other = STUDY.replace("R = ", "i_start = ").replace("L = ", "# ")
+    (folder / "study.toml").write_text(other)
+    capsys.readouterr()
+    assert fmuid_("identify", folder / "study.toml", "--resume") == WRONG_INPUT
+    assert "of another study: its parameters are R, L, not i_start" in capsys.readouterr().err
+
+
+def test_a_failed_write_leaves_the_earlier_result(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    before = (folder / "results/result.json").read_bytes()
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", fail)
+    assert fmuid_("identify", folder / "study.toml", "--set", "parameters.R.start=5") == WRONG_INPUT
+    assert (folder / "results/result.json").read_bytes() == before
+    assert not list((folder / "results").glob(".*"))
+
+
+# --- simulate ----------------------------------------------------------------------------
+
+
+def test_simulate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("--set", "parameters.R.start=4.0", "--set", "parameters.L.start=0.1")
+    assert fmuid_("simulate", folder / "study.toml", *arguments) == DONE
+    table = pd.read_csv(folder / "first.csv")
+    simulated = pd.read_csv(folder / "results/simulated.csv")
+    assert list(simulated.columns) == ["time", "i"]
+    exact = coil_current(table["u"].to_numpy(), 0.0)
+    np.testing.assert_allclose(simulated["i"], exact, atol=1e-9)
+    misfit = np.linalg.norm(table["i"] - exact) / np.linalg.norm(table["i"])
+    assert f"{100 * misfit:.3g} %" in capsys.readouterr().out
+    assert [path.name for path in (folder / "results/figures").iterdir()] == ["fit.png"]
+
+
+def test_simulate_several_experiments_and_api(folder: Path) -> None:
+    study = folder / "study.toml"
+    study.write_text(STUDY + SECOND)
+    assert fmuid_("simulate", study, "-o", folder / "out") == DONE
+    written = pd.read_csv(folder / "out/simulated.csv")
+    frames = Study.read(study).simulate()
+    assert len(frames) == 2
+    for name, frame in zip(("first", "second"), frames, strict=True):
+        part = written[written["experiment"] == name].drop(columns="experiment").reset_index(drop=True)
+        pd.testing.assert_frame_equal(part, frame)
+
+
+def test_simulate_without_parameters(folder: Path) -> None:
+    (folder / "study.toml").write_text(STUDY.partition("[parameters]")[0])
+    assert fmuid_("simulate", folder / "study.toml") == DONE
+
+
+def test_input_that_nothing_feeds_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("simulate", folder / "study.toml", "--set", "experiments.0.inputs=[]") == DONE
+    assert "feeds no u: kept at the start value" in capsys.readouterr().err
+
+
+# --- info, init, export, help ------------------------------------------------------------
+
+
+def test_info(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("info", FMUS / "InductionMachine/InductionMachine.fmu") == DONE
+    out = capsys.readouterr().out
+    for text in (
+        "InductionMachine",
+        "FMI version",
+        "2.0",
+        "co-simulation",
+        "model-exchange",
+        "variable communication steps, interpolates inputs",
+        "directional derivatives",
+        "linux64",
+        "step 0.0007 s",
+        "Parameters (8)",
+        "Inputs (3)",
+        "Outputs (2)",
+        "States (4)",
+        "magnetising inductance",
+        "rad/s",
+        "4 other variables",
+    ):
+        assert text in out
+    (line,) = [line for line in out.splitlines() if line.startswith("Rs ")]
+    assert line.split()[:4] == ["Rs", "9.81", "Ohm", "0"]
+
+
+def test_init_gives_a_study_that_needs_only_its_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frame = pd.read_csv(folder / "first.csv").assign(temperature=20.0).rename(columns={"time": "t"})
+    frame.to_csv(folder / "first.csv", index=False)
+    study = folder / "new.toml"
+    assert fmuid_("init", COIL, folder / "first.csv", "--output", study) == DONE
+    out = capsys.readouterr().out
+    assert "inputs: u" in out
+    assert "outputs: i" in out
+    assert "temperature" in out
+    text = study.read_text()
+    content = tomllib.loads(text)
+    assert content["experiments"] == [
+        {
+            "table": "first.csv",
+            "time": "t",
+            "inputs": ["u"],
+            "outputs": ["i"],
+            "interpolation": "linear",
+            "discard": 0.0,
+        }
+    ]
+    assert content["parameters"] == {}
+    assert "# R = { start = 4.0, min = 0.0 }  # Ohm: resistance" in text
+    assert "# i_start = { start = 0.0, nominal = 1.0 }  # A: initial current" in text
+    assert "temperature" in text
+
+    assert fmuid_("identify", study) == WRONG_INPUT
+    sentence = capsys.readouterr().err
+    assert "no parameters" in sentence
+    assert sentence.count("\n") == 1
+
+    freed = [line[2:] if line.startswith(("# R =", "# L =")) else line for line in text.splitlines()]
+    study.write_text("\n".join(freed).replace('"linear"  #', '"hold"  #'))
+    assert fmuid_("identify", study) == DONE
+    assert result(folder / "results")["parameters"]["R"]["value"] == pytest.approx(R, rel=0.05)
+
+
+def test_every_line_of_a_draft_is_valid(folder: Path) -> None:
+    """All parameters, taken out of their comments, are a valid study."""
+    machine = FMUS / "InductionMachine/InductionMachine.fmu"
+    pd.DataFrame({"time": [0.0, 1.0], "uds": 1.0, "w": 0.0, "ids": 0.1}).to_csv(folder / "run.csv", index=False)
+    draft = study_init.draft(machine, folder / "run.csv", folder / "sub/study.toml")
+    assert draft.missing_inputs == ("uqs",)
+    assert draft.missing_outputs == ("iqs",)
+    lines = [
+        line.removeprefix("# ") if line.startswith("# ") and " = { start" in line else line
+        for line in draft.text.splitlines()
+    ]
+    (folder / "sub").mkdir()
+    study = folder / "sub/study.toml"
+    study.write_text("\n".join(lines))
+    read = Study.read(study)
+    assert list(read.parameters)[:4] == ["Rs", "Rr", "Lm", "Lf"]
+    assert read.experiments[0].table.resolve() == (folder / "run.csv").resolve()
+
+
+def test_export(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command passes both paths on and says where the FMU is; the export has its own tests."""
+    import fmuid.export
+
+    calls = []
+
+    def fake(source: Path, output: Path | None = None) -> Path:
+        calls.append((source, output))
+        return folder / "Coil.fmu"
+
+    monkeypatch.setattr(fmuid.export, "export_fmu", fake)
+    assert fmuid_("export", "Coil.mo") == DONE
+    assert fmuid_("export", "Coil.mo", "--output", "x/Y.fmu") == DONE
+    assert calls == [(Path("Coil.mo"), None), (Path("Coil.mo"), Path("x/Y.fmu"))]
+    assert "Coil.fmu" in capsys.readouterr().out
+
+
+def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("--version") == DONE
+    assert capsys.readouterr().out == f"fmuid {fmuid.__version__}\n"
+    assert fmuid_("--help") == DONE
+    out = capsys.readouterr().out
+    assert all(command in out for command in ("info", "init", "simulate", "identify", "export"))
+    assert fmuid_() == DONE
+    assert capsys.readouterr().out == out
+
+
+def test_exit_code_of_the_process(folder: Path) -> None:
+    """The installed entry point is `main`; ``python -m fmuid`` is the same."""
+    run_ = subprocess.run(
+        [sys.executable, "-m", "fmuid", "info", str(folder / "none.fmu")], capture_output=True, text=True, check=False
+    )
+    assert run_.returncode == WRONG_INPUT
+    assert run_.stderr.startswith("error: ")
+    with pytest.raises(SystemExit) as end:
+        cli.main(["--version"])
+    assert end.value.code == DONE

@@ -1,0 +1,84 @@
+"""The closed form (1.1–1.12) against numpy, and as a test of the search engine."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fmuid.criterion import prepare
+from fmuid.errors import InputError
+from fmuid.estimators.linear import linear_least_squares
+from fmuid.estimators.marquardt import Marquardt, State, search
+from fmuid.identification import identify
+from fmuid.parameters import Parameter
+from fmuid.problem import Problem
+
+Floats = NDArray[np.float64]
+TRUTH = np.array([1.5, -40.0, 2e-3])
+
+
+def regression(seed: int = 3) -> tuple[Floats, Floats]:
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0.0, 1.0, 80)
+    phi = np.column_stack([np.ones(80), t, 1e3 * np.sin(9.0 * t)])
+    return phi, phi @ TRUTH + 0.3 * rng.standard_normal(80)
+
+
+def test_closed_form() -> None:
+    phi, y = regression()
+    fit = linear_least_squares(phi, y)
+    expected, (criterion,), _, _ = np.linalg.lstsq(phi, y, rcond=None)
+    np.testing.assert_allclose(fit.theta, expected, rtol=1e-10)
+    assert fit.criterion == pytest.approx(criterion)
+    assert fit.noise_variance == pytest.approx(criterion / 77)
+    np.testing.assert_allclose(fit.covariance, criterion / 77 * np.linalg.inv(phi.T @ phi), rtol=1e-8)
+
+
+def test_badly_scaled_columns_keep_their_digits() -> None:
+    """Columns of 1 to 1e-9 and nearly parallel: the normal equations lose all digits here."""
+    t = np.linspace(0.0, 1.0, 50)
+    phi = np.column_stack([np.ones(50), 1e-9 * (1.0 + 1e-6 * t)])
+    fit = linear_least_squares(phi, phi @ np.array([1.0, 1e9]))
+    np.testing.assert_allclose(fit.theta, [1.0, 1e9], rtol=1e-8)
+
+
+def test_variance_is_unbiased_and_the_covariance_is_that_of_repeated_experiments() -> None:
+    draws = [linear_least_squares(*regression(seed)) for seed in range(400)]
+    assert np.mean([fit.noise_variance for fit in draws]) == pytest.approx(0.09, rel=0.02)
+    spread = np.cov(np.array([fit.theta for fit in draws]).T)
+    np.testing.assert_allclose(np.diag(spread), np.diag(draws[0].covariance) / draws[0].noise_variance * 0.09, rtol=0.2)
+
+
+@pytest.mark.parametrize("starts", [(1.0, -1.0, 1.0), (-500.0, 500.0, 1e-6)])
+def test_the_search_finds_it_in_two_steps(starts: tuple[float, float, float]) -> None:
+    """On a linear model the Gauss–Newton step is exact; what is left is the error of differences."""
+    phi, y = regression()
+    fit = linear_least_squares(phi, y)
+    parameters = {name: Parameter(start) for name, start in zip("abc", starts, strict=True)}
+    problem = Problem.from_function(lambda theta: phi @ theta, y, parameters)
+    start = prepare(problem)
+    state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
+    steps = [i for i in search(start.criterion, state, Marquardt(first_radius=1e9)) if i.number]
+    assert len(steps) <= 2
+    assert all(step.accepted for step in steps)
+    np.testing.assert_allclose(state.theta, fit.theta, rtol=1e-6)
+
+    result = identify(problem)
+    assert result.converged
+    np.testing.assert_allclose(result.values, fit.theta, rtol=1e-6)
+    np.testing.assert_allclose(result.covariance, fit.covariance, rtol=1e-5)
+    assert result.noise_variance["y"] == pytest.approx(fit.noise_variance, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("phi", "y", "said"),
+    [
+        (np.ones((5, 2)), np.ones(5), "linearly dependent"),
+        (np.column_stack([np.ones(5), np.zeros(5)]), np.ones(5), "linearly dependent"),
+        (np.eye(2), np.ones(2), "too few for 2 parameters"),
+        (np.ones((5, 1)), np.ones(4), "do not fit"),
+        (np.full((5, 1), np.nan), np.ones(5), "finite"),
+    ],
+)
+def test_bad_input(phi: Floats, y: Floats, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        linear_least_squares(phi, y)

@@ -1,0 +1,244 @@
+"""The search against closed forms and scipy: bounds, failing regions, noise, limits."""
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import curve_fit, lsq_linear
+
+from fmuid.criterion import prepare
+from fmuid.errors import InputError
+from fmuid.estimators.marquardt import Iteration, Marquardt, State, Status, search
+from fmuid.estimators.steps import best_step, triangle
+from fmuid.parameters import Parameter
+from fmuid.problem import Problem
+
+Floats = NDArray[np.float64]
+
+TIMES = np.linspace(0.0, 3.0, 120)
+TRUTH = np.array([3.0, 1.2, 0.5])
+
+
+def decay(theta: Floats) -> Floats:
+    return model(TIMES, *theta.tolist())
+
+
+def model(t: Floats, a: float, k: float, c: float) -> Floats:
+    return np.asarray(a * np.exp(-k * t) + c, dtype=np.float64)
+
+
+def jacobian(t: Floats, a: float, k: float, _c: float) -> Floats:
+    return np.column_stack([np.exp(-k * t), -a * t * np.exp(-k * t), np.ones_like(t)])
+
+
+def measured(std: float = 0.05, seed: int = 2) -> Floats:
+    return decay(TRUTH) + std * np.random.default_rng(seed).standard_normal(TIMES.size)
+
+
+def run(
+    function: Callable[[Floats], Floats], y: Floats, parameters: list[Parameter], settings: Marquardt | None = None
+) -> tuple[State, list[Iteration], Problem]:
+    problem = Problem.from_function(function, y, {f"p{i}": p for i, p in enumerate(parameters)})
+    start = prepare(problem)
+    state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
+    return state, list(search(start.criterion, state, settings or Marquardt())), problem
+
+
+STARTS = [Parameter(1.0), Parameter(3.0), Parameter(-1.0)]
+
+
+def test_same_optimum_as_scipy() -> None:
+    y = measured()
+    state, trace, problem = run(decay, y, STARTS)
+    exact, _, _ = run(decay, y, STARTS, Marquardt(tolerance=1e-9))
+    reference = curve_fit(model, TIMES, y, TRUTH, jac=jacobian, xtol=1e-15, ftol=1e-15)[0]
+    assert state.status is Status.CONVERGED
+    np.testing.assert_allclose(state.theta, reference, rtol=3e-6)
+    np.testing.assert_allclose(exact.theta, reference, rtol=1e-8)
+    assert problem.simulations < 60
+    accepted = [i.criterion for i in trace if i.accepted]
+    assert all(after <= before for before, after in itertools.pairwise(accepted))
+    assert [i.number for i in trace] == list(range(len(trace)))
+    assert trace[0].theta.tolist() == [1.0, 3.0, -1.0]
+
+
+def test_a_rough_search_ends_earlier_near_the_optimum() -> None:
+    y = measured()
+    problem = Problem.from_function(decay, y, {f"p{i}": p for i, p in enumerate(STARTS)})
+    start = prepare(problem)
+    state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
+    rough = list(search(start.criterion, state, Marquardt(), rough=True))
+    exact, full, _ = run(decay, y, STARTS)
+    assert len(rough) < len(full)
+    std = np.sqrt(np.diag(np.linalg.inv(exact.jacobian.T @ exact.jacobian)) * np.mean(exact.residual**2))
+    assert (np.abs(state.theta - exact.theta) < 0.1 * std).all()
+
+
+def test_data_without_noise_are_fitted_to_rounding() -> None:
+    state, _, _ = run(decay, decay(TRUTH), STARTS)
+    assert state.status is not None
+    assert state.status.converged
+    np.testing.assert_allclose(state.theta, TRUTH, rtol=1e-9)
+
+
+def test_triangle_keeps_every_norm() -> None:
+    rng = np.random.default_rng(4)
+    jacobian, residual = rng.standard_normal((50, 3)), rng.standard_normal(50)
+    small = triangle(jacobian, residual)
+    assert small.shape == (4, 4)
+    for _ in range(5):
+        p = rng.standard_normal(3)
+        expected = np.linalg.norm(jacobian @ p + residual)
+        assert np.linalg.norm(small @ np.append(p, 1.0)) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("radius", [0.1, 1.0, 3.0])
+def test_a_damped_step_solves_marquardt_s_equation(radius: float) -> None:
+    """[JᵀJ + λD²] p = −Jᵀr with the λ that is reported, and ‖D p‖ near the radius (1.14)."""
+    rng = np.random.default_rng(5)
+    jacobian, residual = rng.standard_normal((30, 4)) * [1.0, 10.0, 0.1, 1.0], 20.0 * rng.standard_normal(30)
+    lengths = np.linalg.norm(jacobian, axis=0)
+    far = np.full(4, np.inf)
+    step = best_step(triangle(jacobian, residual), lengths, -far, far, radius)
+    assert step.damping > 0
+    matrix = jacobian.T @ jacobian + step.damping * np.diag(lengths**2)
+    np.testing.assert_allclose(step.step, -np.linalg.solve(matrix, jacobian.T @ residual), rtol=1e-9)
+    assert np.linalg.norm(lengths * step.step) == pytest.approx(radius, rel=0.11)
+    after = residual + jacobian @ step.step
+    assert step.predicted == pytest.approx(residual @ residual - after @ after, rel=1e-9)
+
+
+def test_bounded_steps_against_scipy() -> None:
+    """Stopping at the bounds one after the other never leaves them, and finds what lsq_linear finds in most cases."""
+    rng = np.random.default_rng(6)
+    same = 0
+    for _ in range(200):
+        jacobian, residual = rng.standard_normal((12, 3)), rng.standard_normal(12)
+        lower, upper = -0.3 * rng.random(3), 0.3 * rng.random(3)
+        step = best_step(triangle(jacobian, residual), np.linalg.norm(jacobian, axis=0), lower, upper)
+        assert (step.step >= lower).all()
+        assert (step.step <= upper).all()
+        assert step.predicted > 0
+        best = lsq_linear(jacobian, -residual, (lower, upper), tol=1e-14)
+        same += bool(np.allclose(step.step, best.x, atol=1e-6))
+    assert same >= 180
+
+
+def test_an_optimum_on_a_bound() -> None:
+    y = measured()
+    state, _, _ = run(decay, y, [Parameter(1.0), Parameter(1.0), Parameter(0.1, min=0.0, max=0.4)])
+
+    def held(t: Floats, a: float, k: float) -> Floats:
+        return model(t, a, k, 0.4)
+
+    reference = curve_fit(held, TIMES, y, TRUTH[:2], xtol=1e-15, ftol=1e-15)[0]
+    assert state.status is Status.CONVERGED
+    assert state.held.tolist() == [False, False, True]
+    np.testing.assert_allclose(state.theta, [*reference, 0.4], rtol=3e-6)
+
+
+def test_a_start_on_a_bound_leaves_it() -> None:
+    y = measured()
+    state, trace, _ = run(
+        decay, y, [Parameter(1.0, min=1.0), Parameter(3.0, max=3.0), Parameter(0.0, min=0.0, nominal=1.0)]
+    )
+    free, _, _ = run(decay, y, STARTS)
+    assert not state.held.any()
+    np.testing.assert_allclose(state.theta, free.theta, rtol=3e-6)
+    for iteration in trace:
+        assert iteration.theta[0] >= 1.0
+        assert iteration.theta[1] <= 3.0
+        assert iteration.theta[2] >= 0.0
+
+
+@pytest.mark.parametrize("raises", [False, True])
+def test_points_that_fail_are_rejected(raises: bool) -> None:
+    """The first steps overshoot into a region that cannot be simulated."""
+
+    def fragile(theta: Floats) -> Floats:
+        if theta[1] < 0.9 or theta[0] > 3.4:
+            if raises:
+                raise ZeroDivisionError
+            return np.full(TIMES.size, np.nan)
+        return decay(theta)
+
+    y = measured()
+    state, trace, _ = run(fragile, y, [Parameter(0.2), Parameter(2.5), Parameter(-1.0)])
+    free, _, _ = run(decay, y, STARTS)
+    assert any(not i.accepted and np.isnan(i.criterion) for i in trace)
+    assert state.status is Status.CONVERGED
+    np.testing.assert_allclose(state.theta, free.theta, rtol=3e-6)
+
+
+def test_simulations_that_all_fail_around_a_point_end_the_search() -> None:
+    armed = False
+
+    def breaking(theta: Floats) -> Floats:
+        return np.full(TIMES.size, np.nan) if armed else decay(theta)
+
+    problem = Problem.from_function(breaking, measured(), {f"p{i}": p for i, p in enumerate(STARTS)})
+    start = prepare(problem)
+    state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
+    steps = search(start.criterion, state, Marquardt())
+    next(steps), next(steps)
+    armed = True
+    assert len(list(steps)) < 20
+    assert state.status is Status.FAILING
+    assert "bounds" in state.status.value
+
+
+@pytest.mark.parametrize("digits", [6, 4, 2])
+def test_outputs_that_jump(digits: int) -> None:
+    """Rounded outputs: the estimate stays within a fraction of its standard deviation of the smooth one."""
+    y = measured()
+    state, _, problem = run(lambda theta: np.round(decay(theta), digits), y, STARTS)
+    smooth, _, _ = run(decay, y, STARTS)
+    assert state.status is not None
+    assert state.status.converged
+    std = np.sqrt(np.diag(np.linalg.inv(smooth.jacobian.T @ smooth.jacobian)) * np.mean(smooth.residual**2))
+    assert (np.abs(state.theta - smooth.theta) < [0.0, 0.0, 0.2, 0.0, 0.003, 0.0, 0.001][digits] * std).all()
+    assert problem.simulations < 120
+
+
+def test_the_iteration_limit() -> None:
+    state, trace, _ = run(decay, measured(), STARTS, Marquardt(max_iterations=2))
+    assert state.status is Status.ITERATION_LIMIT
+    assert trace[-1].number == 2
+    assert "max_iterations" in state.status.value
+
+
+def test_two_parameters_that_act_alike_do_not_wander() -> None:
+    """Only a + b acts: the search converges in what is determined and moves the rest no further than needed."""
+    y = measured()
+    state, _, _ = run(
+        lambda theta: decay(np.array([theta[0] + theta[1], *theta[2:]])),
+        y,
+        [Parameter(0.5), Parameter(0.7), *STARTS[1:]],
+    )
+    single, _, _ = run(decay, y, STARTS)
+    assert state.status is Status.CONVERGED
+    assert state.theta[0] + state.theta[1] == pytest.approx(single.theta[0], rel=1e-5)
+    np.testing.assert_allclose(state.theta[2:], single.theta[1:], rtol=1e-5)
+    assert np.abs(state.theta[:2]).max() < 5.0
+
+
+def test_units_do_not_matter() -> None:
+    """The same problem with the parameters in other units takes the same steps."""
+    y = measured()
+    units = np.array([1e-6, 1e3, 1.0])
+    plain, steps, _ = run(decay, y, STARTS)
+    scaled, other, _ = run(
+        lambda theta: decay(theta / units), y, [Parameter(u * p.start) for u, p in zip(units, STARTS, strict=True)]
+    )
+    np.testing.assert_allclose(scaled.theta / units, plain.theta, rtol=1e-6)
+    assert len(steps) == len(other)
+
+
+@pytest.mark.parametrize(
+    "words", [{"max_iterations": 0}, {"tolerance": 0.0}, {"first_radius": -1.0}, {"tolerance": "x"}]
+)
+def test_bad_settings(words: dict[str, object]) -> None:
+    with pytest.raises(InputError, match=next(iter(words))):
+        Marquardt(**words)  # type: ignore[arg-type]

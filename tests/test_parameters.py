@@ -1,0 +1,115 @@
+import math
+
+import numpy as np
+import pytest
+
+from fmuid.errors import InputError
+from fmuid.parameters import JointPrior, Normal, Parameter, ParameterSet
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ({"start": 12.0, "min": 0.0, "max": 10.0}, "start 12 lies outside its bounds, 0 to 10"),
+        ({"start": 1.0, "min": 2.0, "max": 2.0}, "min 2 must be less than max 2"),
+        ({"start": 0.0}, "give nominal"),
+        ({"start": 0.0, "nominal": 0.0}, "nominal must be greater than 0"),
+        ({"start": 1.0, "nominal": -1.0}, "nominal must be greater than 0"),
+        ({"start": math.nan}, "start must be finite"),
+        ({"start": math.inf}, "start must be finite"),
+        ({"start": 1.0, "max": math.nan}, "max must be a number"),
+        ({"start": "1"}, "start must be a number, not '1'"),
+        ({"start": True}, "start must be a number, not True"),
+        ({"start": 1.0, "prior": 2.0}, "prior must be a Normal"),
+        ({"start": 1.0, "min": 0.0, "prior": Normal(-1.0, 1.0)}, "the prior's mean -1 lies outside the bounds"),
+    ],
+)
+def test_bad_parameters_are_refused_with_the_remedy(words: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        Parameter(**words)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("mean", "std"), [(0.0, 0.0), (0.0, -1.0), (math.nan, 1.0), (0.0, math.inf)])
+def test_bad_priors_are_refused(mean: float, std: float) -> None:
+    with pytest.raises(InputError, match="of a prior must be"):
+        Normal(mean, std)
+
+
+def test_parameters_shared_and_per_experiment() -> None:
+    start = Parameter(0.5, min=0.0, per_experiment=True)
+    parameters = ParameterSet({"R": Parameter(-2.0), "x0": start, "L": Parameter(0.0, nominal=3.0)}, ["a", "b"])
+    assert parameters.names == ("R", "x0[a]", "x0[b]", "L")
+    for index, expected in enumerate([[0, 1, 3], [0, 2, 3]]):
+        variables, where = parameters.for_experiment(index)
+        assert variables == ("R", "x0", "L")
+        assert where.tolist() == expected
+    assert parameters.start.tolist() == [-2.0, 0.5, 0.5, 0.0]
+    assert parameters.lower.tolist() == [-math.inf, 0.0, 0.0, -math.inf]
+    assert parameters.scale.tolist() == [2.0, 0.5, 0.5, 3.0]
+    assert parameters.magnitudes(np.array([0.0, 4.0, 0.5, 1.0])).tolist() == [2e-3, 4.0, 0.5, 3.0]
+
+
+def test_experiments_of_one_name_cannot_have_their_own_parameters() -> None:
+    with pytest.raises(InputError, match="two experiments are named 'run'"):
+        ParameterSet({"x0": Parameter(1.0, per_experiment=True)}, ["run", "run"])
+
+
+def test_no_parameters() -> None:
+    with pytest.raises(InputError, match="no parameters"):
+        ParameterSet({})
+
+
+def test_prior_rows_are_the_compound_criterion() -> None:
+    """‖W(θ₀ − θ)‖² = (θ−θ₀)ᵀ M₀⁻¹ (θ−θ₀), equation (1.36), with single and joint priors together."""
+    covariance = np.array([[4e-4, 1e-7], [1e-7, 1e-10]])
+    parameters = ParameterSet(
+        {
+            "R": Parameter(1.0),
+            "L": Parameter(1e-3),
+            "k": Parameter(5.0, prior=Normal(4.0, 0.5)),
+            "free": Parameter(1.0),
+        },
+        joint_prior=JointPrior(["L", "R"], [2e-3, 1.5], covariance[::-1, ::-1]),
+    )
+    theta = np.array([1.7, 1.9e-3, 5.0, 77.0])
+    away = theta[:2] - np.array([1.5, 2e-3])
+    expected = away @ np.linalg.inv(covariance) @ away + (5.0 - 4.0) ** 2 / 0.5**2
+    rows = parameters.prior_residual(theta[None])[0]
+    assert rows @ rows == pytest.approx(expected, rel=1e-10)
+    np.testing.assert_allclose(
+        -parameters.prior_whitening @ (theta - np.nan_to_num(parameters.prior_mean)), rows, rtol=1e-12
+    )
+    np.testing.assert_allclose(parameters.prior_mean[:3], [1.5, 2e-3, 4.0])
+    np.testing.assert_allclose(parameters.prior_std[:3], [2e-2, 1e-5, 0.5])
+    assert np.isnan(parameters.prior_mean[3])
+
+
+@pytest.mark.parametrize(
+    ("names", "mean", "covariance", "said"),
+    [
+        (["R", "L"], [1.0, 1.0], [[1.0, 0.5], [0.4, 1.0]], "not symmetric"),
+        (["R", "L"], [1.0, 1.0], [[1.0, 2.0], [2.0, 1.0]], "not positive definite"),
+        (["R", "L"], [1.0, 1.0], [[0.0, 0.0], [0.0, 1.0]], "not positive definite"),
+        (["R", "L"], [1.0, 1.0], [[-1.0, 0.0], [0.0, 1.0]], "not positive definite"),
+        (["R", "L"], [1.0], [[1.0, 0.0], [0.0, 1.0]], "needs 2 means"),
+        (["R", "R"], [1.0, 1.0], [[1.0, 0.0], [0.0, 1.0]], "twice"),
+        (["R", "L"], [1.0, math.nan], [[1.0, 0.0], [0.0, 1.0]], "not finite"),
+    ],
+)
+def test_bad_joint_priors(names: list[str], mean: list[float], covariance: list[list[float]], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        JointPrior(names, mean, covariance)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("Rr", "did you mean 'R'"),
+        ("k", "prior of its own"),
+        ("L", "joint prior's mean 1 of 'L' lies outside its bounds"),
+    ],
+)
+def test_joint_priors_must_fit_the_parameters(name: str, said: str) -> None:
+    parameters = {"R": Parameter(1.0), "k": Parameter(1.0, prior=Normal(1.0, 1.0)), "L": Parameter(0.1, max=0.5)}
+    with pytest.raises(InputError, match=said):
+        ParameterSet(parameters, joint_prior=JointPrior([name], [1.0], [[1.0]]))

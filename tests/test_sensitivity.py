@@ -1,0 +1,210 @@
+"""Finite differences against analytic derivatives, of smooth, noisy, failing and bounded functions."""
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from fmuid.sensitivity import FiniteDifferences, SensitivityError, noise_level
+
+Floats = NDArray[np.float64]
+Function = Callable[[Floats], Floats]
+Method = Literal["RK45", "BDF", "LSODA", "DOP853"]
+
+TIMES = np.linspace(0.0, 4.0, 300)
+THETA = np.array([2.0, 0.7, -0.3])
+FREE = np.full(3, -np.inf), np.full(3, np.inf)
+
+
+def decay(thetas: Floats) -> Floats:
+    return np.array([a * np.exp(-k * TIMES) + c * TIMES**2 for a, k, c in thetas])
+
+
+def decay_jacobian(theta: Floats) -> Floats:
+    a, k, _ = theta
+    return np.array([np.exp(-k * TIMES), -a * TIMES * np.exp(-k * TIMES), TIMES**2])
+
+
+def magnitudes(theta: Floats) -> Floats:
+    return np.maximum(np.abs(theta), 0.1)
+
+
+def level(function: Function, theta: Floats = THETA, bounds: tuple[Floats, Floats] = FREE) -> float:
+    groups = np.zeros(function(theta[None]).shape[1], dtype=np.intp)
+    _, noise = noise_level(function, theta, magnitudes(theta), *bounds, groups, 1)
+    return float(noise.outputs[0])
+
+
+def differences(
+    function: Function, theta: Floats = THETA, bounds: tuple[Floats, Floats] = FREE
+) -> tuple[FiniteDifferences, Floats]:
+    base = function(theta[None])[0]
+    noise = np.full(base.size, level(function, theta, bounds))
+    return FiniteDifferences(function, *bounds, magnitudes, noise, float(np.sqrt(np.mean(base**2)))), base
+
+
+def error(found: Floats, expected: Floats) -> float:
+    return float(np.max(np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)))
+
+
+@pytest.mark.parametrize("std", [1e-3, 1e-6, 1e-9])
+def test_the_noise_of_a_simulation_is_measured(std: float) -> None:
+    rng = np.random.default_rng(5)
+
+    def noisy(thetas: Floats) -> Floats:
+        return decay(thetas) + std * rng.standard_normal((len(thetas), TIMES.size))
+
+    assert level(noisy) == pytest.approx(std, rel=0.25)
+
+
+def test_smooth_functions_have_the_noise_of_rounding() -> None:
+    assert 1e-17 < level(decay) < 1e-15
+
+
+def test_strongly_oscillating_functions_are_not_mistaken_for_noise() -> None:
+    def fast(thetas: Floats) -> Floats:
+        return np.array([a * np.sin(400.0 * k * TIMES + c) for a, k, c in thetas])
+
+    assert level(fast) < 1e-11
+
+
+def test_every_output_has_its_own_noise() -> None:
+    rng = np.random.default_rng(6)
+    groups = np.arange(300, dtype=np.intp) % 2
+
+    def noisy(thetas: Floats) -> Floats:
+        return decay(thetas) + np.where(groups, 1e-2, 1e-7) * rng.standard_normal((len(thetas), TIMES.size))
+
+    base, noise = noise_level(noisy, THETA, magnitudes(THETA), *FREE, groups, 2)
+    np.testing.assert_allclose(noise.outputs, [1e-7, 1e-2], rtol=0.3)
+    assert noise.simulations == 7
+    np.testing.assert_allclose(base, decay(THETA[None])[0], atol=0.06)
+
+
+def test_noise_is_measured_inside_the_bounds() -> None:
+    lower, upper = np.array([2.0, 0.7 - 1e-9, -1.0]), np.array([9.0, 0.7, 1.0])
+
+    def bounded(thetas: Floats) -> Floats:
+        assert (thetas >= lower).all()
+        assert (thetas <= upper).all()
+        return decay(thetas)
+
+    assert level(bounded, bounds=(lower, upper)) < 1e-15
+    finite, base = differences(bounded, bounds=(lower, upper))
+    found, _ = finite.first_jacobian(THETA, base)
+    assert error(found[[0, 2]], decay_jacobian(THETA)[[0, 2]]) < 1e-8
+    assert error(found, decay_jacobian(THETA)) < 1e-4  # the second parameter has only 1e-9 of room
+    assert error(finite.jacobian(THETA, base, central=False)[[0, 2]], decay_jacobian(THETA)[[0, 2]]) < 1e-7
+
+
+def test_jacobians_of_a_smooth_function() -> None:
+    finite, base = differences(decay)
+    first, acting = finite.first_jacobian(THETA, base)
+    exact = decay_jacobian(THETA)
+    assert acting.all()
+    assert error(first, exact) < 1e-8
+    assert error(finite.jacobian(THETA, base, central=True), exact) < 1e-9
+    assert error(finite.jacobian(THETA, base, central=False), exact) < 3e-8
+
+
+@pytest.mark.parametrize(("digits", "forward", "central"), [(6, 3e-3, 3e-4), (4, 3e-2, 4e-3), (3, 0.1, 2e-2)])
+def test_jacobians_of_outputs_that_jump(digits: int, forward: float, central: float) -> None:
+    """Rounded outputs are piecewise constant: a difference over a blind 1e-8 would be zero or enormous."""
+
+    def rounded(thetas: Floats) -> Floats:
+        return np.round(decay(thetas), digits)
+
+    finite, base = differences(rounded)
+    first, acting = finite.first_jacobian(THETA, base)
+    exact = decay_jacobian(THETA)
+    assert acting.all()
+    assert error(first, exact) < 3 * central
+    assert error(finite.jacobian(THETA, base, central=False), exact) < forward
+    assert error(finite.jacobian(THETA, base, central=True), exact) < central
+    blind = (rounded(THETA + 1e-8 * np.eye(3)) - base) / 1e-8
+    assert error(blind, exact) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("method", "rtol", "allowed"), [("RK45", 1e-4, 0.1), ("BDF", 1e-4, 0.05), ("LSODA", 1e-6, 5e-3)]
+)
+def test_jacobians_through_an_adaptive_integrator(method: Method, rtol: float, allowed: float) -> None:
+    """A driven pendulum with friction; the reference is the same with tight tolerances."""
+    times = np.linspace(0.0, 10.0, 200)
+    theta = np.array([1.0, 0.4, 3.0])
+
+    def simulate(thetas: Floats, method: Method, rtol: float) -> Floats:
+        def slope(t: float, x: Floats, m: float, d: float, k: float) -> list[float]:
+            return [x[1], (2.0 * np.sin(1.3 * t) - d * x[1] - k * np.sin(x[0])) / m]
+
+        def solve(m: float, d: float, k: float) -> Floats:
+            span, start = (0.0, 10.0), [0.1, 0.0]
+            found = solve_ivp(slope, span, start, method, times, args=(m, d, k), rtol=rtol, atol=1e-2 * rtol)
+            return np.asarray(found.y[0], dtype=np.float64)
+
+        return np.array([solve(*theta) for theta in thetas.tolist()])
+
+    steps = 1e-4 * np.eye(3)
+    above, below = (simulate(theta + sign * steps, "DOP853", 1e-11) for sign in (1, -1))
+    exact = (above - below) / 2e-4
+    finite, base = differences(lambda thetas: simulate(thetas, method, rtol), theta)
+    finite.first_jacobian(theta, base)
+    assert error(finite.jacobian(theta, base, central=True), exact) < allowed
+
+
+def test_failing_neighbours_are_avoided() -> None:
+    def fragile(thetas: Floats) -> Floats:
+        outputs = decay(thetas)
+        outputs[(thetas[:, 0] > 2.0) | (thetas[:, 1] < 0.7) | (np.abs(thetas[:, 2] + 0.3) > 1e-6)] = np.nan
+        return outputs
+
+    finite, base = differences(fragile)
+    found, acting = finite.first_jacobian(THETA, base)
+    assert acting.all()
+    assert error(found, decay_jacobian(THETA)) < 1e-3
+    assert error(finite.jacobian(THETA, base, central=False), decay_jacobian(THETA)) < 1e-3
+
+
+def test_a_point_without_neighbours_has_no_derivative() -> None:
+    def lonely(thetas: Floats) -> Floats:
+        outputs = decay(thetas)
+        outputs[thetas[:, 1] != 0.7] = np.nan
+        return outputs
+
+    base = decay(THETA[None])[0]
+    finite = FiniteDifferences(lonely, *FREE, magnitudes, np.full(300, 1e-16), 1.0)
+    with pytest.raises(SensitivityError) as caught:
+        finite.jacobian(THETA, base, central=False)
+    assert caught.value.index == 1
+
+
+def test_influence_is_told_from_noise() -> None:
+    """The second parameter does nothing; the third one little, but more than the noise at a tenth of its magnitude."""
+    rng = np.random.default_rng(7)
+
+    def weak(thetas: Floats) -> Floats:
+        noise = 1e-5 * rng.standard_normal((len(thetas), TIMES.size))
+        return np.array([a * np.exp(-TIMES) + 3e-3 * c * TIMES for a, _, c in thetas]) + noise
+
+    finite, base = differences(weak)
+    found, acting = finite.first_jacobian(THETA, base)
+    assert acting.tolist() == [True, False, True]
+    assert error(found[2:], 3e-3 * TIMES[None]) < 0.1
+
+
+def test_planned_steps_follow_the_noise() -> None:
+    """Forward steps go with the square root of the noise, central ones with its cube root."""
+    steps = []
+    for std in (1e-6, 1e-12):
+        finite = FiniteDifferences(decay, *FREE, magnitudes, np.full(300, std), 1.0)
+        base = decay(THETA[None])[0]
+        finite.jacobian(THETA, base, central=True)
+        finite.jacobian(THETA, base, central=True)
+        steps.append((finite.forward_steps[1], finite.central_steps[1]))
+    assert steps[0][0] / steps[1][0] == pytest.approx(1e3, rel=0.05)
+    assert steps[0][1] / steps[1][1] == pytest.approx(1e2, rel=0.05)
+    curvature = np.sqrt(np.mean((2.0 * TIMES**2 * np.exp(-0.7 * TIMES)) ** 2))
+    assert steps[0][0] * 0.7 == pytest.approx(2.0 * np.sqrt(1e-6 / curvature), rel=0.01)
