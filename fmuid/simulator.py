@@ -160,6 +160,8 @@ class Simulator:
             known = worker.error(self._run, outputs[i], reports[i], named)
             if known is None:
                 continue
-            errors[i] = worker.explain(self._run, thetas[i], named) or known
+            # what the FMU says costs another simulation: for the first failure of a batch
+            first = not any(errors)
+            errors[i] = (worker.explain(self._run, thetas[i], named) if first else None) or known
             outputs[i] = np.nan
         return tuple(errors)
