@@ -12,6 +12,7 @@ from fmuid.errors import InputError, nearest
 from fmuid.experiment import Experiment
 from fmuid.fmi import kernels
 from fmuid.fmi.description import Variable
+from fmuid.fmi.loop import Grid, Plan
 from fmuid.system import System
 
 Value = float | int | bool | str
@@ -28,7 +29,7 @@ _GET = {"Real": kernels.GET_REAL, "Integer": kernels.GET_INTEGER, "Boolean": ker
 
 
 class PlannedRun:
-    """The arrays of one system and one experiment, ready for `kernels.simulate`.
+    """The arrays of one system and one experiment, ready for a `Loop`.
 
     Parameters
     ----------
@@ -44,8 +45,8 @@ class PlannedRun:
 
     Attributes
     ----------
-    plan : kernels.Plan
-    grid : kernels.Grid
+    plan : Plan
+    grid : Grid
     output_names : tuple of str
 
     Raises
@@ -85,7 +86,7 @@ class PlannedRun:
         modes = [self._mode(name, bool(held)) for name, held in self._inputs()]
         derivative_slots = self._derivative_operations(modes)
         stages.append(len(self._operations))
-        self.plan = kernels.Plan(
+        self.plan = Plan(
             operations=np.array(self._operations, np.intp).reshape(-1, 5),
             stages=np.array(stages, np.intp),
             references=np.array(self._references, np.uint32),
@@ -170,7 +171,7 @@ class PlannedRun:
         slots.update(zip(linear, self._transfer(calls, linear), strict=True))
         return list(slots.values())
 
-    def _build_grid(self, modes: Sequence[int], step_size: float | None) -> kernels.Grid:
+    def _build_grid(self, modes: Sequence[int], step_size: float | None) -> Grid:
         intervals = np.diff(self._experiment.times)
         if step_size is not None:
             substeps = np.ceil(intervals / step_size * (1 - STEP_TOLERANCE))
@@ -178,7 +179,7 @@ class PlannedRun:
             substeps = np.full(intervals.shape, LINEAR_SUBSTEPS if kernels.BY_MIDPOINT in modes else 1)
         substeps = np.maximum(substeps, 1).astype(np.intp)
         self._check_steps(intervals / substeps)
-        return kernels.Grid(np.array(self._experiment.times), substeps, self._converted_inputs())
+        return Grid(np.array(self._experiment.times), substeps, self._converted_inputs())
 
     def _check_steps(self, steps: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
         """Refuse unequal steps where an FMU declares that it cannot take them."""

@@ -19,6 +19,7 @@ from fmuid.errors import SimulationError
 from fmuid.fmi import kernels
 from fmuid.fmi.archive import FMU
 from fmuid.fmi.instance import Instance, describe_failure, warn
+from fmuid.fmi.loop import Loop
 from fmuid.plan import PlannedRun
 from fmuid.system import System
 
@@ -44,6 +45,7 @@ class Worker:
         self._components, self._index = components, index
         self._executor = ThreadPoolExecutor(1, f"fmuid-{index}") if index else None
         self._instances: list[Instance] = []
+        self._loops: weakref.WeakKeyDictionary[PlannedRun, Loop] = weakref.WeakKeyDictionary()
         self._used = np.zeros(0, np.intp)
         self._seconds = CALL_SECONDS  # of one simulation, as last measured
         self._resets: bool | None = None  # whether fmi2Reset brings an instance back to its beginning; not yet known
@@ -141,6 +143,7 @@ class Worker:
         for instance in self._instances:
             instance.close(fatal)
         self._instances = []
+        self._loops.clear()
 
     def shut_down(self) -> None:
         """Free the instances in their own thread and end it."""
@@ -173,10 +176,10 @@ class Worker:
             self._simulate(run, thetas, outputs, reports)
 
     def _simulate(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
-        scratch = kernels.Scratch.of(run.plan)
-        kernels.simulate(
-            *run.plan, *run.grid, *scratch, thetas, self._handles, self._addresses, self._used, outputs, reports
-        )
+        loop = self._loops.get(run)
+        if loop is None:
+            loop = self._loops[run] = Loop(run.plan, run.grid, self._handles, self._addresses, self._used)
+        loop.run(thetas, outputs, reports)
 
 
 def _last_words(instance: Instance) -> list[str]:

@@ -1,14 +1,14 @@
 """Compiled loops over FMI functions: a whole simulation, life cycle included, without returning to Python.
 
 A numba loop calls the FMI functions of the loaded libraries at their addresses. It is compiled once
-and cached on disk, releases the interpreter lock, and needs no compiler on the user's machine. What the
-loop does in which order is laid down beforehand in a `Plan` (built by `fmuid.simulator`): a list of operations,
-each one call that sets or gets the variables of one component from or into the vector of signals.
+and cached on disk, releases the interpreter lock, and needs no compiler on the user's machine. What the loop does in
+which order is laid down beforehand by `fmuid.fmi.loop`: a list of operations, each one call that sets or gets
+the variables of one component from or into the vector of signals.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
@@ -16,7 +16,6 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
 # Indices of the FMI functions in a component's row of addresses; also the first word of an operation.
 SET_REAL, GET_REAL, SET_INTEGER, GET_INTEGER, SET_BOOLEAN, GET_BOOLEAN, SET_STRING = range(7)
@@ -38,40 +37,10 @@ FUNCTIONS = (
     "fmi2ExitInitializationMode",
 )
 N_FUNCTIONS = len(FUNCTIONS)
-COLUMNS, FIELDS = 9, 23  # of the table of calls and of the memory of one simulation, see below
+COLUMNS, FIELDS = 9, 28  # of the table of calls and of the memory of one simulation, see below
 HELD, BY_DERIVATIVE, BY_MIDPOINT = range(3)  # what an input does between two samples
 WARNING = 1  # fmi2Warning, the last status that counts as success
 ERROR = 3  # fmi2Error, the last status after which an instance may be reset
-
-
-class Plan(NamedTuple):
-    """What the loop does, as arrays; they are passed on one by one.
-
-    (Numba's cache on disk would bind to this class by name, and an old cache would then break a new release.)
-
-    `operations` has rows (function, component, first value reference, count, first signal); for COPY the
-    row is (COPY, 0, source signal, 1, target signal). `stages` says where each list of operations starts:
-    start values | external inputs | exchange between components | outputs | input derivatives.
-    """
-
-    operations: NDArray[np.intp]
-    stages: NDArray[np.intp]
-    references: NDArray[np.uint32]
-    signals: NDArray[np.float64]
-    strings: NDArray[np.intp]
-    parameter_signals: NDArray[np.intp]
-    input_signals: NDArray[np.intp]
-    input_modes: NDArray[np.intp]
-    derivative_signals: NDArray[np.intp]
-    output_signals: NDArray[np.intp]
-
-
-class Grid(NamedTuple):
-    """The experiment as the loop walks it: times (K,), substeps of each interval (K-1,), input values (K, n_u)."""
-
-    times: NDArray[np.float64]
-    substeps: NDArray[np.intp]
-    inputs: NDArray[np.float64]
 
 
 def _fmi_call(*arguments: Any) -> Any:
@@ -90,29 +59,6 @@ def _fmi_call(*arguments: Any) -> Any:
         return types.int32(types.intp, values), generate
 
     return call
-
-
-class Scratch(NamedTuple):
-    """Arrays that the loop works in; the caller owns them, so that they outlive every use of their addresses."""
-
-    memory: NDArray[np.intp]
-    calls: NDArray[np.intp]
-    signals: NDArray[np.float64]
-    slopes: NDArray[np.float64]
-    words: NDArray[np.int32]
-    ones: NDArray[np.int32]
-
-    @classmethod
-    def of(cls, plan: Plan) -> Scratch:
-        """Return arrays of the sizes that a plan needs."""
-        return cls(
-            np.zeros(FIELDS, np.intp),
-            np.zeros((len(plan.operations), COLUMNS), np.intp),
-            plan.signals.copy(),
-            np.zeros(len(plan.input_signals) + 1),
-            np.zeros(len(plan.references) + 1, np.int32),
-            np.ones(len(plan.references) + 1, np.int32),  # the order of every input derivative
-        )
 
 
 def _memory(kind: Any) -> tuple[Any, Any]:
@@ -155,7 +101,7 @@ ADDRESS, HANDLE, REFERENCES, COUNT, VALUES, ORDERS, FUNCTION, COMPONENT, SIGNAL 
 
 # The memory of one simulation: sizes and addresses of all that the loop touches, in one array whose address is `m`.
 # Inside the loop nothing is a numpy array and little is passed on: numba counts references to arrays at every call
-# of a function, which would cost more than the FMI calls themselves.
+# of a function, which would cost more than the FMI calls themselves; and functions of arrays take long to compile.
 (
     N_COMPONENTS,
     N_INPUTS,
@@ -180,39 +126,12 @@ ADDRESS, HANDLE, REFERENCES, COUNT, VALUES, ORDERS, FUNCTION, COMPONENT, SIGNAL 
     REPORT,
     DIRECT_INPUTS,
     DIRECT_OUTPUTS,
+    N_SIGNALS,
+    N_PARAMETERS,
+    THETAS,
+    PARAMETER_SIGNALS,
+    START_SIGNALS,
 ) = range(FIELDS)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_calls(calls, operations, references, strings, signals, words, ones, handles, addresses):  # type: ignore[no-untyped-def]
-    """Resolve the operations of a plan to addresses; whole numbers go through `words`."""
-    for i in range(operations.shape[0]):
-        function, component = operations[i, 0], operations[i, 1]
-        reference, signal = operations[i, 2], operations[i, 4]
-        calls[i, COUNT], calls[i, FUNCTION] = operations[i, 3], function
-        calls[i, COMPONENT], calls[i, SIGNAL] = component, signal
-        if function == COPY:
-            calls[i, VALUES] = reference
-            continue
-        calls[i, ADDRESS], calls[i, HANDLE] = addresses[component, function], handles[component]
-        calls[i, REFERENCES] = references.ctypes.data + 4 * reference
-        calls[i, VALUES] = signals.ctypes.data + 8 * signal
-        calls[i, ORDERS] = ones.ctypes.data
-        if function >= SET_INTEGER and function <= GET_BOOLEAN:
-            calls[i, VALUES] = words.ctypes.data
-        elif function == SET_STRING:
-            calls[i, VALUES] = strings.ctypes.data + 8 * signal
-
-
-@numba.njit(cache=True, nogil=True)
-def _direct(calls, operations, first, last, function, slots):  # type: ignore[no-untyped-def]
-    """Return where to write the address of a whole row of the table, if one call takes it as it is; else 0."""
-    if last != first + 1 or operations[first, 0] != function or operations[first, 3] != slots.size:
-        return 0
-    for j in range(slots.size):
-        if slots[j] != operations[first, 4] + j:
-            return 0
-    return calls.ctypes.data + 8 * (COLUMNS * first + VALUES)
 
 
 @numba.njit("boolean(intp, intp, intp, intp)", cache=True, nogil=True, error_model="numpy")
@@ -379,89 +298,26 @@ def _simulate(m):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def simulate(  # type: ignore[no-untyped-def]
-    operations,
-    stages,
-    references,
-    start_signals,
-    strings,
-    parameter_signals,
-    input_signals,
-    input_modes,
-    derivative_signals,
-    output_signals,
-    times,
-    substeps,
-    inputs,
-    memory,
-    calls,
-    signals,
-    slopes,
-    words,
-    ones,
-    thetas,
-    handles,
-    addresses,
-    used,
-    outputs,
-    reports,
-):
-    """Simulate one after the other for all thetas on one set of instances.
+@numba.njit("void(intp, intp)", cache=True, nogil=True, error_model="numpy")
+def simulate(m, count):  # type: ignore[no-untyped-def]
+    """Simulate one after the other for `count` thetas on one set of instances.
 
-    Parameters
-    ----------
-    operations, ..., output_signals : arrays
-        The fields of `Plan`.
-    times, substeps, inputs : arrays
-        The fields of `Grid`.
-    memory, ..., ones : arrays
-        The fields of `Scratch`.
-    thetas : (m, N) array
-        Parameter values, in the order of `parameter_signals`.
-    handles : (n_components,) array of intp
-        The instances (fmi2Component).
-    addresses : (n_components, len(FUNCTIONS)) array of intp
-        The FMI functions.
-    used : (n_components,) array of intp
-        Whether an instance must be reset first; updated.
-    outputs : (m, K, n_outputs) array
-        Written.
-    reports : (m, 4) array of intp
-        Written: (function, component, status, sample) of the failing call; function -1 where none failed.
+    The memory says where everything is; `fmuid.fmi.loop.Loop` lays it out. For each theta four words are reported:
+    (function, component, status, sample) of the failing call, function -1 where none failed.
     """
-    _fill_calls(calls, operations, references, strings, signals, words, ones, handles, addresses)
-    memory[N_COMPONENTS] = handles.size
-    memory[N_INPUTS] = input_signals.size
-    memory[N_OUTPUTS] = output_signals.size
-    memory[N_TIMES] = times.size
-    memory[STAGES] = stages.ctypes.data
-    memory[CALLS] = calls.ctypes.data
-    memory[SIGNALS] = signals.ctypes.data
-    memory[WORDS] = words.ctypes.data
-    memory[HANDLES] = handles.ctypes.data
-    memory[ADDRESSES] = addresses.ctypes.data
-    memory[USED] = used.ctypes.data
-    memory[TIMES] = times.ctypes.data
-    memory[SUBSTEPS] = substeps.ctypes.data
-    memory[INPUTS] = inputs.ctypes.data
-    memory[INPUT_SIGNALS] = input_signals.ctypes.data
-    memory[INPUT_MODES] = input_modes.ctypes.data
-    memory[DERIVATIVE_SIGNALS] = derivative_signals.ctypes.data
-    memory[OUTPUT_SIGNALS] = output_signals.ctypes.data
-    memory[SLOPES] = slopes.ctypes.data
-    memory[DIRECT_INPUTS] = _direct(calls, operations, stages[1], stages[2], SET_REAL, input_signals)
-    memory[DIRECT_OUTPUTS] = _direct(calls, operations, stages[3], stages[4], GET_REAL, output_signals)
-    for i in range(thetas.shape[0]):
-        reports[i, 0], reports[i, 3] = -1, -1
-        for j in range(signals.size):
-            signals[j] = start_signals[j]
-        for j in range(thetas.shape[1]):
-            signals[parameter_signals[j]] = thetas[i, j]
-        memory[OUTPUTS] = outputs[i].ctypes.data
-        memory[REPORT] = reports[i].ctypes.data
-        if not _simulate(np.intp(memory.ctypes.data)) and reports[i, 2] > ERROR:
-            for rest in range(i + 1, thetas.shape[0]):  # the instance must not be touched again
-                for j in range(4):
-                    reports[rest, j] = reports[i, j]
+    n, parameters, slots = _load_word(m, N_PARAMETERS), _load_word(m, THETAS), _load_word(m, PARAMETER_SIGNALS)
+    signals, starts = _load_word(m, SIGNALS), _load_word(m, START_SIGNALS)
+    report, outputs = _load_word(m, REPORT), _load_word(m, OUTPUTS)
+    for i in range(count):
+        _store_word(m, REPORT, report + 32 * i)
+        _store_word(m, OUTPUTS, outputs + 8 * i * _load_word(m, N_TIMES) * _load_word(m, N_OUTPUTS))
+        for j in range(4):
+            _store_word(report + 32 * i, j, -1)
+        for j in range(_load_word(m, N_SIGNALS)):
+            _store_real(signals, j, _load_real(starts, j))
+        for j in range(n):
+            _store_real(signals, _load_word(slots, j), _load_real(parameters, i * n + j))
+        if not _simulate(m) and _load_word(report + 32 * i, 2) > ERROR:
+            for j in range(4 * (i + 1), 4 * count):  # the instance must not be touched again
+                _store_word(report, j, _load_word(report, j - 4))
             return
