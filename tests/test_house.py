@@ -24,6 +24,7 @@ experiment
 fmi.description
 fmi.archive
 fmi.kernels
+fmi.loop
 fmi.instance
 system
 plan
