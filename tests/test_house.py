@@ -41,16 +41,14 @@ estimators.marquardt
 covariance
 result
 identification
-criterion_map conditional chains
-profile
-posterior
+criterion_map
 estimators.global_search
 study_file
 report
 study
 study_init
 plots
-figures_map figures_uncertainty
+figures_map
 export
 console
 progress
