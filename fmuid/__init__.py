@@ -9,10 +9,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fmuid.criterion_map import map_criterion as map_criterion
     from fmuid.errors import FmuidError as FmuidError
     from fmuid.errors import InputError as InputError
     from fmuid.errors import ModelicaError as ModelicaError
     from fmuid.errors import SimulationError as SimulationError
+    from fmuid.estimators.global_search import GlobalSearch as GlobalSearch
+    from fmuid.estimators.global_search import search_globally as search_globally
+    from fmuid.estimators.marquardt import Marquardt as Marquardt
     from fmuid.experiment import Experiment as Experiment
     from fmuid.fmi.archive import FMU as FMU
     from fmuid.identification import identify as identify
@@ -20,7 +24,12 @@ if TYPE_CHECKING:
     from fmuid.parameters import JointPrior as JointPrior
     from fmuid.parameters import Normal as Normal
     from fmuid.parameters import Parameter as Parameter
+    from fmuid.posterior import Sampling as Sampling
+    from fmuid.posterior import sample as sample
     from fmuid.problem import Problem as Problem
+    from fmuid.profile import profiles as profiles
+    from fmuid.reading import read_result as read_result
+    from fmuid.residuals import examine_residuals as examine_residuals
     from fmuid.result import Result as Result
     from fmuid.simulator import Simulator as Simulator
     from fmuid.study import Study as Study
@@ -35,22 +44,31 @@ _HOMES = {
     "Experiment": "experiment",
     "FMU": "fmi.archive",
     "FmuidError": "errors",
+    "GlobalSearch": "estimators.global_search",
     "InputError": "errors",
     "JointPrior": "parameters",
+    "Marquardt": "estimators.marquardt",
     "ModelicaError": "errors",
     "Noise": "noise",
     "Normal": "parameters",
     "Parameter": "parameters",
     "Problem": "problem",
     "Result": "result",
+    "Sampling": "posterior",
     "SimulationError": "errors",
     "Simulator": "simulator",
     "Study": "study",
     "System": "system",
     "concordia": "transforms",
+    "examine_residuals": "residuals",
     "identify": "identification",
+    "map_criterion": "criterion_map",
     "park": "transforms",
+    "profiles": "profile",
+    "read_result": "reading",
     "read_table": "tables",
+    "sample": "posterior",
+    "search_globally": "estimators.global_search",
 }
 """The module below this one that each public name comes from."""
 

@@ -6,15 +6,24 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fmuid import __version__
 from fmuid.errors import FmuidError, InputError
 
+if TYPE_CHECKING:
+    from fmuid.estimators.global_search import GlobalResult
+    from fmuid.problem import Problem
+    from fmuid.result import Result
+    from fmuid.study import Study
+
 DONE, NOT_SUCCEEDED, WRONG_INPUT = 0, 1, 2
 """Exit codes: done; it ran but did not succeed; something given is wrong."""
+
+# What takes longer than this, s, says what it is doing.
+QUICK = 2.0
 
 app = typer.Typer(
     name="fmuid",
@@ -85,7 +94,7 @@ def init(
 @app.command()
 def simulate(study: StudyFile, output: Folder = None, set_: Overrides = None) -> int:
     """Simulate a study at the parameters' starts and compare with the measurements."""
-    from fmuid import console, plots, report
+    from fmuid import console, figures_fit, plots, report
     from fmuid.study import Study
 
     folder = _folder(output, study)
@@ -96,7 +105,8 @@ def simulate(study: StudyFile, output: Folder = None, set_: Overrides = None) ->
     console.show_misfits(fits)
     table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
     written = [report.write_table(folder / "simulated.csv", table)]
-    written += plots.save(plots.fits(fits, residuals=False), folder / "figures")
+    plots.clear(folder / "figures")
+    written += plots.save(figures_fit.fits(fits), folder / "figures")
     console.show_files(written)
     return DONE
 
@@ -107,31 +117,75 @@ def identify(
     output: Folder = None,
     set_: Overrides = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Start from the values in the output folder's result.json.")
+        bool,
+        typer.Option(
+            "--resume", help="Start from the values in the output folder's result.json, without a global search."
+        ),
     ] = False,
 ) -> int:
     """Identify the parameters of a study and write result, tables and figures."""
-    from fmuid import console, plots, report
-    from fmuid.identification import identify as identify_problem
-    from fmuid.progress import Progress
+    from dataclasses import replace
+
+    from fmuid import console, console_result, figures_run, plots, report
+    from fmuid.progress import Work
+    from fmuid.reading import read_result
+    from fmuid.residuals import examine_residuals
     from fmuid.study import Study
+    from fmuid.uncertainty import explore
 
     folder = _folder(output, study)
     read = Study.read(study, set_ or ())
     problem = read.problem()
-    start = report.resumed_start(folder / "result.json", problem.parameters) if resume else problem.parameters.start
+    start = report.resumed_start(folder / "result.json", problem.parameters) if resume else None
     report.make_folder(folder)
+    console.show_notes(read.notes)
     console.warn_unfed(read.simulators())
-    with Progress(problem.parameters.names, start) as progress:
-        result = identify_problem(problem, read.estimator, progress, start)
-    units = report.parameter_units(read.system, result.names)
-    fits = report.result_fits(read.system, read.tables, result)
-    written = report.write_result(folder, result, units, [fit.experiment for fit in fits])
-    console.show_result(result, units, fits)
-    estimates = report.estimates_frame(result, units)
-    written += plots.save(plots.search(result.trace, estimates) | plots.fits(fits, residuals=True), folder / "figures")
-    console.show_files(written)
-    return DONE if result.converged else NOT_SUCCEEDED
+    result, search = _search(read, problem, start)
+    if problem.parameters.prior_whitening.size and result.elapsed_s > QUICK:
+        console.show_notes(["searching the optimum of the data alone, for comparison; Ctrl-C leaves it out"])
+    ended, diagnostics = report.at_minimum(result, search), examine_residuals(problem, result)
+    found = report.Findings(
+        result,
+        report.parameter_units(read.system, result.names),
+        report.result_fits(read.system, read.tables, result),
+        diagnostics,
+        read_result(problem, result, search_data=ended, healthy=read.known_variance, diagnostics=diagnostics),
+        read.uncertainty_settings.level,
+        search,
+    )
+    written = found.write(folder)
+    console_result.show_result(found)
+    plots.clear(folder / "figures")
+    written += plots.save(figures_run.draw(found), folder / "figures")
+    if read.uncertainty_settings.any:
+        if not ended:
+            console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
+        else:
+            with Work(result.names) as work:
+                box = search is not None
+                there = explore(problem, result, read.uncertainty_settings, work, box=box)
+            found = replace(found, uncertainty=there)
+            written += found.write(folder)
+            console_result.show_uncertainty(found)
+            written += plots.save(figures_run.draw_uncertainty(found), folder / "figures")
+    console.show_files(dict.fromkeys(written))
+    return DONE if found.succeeded else NOT_SUCCEEDED
+
+
+def _search(read: Study, problem: Problem, start: Any) -> tuple[Result, GlobalResult | None]:
+    """Search as the study says, and show how far it is; an earlier result as the start saves the global search."""
+    from fmuid.estimators.marquardt import Marquardt
+    from fmuid.identification import identify
+    from fmuid.progress import Progress, Work
+
+    if isinstance(read.estimator, Marquardt) or start is not None:
+        with Progress(problem.parameters.names, problem.parameters.start if start is None else start) as progress:
+            return identify(problem, read.marquardt, progress, start), None
+    from fmuid.estimators.global_search import search_globally
+
+    with Work(problem.parameters.names) as work:
+        found = search_globally(problem, read.estimator, work.searched)
+    return found.result, found
 
 
 @app.command()

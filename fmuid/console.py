@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.measure import Measurement
 from rich.table import Table
 
-from fmuid.report import has_unit, label, rounded, with_std
+from fmuid.report import has_unit, label
 
 if TYPE_CHECKING:
     from fmuid.fmi.archive import FMU
     from fmuid.fmi.description import Description, Interface, Variable
     from fmuid.report import Fit
-    from fmuid.result import Result
     from fmuid.simulator import Simulator
     from fmuid.study_init import Draft
 
@@ -28,8 +24,6 @@ if TYPE_CHECKING:
 PLAIN_WIDTH = 110
 # Rows of a table on a terminal; more scroll away what was first. A pipe gets them all.
 TERMINAL_ROWS = 60
-# To ask how wide a table would be.
-UNLIMITED = 10_000
 
 
 def console() -> Console:
@@ -106,12 +100,12 @@ def _show_variables(out: Console, title: str, variables: Sequence[Variable]) -> 
     rows = variables if not out.is_terminal else variables[:TERMINAL_ROWS]
     bounded = any(v.min is not None or v.max is not None for v in rows)
     heads = ["name", "start", "unit", *(["min", "max"] if bounded else []), "description"]
-    table = _table(f"{title} ({len(variables)})", heads, right=("start", "min", "max"))
+    table = table_of(f"{title} ({len(variables)})", heads, right=("start", "min", "max"))
     for v in rows:
         bounds = [_plain(v.min), _plain(v.max)] if bounded else []
         # A free text that FMUs fill as they like: one line of it.
         remark = " ".join(v.description.split()) + ("" if v.variability != "constant" else " (constant)")
-        table.add_row(*(escape(text) for text in (v.name, _plain(v.start), _unit(v.unit), *bounds, remark.strip())))
+        table.add_row(*(escape(text) for text in (v.name, _plain(v.start), unit_text(v.unit), *bounds, remark.strip())))
     out.print()
     out.print(table)
     if len(rows) < len(variables):
@@ -124,11 +118,12 @@ def _plain(value: float | int | bool | str | None) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _unit(unit: str | None) -> str:
+def unit_text(unit: str | None) -> str:
+    """Return the unit as a cell of a table: nothing where there is none."""
     return unit if unit is not None and has_unit(unit) else ""
 
 
-def _table(title: str, heads: Iterable[str], right: Sequence[str] = ()) -> Table:
+def table_of(title: str, heads: Iterable[str], right: Sequence[str] = ()) -> Table:
     """Return an empty table in the style of all of them: a rule below the heads, no frame."""
     from rich import box
 
@@ -169,7 +164,7 @@ def show_misfits(fits: Sequence[Fit]) -> None:
     """Print the relative misfit of each output of each experiment."""
     several = len(fits) > 1
     heads = [*(["experiment"] if several else []), "output", "misfit", "samples"]
-    table = _table("Measured against simulated", heads, right=("misfit", "samples"))
+    table = table_of("Measured against simulated", heads, right=("misfit", "samples"))
     for fit in fits:
         for k, (output, misfit) in enumerate(zip(fit.outputs, fit.misfit, strict=True)):
             counted = int(fit.counted[:, k].sum())
@@ -186,105 +181,7 @@ def warn_unfed(simulators: Iterable[Simulator]) -> None:
             print(f"note: {simulator.experiment.source} feeds no {names}: kept at the start value", file=sys.stderr)
 
 
-# --- fmuid identify ----------------------------------------------------------------------
-
-
-def show_result(result: Result, units: Sequence[str | None], fits: Sequence[Fit]) -> None:
-    """Print estimates and their uncertainty, what is to be said of them, noise, and how the search ended."""
-    out = console()
-    out.print()
-    for table in _estimates(out, result, units):
-        out.print(table)
-    for sentence in _remarks(result):
-        out.print(f"[yellow]note:[/] {escape(sentence)}", soft_wrap=True)
-    out.print(f"Misfit: {escape(_misfit(fits))}", soft_wrap=True)
-    out.print(f"Residual: {escape(_noise(result, fits))}", soft_wrap=True)
-    color = "green" if result.converged else "red"
-    out.print(f"[bold {color}]{escape(result.status[0].upper() + result.status[1:])}[/]", soft_wrap=True)
-    out.print(
-        f"[dim]{result.iterations} iterations, {result.simulations} simulations, {result.elapsed_s:.2f} s; "
-        f"criterion {result.criterion:.6g}[/]"
-    )
-
-
-def _estimates(out: Console, result: Result, units: Sequence[str | None]) -> list[Table]:
-    """Return the table of estimates; on a narrow console with fewer columns, the priors in a table of their own."""
-    columns = _columns(result, units)
-    for dropped in ("note", "rel. std", "start"):
-        if _fits(out, columns):
-            break
-        columns.pop(dropped, None)
-    if _fits(out, columns) or "prior" not in columns:
-        return [_filled(columns)]
-    apart = {head: columns.pop(head) for head in ("prior", "pull")}
-    return [_filled(columns), _filled({"parameter": columns["parameter"]} | apart)]
-
-
-def _filled(columns: Mapping[str, Sequence[str]]) -> Table:
-    table = _table("", columns, right=("rel. std", "start", "pull"))
-    for cells in zip(*columns.values(), strict=True):
-        table.add_row(*(escape(cell) for cell in cells))
-    return table
-
-
-def _fits(out: Console, columns: Mapping[str, Sequence[str]]) -> bool:
-    unlimited = out.options.update(max_width=UNLIMITED)
-    return Measurement.get(out, unlimited, _filled(columns)).maximum <= out.width
-
-
-def _columns(result: Result, units: Sequence[str | None]) -> dict[str, list[str]]:
-    """Return the cells of the table of estimates, column by column."""
-    found: dict[str, list[str]] = {"parameter": list(result.names)}
-    rows = list(zip(result.values.tolist(), result.std.tolist(), strict=True))
-    known = [math.isfinite(std) for _, std in rows]
-    limits = result.intervals().to_numpy().tolist()
-    found["value"] = [with_std(value, std) + ("" if std < math.inf else " ± ?") for value, std in rows]
-    found["rel. std"] = [f"{100 * std / abs(value):.2g} %" if value and std < math.inf else "" for value, std in rows]
-    found["95 % interval"] = [
-        f"{rounded(lower, std)} to {rounded(upper, std)}" if sure else "not determined"
-        for (lower, upper), (_, std), sure in zip(limits, rows, known, strict=True)
-    ]
-    found["unit"] = [_unit(unit) for unit in units]
-    found["start"] = [f"{start:.6g}" for start in result.start]
-    if np.isfinite(result.prior_mean).any():
-        priors = list(zip(result.prior_mean.tolist(), result.prior_std.tolist(), result.pull.tolist(), strict=True))
-        found["prior"] = [with_std(mean, std) if math.isfinite(mean) else "" for mean, std, _ in priors]
-        found["pull"] = [f"{pull:+.2f} std" if math.isfinite(pull) else "" for *_, pull in priors]
-    notes = [_note(result, name) for name in result.names]
-    return found | ({"note": notes} if any(notes) else {})
-
-
-def _note(result: Result, name: str) -> str:
-    """Return what the table's last column says of one parameter."""
-    held = any(sentence.startswith(f"{name} is at its bound") for sentence in result.at_bounds)
-    return "at its bound" if held else ""
-
-
-def _remarks(result: Result) -> list[str]:
-    """Return the sentences on what the estimates do not show by themselves."""
-    pairs = [
-        f"{one} and {other} move together (correlation {share:+.3f}): their intervals do not hold one by one"
-        for one, other, share in result.strong_correlations
-    ]
-    prior = [f"without the prior, {sentence}" for sentence in result.prior_determined]
-    return [*pairs, *result.weak, *prior]
-
-
-def _misfit(fits: Sequence[Fit]) -> str:
-    """Return the relative misfit of each output of each experiment."""
-    words = []
-    for fit in fits:
-        shares = [f"{output} {100 * misfit:.3g} %" for output, misfit in zip(fit.outputs, fit.misfit, strict=True)]
-        words.append((f"{fit.experiment}: " if len(fits) > 1 else "") + ", ".join(shares))
-    return "; ".join(words)
-
-
-def _noise(result: Result, fits: Sequence[Fit]) -> str:
-    """Return the standard deviation of each output's residual."""
-    units = {output: unit for fit in fits for output, unit in zip(fit.outputs, fit.units, strict=True)}
-    words = []
-    for output, variance in result.noise_variance.items():
-        given = result.given_variance.get(output)
-        of = f" (given: {math.sqrt(given):.4g})" if given is not None else ""
-        words.append(f"{output} std {math.sqrt(variance):.4g} {_unit(units[output])}".rstrip() + of)
-    return ", ".join(words)
+def show_notes(notes: Iterable[str]) -> None:
+    """Print what is to be known of the input, to standard error."""
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)

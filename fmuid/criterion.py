@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmuid.errors import InputError
+from fmuid.errors import FmuidError, InputError
 from fmuid.problem import Problem
 from fmuid.sensitivity import FiniteDifferences, NoiseLevel, SensitivityError, noise_level
 
@@ -37,6 +38,8 @@ class Evaluation:
 class Criterion:
     """The compound criterion J_C (1.36) of a problem with noise variances chosen, as a sum of squares of theta.
 
+    With a robust loss the rows of the data are the roots ±√ρ(f²) of the whitened residuals f (`fmuid.losses`).
+
     Attributes
     ----------
     problem : Problem
@@ -51,24 +54,61 @@ class Criterion:
     """
 
     def __init__(
-        self, problem: Problem, variance: Floats, noise: NoiseLevel, least_variance: Floats, start: Floats
+        self,
+        problem: Problem,
+        variance: Floats,
+        noise: NoiseLevel,
+        least_variance: Floats,
+        start: Floats,
+        differences: FiniteDifferences | None = None,
     ) -> None:
         self.problem, self.variance, self.least_variance = problem, variance, least_variance
         self.lower, self.upper = problem.parameters.lower, problem.parameters.upper
-        self._weights = 1.0 / np.sqrt(variance)[problem.groups]
+        self._weights = (1.0 / np.sqrt(variance))[problem.groups]
         self._level, self._start = noise, start
         self._size = _rms(start * self._weights)
         rows = noise.outputs[problem.groups] * self._weights
         self.noise = _rms(rows)
-        self.differences = FiniteDifferences(
-            self._data_residuals, self.lower, self.upper, problem.parameters.reach, rows, self._size
-        )
+        if differences is None:
+            reach = problem.parameters.reach
+            self._differences = FiniteDifferences(
+                problem.predict, self.lower, self.upper, reach, rows, self._size, -self._weights
+            )
+        else:
+            self._differences = differences.weighted(-self._weights, rows)
 
     def reweighted(self, variance: Floats) -> Criterion:
         """Return the criterion with other noise variances and the same difference steps."""
-        other = Criterion(self.problem, variance, self._level, self.least_variance, self._start)
-        other.differences = self.differences.with_noise(other._data_residuals, other.differences.noise)
-        return other
+        return Criterion(self.problem, variance, self._level, self.least_variance, self._start, self._differences)
+
+    def converted(self, other: Criterion, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
+        """Return residual and Jacobian of this criterion as those of another that differs in its variances only."""
+        residual, jacobian = self.unrooted(residual, jacobian)
+        scale = np.ones(residual.size)
+        scale[: self._weights.size] = other._weights / self._weights
+        return other._rooted(residual * scale, jacobian * scale[:, None])
+
+    def unrooted(self, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
+        """Return residual and Jacobian with the whitened residuals f themselves in place of their roots ±√ρ(f²)."""
+        if self.problem.loss is None:
+            return residual, jacobian
+        residual, jacobian, data = residual.copy(), jacobian.copy(), self._weights.size
+        residual[:data] = self._whitened(residual)
+        jacobian[:data] /= self.problem.loss.slope(residual[:data])[:, None]
+        return residual, jacobian
+
+    def _rooted(self, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
+        """Return residual and Jacobian, which are changed, with roots ±√ρ(f²) in place of whitened residuals f."""
+        if self.problem.loss is not None:
+            data = self._weights.size
+            jacobian[:data] *= self.problem.loss.slope(residual[:data])[:, None]
+            residual[:data] = self.problem.loss.root(residual[:data])
+        return residual, jacobian
+
+    def _whitened(self, residual: Floats) -> Floats:
+        """Return the whitened residuals f (n,) of the data."""
+        rows = residual[: self._weights.size]
+        return rows if self.problem.loss is None else self.problem.loss.unroot(rows)
 
     def magnitudes(self, theta: Floats) -> Floats:
         """Return how large each parameter is at theta (N,)."""
@@ -80,18 +120,20 @@ class Criterion:
 
     def whiten(self, thetas: Floats, predictions: Floats) -> Floats:
         """Return the residual (m, n_rows) of simulations already made."""
-        data = self.problem.measured.size
+        data, loss = self._weights.size, self.problem.loss
         rows = np.empty((len(thetas), data + len(self.problem.parameters.prior_whitening)))
         np.subtract(self.problem.measured, predictions, out=rows[:, :data])
         with np.errstate(over="ignore"):  # what overflows is rejected like what fails
             rows[:, :data] *= self._weights
+        if loss is not None:
+            rows[:, :data] = loss.root(rows[:, :data])
         if rows.shape[1] > data:
             rows[:, data:] = self.problem.parameters.prior_residual(thetas)
         return rows
 
     def unwhiten(self, residual: Floats) -> Floats:
         """Return measured − simulated (n,) of a residual (n_rows,)."""
-        return np.asarray(residual[: self._weights.size] / self._weights, dtype=np.float64)
+        return np.asarray(self._whitened(residual) / self._weights, dtype=np.float64)
 
     def jacobian(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
         """Return the derivative (n_rows, N) of the residual at theta by finite differences.
@@ -101,22 +143,23 @@ class Criterion:
         SensitivityError
             If all simulations around theta fail.
         """
-        derivatives = self.differences.jacobian(theta, residual[: self._weights.size], central=central)
-        return self._with_prior(derivatives)
+        base = self.problem.measured - self.unwhiten(residual)
+        return self._completed(self._differences.jacobian(theta, base, central=central), residual)
+
+    def first_jacobian(self, theta: Floats, residual: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the Jacobian at the start, and which parameters act on any output (N,)."""
+        base = self.problem.measured - self.unwhiten(residual)
+        derivatives, acting = self._differences.first_jacobian(theta, base)
+        return self._completed(derivatives, residual), acting
 
     def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
         """Return the norm of the error in each column of a Jacobian at theta (N,).
 
         Where the outputs are smaller than at the start, so is what noise there was in proportion to them.
         """
-        outputs = self.problem.measured * self._weights - residual[: self._weights.size]
+        outputs = self.problem.measured * self._weights - self._whitened(residual)
         shrunk = min(1.0, _rms(outputs) / self._size) if self._size > 0 else 1.0
-        return shrunk * self.differences.error(theta, central=central)
-
-    def first_jacobian(self, theta: Floats, residual: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return the Jacobian at the start, and which parameters act on any output (N,)."""
-        derivatives, acting = self.differences.first_jacobian(theta, residual[: self._weights.size])
-        return self._with_prior(derivatives), acting
+        return shrunk * self._differences.error(theta, central=central)
 
     def evaluate(self, theta: ArrayLike) -> Evaluation:
         """Return residual and (central) Jacobian at theta (N,).
@@ -131,23 +174,20 @@ class Criterion:
         at = np.array(theta, dtype=np.float64)
         residual = self.residuals(at[None])[0]
         if np.isnan(residual).any():
-            raise self.problem.failure(at) or InputError("the simulation gives outputs that are not finite")
+            raise _failure(self.problem, at, "evaluate elsewhere")
         return Evaluation(residual, self.jacobian(at, residual, central=True))
 
-    def _data_residuals(self, thetas: Floats) -> Floats:
-        rows = self.problem.measured - self.problem.predict(thetas)
-        with np.errstate(over="ignore"):
-            rows *= self._weights
-        return rows
-
-    def _with_prior(self, derivatives: Floats) -> Floats:
+    def _completed(self, derivatives: Floats, residual: Floats) -> Floats:
+        """Return the Jacobian (n_rows, N) of derivatives (N, n) of whitened residuals, with the loss and the prior."""
+        if self.problem.loss is not None:
+            derivatives *= self.problem.loss.slope(self._whitened(residual))
         whitening = self.problem.parameters.prior_whitening
         # the transpose is what LAPACK works on without a copy: columns one after the other
         return (np.hstack([derivatives, -whitening.T]) if whitening.size else derivatives).T
 
 
 def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return math.sqrt(float(np.vdot(values, values)) / values.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,14 +239,14 @@ def prepare(problem: Problem, theta: ArrayLike | None = None) -> Start:
         problem.counts.size,
     )
     if np.isnan(base).any():
-        raise problem.failure(at) or InputError(
-            "the simulation at the start gives outputs that are huge or not finite; start elsewhere"
-        )
+        raise _failure(problem, at, "start elsewhere")
     least = np.maximum(noise.outputs**2, LEAST_NOISE**2 * problem.output_variances(problem.measured))
     least = np.where(least > 0, least, 1.0)
-    from_residual = np.maximum(problem.output_variances(problem.measured - base), least)
+    from_residual = np.maximum(problem.noise_variances(problem.measured - base), least)
     first = np.where(np.isnan(problem.first_variance), from_residual, problem.first_variance)
-    variance = np.where(np.isnan(problem.variance), first, problem.variance)
+    # a robust loss must not take the misfit of the start for outliers: it sets out from large variances
+    given = problem.variance if problem.loss is None else np.maximum(problem.variance, from_residual)
+    variance = np.where(np.isnan(problem.variance), first, given)
     criterion = Criterion(problem, variance, noise, least, base)
     residual = criterion.whiten(at[None], base[None])[0]
     try:
@@ -218,6 +258,16 @@ def prepare(problem: Problem, theta: ArrayLike | None = None) -> Start:
         ) from None
     _check_influence(problem, acting, at)
     return Start(at, criterion, Evaluation(residual, jacobian), noise)
+
+
+def _failure(problem: Problem, theta: Floats, remedy: str) -> FmuidError:
+    """Return why nothing can be simulated at theta."""
+    error = problem.failure(theta)
+    if isinstance(error, FmuidError):
+        return error
+    why = f"fails ({error})" if error else "gives outputs that are huge or not finite"
+    values = ", ".join(f"{n} = {v:g}" for n, v in zip(problem.parameters.names, theta.tolist(), strict=True))
+    return InputError(f"the simulation with {values} {why}; {remedy}")
 
 
 def _check_inside(problem: Problem, theta: Floats) -> None:

@@ -60,7 +60,8 @@ class Misfits:
 
     def compound(self, variance: Floats) -> Floats:
         """Return J_C (1.36) with noise variances (n_outputs,), (m,)."""
-        return np.asarray((self.squares / variance).sum(axis=1) + self.prior, dtype=np.float64)
+        with np.errstate(over="ignore"):  # where simulations explode without failing
+            return np.asarray((self.squares / variance).sum(axis=1) + self.prior, dtype=np.float64)
 
     def concentrated(self, problem: Problem) -> Floats:
         """Return J_C with the variances that each theta implies where none is given, (m,)."""

@@ -7,13 +7,15 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from fmuid import __version__
 from fmuid.covariance import LocalCovariance, local_covariance
-from fmuid.criterion import Criterion, prepare
+from fmuid.criterion import prepare
 from fmuid.estimators.marquardt import Iteration, Marquardt, State, Status, search
+from fmuid.history import History
+from fmuid.local_model import LocalModel
+from fmuid.losses import Loss
 from fmuid.problem import Problem
 from fmuid.result import Result
 
@@ -25,6 +27,9 @@ Progress = Callable[[Iteration], None]
 MOVED = 0.02
 # The repetition converges at once in practice (method.md §8: one repetition); more than this is a fault of the model.
 MAX_ROUNDS = 10
+# Where outliers outweigh everything else the mean ψ′ of a robust loss may vanish or be negative, and says nothing of
+# the covariance; it is taken to be this much at least.
+LEAST_CURVATURE = 0.05
 
 
 def identify(
@@ -70,15 +75,16 @@ class _Identification:
         ready = prepare(problem, start)
         self.start, self.criterion = ready.theta, ready.criterion
         self.state = State(ready.theta, ready.evaluation.residual, ready.evaluation.jacobian)
-        self.trace: list[tuple[object, ...]] = []
+        self.trace: list[tuple[int, Iteration]] = []
         self.rounds: list[dict[str, float]] = []
 
     def run(self) -> Result:
         settled = True
         try:
             for number in range(1, MAX_ROUNDS + 1):
-                self._search(number)
-                settled = not (number == 1 and self._repeats()) and not self._moved()
+                rough = number == 1 and self._repeats()
+                self._search(number, rough)
+                settled = not rough and not self._moved()
                 if settled or not self._status.converged or number == MAX_ROUNDS:
                     break
                 self._reweight()
@@ -91,40 +97,32 @@ class _Identification:
     def _status(self) -> Status:
         return self.state.status or Status.INTERRUPTED
 
-    def _search(self, number: int) -> None:
-        # where the variances will move the optimum, the first search is only on the way
-        rough = number == 1 and self._repeats()
+    def _search(self, number: int, rough: bool) -> None:
         for iteration in search(self.criterion, self.state, self.settings, rough=rough):
-            self.trace.append(
-                (
-                    number,
-                    iteration.number,
-                    iteration.criterion,
-                    iteration.damping,
-                    iteration.accepted,
-                    *iteration.theta.tolist(),
-                )
-            )
+            self.trace.append((number, iteration))
             if self.progress is not None:
                 self.progress(iteration)
         self._end_round(number)
 
+    # --- the repetition on the noise variances
+
     def _end_round(self, number: int) -> None:
         """Estimate each output's variance from the residual (1.12), and note what this round used and found."""
         state, problem = self.state, self.problem
-        covariance = self._covariance(self.criterion, state.residual, state.jacobian)
-        data = problem.measured.size
+        self.local = self._covariance(state.jacobian)
+        leverage = self.local.leverage(state.jacobian)[: problem.measured.size]
         self.shares: Floats = np.zeros(problem.counts.size)
-        np.add.at(self.shares, problem.groups, covariance.leverage[:data])
-        estimated = problem.output_variances(self.criterion.unwhiten(state.residual), self.shares)
+        self.shares += np.bincount(problem.groups, weights=leverage, minlength=problem.counts.size)
+        estimated = problem.noise_variances(self.criterion.unwhiten(state.residual), self.shares)
         self.estimated = np.maximum(estimated, self.criterion.least_variance)
+        names = problem.output_names
         self.rounds.append(
             {
                 "round": number,
                 "iterations": state.iterations,
                 "criterion": float(state.residual @ state.residual),
-                **{f"used.{n}": v for n, v in zip(problem.output_names, self.criterion.variance.tolist(), strict=True)},
-                **{f"estimated.{n}": v for n, v in zip(problem.output_names, self.estimated.tolist(), strict=True)},
+                **{f"used.{n}": v for n, v in zip(names, self.criterion.variance.tolist(), strict=True)},
+                **{f"estimated.{n}": v for n, v in zip(names, self.estimated.tolist(), strict=True)},
             }
         )
 
@@ -132,56 +130,100 @@ class _Identification:
         return np.where(np.isnan(self.problem.variance), self.estimated, self.problem.variance)
 
     def _repeats(self) -> bool:
-        """Whether the search may have to be repeated with other variances: some are estimated, and have a rival."""
-        estimated = np.isnan(self.problem.variance)
-        rivals = self.problem.counts.size + len(self.problem.parameters.prior_whitening) > 1
-        return bool(estimated.any()) and rivals
+        """Whether the search has to be repeated with other variances, which will move the optimum.
+
+        Some are estimated and have a rival, or decide what a robust loss takes for outliers; or the search sets out
+        from larger ones than those given.
+        """
+        problem = self.problem
+        estimated = np.isnan(problem.variance)
+        matters = problem.counts.size + len(problem.parameters.prior_whitening) > 1 or problem.loss is not None
+        larger = (self.criterion.variance != problem.variance)[~estimated]
+        return (bool(estimated.any()) and matters) or bool(larger.any())
 
     def _moved(self) -> bool:
         """Whether the variances moved so much that the optimum moves too."""
         ratios = self._next_variance() / self.criterion.variance
-        if not len(self.problem.parameters.prior_whitening):
-            ratios = ratios / ratios[0]  # without a prior only their proportions matter
+        if not len(self.problem.parameters.prior_whitening) and self.problem.loss is None:
+            ratios = ratios / ratios[0]  # only their proportions matter
         return bool((np.abs(ratios - 1.0) > MOVED).any())
 
     def _reweight(self) -> None:
         """Go on from the same point with the new variances: the rows change their weights, nothing is simulated."""
         state, before = self.state, self.criterion
         self.criterion = before.reweighted(self._next_variance())
-        weights = self._row_weights(before, self.criterion)
-        self.state = State(
-            state.theta,
-            state.residual * weights,
-            state.jacobian * weights[:, None],
-            state.central,
-            state.fresh,
-            state.iterations,
-            state.rate,
+        residual, jacobian = before.converted(self.criterion, state.residual, state.jacobian)
+        self.state = State(state.theta, residual, jacobian, state.central, state.fresh, state.iterations, state.rate)
+
+    # --- the result
+
+    def _covariance(self, jacobian: Floats, spread: Floats | None = None) -> LocalCovariance:
+        """Analyse a Jacobian at the point found, with or without the prior's rows."""
+        theta, parameters = self.state.theta, self.problem.parameters
+        return local_covariance(
+            parameters.names,
+            jacobian,
+            parameters.magnitudes(theta),
+            self.criterion.jacobian_error(theta, self.state.residual, central=self.state.central),
+            len(jacobian) - self.problem.measured.size,
+            scale=parameters.scale,
+            spread=spread,
         )
 
-    def _row_weights(self, before: Criterion, after: Criterion) -> Floats:
-        weights = np.ones(self.state.residual.size)
-        data = self.problem.measured.size
-        weights[:data] = np.sqrt(before.variance / after.variance)[self.problem.groups]
-        return weights
+    def _local_model(self) -> LocalModel:
+        """Make the problem linear at the point found, with the final variances."""
+        state, data = self.state, self.problem.measured.size
+        residual, jacobian, combined, spread = state.residual, state.jacobian, self.local, None
+        variance, loss = self._next_variance(), self.problem.loss
+        if loss is not None or (variance != self.criterion.variance).any():
+            final = self.criterion.reweighted(variance)
+            residual, jacobian = self.criterion.converted(final, residual, jacobian)
+            if loss is not None:
+                residual, jacobian, spread = self._weighed(loss, *final.unrooted(residual, jacobian))
+            combined = self._covariance(jacobian, spread)
+        alone = combined
+        if len(jacobian) > data:
+            alone = self._covariance(jacobian[:data], None if spread is None else spread[:data])
+        magnitudes = self.problem.parameters.magnitudes(state.theta)
+        return LocalModel(
+            residual[:data],
+            jacobian[:data],
+            residual[data:],
+            jacobian[data:],
+            magnitudes,
+            alone,
+            combined,
+            None if spread is None else spread[:data],
+        )
 
-    def _covariance(self, criterion: Criterion, residual: Floats, jacobian: Floats) -> LocalCovariance:
-        theta = self.state.theta
-        error = criterion.jacobian_error(theta, residual, central=self.state.central)
-        names, data = self.problem.parameters.names, self.problem.measured.size
-        return local_covariance(names, jacobian, criterion.magnitudes(theta), error, len(jacobian) - data)
+    def _weighed(self, loss: Loss, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return whitened residuals f and their Jacobian, changed, as a robust loss weighs them, and each row's spread.
+
+        Near the optimum the gradient of the criterion is Σ ψ J + (Σ ψ′ J Jᵀ) p: that of rows ψ/√a and √a J with each
+        output's a its mean ψ′, and of variance mean ψ²/a (see `fmuid.covariance`).
+        """
+        groups, counts = self.problem.groups, self.problem.counts
+        f = residual[: groups.size]
+        influence = loss.influence(f)
+        curvature = np.bincount(groups, weights=loss.curvature(f), minlength=counts.size) / counts
+        curvature = np.maximum(curvature, LEAST_CURVATURE)
+        free = np.maximum(counts - self.shares, np.finfo(float).eps)
+        power = np.bincount(groups, weights=influence**2, minlength=counts.size) / free
+        root = np.sqrt(curvature)[groups]
+        jacobian[: groups.size] *= root[:, None]
+        residual[: groups.size] = influence / root
+        spread = np.ones(residual.size)
+        spread[: groups.size] = np.sqrt(power / curvature)[groups]
+        return residual, jacobian, spread
 
     def _result(self, settled: bool) -> Result:
         state, problem, parameters = self.state, self.problem, self.problem.parameters
-        final = self.criterion.reweighted(self._next_variance())
-        weights, data = self._row_weights(self.criterion, final), problem.measured.size
-        residual, jacobian = state.residual * weights, state.jacobian * weights[:, None]
-        local = self._covariance(final, residual, jacobian)
-        alone = self._covariance(final, residual, jacobian[:data]) if len(jacobian) > data else local
+        model, history = self._local_model(), self._history()
+        local = model.combined
         at_bounds = tuple(
             f"{parameters.names[i]} is at its bound {state.theta[i]:g}" for i in np.flatnonzero(state.held)
         )
-        all_given = not np.isnan(problem.variance).any()
+        given = ~np.isnan(problem.variance)
         return Result(
             status=self._words(settled, local.undetermined, at_bounds),
             converged=self._status.converged and settled and not local.undetermined,
@@ -192,33 +234,27 @@ class _Identification:
             prior_std=parameters.prior_std,
             covariance=local.covariance,
             noise_variance=dict(zip(problem.output_names, self.estimated.tolist(), strict=True)),
-            given_variance={
-                name: float(value)
-                for name, value in zip(problem.output_names, problem.variance, strict=True)
-                if not np.isnan(value)
-            },
+            given_variance={problem.output_names[j]: float(problem.variance[j]) for j in np.flatnonzero(given)},
             criterion=float(state.residual @ state.residual),
-            degrees_of_freedom=math.inf if all_given else float(problem.counts.sum() - self.shares.sum()),
+            degrees_of_freedom=math.inf if given.all() else float(problem.counts.sum() - self.shares.sum()),
             iterations=state.iterations,
-            fit=self._fit(),
             simulations=problem.simulations - self.simulations,
             elapsed_s=time.perf_counter() - self.clock,
             undetermined=local.undetermined,
             weak=local.weak,
-            prior_determined=() if alone is local else alone.undetermined,
+            prior_determined=() if model.data is local else model.data.undetermined,
             at_bounds=at_bounds,
-            trace=pd.DataFrame(
-                self.trace, columns=["round", "iteration", "criterion", "lambda", "accepted", *parameters.names]
-            ),
-            rounds=pd.DataFrame(self.rounds),
             version=__version__,
+            models=problem.models,
+            local=model,
+            history=history,
         )
 
     def _words(self, settled: bool, undetermined: tuple[str, ...], at_bounds: tuple[str, ...]) -> str:
         words = [self._status.value]
         if self._status.converged and not settled:
             words = [f"the noise variances still move after {MAX_ROUNDS} repetitions: give them as noise.variance"]
-        elif self._status.converged and undetermined:
+        elif undetermined and (self._status.converged or self._status is Status.RUNAWAY):
             words = ["undetermined"]
         if undetermined:
             words.append("; ".join(undetermined) + ": give a prior, hold one of them at a value, or measure more")
@@ -228,12 +264,8 @@ class _Identification:
             )
         return ": ".join(words) if words[0] == "undetermined" else "; ".join(words)
 
-    def _fit(self) -> tuple[pd.DataFrame, ...]:
-        frames = []
-        for experiment, simulated in zip(self.problem.experiments, self.problem.outputs(self.state.theta), strict=True):
-            columns = {"time": experiment.times}
-            for k, name in enumerate(experiment.output_names):
-                columns[f"measured.{name}"] = experiment.output_values[:, k]
-                columns[f"simulated.{name}"] = simulated[:, k]
-            frames.append(pd.DataFrame(columns))
-        return tuple(frames)
+    def _history(self) -> History:
+        state, problem = self.state, self.problem
+        predicted = problem.measured - self.criterion.unwhiten(state.residual)
+        simulated = tuple(problem.outputs(state.theta, predicted))
+        return History(problem.parameters.names, tuple(self.trace), tuple(self.rounds), problem.experiments, simulated)

@@ -15,6 +15,10 @@ from fmuid.errors import InputError, nearest
 Floats = NDArray[np.float64]
 
 
+# Variances beyond this one, or below its inverse, make the squares of residuals overflow.
+LARGEST_VARIANCE = 1e100
+
+
 @dataclass(frozen=True)
 class Noise:
     """The variance of the measurement noise of each output, R_b of (1.36).
@@ -47,6 +51,10 @@ class Noise:
                     raise InputError(f"the noise {word}{of} must be {choice}, not {value!r}")
                 if not (math.isfinite(value) and value > 0):
                     raise InputError(f"the noise {word}{of} must be positive and finite, not {value:g}")
+                if not 1.0 / LARGEST_VARIANCE < value < LARGEST_VARIANCE:
+                    raise InputError(
+                        f"the noise {word}{of} is {value:g}, too extreme to calculate with; change the unit"
+                    )
 
     def known(self, outputs: Sequence[str]) -> Floats:
         """Return the given variance of each output, NaN where it is to be estimated."""

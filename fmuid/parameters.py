@@ -15,6 +15,8 @@ Floats = NDArray[np.float64]
 
 # A parameter that passes near zero keeps this fraction of its start as its magnitude: steps must not vanish with it.
 LEAST_MAGNITUDE = 1e-3
+# Beyond these the squares that everything rests on overflow or vanish; no unit of measurement needs such numbers.
+LARGEST_NUMBER, SMALLEST_MAGNITUDE = 1e100, 1e-100
 # Entries of a covariance that mirror each other may differ by rounding of a printed file, not by more.
 SYMMETRY_TOLERANCE = 1e-6
 
@@ -25,6 +27,8 @@ def _number(value: object, what: str, *, infinite: bool = False) -> float:
     number = float(value)
     if math.isnan(number) or (math.isinf(number) and not infinite):
         raise InputError(f"{what} must be {'a number' if infinite else 'finite'}, not {number:g}")
+    if abs(number) > LARGEST_NUMBER and not infinite:
+        raise InputError(f"{what} must not exceed {LARGEST_NUMBER:g} in magnitude, not {number:g}; use another unit")
     return number
 
 
@@ -50,7 +54,7 @@ class Normal:
     def __post_init__(self) -> None:
         object.__setattr__(self, "mean", _number(self.mean, "the mean of a prior"))
         object.__setattr__(self, "std", _number(self.std, "the std of a prior"))
-        if self.std <= 0:
+        if not self.std >= SMALLEST_MAGNITUDE:
             raise InputError(
                 f"the std of a prior must be greater than 0, not {self.std:g}; hold a known parameter at its value"
             )
@@ -102,10 +106,12 @@ class Parameter:
             )
         if self.nominal is not None:
             object.__setattr__(self, "nominal", _number(self.nominal, "nominal"))
-            if self.nominal <= 0:
+            if not self.nominal >= SMALLEST_MAGNITUDE:
                 raise InputError(f"nominal must be greater than 0, not {self.nominal:g}; it is a magnitude")
-        elif self.start == 0:
-            raise InputError("start 0 has no magnitude; give nominal, the size that a sizeable value would have")
+        elif abs(self.start) < SMALLEST_MAGNITUDE:
+            raise InputError(
+                f"start {self.start:g} has no magnitude; give nominal, the size that a sizeable value would have"
+            )
         if self.prior is not None and not isinstance(self.prior, Normal):
             raise InputError(f"prior must be a Normal(mean, std), not {self.prior!r}")
         if self.prior is not None and not self.min <= self.prior.mean <= self.max:
@@ -151,19 +157,31 @@ class JointPrior:
             )
         if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
             raise InputError(f"the joint prior of {', '.join(self.names)} has a value that is not finite")
-        if not np.allclose(self.covariance, self.covariance.T, rtol=SYMMETRY_TOLERANCE, atol=0.0):
-            raise InputError(f"the covariance of the joint prior of {', '.join(self.names)} is not symmetric")
+        for name, variance in zip(self.names, np.diag(self.covariance), strict=True):
+            if variance <= 0:
+                raise InputError(
+                    f"the joint prior's variance of {name!r} must be greater than 0, not {variance:g}; "
+                    "hold a known parameter at its value"
+                )
+        unequal = ~np.isclose(self.covariance, self.covariance.T, rtol=SYMMETRY_TOLERANCE, atol=0.0)
+        if unequal.any():
+            i, j = np.argwhere(unequal)[0]
+            raise InputError(
+                f"the covariance of the joint prior of {', '.join(self.names)} is not symmetric: at row {self.names[i]} "
+                f"and column {self.names[j]} stands {self.covariance[i, j]:g}, at row {self.names[j]} and column "
+                f"{self.names[i]} {self.covariance[j, i]:g}"
+            )
         self.whitening()
 
     def whitening(self) -> Floats:
         """Return W (q, q) with WᵀW = M₀⁻¹, so that W(θ₀ − θ) are the prior's rows of the residual."""
-        std = np.sqrt(np.abs(np.diag(self.covariance)))
+        std = np.sqrt(np.diag(self.covariance))
         try:  # on the correlation matrix: variances of very different units must not decide what counts as positive
-            factor = np.linalg.cholesky(self.covariance / np.outer(std, std) if (std > 0).all() else self.covariance)
+            factor = np.linalg.cholesky(self.covariance / np.outer(std, std))
         except np.linalg.LinAlgError:
             raise InputError(
                 f"the covariance of the joint prior of {', '.join(self.names)} is not positive definite; "
-                "variances must be positive and correlations less than 1 in magnitude"
+                "its correlations contradict each other or are not less than 1 in magnitude"
             ) from None
         return np.asarray(np.linalg.solve(factor, np.diag(1.0 / std)), dtype=np.float64)
 

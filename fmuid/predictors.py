@@ -19,7 +19,7 @@ class Predictions(Protocol):
 
     @property
     def outputs(self) -> Floats:
-        """(m, K, n_outputs), NaN where failed."""
+        """(m, K, n_outputs), NaN where failed; the caller may change it."""
 
     @property
     def errors(self) -> Sequence[Exception | None]:

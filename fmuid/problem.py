@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmuid.errors import InputError
+from fmuid.losses import loss_of, robust_variance
 from fmuid.noise import Noise as Noise
 from fmuid.parameters import JointPrior, Parameter, ParameterSet
 from fmuid.predictors import FunctionPredictor, Measurements, Predictor, Table
+from fmuid.sensitivity import HUGE
 
 if TYPE_CHECKING:
     from fmuid.experiment import Experiment
@@ -38,6 +40,9 @@ class Problem:
         Largest step of the simulation, s.
     joint_prior : JointPrior, optional
         Beside the priors of single parameters.
+    loss : "linear", "soft_l1", "huber" or "cauchy"
+        How the criterion grows with a sample's residual in standard deviations of the noise: all but "linear", the
+        plain square, keep outliers from pulling (`fmuid.losses`). Priors always count by their squares.
 
     Attributes
     ----------
@@ -55,13 +60,18 @@ class Problem:
         The given noise variances, NaN where they are estimated.
     first_variance : (n_outputs,) array
         Where the estimation of the variances starts, NaN where the residual decides.
+    loss : Loss or None
+        None for the plain sum of squares.
+    models : mapping of str to mapping
+        ``name`` and ``digest`` of each FMU by its component; empty where there are none.
     simulations : int
         How many simulations of an experiment were made so far.
 
     Raises
     ------
     InputError
-        If there are no experiments, parameters, outputs or counted samples, or too few for the parameters.
+        If there are no experiments, parameters, outputs or counted samples, too few for the parameters, or if there is
+        no such loss.
     """
 
     def __init__(
@@ -74,6 +84,7 @@ class Problem:
         values: Mapping[str, float | int | bool | str] | None = None,
         step_size: float | None = None,
         joint_prior: JointPrior | None = None,
+        loss: str = "linear",
     ) -> None:
         # here, because problems made of functions need no FMU and none of what runs them
         from fmuid.experiment import Experiment
@@ -86,7 +97,10 @@ class Problem:
             Simulator(system, experiment, tuple(parameters), values=values or {}, step_size=step_size)
             for experiment in listed
         ]
-        self._assemble(predictors, listed, parameters, noise or Noise(), joint_prior)
+        self._assemble(predictors, listed, parameters, noise or Noise(), joint_prior, loss)
+        self.models: Mapping[str, Mapping[str, str]] = {
+            name: {"name": fmu.name, "digest": fmu.digest} for name, fmu in system.components.items()
+        }
 
     @classmethod
     def from_predictors(
@@ -97,13 +111,14 @@ class Problem:
         *,
         noise: Noise | None = None,
         joint_prior: JointPrior | None = None,
+        loss: str = "linear",
     ) -> Problem:
         """Make a problem of anything that simulates, one predictor an experiment.
 
         The thetas that a predictor takes hold its experiment's values of the parameters, in the order of `parameters`.
         """
         problem = cls.__new__(cls)
-        problem._assemble(predictors, experiments, parameters, noise or Noise(), joint_prior)
+        problem._assemble(predictors, experiments, parameters, noise or Noise(), joint_prior, loss)
         return problem
 
     @classmethod
@@ -117,6 +132,7 @@ class Problem:
         outputs: Sequence[str] = ("y",),
         noise: Noise | None = None,
         joint_prior: JointPrior | None = None,
+        loss: str = "linear",
     ) -> Problem:
         """Make a problem of a Python function instead of an FMU.
 
@@ -132,7 +148,7 @@ class Problem:
             For tables and figures; default 0, 1, 2, ...
         outputs : sequence of str
             Names of the outputs.
-        noise, joint_prior
+        noise, joint_prior, loss
             As for `Problem`.
         """
         values = np.array(measured, dtype=np.float64)
@@ -144,7 +160,7 @@ class Problem:
             raise InputError(f"times must have {len(values)} values, one a sample; its shape is {clock.shape}")
         table = Table("experiment", clock, tuple(outputs), values, ~np.isnan(values))
         predictor = FunctionPredictor(function, values.shape)
-        return cls.from_predictors([predictor], [table], parameters, noise=noise, joint_prior=joint_prior)
+        return cls.from_predictors([predictor], [table], parameters, noise=noise, joint_prior=joint_prior, loss=loss)
 
     def _assemble(
         self,
@@ -153,13 +169,15 @@ class Problem:
         parameters: Mapping[str, Parameter],
         noise: Noise,
         joint_prior: JointPrior | None,
+        loss: str,
     ) -> None:
         if not experiments:
             raise InputError("there are no experiments; give at least one table with measured outputs")
         self.parameters = ParameterSet(parameters, [e.name for e in experiments], joint_prior)
         self.experiments = tuple(experiments)
         self._predictors = tuple(predictors)
-        self.noise = noise
+        self.noise, self.loss = noise, loss_of(loss)
+        self.models = {}
         self.simulations = 0
         self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
         if not self.output_names:
@@ -184,6 +202,11 @@ class Problem:
                     f"output {name!r} has no sample that counts: all are missing or discarded; "
                     "shorten discard or leave the output out"
                 )
+            largest = float(np.max(np.abs(self.measured[self.groups == self.output_names.index(name)])))
+            if not largest < HUGE:
+                raise InputError(
+                    f"a sample of output {name!r} is {largest:g} in magnitude; leave it empty or change the unit"
+                )
         rows = self.measured.size + len(self.parameters.prior_whitening)
         if rows < len(self.parameters) or (np.isnan(self.variance).all() and rows == len(self.parameters)):
             raise InputError(
@@ -192,7 +215,10 @@ class Problem:
             )
 
     def predict(self, thetas: Floats) -> Floats:
-        """Simulate thetas (m, N) and return all counted samples (m, n), NaN rows where a simulation failed."""
+        """Simulate thetas (m, N) and return all counted samples (m, n), NaN rows where a simulation failed.
+
+        The array is the caller's to change.
+        """
         blocks = []
         for index, kept in enumerate(self._counted):
             flat = self._outputs(index, thetas).reshape(len(thetas), -1)
@@ -203,10 +229,25 @@ class Problem:
         stacked[np.isnan(stacked).any(axis=1)] = np.nan
         return stacked
 
-    def outputs(self, theta: ArrayLike) -> list[Floats]:
-        """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed."""
+    def outputs(self, theta: ArrayLike, predicted: Floats | None = None) -> list[Floats]:
+        """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed.
+
+        Parameters
+        ----------
+        theta : (N,) array
+        predicted : (n,) array, optional
+            Its counted samples, as `predict` gave them: experiments all of whose samples count are not simulated again.
+        """
         thetas = np.array(theta, dtype=np.float64)[None]
-        return [self._outputs(index, thetas)[0] for index in range(len(self.experiments))]
+        found, last = [], 0
+        for index, (experiment, kept) in enumerate(zip(self.experiments, self._counted, strict=True)):
+            first, last = last, last + kept.size
+            shape = experiment.output_values.shape
+            if predicted is not None and kept.size == experiment.output_values.size:
+                found.append(predicted[first:last].reshape(shape))
+            else:
+                found.append(self._outputs(index, thetas)[0])
+        return found
 
     def _outputs(self, index: int, thetas: Floats) -> Floats:
         _, columns = self.parameters.for_experiment(index)
@@ -240,3 +281,18 @@ class Problem:
         sums = np.bincount(self.groups, weights=residual**2, minlength=self.counts.size)
         free = self.counts - (0.0 if shares is None else shares)
         return np.asarray(sums / np.maximum(free, np.finfo(float).eps), dtype=np.float64)
+
+    def noise_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
+        """Return the noise variance of each output that a residual tells of, (n_outputs,).
+
+        That of `output_variances`; with a robust loss Huber's proposal 2, which outliers do not inflate either.
+
+        Parameters
+        ----------
+        residual, shares
+            As for `output_variances`.
+        """
+        if self.loss is None:
+            return self.output_variances(residual, shares)
+        free = self.counts - (0.0 if shares is None else shares)
+        return np.array([robust_variance(residual[self.groups == j], free[j]) for j in range(self.counts.size)])

@@ -1,4 +1,4 @@
-"""The search while it runs: a live table on a terminal, one line an iteration elsewhere."""
+"""What runs shows how far it is: live on a terminal; elsewhere a line an iteration, or a line a tenth of long work."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ import numpy as np
 from rich.console import Group
 from rich.live import Live
 from rich.markup import escape
+from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
 from fmuid.console import console
 
 if TYPE_CHECKING:
+    from fmuid.estimators.global_search import GlobalStep
     from fmuid.estimators.marquardt import Iteration
+    from fmuid.uncertainty import Step
 
 # More parameters than these would push the first lines off the terminal.
 LIVE_ROWS = 20
@@ -82,3 +85,54 @@ class Progress:
         if len(self._names) > LIVE_ROWS:
             table.add_row(f"  [dim]and {len(self._names) - LIVE_ROWS} more[/]")
         return table
+
+
+class Work:
+    """Shows how far long work is, and that it may be interrupted; used as a context.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The parameters.
+    """
+
+    # Off a terminal, a line each time so many of these parts of a task are done.
+    PARTS = 10
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
+        self._said: tuple[str, int] | None = None
+        self._live = Live(console=console(), refresh_per_second=8, transient=True) if sys.stdout.isatty() else None
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.__exit__(kind, error, traceback)
+
+    def __call__(self, step: Step) -> None:
+        """Show how far a task is."""
+        if self._live is not None:
+            bar = Table.grid(padding=(0, 2))
+            bar.add_row(step.task, ProgressBar(1.0, step.share, width=30), escape(step.text))
+            self._live.update(Group(bar, Text("Ctrl-C ends it and keeps what there is", style="dim")))
+            return
+        part = int(step.share * self.PARTS)
+        if self._said != (step.task, part):
+            self._said = (step.task, part)
+            print(f"{step.task:<10} {100 * step.share:3.0f} %  {step.text}", flush=True)
+
+    def searched(self, step: GlobalStep) -> None:
+        """Show how far a global search is."""
+        from fmuid.uncertainty import Step
+
+        values = "  ".join(
+            f"{name} {value:.5g}" for name, value in list(zip(self._names, step.theta, strict=True))[:LINE_VALUES]
+        )
+        text = f"{step.done} of {step.total}, {step.simulations} simulations, best: {values}"
+        self(Step(step.phase, text, step.done / step.total))

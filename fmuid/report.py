@@ -5,23 +5,34 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from fmuid.errors import InputError
+from fmuid.estimators.marquardt import Status
 from fmuid.parameters import ParameterSet
 from fmuid.result import Result
+from fmuid.uncertainty import LEVEL
 
 if TYPE_CHECKING:
+    from fmuid.criterion_map import CriterionMap
+    from fmuid.estimators.global_search import GlobalResult
     from fmuid.experiment import Experiment
+    from fmuid.reading import Reading
+    from fmuid.residuals import Diagnostics
     from fmuid.system import System
+    from fmuid.uncertainty import Uncertainty
+
+# Tables that not every run writes: those of an earlier run would be taken for this one's.
+_SOMETIMES = ("reading.csv", "optima.csv", "profiles.csv", "posterior.csv", "map-*.csv")
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +135,9 @@ def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFram
     return together[["experiment", *together.columns.drop("experiment")]]
 
 
-def estimates_frame(result: Result, units: Sequence[str | None]) -> pd.DataFrame:
-    """Return ``estimates.csv``: the result's estimates with units and the limits of their 95 % intervals."""
-    intervals = result.intervals()
+def estimates_frame(result: Result, units: Sequence[str | None], level: float = LEVEL) -> pd.DataFrame:
+    """Return ``estimates.csv``: the result's estimates with units and the limits of their intervals."""
+    intervals = result.intervals(level)
     frame = result.estimates
     frame.insert(3, "lower", intervals["lower"].to_numpy())
     frame.insert(4, "upper", intervals["upper"].to_numpy())
@@ -170,29 +181,137 @@ def write_table(path: Path, frame: pd.DataFrame) -> Path:
     return path
 
 
-def write_result(folder: Path, result: Result, units: Sequence[str | None], experiments: Sequence[str]) -> list[Path]:
-    """Write ``result.json`` and the tables of a result, and return their paths.
+def at_minimum(result: Result, search: GlobalResult | None) -> bool:
+    """Return whether a search has ended where more can be asked of the criterion, sure or not."""
+    unfinished = tuple(status.value for status in Status if not status.converged)
+    interrupted = search is not None and search.interrupted
+    return not interrupted and not result.status.startswith(unfinished)
 
-    Parameters
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """All that a run has found so far.
+
+    Attributes
     ----------
-    folder
-        Made where needed; files of an earlier run are replaced.
-    result
-        What to write.
-    units
+    result : Result
+    units : tuple of str or None
         Of the parameters.
-    experiments
-        Names of the experiments.
+    fits : tuple of Fit
+        One an experiment.
+    diagnostics : Diagnostics
+        Of the residuals.
+    reading : Reading
+        What prior and data say, and whether they agree.
+    level : float
+        Of intervals.
+    search : GlobalResult or None
+        Where the whole box was searched.
+    uncertainty : Uncertainty or None
+        Where more than the local covariance was asked for.
     """
-    path = folder / "result.json"
-    with replacing(path) as draft:
-        draft.write_text(json.dumps(result.to_json_dict(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    return [
-        path,
-        write_table(folder / "estimates.csv", estimates_frame(result, units)),
-        write_table(folder / "trace.csv", result.trace),
-        write_table(folder / "fit.csv", stacked(experiments, result.fit)),
-    ]
+
+    result: Result
+    units: tuple[str | None, ...]
+    fits: tuple[Fit, ...]
+    diagnostics: Diagnostics
+    reading: Reading
+    level: float = LEVEL
+    search: GlobalResult | None = None
+    uncertainty: Uncertainty | None = None
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether all that was asked for is there and can be trusted."""
+        return self.result.converged and (self.uncertainty is None or self.uncertainty.succeeded)
+
+    @property
+    def has_prior(self) -> bool:
+        """Whether any parameter has a prior."""
+        return bool(np.isfinite(self.result.prior_mean).any())
+
+    @property
+    def estimates(self) -> pd.DataFrame:
+        """The content of ``estimates.csv``."""
+        return estimates_frame(self.result, self.units, self.level)
+
+    @property
+    def unit_of(self) -> dict[str, str | None]:
+        """The unit of each parameter."""
+        return dict(zip(self.result.names, self.units, strict=True))
+
+    @property
+    def output_units(self) -> dict[str, str | None]:
+        """The unit of each output."""
+        return {output: unit for fit in self.fits for output, unit in zip(fit.outputs, fit.units, strict=True)}
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return the content of ``result.json``."""
+        content = self.result.to_json_dict()
+        content |= {"diagnostics": self.diagnostics.to_json_dict(), "consistency": self.reading.to_json_dict()}
+        if self.search is not None:
+            content["optima"] = [
+                {
+                    "criterion": optimum.criterion if math.isfinite(optimum.criterion) else None,
+                    "hits": optimum.hits,
+                    "converged": optimum.converged,
+                    "status": optimum.status,
+                    "parameters": dict(zip(self.search.names, optimum.theta.tolist(), strict=True)),
+                }
+                for optimum in self.search.optima
+            ]
+        return content | (self.uncertainty.to_json_dict() if self.uncertainty is not None else {})
+
+    def maps(self) -> dict[str, CriterionMap]:
+        """Return the maps of the criterion by the names of their files."""
+        if self.uncertainty is None:
+            return {}
+        found = {f"map-{file_name('-'.join(chart.names))}": chart for chart in self.uncertainty.maps}
+        return found | {f"map-{file_name('-'.join(chart.names))}-box": chart for chart in self.uncertainty.box_maps}
+
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """Return the CSV tables by their names."""
+        result = self.result
+        found = {
+            "estimates": self.estimates,
+            "trace": result.trace,
+            "rounds": result.rounds,
+            "fit": stacked([fit.experiment for fit in self.fits], result.fit),
+            "diagnostics": self.diagnostics.table,
+        }
+        if self.has_prior:
+            found["reading"] = self.reading.table
+        if self.search is not None:
+            found["optima"] = self.search.table
+        if self.uncertainty is not None:
+            found |= {name: chart.table for name, chart in self.maps().items()}
+            found |= {"profiles": self.uncertainty.profile_table} if self.uncertainty.profiles else {}
+            posterior = self.uncertainty.posterior
+            found |= {"posterior": posterior.table} if posterior is not None else {}
+        return found
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write ``result.json`` and the tables, and return their paths.
+
+        Parameters
+        ----------
+        folder
+            Made where needed; files of an earlier run are replaced.
+        """
+        path = folder / "result.json"
+        with replacing(path) as draft:
+            text = json.dumps(self.to_json_dict(), indent=2, ensure_ascii=False)
+            draft.write_text(text + "\n", encoding="utf-8")
+        written = [path, *(write_table(folder / f"{name}.csv", frame) for name, frame in self.tables().items())]
+        for old in (old for pattern in _SOMETIMES for old in folder.glob(pattern)):
+            if old not in written:
+                old.unlink()
+        return written
+
+
+def file_name(text: str) -> str:
+    """Return a name as it can be part of a file's."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", text)
 
 
 def rounded(value: float, std: float) -> str:
@@ -203,7 +322,8 @@ def rounded(value: float, std: float) -> str:
     if -3 < decimals < 10:
         return f"{value:.{max(0, decimals)}f}"
     size = max(abs(value), std)  # else too many zeros to read
-    return f"{value:.{max(1, math.floor(math.log10(size)) + decimals)}e}"
+    kept = round(value, decimals)
+    return f"{kept:.{max(1, math.floor(math.log10(size)) + decimals)}e}" if kept else "0"
 
 
 def with_std(value: float, std: float) -> str:

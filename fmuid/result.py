@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 from scipy import special
 
 from fmuid.errors import InputError
+from fmuid.history import History
+from fmuid.local_model import LocalModel
 from fmuid.parameters import JointPrior, Normal
 
 Floats = NDArray[np.float64]
@@ -57,15 +60,16 @@ class Result:
         Directions that the data alone leave undetermined, and the prior decides.
     at_bounds : tuple of str
         Parameters that the data would push beyond a bound.
-    trace : DataFrame
-        One row an iteration: round, iteration, criterion, lambda, accepted, and each parameter.
-    rounds : DataFrame
-        One row a repetition of method.md §7: round, iterations, criterion, and for each output the variance used
-        (``used.<output>``) and the one estimated from the residual (``estimated.<output>``).
-    fit : tuple of DataFrame
-        One an experiment: time, and ``measured.<output>`` and ``simulated.<output>`` for each output.
     version : str
         Of fmuid.
+    models : mapping of str to mapping
+        ``name`` and ``digest`` of each FMU by its component; a single one is the component ``""``. Empty for problems
+        that are not made of FMUs.
+    local : LocalModel or None
+        The problem made linear at the estimate, which `fmuid.reading` and `fmuid.residuals` start from; with the given
+        noise variances where there are any, else with the estimated ones. None where it was not kept in a file.
+    history : History or None
+        What `trace`, `rounds` and `fit` are made of. None where it was not kept in a file; they are empty then.
     """
 
     status: str
@@ -87,10 +91,29 @@ class Result:
     weak: tuple[str, ...]
     prior_determined: tuple[str, ...]
     at_bounds: tuple[str, ...]
-    trace: pd.DataFrame
-    rounds: pd.DataFrame
-    fit: tuple[pd.DataFrame, ...]
     version: str
+    models: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    local: LocalModel | None = None
+    history: History | None = None
+
+    @cached_property
+    def trace(self) -> pd.DataFrame:
+        """One row an iteration: round, iteration, criterion, lambda, accepted, and each parameter."""
+        return pd.DataFrame() if self.history is None else self.history.trace_frame()
+
+    @cached_property
+    def rounds(self) -> pd.DataFrame:
+        """One row a repetition of method.md §7.
+
+        Columns round, iterations, criterion, and for each output the variance used (``used.<output>``) and the one
+        estimated from the residual (``estimated.<output>``).
+        """
+        return pd.DataFrame() if self.history is None else self.history.rounds_frame()
+
+    @cached_property
+    def fit(self) -> tuple[pd.DataFrame, ...]:
+        """One table an experiment: time, and ``measured.<output>`` and ``simulated.<output>`` for each output."""
+        return () if self.history is None else self.history.fit_frames()
 
     def __getitem__(self, name: str) -> float:
         """Return the estimate of one parameter."""
@@ -105,6 +128,11 @@ class Result:
     def pull(self) -> Floats:
         """How far each estimate lies from its prior mean, in prior standard deviations (N,); NaN without prior."""
         return (self.values - self.prior_mean) / self.prior_std
+
+    @property
+    def variance(self) -> dict[str, float]:
+        """The noise variances that weigh the outputs: the given ones and, where there is none, the estimated ones."""
+        return {**self.noise_variance, **self.given_variance}
 
     @property
     def correlation(self) -> pd.DataFrame:
@@ -229,11 +257,12 @@ class Result:
             "prior_determined": list(self.prior_determined),
             "at_bounds": list(self.at_bounds),
             "version": self.version,
+            "models": {component: dict(model) for component, model in self.models.items()},
         }
 
     @classmethod
     def from_json(cls, path: str | Path) -> Result:
-        """Read a ``result.json``; trace, rounds and fit, which are not in it, are empty.
+        """Read a ``result.json``; trace, rounds, fit and local, which are not in it, are empty or None.
 
         Raises
         ------
@@ -289,10 +318,10 @@ class Result:
             weak=tuple(data.get("weak", ())),
             prior_determined=tuple(data.get("prior_determined", ())),
             at_bounds=tuple(data.get("at_bounds", ())),
-            trace=pd.DataFrame(),
-            rounds=pd.DataFrame(),
-            fit=(),
             version=str(data["version"]),
+            models={
+                str(c): {key: str(m[key]) for key in ("name", "digest")} for c, m in data.get("models", {}).items()
+            },
         )
 
     def _index(self, name: str) -> int:

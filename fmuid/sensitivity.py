@@ -20,6 +20,7 @@ optimization", SIAM J. Sci. Stat. Comput. 4 (2), 1983 (the balance of the errors
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -134,9 +135,10 @@ def noise_level(
         The simulation at theta, NaN if it failed (the level is then meaningless).
     level : NoiseLevel
     """
-    direction = np.where(upper - theta >= theta - lower, 1.0, -1.0)
-    room = np.where(direction > 0, upper - theta, theta - lower)
+    above, below = upper - theta, theta - lower
+    direction, room = np.where(above >= below, 1.0, -1.0), np.maximum(above, below)
     steps = np.minimum(NOISE_SPACING * magnitudes, room / (NOISE_POINTS - 1))
+    shares = (groups[:, None] == np.arange(count)) / np.maximum(np.bincount(groups, minlength=count), 1)
     base = np.empty(0)
     level = np.full(count, np.inf)
     simulated = 0
@@ -146,12 +148,12 @@ def noise_level(
         simulated += len(table)
         table = np.vstack([base, table]) if base.size else table
         base = table[0].copy()
-        if not (np.abs(base) < HUGE).all():
+        if not usable(base):
             base[:] = np.nan
             break
-        rounding = ROUNDING * np.sqrt(_group_means(base**2, groups, count))
-        if (np.abs(table) < HUGE).all():
-            deviations = _difference_table(table, groups, count)
+        rounding = ROUNDING * np.sqrt(base**2 @ shares)
+        if usable(table).all():
+            deviations = _difference_table(table, shares)
             level = np.maximum(np.minimum(level, deviations.min(axis=0)), rounding)
             falling = deviations[-1] < STILL_FALLING * deviations[-2]
             hidden = falling & (level > NEGLIGIBLE_NOISE / ROUNDING * rounding)
@@ -160,23 +162,25 @@ def noise_level(
         steps = steps * CLOSER
     else:
         # every table met a failing simulation: with nothing known, the rounding of single precision
-        level = np.where(np.isfinite(level), level, np.sqrt(ROUNDING) * np.sqrt(_group_means(base**2, groups, count)))
+        level = np.where(np.isfinite(level), level, np.sqrt(ROUNDING) * np.sqrt(base**2 @ shares))
     return base, NoiseLevel(level, simulated)
 
 
-def _difference_table(table: Floats, groups: NDArray[np.intp], count: int) -> Floats:
-    """Return the deviations sqrt(γ_k mean (Δᵏf)²) of every order k and output, (NOISE_POINTS − 1, count)."""
+def _difference_table(table: Floats, shares: Floats) -> Floats:
+    """Return the deviations sqrt(γ_k mean (Δᵏf)²) of every order k and output, (NOISE_POINTS − 1, count).
+
+    `shares` (n, count) takes the mean over each output's samples.
+    """
     deviations = []
+    table, squares = table.copy(), np.empty_like(table)  # in place: fresh memory costs more than the differences
     for order in range(1, len(table)):
-        table = np.diff(table, axis=0)
+        left = len(table) - order
+        for i in range(left):
+            np.subtract(table[i + 1], table[i], out=table[i])
+        np.square(table[:left], out=squares[:left])
         gamma = math.factorial(order) ** 2 / math.factorial(2 * order)
-        deviations.append(np.sqrt(gamma * _group_means(np.mean(table**2, axis=0), groups, count)))
+        deviations.append(np.sqrt(gamma * np.mean(squares[:left] @ shares, axis=0)))
     return np.array(deviations)
-
-
-def _group_means(values: Floats, groups: NDArray[np.intp], count: int) -> Floats:
-    sizes = np.bincount(groups, minlength=count)
-    return np.asarray(np.bincount(groups, weights=values, minlength=count) / np.maximum(sizes, 1), dtype=np.float64)
 
 
 class FiniteDifferences:
@@ -194,10 +198,12 @@ class FiniteDifferences:
     magnitudes : callable
         How large each parameter is at a theta.
     noise : (n,) array
-        Standard deviation of the function's noise.
+        Standard deviation of the weighted function's noise.
     size : float
-        Root mean square of the part of the function that depends on theta: without knowledge of the third
-        derivatives, the first central steps take |f‴| = size / magnitude³.
+        Root mean square of the weighted function: without knowledge of the third derivatives, the first central steps
+        take |f‴| = size / magnitude³.
+    weights : float or (n,) array
+        What the function is multiplied by.
 
     Attributes
     ----------
@@ -213,31 +219,37 @@ class FiniteDifferences:
         magnitudes: Callable[[Floats], Floats],
         noise: Floats,
         size: float,
+        weights: float | Floats = 1.0,
     ) -> None:
         self._predict, self._lower, self._upper, self._magnitudes = predict, lower, upper, magnitudes
-        self.noise, self._rms = noise, float(np.sqrt(np.mean(noise**2)))
-        self._norm = self._rms * math.sqrt(noise.size)
+        # a quarter of the distance of the bounds leaves room for two steps to one side wherever theta is
+        self._longest = self._upper / 4.0 - self._lower / 4.0
+        self._set_weights(weights, noise)
         first = (3.0 * self._rms / size) ** (1.0 / 3.0) if size > 0 else LARGEST_STEP
         self.central_steps = np.full(lower.shape, min(max(first, SMALLEST_STEP), LARGEST_STEP))
         self.forward_steps = self.central_steps.copy()
         self._forward_error = self._central_error = np.zeros(lower.size)
 
-    def with_noise(self, predict: Predict, noise: Floats) -> FiniteDifferences:
-        """Return the same for a function that is scaled otherwise, with the steps planned so far."""
-        other = FiniteDifferences(predict, self._lower, self._upper, self._magnitudes, noise, 0.0)
-        other.forward_steps, other.central_steps = self.forward_steps, self.central_steps
+    def _set_weights(self, weights: float | Floats, noise: Floats) -> None:
+        self._weights, self._noise = weights, noise
+        self._rms = float(np.sqrt(np.mean(noise**2)))
+
+    def weighted(self, weights: float | Floats, noise: Floats) -> FiniteDifferences:
+        """Return the same with other weights, and the steps planned so far."""
+        other = copy.copy(self)
+        other._set_weights(weights, noise)
         scale = other._rms / self._rms if self._rms > 0 else 1.0
         other._forward_error, other._central_error = scale * self._forward_error, scale * self._central_error
         return other
 
     def jacobian(self, theta: Floats, base: Floats, *, central: bool) -> Floats:
-        """Return the derivatives at theta, (N, n), one row a parameter.
+        """Return the derivatives of the weighted function at theta, (N, n), one row a parameter.
 
         Parameters
         ----------
         theta : (N,) array
         base : (n,) array
-            The function at theta.
+            The function at theta, not weighted.
         central : bool
             Two simulations a parameter instead of one; also plans the steps anew.
 
@@ -247,12 +259,13 @@ class FiniteDifferences:
             If every simulation near theta fails for some parameter.
         """
         if central:
-            return self._checked_central(theta, base)[0]
+            steps, (slopes, _) = self._checked_central(theta, base)
+            return np.asarray(slopes / steps[:, None], dtype=np.float64)
         steps = self._absolute(theta, self.forward_steps)
-        derivatives = np.empty((theta.size, base.size))
-        for i, (step,), (values,) in self._differences(theta, base, steps, FORWARD):
-            np.multiply(values, 1.0 / step, out=derivatives[i])
-        self._forward_error = 4.0 * self._norm * self._magnitudes(theta) / steps
+        distances, values = self._differences(theta, base, steps, FORWARD, np.arange(theta.size))
+        derivatives = values[:, 0]
+        derivatives /= distances
+        derivatives *= self._weights
         return derivatives
 
     def first_jacobian(self, theta: Floats, base: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -261,106 +274,120 @@ class FiniteDifferences:
         Parameters whose first difference does not stand out from the noise are tried again with the largest step
         before they count as without influence.
         """
-        first, change = self._checked_central(theta, base)
-        return first, change > INFLUENCE
+        steps, (slopes, bends) = self._checked_central(theta, base)
+        floor = INFLUENCE * np.maximum(self._noise, np.finfo(float).tiny)
+        acting = (np.abs(slopes) > floor).any(axis=1) | (np.abs(bends) > floor).any(axis=1)
+        return slopes / steps[:, None], acting
 
     def error(self, theta: Floats, *, central: bool) -> Floats:
         """Return the error of each row of a Jacobian at theta, its norm over the samples (N,).
 
-        That of the last Jacobian of its kind, relative to the magnitudes: the sums that the steps balance, with the
-        steps that were taken (at the best ones 4 ε/h and 1.5 ε/h).
+        The sums that the steps balance, with the derivatives of the last central Jacobian.
         """
         relative = self._central_error if central else self._forward_error
         return np.asarray(relative / self._magnitudes(theta), dtype=np.float64)
 
     def _checked_central(self, theta: Floats, base: Floats) -> tuple[Floats, Floats]:
-        """Return central derivatives, those with unfit steps made again, and the largest change over the noise (N,)."""
+        """Return steps (N,) and, weighted, slopes f′h and bends f″h² (2, N, n); those with unfit steps made again."""
         steps = self._absolute(theta, self.central_steps)
-        first, second, change = self._central(theta, base, steps)
-        slope, curvature = (np.sqrt(np.mean(d**2, axis=1)) for d in (first, second))
-        weak = slope * steps < RESOLVED * self._rms
-        curved = ~weak & (curvature * steps > TOO_CURVED * slope)
-        for which, better in ((weak, np.full(theta.size, LARGEST_STEP)), (curved, self._plan(theta, first, second)[1])):
+        found = self._central(theta, base, steps, np.arange(theta.size))
+        slope, bend = _rms(found)
+        weak = slope < RESOLVED * self._rms
+        curved = ~weak & (bend > TOO_CURVED * slope)
+        largest = np.full(theta.size, LARGEST_STEP)
+        for which, better in ((weak, largest), (curved, self._plan(theta, steps, slope, bend)[1])):
             other = self._absolute(theta, better)
             which &= (other > 2.0 * steps) | (other < 0.5 * steps)
             if which.any():
-                again = self._central(theta, base, other, np.flatnonzero(which))
-                for kept, found in zip((first, second, change), again, strict=True):
-                    kept[which] = found[which]
                 steps = np.where(which, other, steps)
-        self.forward_steps, self.central_steps = self._plan(theta, first, second)
-        best = self._absolute(theta, self.central_steps)
-        self._central_error = self._norm * self._magnitudes(theta) * (1.0 / steps + steps**2 / (2.0 * best**3))
-        return first, change
+                found[:, which] = self._central(theta, base, steps, np.flatnonzero(which))
+                slope, bend = _rms(found)
+        self._adopt(theta, steps, slope, bend)
+        return steps, found
 
     def _absolute(self, theta: Floats, relative: Floats) -> Floats:
-        # a quarter of the distance of the bounds leaves room for two steps to one side wherever theta is
-        return np.minimum(relative * self._magnitudes(theta), (self._upper - self._lower) / 4.0)
+        return np.minimum(relative * self._magnitudes(theta), self._longest)
 
-    def _central(
-        self, theta: Floats, base: Floats, steps: Floats, which: NDArray[np.intp] | None = None
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return first and second derivatives (N, n) and the largest change of any sample over its noise (N,)."""
-        first, second = np.zeros((2, theta.size, base.size))
-        change = np.zeros(theta.size)
-        floor = np.maximum(self.noise, np.finfo(float).tiny)
-        for i, (a, b), (at_a, at_b) in self._differences(theta, base, steps, CENTRAL, which):
-            change[i] = max(np.max(np.abs(at_a) / floor), np.max(np.abs(at_b) / floor))
-            slope_a, slope_b = at_a / a, at_b / b
-            # the parabola through three points, at distances 0, a and b
-            first[i] = (b * slope_a - a * slope_b) / (b - a)
-            second[i] = 2.0 * (slope_b - slope_a) / (b - a)
-        return first, second, change
+    def _central(self, theta: Floats, base: Floats, steps: Floats, which: NDArray[np.intp]) -> Floats:
+        """Return, weighted, slopes f′h and bends f″h² (2, k, n) of the parabolas through three points at 0, a and b."""
+        distances, values = self._differences(theta, base, steps, CENTRAL, which)
+        (a, b), h = distances.T, steps[which]
+        ratio, unit = b / a, h / a
+        factors = np.array([[ratio, -1.0 / ratio], [-2.0 * unit, 2.0 * unit / ratio]]) * (unit / (ratio - 1.0))
+        return np.asarray(np.einsum("spk,kpn->skn", factors, values) * self._weights, dtype=np.float64)
 
     def _differences(
-        self,
-        theta: Floats,
-        base: Floats,
-        steps: Floats,
-        patterns: Sequence[tuple[float, ...]],
-        which: NDArray[np.intp] | None = None,
-    ) -> list[tuple[int, Floats, Floats]]:
-        """Simulate each parameter's points; return (index, distances (p,), differences from base (p, n)) of each."""
-        found = []
-        waiting = [int(i) for i in (np.arange(theta.size) if which is None else which)]
-        tried = dict.fromkeys(waiting, -1)
-        while waiting:
-            points = []
-            for i in waiting:
-                tried[i], nodes = self._next_pattern(theta[i], i, steps[i], patterns, tried[i])
-                block = np.tile(theta, (len(nodes), 1))
-                block[:, i] = nodes
-                points.append(block)
-            results = self._predict(np.concatenate(points)).reshape(len(waiting), -1, base.size)
-            for i, block, values in zip(waiting, points, results, strict=True):
-                if (np.abs(values) < HUGE).all():
-                    # the distance as the simulator saw it, after rounding theta + h
-                    found.append((i, block[:, i] - theta[i], np.subtract(values, base, out=values)))
-            waiting = [i for i in waiting if not any(i == done for done, _, _ in found)]
-        return found
+        self, theta: Floats, base: Floats, steps: Floats, patterns: Sequence[tuple[float, ...]], which: NDArray[np.intp]
+    ) -> tuple[Floats, Floats]:
+        """Simulate points beside theta; return distances (k, p) and differences from base (k, p, n) of k parameters."""
+        points = len(patterns[0])
+        distances, values = np.empty((which.size, points)), np.empty((which.size, points, base.size))
+        tried = np.full(which.size, -1)
+        waiting = np.arange(which.size)
+        while waiting.size:
+            thetas = np.tile(theta, (waiting.size, points, 1))
+            for row, k in enumerate(waiting):
+                i = which[k]
+                tried[k], thetas[row, :, i] = self._next_pattern(
+                    float(theta[i]), i, float(steps[i]), patterns, tried[k]
+                )
+                distances[k] = thetas[row, :, i] - theta[i]  # as the simulator saw them, after rounding theta + h
+            found = self._predict(thetas.reshape(-1, theta.size)).reshape(waiting.size, points, base.size)
+            good = usable(found).all(axis=1)
+            if waiting.size == which.size:
+                values = found
+            else:
+                values[waiting] = found
+            waiting = waiting[~good]
+        values -= base
+        return distances, values
 
     def _next_pattern(
         self, value: float, i: int, step: float, patterns: Sequence[tuple[float, ...]], last: int
-    ) -> tuple[int, Floats]:
+    ) -> tuple[int, list[float]]:
+        """Return the next pattern after the last one tried whose points lie inside the bounds, and these points."""
+        lower, upper = float(self._lower[i]), float(self._upper[i])
         for k in range(last + 1, len(patterns)):
-            nodes = value + step * np.array(patterns[k])
-            if (nodes >= self._lower[i]).all() and (nodes <= self._upper[i]).all():
+            nodes = [value + step * distance for distance in patterns[k]]
+            if all(lower <= node <= upper for node in nodes):
                 return k, nodes
         raise SensitivityError(i)
 
-    def _plan(self, theta: Floats, first: Floats, second: Floats) -> tuple[Floats, Floats]:
+    def _plan(self, theta: Floats, steps: Floats, slope: Floats, bend: Floats) -> tuple[Floats, Floats]:
         """Return the forward and central steps that balance noise against curvature, relative to the magnitudes.
 
-        The third derivative is taken as |f″|²/|f′|, as if the derivatives went on in proportion; the central error
-        is flat around its best step. Curvature that is itself noise only lengthens the steps.
+        Where a step h gave f′h and f″h², the best ones are h (4 ε/f″h²)^(1/2) and h (3 ε/f‴h³)^(1/3). The third
+        derivative is taken as |f″|²/|f′|, as if the derivatives went on in proportion; the central error is flat around
+        its best step. Slope or curvature that is itself noise only lengthens the steps.
         """
-        magnitudes = self._magnitudes(theta)
-        slope = np.sqrt(np.mean(first**2, axis=1)) * magnitudes
-        curvature = np.sqrt(np.mean(second**2, axis=1)) * magnitudes**2
+        share = steps / self._magnitudes(theta)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            forward = 2.0 * np.sqrt(self._rms / curvature)
-            central = np.cbrt(3.0 * self._rms * slope / curvature**2)
+            forward = share * 2.0 * np.sqrt(self._rms / bend)
+            central = share * np.cbrt(3.0 * (self._rms / bend) * (np.maximum(slope, self._rms) / bend))
         # 0/0, without influence or noise, stands for any step
-        steps = (np.nan_to_num(steps, nan=LARGEST_STEP, posinf=LARGEST_STEP) for steps in (forward, central))
-        bounded = [np.clip(relative, SMALLEST_STEP, LARGEST_STEP) for relative in steps]
-        return bounded[0], bounded[1]
+        forward, central = (np.nan_to_num(relative, nan=LARGEST_STEP) for relative in (forward, central))
+        planned = np.clip([forward, central], SMALLEST_STEP, LARGEST_STEP)
+        return planned[0], planned[1]
+
+    def _adopt(self, theta: Floats, steps: Floats, slope: Floats, bend: Floats) -> None:
+        """Take the steps that a central Jacobian with these ones suggests, and what errors to expect (N,).
+
+        Norms over the samples, of derivatives by the parameters relative to their magnitudes.
+        """
+        self.forward_steps, self.central_steps = self._plan(theta, steps, slope, bend)
+        norm = math.sqrt(self._noise.size)
+        share = steps / self._magnitudes(theta)
+        curvature = bend / share**2
+        self._forward_error = norm * (2.0 * self._rms / self.forward_steps + 0.5 * curvature * self.forward_steps)
+        # the third derivative is the one for which the planned step would be the best
+        self._central_error = norm * self._rms * (1.0 / share + share**2 / (2.0 * self.central_steps**3))
+
+
+def usable(values: Floats) -> NDArray[np.bool_]:
+    """Return whether all values (..., n) are finite, and small enough that their squares are (...)."""
+    return np.asarray((values.max(axis=-1) < HUGE) & (values.min(axis=-1) > -HUGE))
+
+
+def _rms(values: Floats) -> Floats:
+    """Return root mean squares over the last axis."""
+    return np.asarray(np.sqrt(np.einsum("...n,...n->...", values, values) / values.shape[-1]), dtype=np.float64)

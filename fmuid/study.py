@@ -1,6 +1,7 @@
-"""A study: model, experiments, parameters, noise and estimator, read from a TOML file.
+"""A study: model, experiments, parameters, priors, noise, estimator, and what is asked of the result, from a TOML file.
 
-`MODEL_KEYS` and its neighbours list the words of the file; `fmuid.study_file` checks that there are no others.
+`fmuid.study_settings` and `fmuid.study_parameters` have the words of the file; `fmuid.study_file` checks that there are
+no others.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
 
 from fmuid import study_file as toml
 from fmuid.errors import InputError
@@ -18,60 +19,32 @@ from fmuid.estimators.marquardt import Iteration, Marquardt
 from fmuid.experiment import Experiment
 from fmuid.identification import identify
 from fmuid.noise import Noise
-from fmuid.parameters import Normal, Parameter
+from fmuid.parameters import JointPrior, Parameter
 from fmuid.problem import Problem
 from fmuid.report import Fit, fit_of
 from fmuid.result import Result
 from fmuid.simulator import Simulator
 from fmuid.study_file import Section
+from fmuid.study_parameters import Source, read_parameters
+from fmuid.study_settings import (
+    ExperimentSettings,
+    ModelSettings,
+    read_estimator,
+    read_experiments,
+    read_loss,
+    read_model,
+    read_noise,
+    read_uncertainty,
+)
 from fmuid.system import System
+from fmuid.uncertainty import Step, Uncertainty, UncertaintySettings, explore
 
 if TYPE_CHECKING:
     import pandas as pd
 
-STUDY_KEYS = ("title", "model", "experiments", "parameters", "noise", "estimator")
-MODEL_KEYS = ("fmu", "interface", "step_size", "values", "components", "connections")
-EXPERIMENT_KEYS = ("table", "name", "time", "inputs", "outputs", "interpolation", "discard", "units")
-PARAMETER_KEYS = ("start", "min", "max", "nominal", "prior", "per_experiment")
-PRIOR_KEYS = ("mean", "std")
-NOISE_KEYS = ("variance", "start")
-ESTIMATOR_KEYS = ("method", "sensitivity", "max_iterations", "tolerance", "first_radius")
+    from fmuid.estimators.global_search import GlobalResult, GlobalSearch, GlobalStep
 
-
-@dataclass(frozen=True)
-class ModelSettings:
-    """The table ``[model]``.
-
-    Attributes
-    ----------
-    components : mapping of str to Path
-        The FMU files; a single FMU is the component ``""``.
-    connections : tuple of (str, str)
-        (output, input), both as ``component.variable``.
-    step_size : float or None
-        The largest internal step (one FMU) or the communication step (several), s.
-    values : mapping
-        The FMU variables held at a value.
-    """
-
-    components: Mapping[str, Path]
-    connections: tuple[tuple[str, str], ...] = ()
-    step_size: float | None = None
-    values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class ExperimentSettings:
-    """One entry of ``[[experiments]]``, with the words of `fmuid.Experiment`."""
-
-    table: Path
-    name: str
-    inputs: Mapping[str, str]
-    outputs: Mapping[str, str]
-    time: str = "time"
-    interpolation: str | Mapping[str, str] = "linear"
-    discard: float = 0.0
-    units: Mapping[str, str] = field(default_factory=dict)
+STUDY_KEYS = ("title", "model", "experiments", "parameters", "prior", "noise", "estimator", "uncertainty")
 
 
 @dataclass(frozen=True)
@@ -89,7 +62,15 @@ class Study:
     parameters : dict of str to Parameter
         The parameters to identify.
     noise : Noise
-    estimator : Marquardt
+    estimator : Marquardt or GlobalSearch
+    loss : str
+        How the criterion grows with a residual (`fmuid.losses`).
+    joint_prior : JointPrior or None
+        Beside the priors of single parameters.
+    sources : tuple of Source
+        The earlier results that priors are taken from.
+    uncertainty_settings : UncertaintySettings
+        What is asked beyond the local covariance.
     """
 
     path: Path
@@ -98,7 +79,11 @@ class Study:
     experiments: tuple[ExperimentSettings, ...]
     parameters: Mapping[str, Parameter]
     noise: Noise
-    estimator: Marquardt
+    estimator: Marquardt | GlobalSearch
+    loss: str = "linear"
+    joint_prior: JointPrior | None = None
+    sources: tuple[Source, ...] = ()
+    uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
 
     @classmethod
     def read(cls, path: str | Path, overrides: Sequence[str] = ()) -> Study:
@@ -114,7 +99,8 @@ class Study:
         Raises
         ------
         InputError
-            If the file or a file it names is missing, or a key is unknown, missing or of the wrong kind.
+            If the file or a file it names is missing, a key is unknown, missing or of the wrong kind, or a prior
+            does not fit the parameters.
         """
         path = Path(path)
         data = toml.read_toml(path)
@@ -122,14 +108,22 @@ class Study:
             toml.override(data, setting, str(path))
         file = f"{path} with --set" if overrides else str(path)
         top = Section(file, toml.TOP, data, STUDY_KEYS)
+        model, experiments = read_model(top, path.parent), read_experiments(top, path.parent)
+        known = read_parameters(top, path.parent, [given.name for given in experiments], model.values)
+        estimator, asked = read_estimator(top), read_uncertainty(top, known.names)
+        loss = read_loss(top, estimator, asked)
         return cls(
             path,
             top.get("title", toml.text, ""),
-            _read_model(top, path.parent),
-            _read_experiments(top, path.parent),
-            _read_parameters(top),
-            _read_noise(top),
-            _read_estimator(top),
+            model,
+            experiments,
+            known.parameters,
+            read_noise(top),
+            estimator,
+            loss,
+            known.joint_prior,
+            known.sources,
+            asked,
         )
 
     @cached_property
@@ -174,13 +168,15 @@ class Study:
         Raises
         ------
         InputError
-            If model, tables and parameters do not fit together, or there are no parameters.
+            If model, tables and parameters do not fit together, there are no parameters, or a prior is taken from a
+            result of another model.
         """
         if not self.parameters:
             raise InputError(
                 f"{self.path}: no parameters: name at least one to identify under [parameters], "
                 "such as R = { start = 4.0 }"
             )
+        self.notes  # noqa: B018  # a prior from another model is an error before anything is simulated
         model = self.model
         return Problem(
             self.system,
@@ -189,15 +185,46 @@ class Study:
             noise=self.noise,
             values=model.values,
             step_size=model.step_size,
+            joint_prior=self.joint_prior,
+            loss=self.loss,
         )
 
-    def identify(self, progress: Callable[[Iteration], None] | None = None) -> Result:
-        """Identify the parameters.
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of the results that priors are taken from, in words.
+
+        Raises
+        ------
+        InputError
+            If one of them is a result of another model.
+        """
+        return tuple(dict.fromkeys(note for source in self.sources for note in source.compare(self.system)))
+
+    @property
+    def marquardt(self) -> Marquardt:
+        """The settings of Marquardt's search, also where it comes after a global one."""
+        return self.estimator if isinstance(self.estimator, Marquardt) else self.estimator.marquardt
+
+    @property
+    def known_variance(self) -> dict[str, float]:
+        """The noise variance known of each output: the given one, or that of the results that priors are taken from."""
+        outputs = tuple(dict.fromkeys(name for given in self.experiments for name in given.outputs))
+        known = {
+            name: variance
+            for source in self.sources
+            for name, variance in source.result.noise_variance.items()
+            if name in outputs
+        }
+        given = self.noise.known(outputs)
+        return known | {name: float(value) for name, value in zip(outputs, given, strict=True) if not math.isnan(value)}
+
+    def identify(self, progress: Callable[[Iteration | GlobalStep], None] | None = None) -> Result:
+        """Identify the parameters, by the method that the study names.
 
         Parameters
         ----------
         progress : callable, optional
-            Called with every iteration of the search.
+            Called with every iteration of the search, or with every `GlobalStep` of a global one.
 
         Raises
         ------
@@ -206,7 +233,43 @@ class Study:
         SimulationError
             If the simulation at the start fails.
         """
-        return identify(self.problem(), self.estimator, progress)
+        if isinstance(self.estimator, Marquardt):
+            return identify(self.problem(), self.estimator, progress)
+        return self.search_globally(progress).result
+
+    def search_globally(self, progress: Callable[[GlobalStep], None] | None = None) -> GlobalResult:
+        """Search the whole box and list the optima found; with the default settings where the study has others.
+
+        Raises
+        ------
+        InputError
+            As `problem`, if a parameter has neither bounds nor a prior, or all simulations fail.
+        """
+        from fmuid.estimators.global_search import GlobalSearch, search_globally
+
+        settings = self.estimator
+        if isinstance(settings, Marquardt):
+            settings = GlobalSearch(marquardt=settings)
+        return search_globally(self.problem(), settings, progress)
+
+    def uncertainty(self, result: Result, progress: Callable[[Step], None] | None = None) -> Uncertainty:
+        """Do what ``[uncertainty]`` asks for around a result of this study: maps, profiles, posterior.
+
+        Parameters
+        ----------
+        result : Result
+        progress : callable, optional
+            Called with a `Step` for every map, point of a profile and step of the sampler.
+
+        Raises
+        ------
+        InputError
+            If the result is of another study.
+        SimulationError
+            If the simulation fails at the result.
+        """
+        box = not isinstance(self.estimator, Marquardt)
+        return explore(self.problem(), result, self.uncertainty_settings, progress, box=box)
 
     def simulators(self) -> tuple[Simulator, ...]:
         """Return the simulator of each experiment, as a function of the study's parameters in their order."""
@@ -241,134 +304,3 @@ class Study:
         """
         starts = [parameter.start for parameter in self.parameters.values()]
         return tuple(fit_of(self.system, each.experiment, each(starts)) for each in self.simulators())
-
-
-# --- reading the tables of the file -----------------------------------------------------
-
-
-def _read_model(top: Section, folder: Path) -> ModelSettings:
-    section = top.table("model", MODEL_KEYS)
-    section.get("interface", toml.one_of("co-simulation", later=("model-exchange",)), "co-simulation")
-    if "fmu" in section.data:
-        if "components" in section.data or "connections" in section.data:
-            raise section.error("has both 'fmu' (one FMU) and components or connections (several): keep one of the two")
-        components = {"": _file(section, "fmu", "the path of the FMU", folder)}
-    elif "components" in section.data:
-        components = _read_components(section, folder)
-    else:
-        raise section.error("needs the key 'fmu', the path of the FMU, or [[model.components]] where there are several")
-    return ModelSettings(
-        components,
-        tuple(
-            (entry.need("from", toml.text, "an output"), entry.need("to", toml.text, "the input that it feeds"))
-            for entry in section.tables("connections", ("from", "to"))
-        ),
-        section.get("step_size", toml.positive, None),
-        section.get("values", toml.named(toml.scalar), {}),
-    )
-
-
-def _read_components(section: Section, folder: Path) -> dict[str, Path]:
-    components: dict[str, Path] = {}
-    for entry in section.tables("components", ("name", "fmu")):
-        name = entry.need("name", toml.text, "what its variables are prefixed with")
-        if name in components:
-            raise entry.error(f"has the name {name!r} of an earlier component: give each its own")
-        components[name] = _file(entry, "fmu", "the path of the FMU", folder)
-    if not components:
-        raise section.error("has no components: name them with [[model.components]]")
-    return components
-
-
-def _read_experiments(top: Section, folder: Path) -> tuple[ExperimentSettings, ...]:
-    found: list[ExperimentSettings] = []
-    for entry in top.tables("experiments", EXPERIMENT_KEYS):
-        table = _file(entry, "table", "the file of measurements", folder)
-        name = entry.get("name", toml.text, table.stem)
-        if name in (earlier.name for earlier in found):
-            raise entry.error(f'is called {name!r} like an earlier one: give it a name of its own, name = "..."')
-        found.append(
-            ExperimentSettings(
-                table,
-                name,
-                entry.get("inputs", toml.columns, {}),
-                entry.need("outputs", toml.columns, "the measured outputs, a list of names"),
-                entry.get("time", toml.text, "time"),
-                entry.get("interpolation", _interpolation, _interpolation("linear")),
-                entry.get("discard", toml.not_negative, 0.0),
-                entry.get("units", toml.named(toml.text), {}),
-            )
-        )
-        if not found[-1].outputs:
-            raise entry.error('has no outputs: name those that are measured, outputs = ["..."]')
-    if not found:
-        raise top.error("has no experiments: name at least one table with [[experiments]]")
-    return tuple(found)
-
-
-def _interpolation(value: object) -> str | Mapping[str, str]:
-    kind = toml.one_of("linear", "hold")
-    return toml.named(kind)(value) if isinstance(value, dict) else kind(value)
-
-
-def _read_parameters(top: Section) -> dict[str, Parameter]:
-    names = list(top.table("parameters", top.data.get("parameters", {})).data)
-    section = top.table("parameters", names)
-    return {name: _read_parameter(section.table(name, PARAMETER_KEYS)) for name in names}
-
-
-def _read_parameter(section: Section) -> Parameter:
-    prior = None
-    if "prior" in section.data:
-        table = section.table("prior", PRIOR_KEYS)
-        prior = Normal(
-            table.need("mean", toml.number, "its mean"), table.need("std", toml.positive, "its standard deviation")
-        )
-    words: dict[str, Any] = {
-        "start": section.need("start", toml.number, "where the search begins"),
-        "min": section.get("min", toml.number, -math.inf),
-        "max": section.get("max", toml.number, math.inf),
-        "nominal": section.get("nominal", toml.positive, None),
-        "per_experiment": section.get("per_experiment", toml.flag, False),
-    }
-    try:
-        return Parameter(**words, prior=prior)
-    except InputError as error:  # a Parameter does not know what it is called
-        raise InputError(f"{section.file}: {section.where}: {error}") from None
-
-
-def _read_noise(top: Section) -> Noise:
-    section = top.table("noise", NOISE_KEYS)
-    return Noise(section.get("variance", _variance, "estimate"), section.get("start", _variances, None))
-
-
-def _variances(value: object) -> float | Mapping[str, float]:
-    return toml.named(toml.positive)(value) if isinstance(value, dict) else toml.positive(value)
-
-
-def _variance(value: object) -> Literal["estimate"] | float | Mapping[str, float]:
-    if value == "estimate":
-        return "estimate"
-    if isinstance(value, str):
-        raise toml.MismatchError('"estimate", a number above 0 or a table { output = number }')
-    return _variances(value)
-
-
-def _read_estimator(top: Section) -> Marquardt:
-    section = top.table("estimator", ESTIMATOR_KEYS)
-    section.get("method", toml.one_of("marquardt", later=("global", "linear")), "marquardt")
-    section.get("sensitivity", toml.one_of("finite-difference", later=("forward", "fmu")), "finite-difference")
-    default = Marquardt()
-    return Marquardt(
-        section.get("max_iterations", toml.count, default.max_iterations),
-        section.get("tolerance", toml.positive, default.tolerance),
-        section.get("first_radius", toml.positive, default.first_radius),
-    )
-
-
-def _file(section: Section, key: str, meaning: str, folder: Path) -> Path:
-    """Return the path of a file that must be there."""
-    path = folder / section.need(key, toml.text, meaning)
-    if not path.is_file():
-        raise section.error(f"{key} = {toml.show(section.data[key])}: there is no file {path.resolve()}")
-    return path

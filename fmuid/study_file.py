@@ -27,7 +27,8 @@ _NAME_TABLES = re.compile(
 )
 # Tables that `--set` may begin where the file has none.
 _OPTIONAL_TABLES = re.compile(
-    r"model|model\.values|parameters|noise|estimator|experiments\.\d+\.units|parameters\..+\.prior"
+    r"model|model\.values|parameters|prior|noise|estimator|uncertainty|experiments\.\d+\.units|parameters\..+\.prior"
+    r"|uncertainty\.posterior"
 )
 _SEGMENT = re.compile(r"""\s*(?:"([^"]*)"|'([^']*)'|([^."'\s]+))\s*(?:\.|$)""")
 
@@ -293,6 +294,51 @@ def count(value: object) -> int:
     if isinstance(value, int) and not isinstance(value, bool) and value > 0:
         return value
     raise MismatchError("a whole number above 0")
+
+
+def natural(value: object) -> int:
+    """Check for a whole number, zero or above."""
+    if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
+        return value
+    raise MismatchError("a whole number, 0 or above")
+
+
+def share(value: object) -> float:
+    """Check for a number between zero and one, neither of them."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < 1:
+        return float(value)
+    raise MismatchError("a number between 0 and 1")
+
+
+def numbers(value: object) -> list[float]:
+    """Check for a list of finite numbers."""
+    if isinstance(value, list):
+        try:
+            found = [number(item) for item in value]
+        except MismatchError:
+            found = [math.inf]
+        if all(map(math.isfinite, found)):
+            return found
+    raise MismatchError("a list of numbers")
+
+
+def matrix(value: object) -> list[list[float]]:
+    """Check for a list of rows of finite numbers, all of the same length."""
+    if isinstance(value, list) and value:
+        try:
+            rows = [numbers(row) for row in value]
+        except MismatchError:
+            rows = []
+        if len({len(row) for row in rows}) == 1:
+            return rows
+    raise MismatchError("a list of rows of numbers, [[4.0, 0.1], [0.1, 2.0]]")
+
+
+def names(value: object) -> list[str]:
+    """Check for a list of names, each of them once."""
+    if isinstance(value, list) and value and all(isinstance(item, str) and item for item in value):
+        return list(columns(value))
+    raise MismatchError('a list of names, ["Rs", "Rr"]')
 
 
 def scalar(value: object) -> float | int | bool | str:

@@ -22,6 +22,31 @@ if TYPE_CHECKING:
 TIME_COLUMNS = ("time", "Time", "t", "TIME", "T")
 
 
+# What does not depend on FMU and table; the words that few studies need are commented out.
+_REST = """
+# [prior]  # what is known of several parameters together, here from an earlier result
+# result = "healthy/result.json"
+# inflate = 10  # factor on its standard deviations, for changes to be expected
+# names = ["a", "b"]  # default: all parameters that it shares with this study; or names, mean and covariance
+
+[noise]
+variance = "estimate"  # or a number, or one for each output: { output = number }
+# start = 0.01  # where the estimation of the variance starts; default: from the residual
+
+[estimator]
+method = "marquardt"  # or "global": search all of the bounds first
+# starts = 50  # with method = "global": a search from each of so many starts; without it, an evolution
+# loss = "soft_l1"  # or "huber", "cauchy": outliers in the table pull less than with "linear"
+sensitivity = "finite-difference"
+
+# [uncertainty]  # more than the standard deviations, which are local
+# level = 0.95
+# profile = true  # profile likelihood of all parameters, or of some: ["a", "b"]
+# posterior = true  # samples of the posterior; or { steps = 20000, walkers = 32, seed = 0 }
+# map = [["a", "b"]]  # the criterion over two parameters
+""".strip().splitlines()
+
+
 @dataclass(frozen=True)
 class Draft:
     """A study file to begin with, and what could not be matched.
@@ -93,12 +118,7 @@ def draft(fmu: Path, table: Path, output: Path) -> Draft:
         "",
         *_parameters(description),
         "",
-        "[noise]",
-        'variance = "estimate"  # or a number, or one for each output: { output = number }',
-        "",
-        "[estimator]",
-        'method = "marquardt"',
-        'sensitivity = "finite-difference"',
+        *_REST,
     ]
     return Draft("\n".join(lines) + "\n", inputs, outputs, missing_inputs, missing_outputs, unused)
 
@@ -154,7 +174,8 @@ def _parameters(description: Description) -> list[str]:
     settable = [v for v in description.variables.values() if v.type == "Real" and v.settable and v.causality != "input"]
     lines = [
         "# Start, min, max and unit are the FMU's. Further keys: nominal = 1.0 (size, needed where the start is 0),",
-        "# prior = { mean = 1.0, std = 0.1 }, per_experiment = true (one value for each experiment).",
+        '# prior = { mean = 1.0, std = 0.1 } or { result = "healthy/result.json", inflate = 10 },',
+        "# per_experiment = true (one value for each experiment).",
         "[parameters]",
     ]
     lines += [_parameter(variable) for variable in settable if variable.causality == "parameter"]

@@ -11,7 +11,10 @@ from functools import cache
 from pathlib import Path
 
 import fmpy
+import pandas as pd
 import pytest
+
+from experiments.induction_machine import make_table
 
 HERE = Path(__file__).parent
 FMUS = HERE.parent / "fmus"
@@ -50,6 +53,12 @@ def _probe_library(folder: Path, defines: tuple[str, ...]) -> bytes:
     command += ["-Wno-unused-parameter"] + [f"-D{define}" for define in defines] + [str(HERE / "probe" / "probe.c")]
     subprocess.run(command, check=True, capture_output=True)
     return library.read_bytes()
+
+
+@pytest.fixture(scope="session")
+def clean() -> pd.DataFrame:
+    """The induction machine's record without noise, integrated once for all tests."""
+    return make_table.simulate()
 
 
 ProbeMaker = Callable[..., Path]

@@ -219,7 +219,7 @@ def test_fixed_parameter_set(folder: Path, capsys: pytest.CaptureFixture[str], v
         ('inputs = ["u"]', 'inputs = ["u"]\ndiscard = 5.0', ("discard", "run.csv")),
         ('inputs = ["u"]', 'inputs = ["u"]\ninterpolation = { i = "hold" }', ("interpolation", "'i'")),
         ('inputs = ["u"]', 'inputs = ["w"]', ("'w'", "run.csv")),
-        ('"marquardt"', '"global"', ("[estimator]", "global")),
+        ('"marquardt"', '"linear"', ("[estimator]", "linear")),
         ("fmu =", "fmu ==", ("study.toml", "line 3")),
     ],
 )  # fmt: skip

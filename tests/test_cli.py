@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -114,7 +115,9 @@ def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_identify_writes_tables_and_figures(folder: Path) -> None:
     assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out") == DONE
     out = folder / "deep/out"
-    assert {path.name for path in out.iterdir()} == {"result.json", "estimates.csv", "trace.csv", "fit.csv", "figures"}
+    assert {path.name for path in out.iterdir()} == {
+        "result.json", "estimates.csv", "trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "figures"
+    }  # fmt: skip
     figures = {path.name for path in (out / "figures").iterdir()}
     assert figures == {"parameters.png", "criterion.png", "fit.png", "residuals.png"}
     found = result(out)
@@ -171,13 +174,13 @@ def test_identify_with_prior(folder: Path, capsys: pytest.CaptureFixture[str]) -
 def test_api_gives_what_the_command_writes(folder: Path) -> None:
     assert fmuid_("identify", folder / "study.toml") == DONE
     study = fmuid.Study.read(folder / "study.toml")
-    seen: list[int] = []
-    found = study.identify(lambda iteration: seen.append(iteration.number))
+    seen: list[Any] = []
+    found = study.identify(seen.append)
     written = result(folder / "results")
     assert {name: found[name] for name in found.names} == {
         name: values["value"] for name, values in written["parameters"].items()
     }
-    assert seen[-1] == found.iterations
+    assert seen[-1].number == found.iterations
 
 
 def test_not_converged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -268,6 +271,173 @@ def test_a_failed_write_leaves_the_earlier_result(folder: Path, monkeypatch: pyt
     assert fmuid_("identify", folder / "study.toml", "--set", "parameters.R.start=5") == WRONG_INPUT
     assert (folder / "results/result.json").read_bytes() == before
     assert not list((folder / "results").glob(".*"))
+
+
+# --- priors, global search, uncertainty -------------------------------------------------
+
+
+def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The second machine is another one: its estimate lies between the first one's and what its own data say."""
+    study = folder / "study.toml"
+    assert fmuid_("identify", study, "--output", folder / "healthy") == DONE
+    healthy = result(folder / "healthy")
+    assert healthy["models"][""]["name"] == "Coil"
+    capsys.readouterr()
+    study.write_text(STUDY.replace("first", "second") + '[prior]\nresult = "healthy/result.json"\ninflate = 2\n')
+    assert fmuid_("identify", study, "--set", "model.values.i_start=0.2") == DONE
+    found = result(folder / "results")
+    for name in ("R", "L"):
+        prior, estimate = healthy["parameters"][name], found["parameters"][name]
+        assert estimate["prior_mean"] == prior["value"]
+        assert estimate["prior_std"] == pytest.approx(2 * prior["std"])
+        assert estimate["pull"] == pytest.approx((estimate["value"] - prior["value"]) / (2 * prior["std"]))
+    reading = pd.read_csv(folder / "results/reading.csv")
+    inside = (reading["combined"] - reading["prior"]) * (reading["data"] - reading["combined"])
+    assert reading["parameter"].tolist() == ["R", "L"]
+    assert (inside >= -1e-12).any()
+    assert (reading["combined_std"] < reading["data_std"]).all()
+    assert "consistency" in found
+    out, error = capsys.readouterr()
+    assert error == ""
+    heads = next(line for line in out.splitlines() if "data alone" in line)
+    columns = ["parameter", "prior", "data alone", "both", "pull", "moved by prior", "unit"]
+    assert re.split(r"\s{2,}", heads.strip()) == columns
+
+
+def test_what_takes_long_says_what_it_does(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "QUICK", 0.0)
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    assert capsys.readouterr().err == ""
+    prior = "parameters.R.prior={mean = 4.0, std = 0.1}"
+    assert fmuid_("identify", folder / "study.toml", "--set", prior) == DONE
+    assert "searching the optimum of the data alone" in capsys.readouterr().err
+
+
+def test_prior_from_the_result_of_another_model(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = folder / "study.toml"
+    assert fmuid_("identify", study, "--output", folder / "healthy") == DONE
+    content = result(folder / "healthy")
+    content["models"][""]["name"] = "Spool"
+    (folder / "healthy/result.json").write_text(json.dumps(content))
+    capsys.readouterr()
+    study.write_text(STUDY + '[prior]\nresult = "healthy/result.json"\n')
+    assert fmuid_("identify", study) == WRONG_INPUT
+    assert "is a result of another model, Spool, and this study has Coil" in capsys.readouterr().err
+    content["models"][""] = {"name": "Coil", "digest": "of an earlier build"}
+    (folder / "healthy/result.json").write_text(json.dumps(content))
+    assert fmuid_("identify", study) == DONE
+    assert "was made with another build of Coil" in capsys.readouterr().err
+
+
+BOUNDED = STUDY.replace("min = 0.0", "min = 0.5, max = 50.0").replace("min = 1e-3", "min = 1e-3, max = 1.0")
+
+
+def test_global_search(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = folder / "study.toml"
+    study.write_text(BOUNDED + '[estimator]\nmethod = "global"\nstarts = 6\nseed = 3\n')
+    assert fmuid_("identify", study) == DONE
+    found = result(folder / "results")
+    best = found["optima"][0]
+    assert sum(optimum["hits"] for optimum in found["optima"]) == 6
+    assert best["parameters"]["R"] == pytest.approx(R, rel=0.05)
+    assert found["parameters"]["R"]["value"] == best["parameters"]["R"]
+    table = pd.read_csv(folder / "results/optima.csv")
+    assert list(table.columns) == ["criterion", "hits", "converged", "R", "L"]
+    assert len(table) == len(found["optima"])
+    out = capsys.readouterr().out
+    assert "Optima found by 6 searches" in out
+    assert "fits" in out
+    api = Study.read(study)
+    assert api.identify()["R"] == found["parameters"]["R"]["value"]
+    assert len(api.search_globally().optima) == len(table)
+
+    capsys.readouterr()
+    assert fmuid_("identify", study, "--resume") == DONE
+    again = result(folder / "results")
+    assert again["parameters"]["R"]["start"] == found["parameters"]["R"]["value"]
+    assert "optima" not in again
+    assert not (folder / "results/optima.csv").exists()
+
+
+def test_global_search_needs_bounds(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("identify", folder / "study.toml", "--set", "estimator.method=global") == WRONG_INPUT
+    assert "parameter 'R' has no max" in capsys.readouterr().err
+
+
+ASKED = """
+[uncertainty]
+level = 0.9
+profile = true
+posterior = { steps = 400, seed = 5 }
+map = [["R", "L"]]
+"""
+
+
+def test_uncertainty(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "study.toml").write_text(STUDY + ASKED)
+    code = fmuid_("identify", folder / "study.toml")
+    out, results = capsys.readouterr().out, folder / "results"
+    found = result(results)
+    assert code == (DONE if found["posterior"]["converged"] else NOT_SUCCEEDED)
+    assert {"profiles.csv", "posterior.csv", "map-R-L.csv"} <= {path.name for path in results.iterdir()}
+    figures = {path.name for path in (results / "figures").iterdir()}
+    assert {"parameters.png", "profiles.png", "posterior.png", "map-R-L.png"} <= figures
+    estimates = pd.read_csv(results / "estimates.csv").set_index("parameter")
+    for name in ("R", "L"):
+        assert found["profiles"][name]["lower"] == pytest.approx(estimates["lower"][name], rel=0.01)
+        assert found["posterior"]["parameters"][name]["upper"] == pytest.approx(estimates["upper"][name], rel=0.01)
+    samples = pd.read_csv(results / "posterior.csv")
+    assert samples["R"].mean() == pytest.approx(found["posterior"]["parameters"]["R"]["mean"])
+    assert len(pd.read_csv(results / "map-R-L.csv")) == 41**2
+    assert {"profile", "posterior", "map"} <= {line.split()[0] for line in out.splitlines() if line.strip()}
+    assert "Intervals at 90 %" in out
+    assert "90 % interval" in out
+
+    # the next run without them leaves none behind
+    assert fmuid_("identify", folder / "study.toml", "--set", "uncertainty={}") == DONE
+    left = {path.name for path in results.iterdir()} | {path.name for path in (results / "figures").iterdir()}
+    assert not left & {"profiles.csv", "posterior.csv", "map-R-L.csv", "profiles.png", "posterior.png", "map-R-L.png"}
+
+
+def test_uncertainty_interrupted(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was found before is written, and so is what there is of the rest."""
+
+    def interrupt(_: progress.Work, step: Any) -> None:
+        if step.task == "posterior":
+            assert "profiles" not in result(folder / "results")  # the result was written before the long work
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(progress.Work, "__call__", interrupt)
+    (folder / "study.toml").write_text(STUDY + ASKED)
+    assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
+    found = result(folder / "results")
+    assert found["converged"] is True
+    assert list(found["profiles"]) == ["R", "L"]
+    assert (folder / "results/figures/profiles.png").is_file()
+    assert "Interrupted: this is what there is" in capsys.readouterr().out
+
+
+def test_uncertainty_needs_a_minimum(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "study.toml").write_text(STUDY + ASKED)
+    assert fmuid_("identify", folder / "study.toml", "--set", "estimator.max_iterations=1") == NOT_SUCCEEDED
+    assert "[uncertainty] is left out" in capsys.readouterr().err
+    assert "profiles" not in result(folder / "results")
+
+
+def test_loss(folder: Path) -> None:
+    """Gross outliers pull the plain sum of squares away, and hardly a robust one."""
+    table = pd.read_csv(folder / "first.csv")
+    table.loc[::20, "i"] += 1.0
+    table.to_csv(folder / "first.csv", index=False)
+    away = {}
+    for loss in ("linear", "cauchy"):
+        fmuid_("identify", folder / "study.toml", "--set", f"estimator.loss={loss}")
+        away[loss] = abs(result(folder / "results")["parameters"]["R"]["value"] - R)
+    assert away["cauchy"] < 0.1 * away["linear"]
 
 
 # --- simulate ----------------------------------------------------------------------------
@@ -391,6 +561,19 @@ def test_every_line_of_a_draft_is_valid(folder: Path) -> None:
     read = Study.read(study)
     assert list(read.parameters)[:4] == ["Rs", "Rr", "Lm", "Lf"]
     assert read.experiments[0].table.resolve() == (folder / "run.csv").resolve()
+
+
+def test_every_word_that_init_comments_on_is_one(folder: Path) -> None:
+    """With all its comments uncommented, what `fmuid init` writes is a study still."""
+    assert fmuid_("identify", folder / "study.toml", "--output", folder / "healthy") == DONE
+    draft = study_init.draft(COIL, folder / "first.csv", folder / "study.toml").text.replace('"a", "b"', '"R", "L"')
+    draft = draft.replace('"marquardt"', '"global"').replace('"soft_l1"', '"linear"')
+    words = re.compile(r"^# (?=\[?(?!prior |per_experiment )[a-zA-Z_]+\]?( = |  #))")
+    (folder / "study.toml").write_text("\n".join(words.sub("", line) for line in draft.splitlines()))
+    read = Study.read(folder / "study.toml")
+    assert read.joint_prior is not None
+    assert read.noise.start == 0.01
+    assert read.uncertainty_settings.maps == (("R", "L"),)
 
 
 def test_export(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -202,6 +202,34 @@ def test_outputs_that_jump(digits: int) -> None:
     assert problem.simulations < 120
 
 
+def test_central_differences_only_where_forward_ones_are_too_coarse() -> None:
+    """Of smooth outputs forward differences give the optimum to any digit that counts; of rounded ones they do not."""
+    y = measured()
+    _, smooth, _ = run(decay, y, STARTS)
+    _, rounded, _ = run(lambda theta: np.round(decay(theta), 4), y, STARTS)
+    assert smooth[1].central  # the first Jacobian plans the steps
+    assert not smooth[-1].central
+    assert not rounded[-3].central
+    assert rounded[-1].central
+
+
+def test_parameters_that_run_away_end_the_search() -> None:
+    """a and b as they grow together: exp(−a t/b) cares for their quotient, and less and less for a/(1 + a)."""
+
+    def ratio(theta: Floats) -> Floats:
+        a, b = theta
+        return np.asarray(a / (1.0 + a) * np.exp(-a / b * TIMES))
+
+    y = 1.01 * np.exp(-1.2 * TIMES) + 0.01 * np.random.default_rng(3).standard_normal(TIMES.size)
+    state, trace, _ = run(ratio, y, [Parameter(1.0), Parameter(1.0)])
+    assert state.status is Status.RUNAWAY
+    assert not state.status.converged
+    assert "give a prior, bounds" in state.status.value
+    assert state.theta[0] / state.theta[1] == pytest.approx(1.2, rel=2e-2)
+    assert state.theta.max() < 1e6
+    assert len(trace) < 40
+
+
 def test_the_iteration_limit() -> None:
     state, trace, _ = run(decay, measured(), STARTS, Marquardt(max_iterations=2))
     assert state.status is Status.ITERATION_LIMIT

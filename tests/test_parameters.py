@@ -89,8 +89,8 @@ def test_prior_rows_are_the_compound_criterion() -> None:
     [
         (["R", "L"], [1.0, 1.0], [[1.0, 0.5], [0.4, 1.0]], "not symmetric"),
         (["R", "L"], [1.0, 1.0], [[1.0, 2.0], [2.0, 1.0]], "not positive definite"),
-        (["R", "L"], [1.0, 1.0], [[0.0, 0.0], [0.0, 1.0]], "not positive definite"),
-        (["R", "L"], [1.0, 1.0], [[-1.0, 0.0], [0.0, 1.0]], "not positive definite"),
+        (["R", "L"], [1.0, 1.0], [[0.0, 0.0], [0.0, 1.0]], "variance of 'R' must be greater than 0, not 0"),
+        (["R", "L"], [1.0, 1.0], [[-1.0, 0.0], [0.0, 1.0]], "variance of 'R' must be greater than 0, not -1"),
         (["R", "L"], [1.0], [[1.0, 0.0], [0.0, 1.0]], "needs 2 means"),
         (["R", "R"], [1.0, 1.0], [[1.0, 0.0], [0.0, 1.0]], "twice"),
         (["R", "L"], [1.0, math.nan], [[1.0, 0.0], [0.0, 1.0]], "not finite"),

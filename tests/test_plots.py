@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-import pytest
 from matplotlib.figure import Figure
 
-from fmuid import plots
+from fmuid import figures_fit, figures_search, figures_uncertainty, plots
+from fmuid.profile import Profile
 from fmuid.report import Fit
 
 Array = npt.NDArray[np.float64]
@@ -58,7 +57,7 @@ def texts(figure: Figure) -> set[str]:
 def test_parameters() -> None:
     trace, estimates = search()
     estimates.loc[0, ["prior_mean", "prior_std"]] = [4.2, 0.05]
-    figure = plots.parameters(trace, estimates)
+    figure = figures_search.parameters(trace, estimates)
     assert {"R", "L", "4.00 ± 0.10 Ohm", "Ohm", "iteration"} <= texts(figure)
     path = figure.axes[0].get_lines()[-2].get_xydata()
     np.testing.assert_array_equal(path, [[0, 5], [1, 4.5], [3, 4.1], [4, 4]])
@@ -71,19 +70,19 @@ def test_parameters_undetermined_and_still() -> None:
     trace, estimates = search(("R",))
     trace["R"] = 0.0
     estimates.loc[0, ["value", "std"]] = [0.0, np.inf]
-    low, high = plots.parameters(trace, estimates).axes[0].get_ylim()
+    low, high = figures_search.parameters(trace, estimates).axes[0].get_ylim()
     assert low < 0 < high
     assert np.isfinite([low, high]).all()
 
 
 def test_parameters_are_capped() -> None:
     trace, estimates = search(tuple(f"p{k}" for k in range(40)))
-    assert len(plots.parameters(trace, estimates).axes) == plots.MAX_PARAMETERS
+    assert len(figures_search.parameters(trace, estimates).axes) == plots.MAX_PARAMETERS
 
 
 def test_criterion() -> None:
     trace, _ = search()
-    above, below = plots.criterion(trace).axes
+    above, below = figures_search.criterion(trace).axes
     accepted, rejected, renewed, second = above.get_lines()
     np.testing.assert_array_equal(accepted.get_xydata(), [[0, 900], [1, 500], [3, 110]])
     np.testing.assert_array_equal(rejected.get_xydata(), [[2, 700]])
@@ -95,8 +94,57 @@ def test_criterion() -> None:
     assert (above.get_ylabel(), below.get_ylabel(), below.get_xlabel()) == ("criterion", "λ", "iteration")
 
 
+def test_rounds() -> None:
+    """Against the repetition stand the variance that the search began with, and what each round's residual gave."""
+    found = pd.DataFrame(
+        {
+            "round": [1, 2, 3],
+            "iterations": [5, 7, 8],
+            "criterion": [900.0, 1000.0, 1000.0],
+            "used.ids": [1e-3, 0.05, 0.0461],
+            "used.iqs": [0.046, 0.0462, 0.0463],
+            "estimated.ids": [0.05, 0.0461, 0.0462],
+            "estimated.iqs": [0.0462, 0.0463, 0.0464],
+        }
+    )
+    figure = figures_search.rounds(found, {"ids": "A", "iqs": None})
+    wide, narrow = figure.axes
+    np.testing.assert_array_equal(wide.get_lines()[1].get_xydata(), [[0, 1e-3], [1, 0.05], [2, 0.0461], [3, 0.0462]])
+    assert (wide.get_yscale(), narrow.get_yscale()) == ("log", "linear")
+    assert {"ids", "iqs", "0.0462", "0.0464", "variance (A²)", "variance", "round of the search"} <= texts(figure)
+
+
+def test_optima() -> None:
+    """Optima stand at their values, the best apart, those that did not converge as crosses."""
+    table = pd.DataFrame(
+        {
+            "criterion": [10.0, 40.0, 90.0],
+            "hits": [8, 2, 1],
+            "converged": [True, True, False],
+            "R": [4.0, 2.0, 1.0],
+            "L": [0.1, 0.2, 0.3],
+        }
+    )
+    figure = figures_search.optima(table, {"R": "Ohm"})
+    assert {"R (Ohm)", "L", "criterion"} <= texts(figure)
+    left, _ = figure.axes
+    sure, best = left.collections
+    np.testing.assert_array_equal(sure.get_offsets(), [[4.0, 10.0], [2.0, 40.0]])
+    np.testing.assert_array_equal(best.get_offsets(), [[4.0, 10.0]])
+    (crosses,) = left.get_lines()
+    np.testing.assert_array_equal(crosses.get_xydata(), [[1.0, 90.0]])
+    assert {text.get_text() for text in figure.legends[0].get_texts()} == {"optimum", "best", "not converged"}
+
+
+def test_profile_of_which_only_the_estimate_is_known() -> None:
+    table = pd.DataFrame({"R": [4.0], "criterion": [10.0]})
+    profile = Profile("R", 4.0, 0.1, 0.95, -np.inf, np.inf, 10.0, 3.84, (), table)
+    (axes,) = figures_uncertainty.profiles([profile], {"R": "Ohm"}).axes
+    assert axes.get_title("right") == "−∞ to ∞ Ohm"
+
+
 def test_fit() -> None:
-    figure = plots.fit(record())
+    figure = figures_fit.fit(record())
     assert len(figure.axes) == 2 * 2 * 2
     assert {"y0 (A)", "y1 (A)", "time (s)", "residual\n(A)", "zoom"} <= texts(figure)
     misfit = record().misfit
@@ -106,26 +154,26 @@ def test_fit() -> None:
 def test_fits_of_several_experiments() -> None:
     """The worst are drawn, in the order of the study, under names that are file names."""
     records = [record(name=f"run {k}/a", noise=0.01 * (k + 1)) for k in range(plots.MAX_EXPERIMENTS + 2)]
-    names = list(plots.fits(records, residuals=True))
-    assert names[:2] == ["fit-run_2_a", "residuals-run_2_a"]
-    assert len(names) == 2 * plots.MAX_EXPERIMENTS
+    names = list(figures_fit.fits(records))
+    assert names[0] == "fit-run_2_a"
+    assert len(names) == plots.MAX_EXPERIMENTS
 
 
 def test_outputs_are_capped_to_the_worst() -> None:
     many = record(outputs=plots.MAX_OUTPUTS + 1)
     many.simulated[:, 0] = many.measured[:, 0]
     many.simulated[np.isnan(many.simulated)] = 0.0
-    assert "y0 (A)" not in texts(plots.fit(many))
-    assert "y1 (A)" in texts(plots.fit(many))
+    assert "y0 (A)" not in texts(figures_fit.fit(many))
+    assert "y1 (A)" in texts(figures_fit.fit(many))
 
 
 def test_zoom_finds_the_step() -> None:
     times = np.arange(2000.0)
     simulated = np.where(times > 1200, 1 - np.exp(-(times - 1200) / 20), 0.0)[:, None]
-    start, stop = plots.zoom(simulated, np.ones(2000, bool))
+    start, stop = figures_fit.zoom(simulated, np.ones(2000, bool))
     assert start <= 1201 < stop
-    assert stop - start == plots.ZOOM_SAMPLES
-    assert plots.zoom(simulated[:50], np.ones(50, bool)) == (0, 50)
+    assert stop - start == figures_fit.ZOOM_SAMPLES
+    assert figures_fit.zoom(simulated[:50], np.ones(50, bool)) == (0, 50)
 
 
 def test_zoom_ignores_what_does_not_count() -> None:
@@ -134,7 +182,7 @@ def test_zoom_ignores_what_does_not_count() -> None:
     simulated[1500] = 1.0
     counted = np.ones(2000, bool)
     counted[:100] = False
-    start, stop = plots.zoom(simulated, counted)
+    start, stop = figures_fit.zoom(simulated, counted)
     assert start <= 1500 < stop
 
 
@@ -155,35 +203,19 @@ def test_thin_keeps_extremes_gaps_and_ends() -> None:
     assert len(short[0]) == 10
 
 
-def test_autocorrelation_of_a_first_order_process() -> None:
-    """An AR(1) process has autocorrelation a^lag; a white series stays in its band 95 % of the time."""
-    rng = np.random.default_rng(7)
-    white = rng.normal(size=20_000)
-    coloured = np.zeros_like(white)
-    for k in range(1, white.size):
-        coloured[k] = 0.8 * coloured[k - 1] + white[k]
-    lags, values, band = plots.autocorrelation(coloured)
-    np.testing.assert_allclose(values[:6], 0.8 ** lags[:6], atol=0.04)
-    _, values, band = plots.autocorrelation(white)
-    assert band == pytest.approx(1.96 / np.sqrt(white.size))
-    assert (np.abs(values[1:]) < band).mean() > 0.85
-    gappy = coloured.copy()
-    gappy[::7] = np.nan
-    assert np.isfinite(plots.autocorrelation(gappy)[1]).all()
-
-
 def test_save_replaces_the_figures_of_an_earlier_run(tmp_path: Path) -> None:
-    (tmp_path / "fit-old.png").write_text("old")
+    for kind in plots.KINDS:
+        (tmp_path / f"{kind}-old.png").write_text("old")
     (tmp_path / "mine.png").write_text("the user's")
-    figures: dict[str, Any] = plots.fits([record()], residuals=True)
-    paths = plots.save(figures, tmp_path)
-    assert [path.name for path in paths] == ["fit.png", "residuals.png"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["fit.png", "mine.png", "residuals.png"]
+    plots.clear(tmp_path)
+    paths = plots.save(figures_fit.fits([record()]), tmp_path)
+    assert [path.name for path in paths] == ["fit.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fit.png", "mine.png"]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
 
 
 def test_the_least_that_an_experiment_can_have(tmp_path: Path) -> None:
-    """Two samples and a constant residual are drawn without warnings."""
+    """Two samples are drawn without warnings."""
     values = np.ones((2, 1))
     fit = Fit("tiny", np.array([0.0, 1.0]), ("y",), (None,), values, 0 * values, np.ones((2, 1), bool))
-    assert len(plots.save(plots.fits([fit], residuals=True), tmp_path)) == 2
+    assert len(plots.save(figures_fit.fits([fit]), tmp_path)) == 1

@@ -86,6 +86,18 @@ def test_given_variances_are_used_as_they_are() -> None:
     np.testing.assert_allclose(width, 2.0 * 1.959964 * given.std, rtol=1e-6)
 
 
+def test_the_variances_that_weigh() -> None:
+    """A given variance goes before the estimated one; the local model is whitened by both and not written to a file."""
+    result = identify(two_output_problem(noise=Noise({"u": 900.0})))
+    assert result.variance == {"u": 900.0, "i": result.noise_variance["i"]}
+    assert result.local is not None
+    whitened = (result.fit[0]["measured.u"] - result.fit[0]["simulated.u"]) / 30.0
+    np.testing.assert_allclose(result.local.residual[::2], whitened, rtol=1e-9, atol=1e-12)
+    stacked = np.linalg.inv(result.local.jacobian.T @ result.local.jacobian)
+    np.testing.assert_allclose(stacked, result.covariance, rtol=1e-5)
+    assert result.local.prior_residual.size == 0
+
+
 def test_the_barycentre_of_prior_and_data() -> None:
     """On a linear model θ_C = [M₀⁻¹ + P⁻¹]⁻¹ (M₀⁻¹ θ₀ + P⁻¹ θ_opt), section 7, with its covariance."""
     rng = np.random.default_rng(8)
@@ -304,6 +316,7 @@ def test_result_json_keeps_the_contract(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(back, name), getattr(result, name))
     pd.testing.assert_frame_equal(back.intervals(), result.intervals())
     assert back.to_json_dict() == data
+    assert back.local is None
 
 
 def test_undetermined_results_come_back(tmp_path: Path) -> None:

@@ -128,6 +128,24 @@ def test_jacobians_of_outputs_that_jump(digits: int, forward: float, central: fl
     assert error(blind, exact) > 0.9
 
 
+@pytest.mark.parametrize("std", [1e-4, 1e-8])
+@pytest.mark.parametrize("central", [True, False])
+def test_the_errors_of_jacobians_are_foreseen(std: float, central: bool) -> None:
+    """The bound that the steps balance lies above what happens, by no more than a power of ten."""
+    rng = np.random.default_rng(8)
+
+    def noisy(thetas: Floats) -> Floats:
+        return decay(thetas) + std * rng.standard_normal((len(thetas), TIMES.size))
+
+    finite, base = differences(noisy)
+    finite.first_jacobian(THETA, base)
+    found = finite.jacobian(THETA, base, central=central)
+    happened = np.linalg.norm(found - decay_jacobian(THETA), axis=1)
+    foreseen = finite.error(THETA, central=central)
+    assert (happened < foreseen).all()
+    assert (happened > 0.1 * foreseen).all()
+
+
 @pytest.mark.parametrize(
     ("method", "rtol", "allowed"), [("RK45", 1e-4, 0.1), ("BDF", 1e-4, 0.05), ("LSODA", 1e-6, 5e-3)]
 )

@@ -9,9 +9,14 @@ from typing import Any
 import pytest
 
 from fmuid.errors import InputError
+from fmuid.estimators.global_search import GlobalSearch
+from fmuid.estimators.marquardt import Marquardt
+from fmuid.noise import Noise
 from fmuid.parameters import Normal, Parameter
+from fmuid.posterior import Sampling
 from fmuid.study import Study
 from fmuid.study_file import override, show
+from fmuid.uncertainty import UncertaintySettings
 
 FULL = """
 title = "Coil"
@@ -89,6 +94,46 @@ def test_every_key(folder: Path) -> None:
     }
 
 
+def test_estimators(folder: Path) -> None:
+    def estimator(words: str) -> Marquardt | GlobalSearch:
+        return Study.read(write(folder, FULL.replace('method = "marquardt"', words))).estimator
+
+    assert estimator("max_iterations = 7") == Marquardt(max_iterations=7)
+    assert estimator('method = "global"') == GlobalSearch("evolution")
+    assert estimator("starts = 20\nseed = 4") == GlobalSearch("multistart", 20, 4)
+    assert estimator('search = "multistart"') == GlobalSearch("multistart")
+    assert estimator('search = "evolution"\nstarts = 20\ntolerance = 1e-4') == GlobalSearch(
+        "evolution", 20, marquardt=Marquardt(tolerance=1e-4)
+    )
+    study = Study.read(write(folder, FULL.replace('"marquardt"', '"marquardt"\nloss = "cauchy"')))
+    assert (study.loss, study.marquardt) == ("cauchy", Marquardt())
+
+
+def test_noise(folder: Path) -> None:
+    text = FULL.replace('variance = "estimate"', "variance = { i = 0.04 }\nstart = { i = 1.0 }")
+    assert Study.read(write(folder, text)).noise == Noise({"i": 0.04}, {"i": 1.0})
+    text = FULL.replace('variance = "estimate"', "start = 2")
+    assert Study.read(write(folder, text)).noise == Noise("estimate", 2.0)
+
+
+def test_uncertainty_words(folder: Path) -> None:
+    def asked(words: str) -> UncertaintySettings:
+        return Study.read(write(folder, FULL + f"[uncertainty]\n{words}")).uncertainty_settings
+
+    assert not Study.read(write(folder)).uncertainty_settings.any
+    assert not asked("profile = false\nposterior = false\nmap = []").any
+    assert asked("profile = true").profile == ("R", "dR[run1]", "dR[second]", "drive.M")
+    assert asked('profile = ["dR[run1]", "R", "R"]').profile == ("dR[run1]", "R")
+    assert asked('level = 0.9\nmap = [["R", "drive.M"], ["R", "dR[run1]"]]') == UncertaintySettings(
+        0.9, maps=(("R", "drive.M"), ("R", "dR[run1]"))
+    )
+    assert asked('map = ["R", "drive.M"]').maps == (("R", "drive.M"),)
+    assert asked("posterior = true").posterior == Sampling()
+    assert asked("posterior = { walkers = 32, steps = 2000, burn = 0.5, seed = 3 }").posterior == Sampling(
+        32, 2000, burn=0.5, seed=3
+    )
+
+
 def test_components(folder: Path) -> None:
     text = """
 [model]
@@ -125,7 +170,6 @@ REFUSED = {
     "key of a parameter": ("start = 4.0", "strat = 4.0", "[parameters.R] has no key 'strat' (did you mean 'start'?)"),
     "key of a quoted parameter": ("start = 95.0", "begin = 95.0", "[parameters.\"drive.M\"] has no key 'begin'"),
     "key of a prior": ("std = 0.2", "sdt = 0.2", "[parameters.R.prior] has no key 'sdt' (did you mean 'std'?)"),
-    "prior not built": ("mean = 4.1, std = 0.2", 'result = "r.json"', "[parameters.R.prior] has no key 'result'"),
     "no start": ("start = 95.0", "min = 95.0", "[parameters.\"drive.M\"] needs the key 'start'"),
     "no table": ('table = "run2.csv"', "", "[experiments][1] needs the key 'table'"),
     "no outputs": ('outputs = ["i"]', "outputs = []", "[experiments][1] has no outputs"),
@@ -163,8 +207,87 @@ REFUSED = {
         '"model-exchange"',
         'must be "co-simulation" in this version, not "model-exchange"',
     ),
-    "method later": ('"marquardt"', '"global"', '[estimator] method must be "marquardt" in this version, not "global"'),
-    "method": ('"marquardt"', '"markwart"', "[estimator] method must be \"marquardt\" (did you mean 'marquardt'?)"),
+    "method later": (
+        '"marquardt"',
+        '"linear"',
+        '[estimator] method must be "marquardt" or "global" in this version, not "linear"',
+    ),
+    "method": (
+        '"marquardt"',
+        '"markwart"',
+        '[estimator] method must be "marquardt" or "global" (did you mean \'marquardt\'?)',
+    ),
+    "words of a global search": (
+        '"marquardt"',
+        '"marquardt"\nseed = 1',
+        '[estimator] has seed, which goes with method = "global": choose that, or remove seed',
+    ),
+    "search": (
+        '"marquardt"',
+        '"global"\nsearch = "evolve"',
+        '[estimator] search must be "multistart" or "evolution" (did you mean \'evolution\'?)',
+    ),
+    "starts": ('"marquardt"', '"global"\nstarts = 0', "[estimator] starts must be a whole number above 0, not 0"),
+    "few starts of an evolution": (
+        '"marquardt"',
+        '"global"\nstarts = 2\nsearch = "evolution"',
+        "[estimator] is refused: starts of a global search must be a whole number from 5 on, not 2",
+    ),
+    "seed": ('"marquardt"', '"global"\nseed = -1', "[estimator] seed must be a whole number, 0 or above, not -1"),
+    "loss": (
+        '"marquardt"',
+        '"marquardt"\nloss = "hubr"',
+        '"cauchy" (did you mean \'huber\'?), not "hubr"',
+    ),
+    "loss of a global search": (
+        '"marquardt"',
+        '"global"\nloss = "huber"',
+        'has both loss = "huber" and method = "global", which compares plain sums of squares in this version',
+    ),
+    "loss on a map": (
+        'sensitivity = "finite-difference"',
+        'loss = "huber"\n[uncertainty]\nmap = ["R", "drive.M"]',
+        'has both loss = "huber" and map, which compares plain sums of squares in this version',
+    ),
+    "noise start": ('"estimate"', '"estimate"\nstart = 0', "[noise] start must be a number above 0, not 0"),
+    "level": ("[noise]", "[uncertainty]\nlevel = 95\n[noise]", "level must be a number between 0 and 1, not 95"),
+    "profile": (
+        "[noise]",
+        '[uncertainty]\nprofile = "R"\n[noise]',
+        "profile must be true (all parameters), false or a",
+    ),
+    "profile of what": (
+        "[noise]",
+        '[uncertainty]\nprofile = ["r"]\n[noise]',
+        "[uncertainty] profile names 'r', which is no parameter of this study (did you mean",
+    ),
+    "map": ("[noise]", '[uncertainty]\nmap = ["R"]\n[noise]', "map must be a list of pairs of parameters"),
+    "map of what": (
+        "[noise]",
+        '[uncertainty]\nmap = [["R", "dr[second]"]]\n[noise]',
+        "[uncertainty] map names 'dr[second]', which is no parameter of this study (did you mean 'dR[second]'",
+    ),
+    "map of one": ("[noise]", '[uncertainty]\nmap = ["R", "R"]\n[noise]', "('R' is there with itself)"),
+    "posterior": (
+        "[noise]",
+        "[uncertainty]\nposterior = 5\n[noise]",
+        "[uncertainty.posterior] must be a table, not 5",
+    ),
+    "posterior key": (
+        "[noise]",
+        "[uncertainty]\nposterior = { step = 5 }\n[noise]",
+        "[uncertainty.posterior] has no key 'step' (did you mean 'steps' or",
+    ),
+    "posterior burn": (
+        "[noise]",
+        "[uncertainty]\nposterior = { burn = 500 }\n[noise]",
+        "[uncertainty.posterior] is refused: the setting burn of the sampler must be a share",
+    ),
+    "uncertainty key": (
+        "[noise]",
+        "[uncertainty]\nprofiles = true\n[noise]",
+        "[uncertainty] has no key 'profiles' (did you mean 'profile'?)",
+    ),
     "outside bounds": (
         "start = 4.0, min = 0",
         "start = -4.0, min = 0",

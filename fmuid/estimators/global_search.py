@@ -67,7 +67,7 @@ MAX_TOPOGRAPH_FITS = 10
 # ... and none from where the criterion rises at none of these points of the way to an optimum found before.
 WAY = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 # Fits from hopeless starts crawl; one that needs more steps than this is given up unless it is the best of all.
-FIT_ITERATIONS = 100
+FIT_ITERATIONS = 300
 # Optima are one where no parameter differs by more than this share of its standard deviation, or of its magnitude, and
 # the criterion by no more than 0.3². Fits end nearer than that even where large residuals make them converge slowly.
 SAME_STDS, SAME_SHARE, SAME_CRITERION = 0.3, 1e-4, 0.1

@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 # Steps need not have the length Δ more precisely than this.
 RADIUS_TOLERANCE = 0.1
 SECULAR_ITERATIONS = 30
+# Singular values below this one are zero whatever the accuracy, or quotients overflow.
+SMALLEST = 1e-100
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,22 +74,22 @@ def best_step(
         Singular values of R D⁻¹ up to this one are taken as zero, and no step goes in their directions.
     """
     matrix, vector = reduced[:, :-1], reduced[:, -1]
-    slope = matrix.T @ vector
+    scaled, slope = matrix / lengths, matrix.T @ vector
     step = np.zeros(lengths.size)
     held = ((lower >= 0) & (slope > 0)) | ((upper <= 0) & (slope < 0))
     damping = 0.0
     while not held.all():
         free = ~held
         target = vector + matrix[:, held] @ step[held]
-        inner, damping = _damped(matrix[:, free] / lengths[free], target, radius, least)
+        inner, damping = _damped(scaled[:, free], target, radius, least)
         step[free] = inner / lengths[free]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(step > upper, upper / step, np.where(step < lower, lower / step, np.inf))
-        reach[held] = np.inf
-        first = int(np.argmin(reach))
-        if not np.isfinite(reach[first]):
+        above, below = step > upper, step < lower
+        if not (above | below).any():
             break
-        step[first] = upper[first] if step[first] > upper[first] else lower[first]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            reach = np.where(above, upper / step, np.where(below, lower / step, np.inf))
+        first = int(np.argmin(reach))
+        step[first] = upper[first] if above[first] else lower[first]
         held[first] = True
     after = matrix @ step + vector
     return Step(step, damping, float(vector @ vector - after @ after), held)
@@ -102,13 +104,13 @@ def _damped(matrix: Floats, vector: Floats, radius: float, least: float) -> tupl
     u, s, vt = np.linalg.svd(matrix, full_matrices=False)
     sz = s * (u.T @ vector)
     least = min(max(least, np.finfo(float).eps * max(matrix.shape) * s[0]), s[0] / 2.0)
-    square = np.where(s > least, s**2, np.inf)
+    square = np.where(s > max(least, SMALLEST), s**2, np.inf)
     damping = 0.0
     for _ in range(SECULAR_ITERATIONS):
         parts = sz / (square + damping)
-        length = float(np.linalg.norm(parts))
+        length = math.hypot(*parts.tolist())
         if length <= radius * (1.0 + RADIUS_TOLERANCE):
             break
-        fall = float(np.sum(parts**2 / (square + damping)))
-        damping += (length / radius - 1.0) * length**2 / fall
+        fall = float(np.sum((parts / length) ** 2 / (square + damping)))
+        damping += (length / radius - 1.0) / fall
     return -(vt.T @ parts), damping

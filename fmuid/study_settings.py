@@ -1,0 +1,261 @@
+"""The words of a study file's tables, and the settings that they give; parameters have `fmuid.study_parameters`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from fmuid import study_file as toml
+from fmuid.errors import InputError, nearest
+from fmuid.estimators.marquardt import Marquardt
+from fmuid.losses import LOSSES
+from fmuid.noise import Noise
+from fmuid.study_file import Section
+from fmuid.uncertainty import LEVEL, UncertaintySettings
+
+if TYPE_CHECKING:
+    from fmuid.estimators.global_search import GlobalSearch
+    from fmuid.posterior import Sampling
+
+Pairs = tuple[tuple[str, str], ...]
+
+MODEL_KEYS = ("fmu", "interface", "step_size", "values", "components", "connections")
+EXPERIMENT_KEYS = ("table", "name", "time", "inputs", "outputs", "interpolation", "discard", "units")
+NOISE_KEYS = ("variance", "start")
+MARQUARDT_KEYS = ("max_iterations", "tolerance", "first_radius")
+GLOBAL_KEYS = ("starts", "search", "seed")
+ESTIMATOR_KEYS = ("method", "sensitivity", "loss", *MARQUARDT_KEYS, *GLOBAL_KEYS)
+UNCERTAINTY_KEYS = ("level", "profile", "posterior", "map")
+POSTERIOR_KEYS = ("walkers", "steps", "burn", "seed")
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """The table ``[model]``.
+
+    Attributes
+    ----------
+    components : mapping of str to Path
+        The FMU files; a single FMU is the component ``""``.
+    connections : tuple of (str, str)
+        (output, input), both as ``component.variable``.
+    step_size : float or None
+        The largest internal step (one FMU) or the communication step (several), s.
+    values : mapping
+        The FMU variables held at a value.
+    """
+
+    components: Mapping[str, Path]
+    connections: tuple[tuple[str, str], ...] = ()
+    step_size: float | None = None
+    values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ExperimentSettings:
+    """One entry of ``[[experiments]]``, with the words of `fmuid.Experiment`."""
+
+    table: Path
+    name: str
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+    time: str = "time"
+    interpolation: str | Mapping[str, str] = "linear"
+    discard: float = 0.0
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_model(top: Section, folder: Path) -> ModelSettings:
+    """Read the table ``[model]``; its paths are relative to `folder`."""
+    section = top.table("model", MODEL_KEYS)
+    section.get("interface", toml.one_of("co-simulation", later=("model-exchange",)), "co-simulation")
+    if "fmu" in section.data:
+        if "components" in section.data or "connections" in section.data:
+            raise section.error("has both 'fmu' (one FMU) and components or connections (several): keep one of the two")
+        components = {"": existing_file(section, "fmu", "the path of the FMU", folder)}
+    elif "components" in section.data:
+        components = _read_components(section, folder)
+    else:
+        raise section.error("needs the key 'fmu', the path of the FMU, or [[model.components]] where there are several")
+    return ModelSettings(
+        components,
+        tuple(
+            (entry.need("from", toml.text, "an output"), entry.need("to", toml.text, "the input that it feeds"))
+            for entry in section.tables("connections", ("from", "to"))
+        ),
+        section.get("step_size", toml.positive, None),
+        section.get("values", toml.named(toml.scalar), {}),
+    )
+
+
+def _read_components(section: Section, folder: Path) -> dict[str, Path]:
+    components: dict[str, Path] = {}
+    for entry in section.tables("components", ("name", "fmu")):
+        name = entry.need("name", toml.text, "what its variables are prefixed with")
+        if name in components:
+            raise entry.error(f"has the name {name!r} of an earlier component: give each its own")
+        components[name] = existing_file(entry, "fmu", "the path of the FMU", folder)
+    if not components:
+        raise section.error("has no components: name them with [[model.components]]")
+    return components
+
+
+def read_experiments(top: Section, folder: Path) -> tuple[ExperimentSettings, ...]:
+    """Read the tables ``[[experiments]]``; their paths are relative to `folder`."""
+    found: list[ExperimentSettings] = []
+    for entry in top.tables("experiments", EXPERIMENT_KEYS):
+        table = existing_file(entry, "table", "the file of measurements", folder)
+        name = entry.get("name", toml.text, table.stem)
+        if name in (earlier.name for earlier in found):
+            raise entry.error(f'is called {name!r} like an earlier one: give it a name of its own, name = "..."')
+        found.append(
+            ExperimentSettings(
+                table,
+                name,
+                entry.get("inputs", toml.columns, {}),
+                entry.need("outputs", toml.columns, "the measured outputs, a list of names"),
+                entry.get("time", toml.text, "time"),
+                entry.get("interpolation", _interpolation, _interpolation("linear")),
+                entry.get("discard", toml.not_negative, 0.0),
+                entry.get("units", toml.named(toml.text), {}),
+            )
+        )
+        if not found[-1].outputs:
+            raise entry.error('has no outputs: name those that are measured, outputs = ["..."]')
+    if not found:
+        raise top.error("has no experiments: name at least one table with [[experiments]]")
+    return tuple(found)
+
+
+def _interpolation(value: object) -> str | Mapping[str, str]:
+    kind = toml.one_of("linear", "hold")
+    return toml.named(kind)(value) if isinstance(value, dict) else kind(value)
+
+
+def read_noise(top: Section) -> Noise:
+    """Read the table ``[noise]``."""
+    section = top.table("noise", NOISE_KEYS)
+    return Noise(section.get("variance", _variance, "estimate"), section.get("start", _variances, None))
+
+
+def _variances(value: object) -> float | Mapping[str, float]:
+    return toml.named(toml.positive)(value) if isinstance(value, dict) else toml.positive(value)
+
+
+def _variance(value: object) -> Literal["estimate"] | float | Mapping[str, float]:
+    if value == "estimate":
+        return "estimate"
+    if isinstance(value, str):
+        raise toml.MismatchError('"estimate", a number above 0 or a table { output = number }')
+    return _variances(value)
+
+
+def read_estimator(top: Section) -> Marquardt | GlobalSearch:
+    """Read the table ``[estimator]``: Marquardt's search, or a search of the whole box that ends in it.
+
+    Who gives ``starts`` wants a search from each of them, and need not say that the method is global and the search
+    "multistart".
+    """
+    section = top.table("estimator", ESTIMATOR_KEYS)
+    implied = "global" if {"starts", "search"} & set(section.data) else "marquardt"
+    method = section.get("method", toml.one_of("marquardt", "global", later=("linear",)), implied)
+    section.get("sensitivity", toml.one_of("finite-difference", later=("forward", "fmu")), "finite-difference")
+    default = Marquardt()
+    marquardt = Marquardt(
+        section.get("max_iterations", toml.count, default.max_iterations),
+        section.get("tolerance", toml.positive, default.tolerance),
+        section.get("first_radius", toml.positive, default.first_radius),
+    )
+    if method == "marquardt":
+        for key in GLOBAL_KEYS:
+            if key in section.data:
+                raise section.error(f'has {key}, which goes with method = "global": choose that, or remove {key}')
+        return marquardt
+    from fmuid.estimators.global_search import GlobalSearch
+
+    words: dict[str, Any] = {
+        "method": section.get(
+            "search", toml.one_of("multistart", "evolution"), "multistart" if "starts" in section.data else "evolution"
+        ),
+        "seed": section.get("seed", toml.natural, 0),
+    }
+    if "starts" in section.data:
+        words["starts"] = section.get("starts", toml.count, 1)
+    try:
+        return GlobalSearch(**words, marquardt=marquardt)
+    except InputError as error:
+        raise section.error(f"is refused: {error}") from None
+
+
+def read_loss(top: Section, estimator: Marquardt | GlobalSearch, asked: UncertaintySettings) -> str:
+    """Read the word ``loss`` of the table ``[estimator]``, and check that all the rest knows what to do with it."""
+    loss = top.table("estimator", ESTIMATOR_KEYS).get("loss", toml.one_of(*LOSSES), "linear")
+    for other, there in (('method = "global"', not isinstance(estimator, Marquardt)), ("map", bool(asked.maps))):
+        if there and loss != "linear":
+            raise top.error(
+                f'has both loss = "{loss}" and {other}, which compares plain sums of squares in this version: '
+                "keep one of the two"
+            )
+    return loss
+
+
+def read_uncertainty(top: Section, names: Sequence[str]) -> UncertaintySettings:
+    """Read the table ``[uncertainty]`` of a study with these parameters."""
+    section = top.table("uncertainty", UNCERTAINTY_KEYS)
+    profile: bool | list[str] = section.get("profile", _names_or_all, False)
+    chosen = tuple(dict.fromkeys(profile)) if isinstance(profile, list) else tuple(names) if profile else ()
+    pairs: Pairs = section.get("map", _pairs, ())
+    for key, given in (("profile", chosen), ("map", [name for pair in pairs for name in pair])):
+        for name in given:
+            if name not in names:
+                raise section.error(f"{key} names {name!r}, which is no parameter of this study{nearest(name, names)}")
+    return UncertaintySettings(section.get("level", toml.share, LEVEL), chosen, _read_posterior(section), pairs)
+
+
+def _read_posterior(section: Section) -> Sampling | None:
+    given = section.data.get("posterior", False)
+    if isinstance(given, bool) and not given:
+        return None
+    from fmuid.posterior import Sampling
+
+    if given is True:
+        return Sampling()
+    table = section.table("posterior", POSTERIOR_KEYS)
+    kinds = {"walkers": toml.count, "steps": toml.count, "burn": toml.not_negative, "seed": toml.natural}
+    words: dict[str, Any] = {key: table.get(key, kind, None) for key, kind in kinds.items() if key in table.data}
+    try:
+        return Sampling(**words)
+    except InputError as error:
+        raise table.error(f"is refused: {error}") from None
+
+
+def _names_or_all(value: Any) -> Any:
+    if isinstance(value, bool):
+        return value
+    if isinstance(value, list) and all(isinstance(item, str) and item for item in value):
+        return list(value)
+    raise toml.MismatchError('true (all parameters), false or a list of parameters, ["Rs", "Rr"]')
+
+
+def _pairs(value: object) -> Pairs:
+    def is_pair(item: object) -> bool:
+        return isinstance(item, list) and len(item) == 2 and all(isinstance(name, str) and name for name in item)
+
+    if is_pair(value):
+        value = [value]
+    if not isinstance(value, list) or not all(is_pair(item) for item in value):
+        raise toml.MismatchError('a list of pairs of parameters, [["Rs", "Lf"]]')
+    for first, second in value:
+        if first == second:
+            raise toml.MismatchError(f"a list of pairs of two different parameters ({first!r} is there with itself)")
+    return tuple((first, second) for first, second in value)
+
+
+def existing_file(section: Section, key: str, meaning: str, folder: Path) -> Path:
+    """Return the path of a file that must be there."""
+    path = folder / section.need(key, toml.text, meaning)
+    if not path.is_file():
+        raise section.error(f"{key} = {toml.show(section.data[key])}: there is no file {path.resolve()}")
+    return path
