@@ -168,8 +168,8 @@ class JointPrior:
             i, j = np.argwhere(unequal)[0]
             raise InputError(
                 f"the covariance of the joint prior of {', '.join(self.names)} is not symmetric: "
-                f"at row {self.names[i]} and column {self.names[j]} stands {self.covariance[i, j]:g}, at row {self.names[j]} and column "
-                f"{self.names[i]} {self.covariance[j, i]:g}"
+                f"at row {self.names[i]} and column {self.names[j]} stands {self.covariance[i, j]:g}, "
+                f"at row {self.names[j]} and column {self.names[i]} {self.covariance[j, i]:g}"
             )
         self.whitening()
 
