@@ -244,4 +244,5 @@ def test_a_prior_makes_up_for_missing_influence() -> None:
 def test_influence_at_a_start_where_the_derivative_vanishes() -> None:
     """An even function at its centre: the central difference is zero, the outputs still change."""
     parameters = {"gain": Parameter(1.0), "bend": Parameter(0.0, nominal=1.0)}
-    prepare(Problem.from_function(lambda theta: theta[0] * TIMES + theta[1] ** 2, 2.0 * TIMES, parameters))
+    start = prepare(Problem.from_function(lambda theta: theta[0] * TIMES + theta[1] ** 2, 2.0 * TIMES, parameters))
+    assert np.linalg.norm(start.evaluation.jacobian[:, 1]) < 1e-6 * np.linalg.norm(start.evaluation.jacobian[:, 0])
