@@ -172,6 +172,18 @@ class CriterionMap:
         return np.asarray(self.estimate + radius * circle @ root.T, dtype=np.float64)
 
 
+def refuse_loss(problem: Problem, what: str) -> None:
+    """Refuse what sums plain squares for a problem that has another loss.
+
+    Raises
+    ------
+    InputError
+        If the problem's loss is not the plain square.
+    """
+    if problem.loss is not None:
+        raise InputError(f"{what} knows plain squares only: give the problem no loss, or leave {what} out")
+
+
 def map_criterion(
     problem: Problem,
     result: Result,
@@ -207,6 +219,7 @@ def map_criterion(
         If a parameter is unknown or has no bounds where they are asked for, a range is empty or leaves the bounds, or
         the result is not of this problem.
     """
+    refuse_loss(problem, "a map of the criterion")
     parameters = problem.parameters
     for what, theirs, ours in (
         ("parameters", result.names, parameters.names),

@@ -27,7 +27,8 @@ class Noise:
     ----------
     variance : "estimate", float, or mapping of output to float
         A number holds for every output. What is not given is estimated from the residual, and the search repeated
-        until it settles (method.md §7).
+        until it settles (method.md §7). With a robust loss that estimate is robust too: Huber's proposal 2
+        (`fmuid.losses.robust_variance`), because the loss is measured in standard deviations of the noise proper.
     start : float or mapping of output to float, optional
         Where the repetition starts; default: the residual's own variance at the start of the search.
 

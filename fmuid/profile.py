@@ -8,6 +8,9 @@ where J_p is the parabola J_min + ((ψ − ψ̂)/std)², the interval is the loc
 The signed root τ(ψ) = ±√(J_p − J_min) is a straight line in the linear case and nearly one elsewhere, so that steps
 and ends are found on it. Its slope costs nothing: at the optimum of the others dJ_p/dψ = 2 (∂r/∂ψ)ᵀ r.
 
+With a robust loss the criterion is no likelihood: it bends by 1/c² where the estimate scatters by std² (the sandwich of
+`fmuid.covariance`), and the quantile is multiplied by std²/c² (Huber and Ronchetti, "Robust Statistics", section 13).
+
 References
 ----------
 D. M. Bates, D. G. Watts, "Nonlinear Regression Analysis and Its Applications", Wiley 1988, section 6.1.2 (profile t);
@@ -156,7 +159,8 @@ def profiles(
     Raises
     ------
     InputError
-        If the result is another problem's, a name is unknown, or the level is not between 0 and 1.
+        If the result is another problem's, a name is unknown, the level is not between 0 and 1, or a robust problem's
+        result was read from a file.
     SimulationError
         If the simulation fails at the result.
     """
@@ -168,14 +172,27 @@ def profiles(
     tail, freedom = 0.5 + level / 2.0, result.degrees_of_freedom
     factor = float(stats.norm.ppf(tail) if math.isinf(freedom) else stats.t.ppf(tail, freedom))
     criterion, origin = _minimum(problem, result)
-    far = reach(problem, result)
+    far, thresholds = reach(problem, result), factor**2 * _scatter(problem, result)
     found: list[Profile] = []
     for i in chosen:
-        profiler = _Profiler(criterion, origin, i, float(result.std[i]), float(far[i]), level, factor**2, progress)
+        std, threshold = float(result.std[i]), float(thresholds[i])
+        profiler = _Profiler(criterion, origin, i, std, float(far[i]), level, threshold, progress)
         found.append(profiler.run())
         if profiler.interrupted:
             break
     return tuple(found)
+
+
+def _scatter(problem: Problem, result: Result) -> Floats:
+    """Return std²/c² of each parameter (N,): how much it scatters against the criterion's bend; 1 of plain squares."""
+    ones = np.ones(len(result.names))
+    if problem.loss is None:
+        return ones
+    if result.local is None:
+        raise InputError("the result of a robust loss cannot be profiled from its file; identify the study again")
+    bend = np.sum(result.local.root**2, axis=1)
+    known = np.isfinite(result.std) & (bend > 0)
+    return np.asarray(np.divide(result.std**2, bend, out=ones, where=known), dtype=np.float64)
 
 
 def _minimum(problem: Problem, result: Result) -> tuple[Criterion, Point]:

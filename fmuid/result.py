@@ -53,7 +53,8 @@ class Result:
     iterations, simulations : int
     elapsed_s : float
     undetermined : tuple of str
-        Directions in which the estimates could be moved without any effect.
+        Directions in which the estimates could be moved without any effect, or along which their standard deviations
+        are so large that they are not determined in effect (`fmuid.covariance`).
     weak : tuple of str
         Directions that are determined to no better than the parameters' own magnitudes.
     prior_determined : tuple of str

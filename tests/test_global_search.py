@@ -382,3 +382,9 @@ def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_wrong_settings(settings: dict[str, object], match: str) -> None:
     with pytest.raises(InputError, match=match):
         GlobalSearch(**settings)  # type: ignore[arg-type]
+
+
+def test_a_robust_loss_is_refused() -> None:
+    problem = Problem.from_function(lambda theta: theta * TIMES, TIMES, {"w": Parameter(1.0, 0.5, 2.0)}, loss="huber")
+    with pytest.raises(InputError, match="a global search knows plain squares only"):
+        search_globally(problem)

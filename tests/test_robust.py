@@ -20,6 +20,7 @@ from fmuid.losses import LOSSES, NORMAL_SHARE, Loss, robust_variance
 from fmuid.noise import Noise
 from fmuid.parameters import Normal, Parameter
 from fmuid.problem import Problem
+from fmuid.profile import profiles
 from fmuid.result import Result
 from tests.conftest import FMUS
 
@@ -302,6 +303,20 @@ def test_covariance_of_a_linear_model() -> None:
     power = np.sum(np.where(inside, f, np.sign(f)) ** 2) / 298.0
     expected = 0.01 * power / np.mean(inside) ** 2 * np.linalg.inv(phi.T @ phi)
     np.testing.assert_allclose(result.covariance, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_profiles_agree_with_the_local_intervals(name: str) -> None:
+    """As they do for plain squares, in the mean of some draws: the rise is measured by how the estimates scatter."""
+    ratios = []
+    for seed in range(12):
+        problem = Problem.from_function(decay, contaminated(seed, 0.1), STARTS, loss=name)
+        result = identify(problem)
+        (profile,) = profiles(problem, result, ["a"])
+        lower, upper = result.intervals().to_numpy()[0]
+        ratios.append((profile.upper - profile.lower) / (upper - lower))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.04)
+    assert np.std(ratios) < 0.1
 
 
 def test_outliers_everywhere_leave_wide_intervals() -> None:

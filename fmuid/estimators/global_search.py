@@ -40,7 +40,7 @@ from scipy.optimize import Bounds, OptimizeResult, differential_evolution
 from scipy.spatial import KDTree
 from scipy.stats import qmc
 
-from fmuid.criterion_map import misfits, variances
+from fmuid.criterion_map import misfits, refuse_loss, variances
 from fmuid.errors import FmuidError, InputError, SimulationError, nearest
 from fmuid.estimators.box import Box
 from fmuid.estimators.marquardt import Marquardt, Status
@@ -224,6 +224,7 @@ def search_globally(
     InputError
         If a parameter has neither bounds nor a prior, all simulations in the box fail, or no fit is possible.
     """
+    refuse_loss(problem, "a global search")
     with np.errstate(over="ignore", invalid="ignore"):  # far from the truth models may explode
         return _Search(problem, settings or GlobalSearch(), progress).run()
 
