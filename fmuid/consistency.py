@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from fmuid.covariance import listed
 from fmuid.errors import InputError, nearest
 from fmuid.local_model import LocalModel
 from fmuid.problem import Problem
-from fmuid.residuals import Diagnostics, listed
+from fmuid.residuals import Diagnostics
 from fmuid.result import Result
 
 Floats = NDArray[np.float64]

@@ -180,7 +180,7 @@ def _combinations(names: Sequence[str], direction: Floats, main: Sequence[int]) 
     for i in main[:-1]:
         share = -direction[i] / direction[last]
         found.append(f"{names[i]} {'-' if share < 0 else '+'} {_times(abs(share), names[last])}")
-    return _listed(found)
+    return listed(found)
 
 
 def _times(factor: float, name: str) -> str:
@@ -188,7 +188,8 @@ def _times(factor: float, name: str) -> str:
     return name if shown == "1" else f"{shown} {name}"
 
 
-def _listed(words: Sequence[str]) -> str:
+def listed(words: Sequence[str]) -> str:
+    """Return ``a, b and c``."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
@@ -203,7 +204,7 @@ def describe_lost(names: Sequence[str], direction: Floats, magnitudes: Floats) -
     magnitudes : (N,) array
     """
     main = _main(direction, magnitudes)
-    who = _listed([names[i] for i in main])
+    who = listed([names[i] for i in main])
     if len(main) == 1:
         return f"{who} is not determined: changing it changes no output"
     only = _combinations(names, direction, main)
@@ -212,7 +213,7 @@ def describe_lost(names: Sequence[str], direction: Floats, magnitudes: Floats) -
     scaled = direction / direction[main[0]]
     moves = [f"{names[i]} {'rises' if scaled[i] > 0 else 'falls'} by {abs(scaled[i]):.{DIGITS}g}" for i in main[1:]]
     return (
-        f"{who} cannot be told apart: raising {names[main[0]]} by 1 while {_listed(moves)} changes no output; "
+        f"{who} cannot be told apart: raising {names[main[0]]} by 1 while {listed(moves)} changes no output; "
         f"only {only} are determined"
     )
 
@@ -220,7 +221,7 @@ def describe_lost(names: Sequence[str], direction: Floats, magnitudes: Floats) -
 def describe_open(names: Sequence[str], direction: Floats, magnitudes: Floats, std: float) -> str:
     """Say in words that a direction is not determined in effect; `std` is relative to the magnitudes."""
     main = _main(direction, magnitudes)
-    who = _listed([names[i] for i in main])
+    who = listed([names[i] for i in main])
     if len(main) == 1:
         return f"{who} is not determined in effect: its standard deviation is {std:.{DIGITS}g} times its magnitude"
     verb = "is" if len(main) == 2 else "are"
@@ -233,7 +234,7 @@ def describe_open(names: Sequence[str], direction: Floats, magnitudes: Floats, s
 def describe_weak(names: Sequence[str], direction: Floats, magnitudes: Floats, std: float) -> str:
     """Say in words that a direction is hardly determined; `std` is relative to the magnitudes."""
     main = _main(direction, magnitudes)
-    who = _listed([names[i] for i in main])
+    who = listed([names[i] for i in main])
     if len(main) == 1:
         return f"{who} is hardly determined: its standard deviation is {std:.0%} of its magnitude"
     only = _combinations(names, direction, main)

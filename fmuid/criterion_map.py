@@ -26,7 +26,7 @@ from scipy import stats
 from fmuid.errors import InputError
 from fmuid.estimators.box import spans_decades
 from fmuid.problem import Problem
-from fmuid.result import Result
+from fmuid.result import Result, check_level
 
 Floats = NDArray[np.float64]
 Ranges = Mapping[str, tuple[float, float]] | Literal["bounds"]
@@ -151,8 +151,7 @@ class CriterionMap:
         InputError
             If the level is not between 0 and 1.
         """
-        if not 0.0 < level < 1.0:
-            raise InputError(f"the level of a confidence ellipse must lie between 0 and 1, not {level!r}")
+        check_level(level, "a confidence ellipse")
         if math.isinf(self.degrees_of_freedom):
             return float(stats.chi2.ppf(level, 2))
         return float(2.0 * stats.f.ppf(level, 2, self.degrees_of_freedom))

@@ -37,7 +37,7 @@ from fmuid.chains import effective_size, r_hat
 from fmuid.errors import InputError
 from fmuid.problem import Problem
 from fmuid.profile import check_result, reach
-from fmuid.result import Result
+from fmuid.result import Result, check_level
 
 Floats = NDArray[np.float64]
 
@@ -206,8 +206,7 @@ class Posterior:
         InputError
             If the level is not between 0 and 1.
         """
-        if not 0.0 < level < 1.0:
-            raise InputError(f"the level of an interval must lie between 0 and 1, not {level!r}")
+        check_level(level)
         lower, upper = np.quantile(self.samples, [0.5 - level / 2.0, 0.5 + level / 2.0], axis=0)
         return pd.DataFrame({"lower": lower, "upper": upper}, index=list(self.names))
 

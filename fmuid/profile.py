@@ -34,7 +34,7 @@ from fmuid.criterion import Criterion, prepare
 from fmuid.errors import InputError
 from fmuid.estimators.marquardt import Marquardt, State, search
 from fmuid.problem import Problem
-from fmuid.result import Result
+from fmuid.result import Result, check_level
 
 Floats = NDArray[np.float64]
 
@@ -165,8 +165,7 @@ def profiles(
         If the simulation fails at the result.
     """
     check_result(problem, result)
-    if not 0.0 < level < 1.0:
-        raise InputError(f"the level of an interval must lie between 0 and 1, not {level!r}")
+    check_level(level)
     listed = problem.parameters.names if names is None else names
     chosen = [problem.parameters.index(name) for name in dict.fromkeys(listed)]
     tail, freedom = 0.5 + level / 2.0, result.degrees_of_freedom

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -29,7 +29,25 @@ LINE_VALUES = 6
 """Values on a plain line; of more parameters only the first ones fit."""
 
 
-class Progress:
+class _Shown:
+    """A context with a live display on a terminal, and none elsewhere."""
+
+    def __init__(self, live: Callable[[], Live]) -> None:
+        self._live = live() if sys.stdout.isatty() else None
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.__exit__(kind, error, traceback)
+
+
+class Progress(_Shown):
     """Shows the iterations of a search; used as a context and called with each iteration.
 
     Parameters
@@ -43,18 +61,7 @@ class Progress:
     def __init__(self, names: Sequence[str], start: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
         self._names, self._start = tuple(names), start
         self._best: Iteration | None = None
-        self._live = Live(console=console(), auto_refresh=False, transient=True) if sys.stdout.isatty() else None
-
-    def __enter__(self) -> Self:
-        if self._live is not None:
-            self._live.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.__exit__(kind, error, traceback)
+        super().__init__(lambda: Live(console=console(), auto_refresh=False, transient=True))
 
     def __call__(self, iteration: Iteration) -> None:
         """Show one iteration."""
@@ -87,7 +94,7 @@ class Progress:
         return table
 
 
-class Work:
+class Work(_Shown):
     """Shows how far long work is, and that it may be interrupted; used as a context.
 
     Parameters
@@ -102,18 +109,7 @@ class Work:
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
         self._said: tuple[str, int] | None = None
-        self._live = Live(console=console(), refresh_per_second=8, transient=True) if sys.stdout.isatty() else None
-
-    def __enter__(self) -> Self:
-        if self._live is not None:
-            self._live.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.__exit__(kind, error, traceback)
+        super().__init__(lambda: Live(console=console(), refresh_per_second=8, transient=True))
 
     def __call__(self, step: Step) -> None:
         """Show how far a task is."""

@@ -26,13 +26,13 @@ from fmuid.consistency import (
     variance_tests,
     variance_words,
 )
-from fmuid.covariance import local_covariance
+from fmuid.covariance import listed, local_covariance
 from fmuid.criterion import Criterion, prepare
 from fmuid.errors import InputError
 from fmuid.estimators.marquardt import Marquardt, State, search
 from fmuid.local_model import LocalModel
 from fmuid.problem import Problem
-from fmuid.residuals import Diagnostics, examine_residuals, listed
+from fmuid.residuals import Diagnostics, examine_residuals
 from fmuid.result import Result
 from fmuid.sensitivity import SensitivityError
 

@@ -21,7 +21,6 @@ those of `fmuid.series`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +28,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from fmuid.covariance import listed
 from fmuid.errors import InputError
 from fmuid.problem import Problem
 from fmuid.residual_series import OUTLYING, InputCorrelation, ResidualSeries, examine_output
@@ -252,11 +252,6 @@ def _summary(series: tuple[ResidualSeries, ...], names: list[str], said: list[st
             "nothing there to doubt the model or the standard deviations"
         )
     return lines
-
-
-def listed(words: Sequence[str]) -> str:
-    """Return ``a, b and c``."""
-    return " and ".join([*[", ".join(words[:-1])][: len(words) > 1], words[-1]])
 
 
 def _count(number: int, what: str) -> str:

@@ -26,6 +26,18 @@ Floats = NDArray[np.float64]
 STRONG_CORRELATION = 0.95
 
 
+def check_level(level: float, of: str = "an interval") -> None:
+    """Check the level of an interval or a region.
+
+    Raises
+    ------
+    InputError
+        If it is not between 0 and 1.
+    """
+    if not 0.0 < level < 1.0:
+        raise InputError(f"the level of {of} must lie between 0 and 1, not {level!r}")
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """What an identification found.
@@ -170,8 +182,7 @@ class Result:
         InputError
             If the level is not between 0 and 1.
         """
-        if not 0.0 < level < 1.0:
-            raise InputError(f"the level of an interval must lie between 0 and 1, not {level!r}")
+        check_level(level)
         tail = 0.5 + level / 2.0
         exact = not math.isfinite(self.degrees_of_freedom)
         factor = float(special.ndtri(tail) if exact else special.stdtrit(self.degrees_of_freedom, tail))

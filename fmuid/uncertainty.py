@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from fmuid.errors import InputError
 from fmuid.problem import Problem
-from fmuid.result import Result
+from fmuid.result import Result, check_level
 
 if TYPE_CHECKING:
     from fmuid.criterion_map import CriterionMap
@@ -55,8 +54,7 @@ class UncertaintySettings:
     maps: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.level < 1.0:
-            raise InputError(f"the level of an interval must lie between 0 and 1, not {self.level!r}")
+        check_level(self.level)
 
     @property
     def any(self) -> bool:

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+from fmuid.covariance import listed
 from fmuid.errors import InputError
 from fmuid.experiment import Experiment
 from fmuid.figures_residuals import residuals
@@ -19,7 +20,7 @@ from fmuid.parameters import Normal, Parameter
 from fmuid.predictors import FunctionPredictor, Table
 from fmuid.problem import Problem
 from fmuid.residual_series import ResidualSeries
-from fmuid.residuals import Diagnostics, examine_residuals, listed
+from fmuid.residuals import Diagnostics, examine_residuals
 from fmuid.result import Result
 from tests.test_series import ar1
 
