@@ -145,6 +145,8 @@ def criterion(trace: pd.DataFrame) -> Figure:
         below.set_xlabel("iteration")
         below.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=2))
         below.yaxis.set_major_formatter(lambda tick, _: "0" if tick <= level else f"$10^{{{tick:.0f}}}$")
+        if not (trace["lambda"] > 0).any():  # Gauss–Newton steps only: there are no decades to mark
+            below.set_yticks([level], ["0"])
         below.set_ylim(bottom=level - 0.3)
         below.xaxis.set_major_locator(MaxNLocator(integer=True))
         known = dict(zip(*reversed(above.get_legend_handles_labels()), strict=True))

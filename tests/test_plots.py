@@ -80,6 +80,21 @@ def test_parameters_are_capped() -> None:
     assert len(figures_search.parameters(trace, estimates).axes) == plots.MAX_PARAMETERS
 
 
+def test_criterion_of_gauss_newton_steps_only_marks_lambda_zero_once() -> None:
+    trace = pd.DataFrame(
+        {
+            "round": [1, 1, 1],
+            "iteration": [0, 1, 2],
+            "criterion": [900.0, 500.0, 100.0],
+            "lambda": [np.nan, 0.0, 0.0],
+            "accepted": [True, True, True],
+        }
+    )
+    figure = figures_search.criterion(trace)
+    figure.draw_without_rendering()
+    assert [label.get_text() for label in figure.axes[1].get_yticklabels()] == ["0"]
+
+
 def test_criterion() -> None:
     trace, _ = search()
     above, below = figures_search.criterion(trace).axes
