@@ -151,8 +151,10 @@ class Simulator:
     def _explain(
         self, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]
     ) -> tuple[SimulationError | None, ...]:
-        # a sum is finite only where all its terms are; only then is a closer look needed
-        suspect = (reports[:, 0] >= 0) | ~np.isfinite(outputs.sum(axis=(1, 2)))
+        # a sum is finite only where all its terms are; only then is a closer look needed. After a failure the rest of
+        # the outputs is whatever the memory held
+        with np.errstate(invalid="ignore", over="ignore"):
+            suspect = (reports[:, 0] >= 0) | ~np.isfinite(outputs.sum(axis=(1, 2)))
         errors: list[SimulationError | None] = [None] * len(thetas)
         for i in np.flatnonzero(suspect):
             named = dict(zip(self.parameters, thetas[i].tolist(), strict=True))

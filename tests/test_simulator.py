@@ -308,3 +308,22 @@ def test_the_working_directory_stays(probe: ProbeMaker) -> None:
     times = np.arange(3.0)
     Simulator(probe(), Experiment(table(times, x=0 * times), outputs=["x"]))([])
     assert Path.cwd() == here
+
+
+def test_failure_over_dirty_memory(probe: ProbeMaker, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the memory behind a failed simulation held before, infinities of both signs say, is never looked at."""
+    empty = np.empty
+
+    def dirty(*arguments: Any, **words: Any) -> Any:
+        array = empty(*arguments, **words)
+        if array.dtype == float:
+            array.ravel()[:] = np.resize([np.inf, -np.inf, 1e308], array.size)
+        return array
+
+    times = np.arange(10) * 0.1
+    experiment = Experiment(table(times, u=0.0, x=0.0), ["u"], ["x"])
+    simulator = Simulator(probe(), experiment, ["fail_at"])
+    monkeypatch.setattr(np, "empty", dirty)
+    batch = simulator.many([[0.15]])
+    assert isinstance(batch.errors[0], SimulationError)
+    assert np.isnan(batch.outputs).all()
