@@ -23,6 +23,7 @@ transforms
 experiment
 fmi.description
 fmi.archive
+fmi.native
 fmi.kernels
 fmi.loop
 fmi.instance

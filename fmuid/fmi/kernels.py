@@ -8,14 +8,11 @@ the variables of one component from or into the vector of signals.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
-from llvmlite import ir
 from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
+
+from fmuid.fmi.native import load_int32, load_real, load_word, native_call, store_int32, store_real, store_word
 
 # Indices of the FMI functions in a component's row of addresses; also the first word of an operation.
 SET_REAL, GET_REAL, SET_INTEGER, GET_INTEGER, SET_BOOLEAN, GET_BOOLEAN, SET_STRING = range(7)
@@ -43,65 +40,17 @@ WARNING = 1  # fmi2Warning, the last status that counts as success
 ERROR = 3  # fmi2Error, the last status after which an instance may be reset
 
 
-def _fmi_call(*arguments: Any) -> Any:
-    """Return a compiled function (address, *arguments) -> fmi2Status that calls the address."""
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def call(typing_context: Any, address: Any, values: Any) -> Any:  # noqa: ARG001
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-            target, packed = given
-            wanted = [context.get_value_type(argument) for argument in arguments]
-            have = cgutils.unpack_tuple(builder, packed)
-            cast = [context.cast(builder, v, t, w) for v, t, w in zip(have, signature.args[1], arguments, strict=True)]
-            pointer = builder.inttoptr(target, ir.FunctionType(ir.IntType(32), wanted).as_pointer())
-            return builder.call(pointer, cast)
-
-        return types.int32(types.intp, values), generate
-
-    return call
-
-
-def _memory(kind: Any) -> tuple[Any, Any]:
-    """Return compiled functions load(address, index) and store(address, index, value) for one type."""
-
-    def element(context: Any, builder: Any, address: Any, index: Any) -> Any:
-        pointer = builder.inttoptr(address, context.get_value_type(kind).as_pointer())
-        return builder.gep(pointer, [index])
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def load(typing_context: Any, address: Any, index: Any) -> Any:  # noqa: ARG001
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:  # noqa: ARG001
-            return builder.load(element(context, builder, *given))
-
-        return kind(types.intp, types.intp), generate
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def store(typing_context: Any, address: Any, index: Any, value: Any) -> Any:  # noqa: ARG001
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:  # noqa: ARG001
-            builder.store(given[2], element(context, builder, *given[:2]))
-            return context.get_dummy_value()
-
-        return types.void(types.intp, types.intp, kind), generate
-
-    return load, store
-
-
-_call_values = _fmi_call(types.intp, types.intp, types.intp, types.intp)
-_call_derivatives = _fmi_call(types.intp, types.intp, types.intp, types.intp, types.intp)
-_call_step = _fmi_call(types.intp, types.float64, types.float64, types.int32)
-_call_setup = _fmi_call(types.intp, types.int32, types.float64, types.float64, types.int32, types.float64)
-_call_plain = _fmi_call(types.intp)
-_load_real, _store_real = _memory(types.float64)
-_load_word, _store_word = _memory(types.intp)
-_load_int32, _store_int32 = _memory(types.int32)
+_call_values = native_call(types.intp, types.intp, types.intp, types.intp)
+_call_derivatives = native_call(types.intp, types.intp, types.intp, types.intp, types.intp)
+_call_step = native_call(types.intp, types.float64, types.float64, types.int32)
+_call_setup = native_call(types.intp, types.int32, types.float64, types.float64, types.int32, types.float64)
+_call_plain = native_call(types.intp)
 
 # Columns of the table of calls: one row an operation, with the addresses that the operation needs.
 ADDRESS, HANDLE, REFERENCES, COUNT, VALUES, ORDERS, FUNCTION, COMPONENT, SIGNAL = range(COLUMNS)
 
 
 # The memory of one simulation: sizes and addresses of all that the loop touches, in one array whose address is `m`.
-# Inside the loop nothing is a numpy array and little is passed on: numba counts references to arrays at every call
-# of a function, which would cost more than the FMI calls themselves; and functions of arrays take long to compile.
 (
     N_COMPONENTS,
     N_INPUTS,
@@ -137,54 +86,54 @@ ADDRESS, HANDLE, REFERENCES, COUNT, VALUES, ORDERS, FUNCTION, COMPONENT, SIGNAL 
 @numba.njit("boolean(intp, intp, intp, intp)", cache=True, nogil=True, error_model="numpy")
 def _fail(m, function, component, status):  # type: ignore[no-untyped-def]
     """Write a failing call into the report."""
-    _store_word(_load_word(m, REPORT), 0, function)
-    _store_word(_load_word(m, REPORT), 1, component)
-    _store_word(_load_word(m, REPORT), 2, status)
+    store_word(load_word(m, REPORT), 0, function)
+    store_word(load_word(m, REPORT), 1, component)
+    store_word(load_word(m, REPORT), 2, status)
     return False
 
 
 @numba.njit("boolean(intp, intp, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _perform(m, first, last):  # type: ignore[no-untyped-def]
     """Perform the calls from stage `first` up to stage `last`; stop at the first that fails."""
-    for i in range(_load_word(_load_word(m, STAGES), first), _load_word(_load_word(m, STAGES), last)):
-        row = _load_word(m, CALLS) + 8 * COLUMNS * i
-        address, handle, references = _load_word(row, ADDRESS), _load_word(row, HANDLE), _load_word(row, REFERENCES)
-        count, values = _load_word(row, COUNT), _load_word(row, VALUES)
-        function, signal = _load_word(row, FUNCTION), _load_word(row, SIGNAL)
+    for i in range(load_word(load_word(m, STAGES), first), load_word(load_word(m, STAGES), last)):
+        row = load_word(m, CALLS) + 8 * COLUMNS * i
+        address, handle, references = load_word(row, ADDRESS), load_word(row, HANDLE), load_word(row, REFERENCES)
+        count, values = load_word(row, COUNT), load_word(row, VALUES)
+        function, signal = load_word(row, FUNCTION), load_word(row, SIGNAL)
         if function <= GET_REAL or function == SET_STRING:
             status = _call_values(address, (handle, references, count, values))
         elif function == SET_DERIVATIVES:
-            status = _call_derivatives(address, (handle, references, count, _load_word(row, ORDERS), values))
+            status = _call_derivatives(address, (handle, references, count, load_word(row, ORDERS), values))
         elif function == COPY:
-            _store_real(_load_word(m, SIGNALS), signal, _load_real(_load_word(m, SIGNALS), values))
+            store_real(load_word(m, SIGNALS), signal, load_real(load_word(m, SIGNALS), values))
             status = np.int32(0)
         else:
             for j in range(count):
-                _store_int32(values, j, np.int32(round(_load_real(_load_word(m, SIGNALS), signal + j))))
+                store_int32(values, j, np.int32(round(load_real(load_word(m, SIGNALS), signal + j))))
             status = _call_values(address, (handle, references, count, values))
             for j in range(count):
-                _store_real(_load_word(m, SIGNALS), signal + j, np.float64(_load_int32(values, j)))
+                store_real(load_word(m, SIGNALS), signal + j, np.float64(load_int32(values, j)))
         if status > WARNING:
-            return _fail(m, function, _load_word(row, COMPONENT), status)
+            return _fail(m, function, load_word(row, COMPONENT), status)
     return True
 
 
 @numba.njit("intp(intp, intp, intp)", cache=True, nogil=True, error_model="numpy")
 def _address(m, component, function):  # type: ignore[no-untyped-def]
-    return _load_word(_load_word(m, ADDRESSES), component * N_FUNCTIONS + function)
+    return load_word(load_word(m, ADDRESSES), component * N_FUNCTIONS + function)
 
 
 @numba.njit("boolean(intp)", cache=True, nogil=True, error_model="numpy")
 def _prepare(m):  # type: ignore[no-untyped-def]
     """Reset what was used and set up the experiment; the stop time stays open."""
-    for c in range(_load_word(m, N_COMPONENTS)):
-        handle = _load_word(_load_word(m, HANDLES), c)
-        if _load_word(_load_word(m, USED), c):
+    for c in range(load_word(m, N_COMPONENTS)):
+        handle = load_word(load_word(m, HANDLES), c)
+        if load_word(load_word(m, USED), c):
             status = _call_plain(_address(m, c, RESET), (handle,))
             if status > WARNING:
                 return _fail(m, RESET, c, status)
-        _store_word(_load_word(m, USED), c, 1)
-        status = _call_setup(_address(m, c, SETUP), (handle, 0, 0.0, _load_real(_load_word(m, TIMES), 0), 0, 0.0))
+        store_word(load_word(m, USED), c, 1)
+        status = _call_setup(_address(m, c, SETUP), (handle, 0, 0.0, load_real(load_word(m, TIMES), 0), 0, 0.0))
         if status > WARNING:
             return _fail(m, SETUP, c, status)
     return True
@@ -193,8 +142,8 @@ def _prepare(m):  # type: ignore[no-untyped-def]
 @numba.njit("boolean(intp, intp)", cache=True, nogil=True, error_model="numpy")
 def _all_components(m, function):  # type: ignore[no-untyped-def]
     """Call a function without further arguments on every component."""
-    for c in range(_load_word(m, N_COMPONENTS)):
-        status = _call_plain(_address(m, c, function), (_load_word(_load_word(m, HANDLES), c),))
+    for c in range(load_word(m, N_COMPONENTS)):
+        status = _call_plain(_address(m, c, function), (load_word(load_word(m, HANDLES), c),))
         if status > WARNING:
             return _fail(m, function, c, status)
     return True
@@ -203,32 +152,32 @@ def _all_components(m, function):  # type: ignore[no-untyped-def]
 @numba.njit("void(intp, intp, float64, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _set_inputs(m, k, after, modes_from):  # type: ignore[no-untyped-def]
     """Put the inputs, a time `after` past sample k, into the signals; only those of a mode from `modes_from` on."""
-    n, signals, slots = _load_word(m, N_INPUTS), _load_word(m, SIGNALS), _load_word(m, INPUT_SIGNALS)
-    modes, slopes = _load_word(m, INPUT_MODES), _load_word(m, SLOPES)
-    row = _load_word(m, INPUTS) + 8 * n * k
-    direct = _load_word(m, DIRECT_INPUTS)
+    n, signals, slots = load_word(m, N_INPUTS), load_word(m, SIGNALS), load_word(m, INPUT_SIGNALS)
+    modes, slopes = load_word(m, INPUT_MODES), load_word(m, SLOPES)
+    row = load_word(m, INPUTS) + 8 * n * k
+    direct = load_word(m, DIRECT_INPUTS)
     if direct:
-        _store_word(direct, 0, row if after == 0.0 else signals + 8 * _load_word(slots, 0))
+        store_word(direct, 0, row if after == 0.0 else signals + 8 * load_word(slots, 0))
         if after == 0.0:
             return
     for j in range(n):
-        if _load_word(modes, j) >= modes_from:
-            _store_real(signals, _load_word(slots, j), _load_real(row, j) + _load_real(slopes, j) * after)
+        if load_word(modes, j) >= modes_from:
+            store_real(signals, load_word(slots, j), load_real(row, j) + load_real(slopes, j) * after)
 
 
 @numba.njit("boolean(intp, intp, float64)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _set_slopes(m, k, length):  # type: ignore[no-untyped-def]
     """Find the slopes of the linear inputs in interval k; return whether any input goes by midpoints."""
-    n, signals, slots = _load_word(m, N_INPUTS), _load_word(m, SIGNALS), _load_word(m, DERIVATIVE_SIGNALS)
-    modes, slopes = _load_word(m, INPUT_MODES), _load_word(m, SLOPES)
-    row = _load_word(m, INPUTS) + 8 * n * k
+    n, signals, slots = load_word(m, N_INPUTS), load_word(m, SIGNALS), load_word(m, DERIVATIVE_SIGNALS)
+    modes, slopes = load_word(m, INPUT_MODES), load_word(m, SLOPES)
+    row = load_word(m, INPUTS) + 8 * n * k
     by_midpoint = False
     for j in range(n):
-        mode = _load_word(modes, j)
+        mode = load_word(modes, j)
         if mode != HELD:
-            slope = (_load_real(row, n + j) - _load_real(row, j)) / length
-            _store_real(slopes, j, slope)
-            _store_real(signals, _load_word(slots, j), slope)
+            slope = (load_real(row, n + j) - load_real(row, j)) / length
+            store_real(slopes, j, slope)
+            store_real(signals, load_word(slots, j), slope)
             by_midpoint = by_midpoint or mode == BY_MIDPOINT
     return by_midpoint
 
@@ -236,12 +185,12 @@ def _set_slopes(m, k, length):  # type: ignore[no-untyped-def]
 @numba.njit("boolean(intp, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _interval(m, k):  # type: ignore[no-untyped-def]
     """All components from sample k to sample k + 1, in equal substeps; the first exchange is done already."""
-    times = _load_word(m, TIMES)
-    begin = _load_real(times, k)
-    length = _load_real(times, k + 1) - begin
+    times = load_word(m, TIMES)
+    begin = load_real(times, k)
+    length = load_real(times, k + 1) - begin
     if length <= 0.0:  # a time given twice: a step of the inputs
         return True
-    n = _load_word(_load_word(m, SUBSTEPS), k)
+    n = load_word(load_word(m, SUBSTEPS), k)
     h = length / n
     by_midpoint = _set_slopes(m, k, length)
     for s in range(n):
@@ -255,9 +204,9 @@ def _interval(m, k):  # type: ignore[no-untyped-def]
                 return False
         if not _perform(m, 4, 5):
             return False
-        handles = _load_word(m, HANDLES)
-        for c in range(_load_word(m, N_COMPONENTS)):
-            status = _call_step(_address(m, c, DO_STEP), (_load_word(handles, c), begin + s * h, h, 1))
+        handles = load_word(m, HANDLES)
+        for c in range(load_word(m, N_COMPONENTS)):
+            status = _call_step(_address(m, c, DO_STEP), (load_word(handles, c), begin + s * h, h, 1))
             if status > WARNING:
                 return _fail(m, DO_STEP, c, status)
     return True
@@ -266,17 +215,17 @@ def _interval(m, k):  # type: ignore[no-untyped-def]
 @numba.njit("boolean(intp, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _sample(m, k):  # type: ignore[no-untyped-def]
     """Set the inputs of sample k, pass outputs on, and record the outputs."""
-    n, signals, slots = _load_word(m, N_OUTPUTS), _load_word(m, SIGNALS), _load_word(m, OUTPUT_SIGNALS)
-    row = _load_word(m, OUTPUTS) + 8 * n * k
-    direct = _load_word(m, DIRECT_OUTPUTS)
+    n, signals, slots = load_word(m, N_OUTPUTS), load_word(m, SIGNALS), load_word(m, OUTPUT_SIGNALS)
+    row = load_word(m, OUTPUTS) + 8 * n * k
+    direct = load_word(m, DIRECT_OUTPUTS)
     if direct:
-        _store_word(direct, 0, row)
+        store_word(direct, 0, row)
     _set_inputs(m, k, 0.0, HELD)
     if not _perform(m, 1, 4):
         return False
     if not direct:
         for j in range(n):
-            _store_real(row, j, _load_real(signals, _load_word(slots, j)))
+            store_real(row, j, load_real(signals, load_word(slots, j)))
     return True
 
 
@@ -288,9 +237,9 @@ def _simulate(m):  # type: ignore[no-untyped-def]
     _set_inputs(m, 0, 0.0, HELD)
     if not (_perform(m, 1, 3) and _all_components(m, EXIT_INITIALIZATION)):
         return False
-    last = _load_word(m, N_TIMES) - 1
+    last = load_word(m, N_TIMES) - 1
     for k in range(last + 1):
-        _store_word(_load_word(m, REPORT), 3, k)
+        store_word(load_word(m, REPORT), 3, k)
         if not _sample(m, k):
             return False
         if k < last and not _interval(m, k):
@@ -305,19 +254,19 @@ def simulate(m, count):  # type: ignore[no-untyped-def]
     The memory says where everything is; `fmuid.fmi.loop.Loop` lays it out. For each theta four words are reported:
     (function, component, status, sample) of the failing call, function -1 where none failed.
     """
-    n, parameters, slots = _load_word(m, N_PARAMETERS), _load_word(m, THETAS), _load_word(m, PARAMETER_SIGNALS)
-    signals, starts = _load_word(m, SIGNALS), _load_word(m, START_SIGNALS)
-    report, outputs = _load_word(m, REPORT), _load_word(m, OUTPUTS)
+    n, parameters, slots = load_word(m, N_PARAMETERS), load_word(m, THETAS), load_word(m, PARAMETER_SIGNALS)
+    signals, starts = load_word(m, SIGNALS), load_word(m, START_SIGNALS)
+    report, outputs = load_word(m, REPORT), load_word(m, OUTPUTS)
     for i in range(count):
-        _store_word(m, REPORT, report + 32 * i)
-        _store_word(m, OUTPUTS, outputs + 8 * i * _load_word(m, N_TIMES) * _load_word(m, N_OUTPUTS))
+        store_word(m, REPORT, report + 32 * i)
+        store_word(m, OUTPUTS, outputs + 8 * i * load_word(m, N_TIMES) * load_word(m, N_OUTPUTS))
         for j in range(4):
-            _store_word(report + 32 * i, j, -1)
-        for j in range(_load_word(m, N_SIGNALS)):
-            _store_real(signals, j, _load_real(starts, j))
+            store_word(report + 32 * i, j, -1)
+        for j in range(load_word(m, N_SIGNALS)):
+            store_real(signals, j, load_real(starts, j))
         for j in range(n):
-            _store_real(signals, _load_word(slots, j), _load_real(parameters, i * n + j))
-        if not _simulate(m) and _load_word(report + 32 * i, 2) > ERROR:
+            store_real(signals, load_word(slots, j), load_real(parameters, i * n + j))
+        if not _simulate(m) and load_word(report + 32 * i, 2) > ERROR:
             for j in range(4 * (i + 1), 4 * count):  # the instance must not be touched again
-                _store_word(report, j, _load_word(report, j - 4))
+                store_word(report, j, load_word(report, j - 4))
             return
