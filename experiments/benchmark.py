@@ -118,7 +118,7 @@ def c_simulation(experiment: fmuid.Experiment, folder: Path) -> Callable[[Array]
     subprocess.run([*compiler, str(source), "-o", str(library)], check=True)
     loop = ctypes.CDLL(str(library)).loop
     fmu = fmuid.FMU(FMU_FILE)
-    instance = Instance(fmu, "c")
+    instance = Instance(fmu, "co-simulation", "c")
     dll: Any = instance.library
     functions = [ctypes.cast(getattr(dll, name), ctypes.c_void_p) for name in CALLED_IN_C]
     references = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from fmuid import __version__
 from fmuid.errors import FmuidError, InputError
 
 if TYPE_CHECKING:
+    from fmuid.apply import AppliedValue
     from fmuid.estimators.global_search import GlobalResult
     from fmuid.problem import Problem
     from fmuid.result import Result
@@ -127,6 +129,7 @@ def identify(
     from dataclasses import replace
 
     from fmuid import console, console_result, figures_run, plots, report
+    from fmuid.apply import write_estimates
     from fmuid.progress import Work
     from fmuid.reading import read_result
     from fmuid.residuals import examine_residuals
@@ -153,7 +156,7 @@ def identify(
         read.uncertainty_settings.level,
         search,
     )
-    written = found.write(folder)
+    written = [*found.write(folder), *write_estimates(folder, read.system, result)]
     console_result.show_result(found)
     plots.clear(folder / "figures")
     written += plots.save(figures_run.draw(found), folder / "figures")
@@ -186,6 +189,46 @@ def _search(read: Study, problem: Problem, start: Any) -> tuple[Result, GlobalRe
     with Work(problem.parameters.names) as work:
         found = search_globally(problem, read.estimator, work.searched)
     return found.result, found
+
+
+@app.command()
+def apply(
+    result: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RESULT", help="A result.json, the folder that has it, or an .ssv file.", show_default=False
+        ),
+    ],
+    fmu: FmuFile,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="NEW.fmu", help="The FMU to write.")],
+    component: Annotated[
+        str | None, typer.Option("--component", metavar="NAME", help="Which component of a system the FMU is.")
+    ] = None,
+) -> int:
+    """Write identified values as the start values of a copy of an FMU."""
+    from fmuid import console
+    from fmuid.apply import apply_result
+
+    _show_applied(apply_result(result, fmu, output, component))
+    console.show_files([output])
+    return DONE
+
+
+def _show_applied(applied: Sequence[AppliedValue]) -> None:
+    from rich.markup import escape
+
+    from fmuid import console
+    from fmuid.report import rounded
+
+    numbers = ("old start", "new start", "std")
+    table = console.table_of("Start values", ["variable", *numbers, "unit"], right=numbers)
+    for each in applied:
+        old, known = each.old, math.isfinite(each.std)
+        new = rounded(each.new, each.std) if isinstance(each.new, float) else str(each.new)
+        cells = ["" if old is None else f"{old:.6g}" if isinstance(old, float) else str(old), new]
+        cells += [rounded(each.std, each.std) if known else "", console.unit_text(each.unit)]
+        table.add_row(*(escape(cell) for cell in (each.variable, *cells)))
+    console.console().print(table)
 
 
 @app.command()

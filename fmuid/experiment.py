@@ -16,8 +16,9 @@ from fmuid.tables import missing_column, numeric_column, read_table
 
 _Floats = npt.NDArray[np.float64]
 
-INTERPOLATIONS = ("linear", "hold")
-"""How an input goes between samples: straight from one to the next (measured signals), or held (numerical commands)."""
+INTERPOLATIONS = ("linear", "hold", "cubic")
+"""How an input goes between samples: straight from one to the next (measured signals), held (numerical commands), or
+along a smooth curve that rises and falls with the samples (Fritsch and Butland's monotone cubic interpolation)."""
 
 _TIME_TOLERANCE = 1e-9
 """Share of the table's duration by which a sample may come before the end of `discard`: times are rounded decimals."""
@@ -40,7 +41,8 @@ class Experiment:
     time : str
         The time column, s: finite, never decreasing. A time given twice is a step of the inputs.
     interpolation : str or mapping of str to str
-        ``"linear"`` or ``"hold"`` (method.md section 5), for all inputs or for each input named; the others are linear.
+        ``"linear"``, ``"hold"`` or ``"cubic"`` (method.md section 5), for all inputs or for each input named; the
+        others are linear.
     discard : float
         Duration from the first time on that is simulated but not counted, s (method.md section 5: initial conditions).
     units : mapping of str to str
@@ -66,6 +68,10 @@ class Experiment:
         True where the output is there and `discard` is over.
     held : ndarray of bool (n_inputs,)
         True where the interpolation is ``"hold"``.
+    curved : ndarray of bool (n_inputs,)
+        True where it is ``"cubic"``.
+    input_slopes : ndarray (K, n_inputs)
+        Time derivatives at the samples where it is ``"cubic"``, in the units of the table over s, else NaN.
 
     Raises
     ------
@@ -90,6 +96,8 @@ class Experiment:
     output_values: npt.NDArray[np.float64] = field(init=False, repr=False)
     counted: npt.NDArray[np.bool_] = field(init=False, repr=False)
     held: npt.NDArray[np.bool_] = field(init=False, repr=False)
+    curved: npt.NDArray[np.bool_] = field(init=False, repr=False)
+    input_slopes: npt.NDArray[np.float64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         source = self.source
@@ -100,6 +108,9 @@ class Experiment:
         frame = _table(source, self.frame, self.time, inputs, outputs)
         times = _times(source, frame, self.time)
         output_values = _values(source, frame, times, "output", outputs)
+        input_values = _values(source, frame, times, "input", inputs)
+        words = _interpolation_words(source, self.interpolation, inputs)
+        curved = np.array([word == "cubic" for word in words], dtype=np.bool_)
         derived = {
             "frame": frame,
             "inputs": inputs,
@@ -109,10 +120,12 @@ class Experiment:
             "input_names": tuple(inputs),
             "output_names": tuple(outputs),
             "times": times,
-            "input_values": _values(source, frame, times, "input", inputs),
+            "input_values": input_values,
             "output_values": output_values,
             "counted": _counted(source, times, output_values, outputs, self.discard),
-            "held": _held(source, self.interpolation, inputs),
+            "held": np.array([word == "hold" for word in words], dtype=np.bool_),
+            "curved": curved,
+            "input_slopes": _slopes(times, input_values, curved),
         }
         for name, value in derived.items():
             if isinstance(value, np.ndarray):
@@ -254,8 +267,8 @@ def _counted(
     return counted
 
 
-def _held(source: str, given: str | Mapping[str, str], inputs: Mapping[str, str]) -> npt.NDArray[np.bool_]:
-    """Return which inputs are held between samples."""
+def _interpolation_words(source: str, given: str | Mapping[str, str], inputs: Mapping[str, str]) -> list[str]:
+    """Return for each input how it goes between samples."""
     words = dict(given) if isinstance(given, Mapping) else dict.fromkeys(inputs, given)
     for variable in words:
         if variable not in inputs:
@@ -266,8 +279,23 @@ def _held(source: str, given: str | Mapping[str, str], inputs: Mapping[str, str]
     for word in words.values() if isinstance(given, Mapping) else [given]:
         if word not in INTERPOLATIONS:
             near = nearest(str(word), INTERPOLATIONS)
-            raise InputError(f'{source}: interpolation {word!r} is not known{near}: write "linear" or "hold"')
-    return np.array([words.get(variable, "linear") == "hold" for variable in inputs], dtype=np.bool_)
+            raise InputError(f'{source}: interpolation {word!r} is not known{near}: write "linear", "hold" or "cubic"')
+    return [words.get(variable, "linear") for variable in inputs]
+
+
+def _slopes(times: _Floats, values: _Floats, curved: npt.NDArray[np.bool_]) -> _Floats:
+    """Return the slopes of monotone cubic curves through the samples; none goes across a step (a time given twice)."""
+    slopes = np.full(values.shape, np.nan)
+    if curved.any():
+        from scipy.interpolate import PchipInterpolator
+
+        for part in np.split(np.arange(times.size), np.flatnonzero(np.diff(times) == 0) + 1):
+            flat = np.zeros((part.size, int(curved.sum())))
+            at = times[part]
+            slopes[np.ix_(part, curved)] = (
+                PchipInterpolator(at, values[np.ix_(part, curved)]).derivative()(at) if part.size > 1 else flat
+            )
+    return slopes
 
 
 def _units(source: str, given: Mapping[str, str], variables: Sequence[str]) -> dict[str, str]:

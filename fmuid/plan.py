@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from ctypes import c_char_p, c_void_p, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.errors import InputError, nearest
 from fmuid.experiment import Experiment
 from fmuid.fmi import kernels
 from fmuid.fmi.description import Variable
-from fmuid.fmi.loop import Grid, Plan
-from fmuid.system import System
+from fmuid.fmi.layout import FeedThrough, Grid, Integration, Operation, Plan
+from fmuid.fmi.native import BOOLEAN, INT32, UINT8, WIRES
+from fmuid.system import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, Connection, System
 
 Value = float | int | bool | str
 
@@ -23,9 +25,6 @@ LINEAR_SUBSTEPS = 10
 # Steps that differ by less, relatively, count as equal: sampling times are rounded, often to single precision. A second
 # substep where the table says 1.00002 ms instead of 1 ms would double a sampled controller's rate.
 STEP_TOLERANCE = 1e-3
-
-_SET = {"Real": kernels.SET_REAL, "Integer": kernels.SET_INTEGER, "Boolean": kernels.SET_BOOLEAN}
-_GET = {"Real": kernels.GET_REAL, "Integer": kernels.GET_INTEGER, "Boolean": kernels.GET_BOOLEAN}
 
 
 class PlannedRun:
@@ -40,8 +39,8 @@ class PlannedRun:
     values : mapping of str to number, bool or str
         Variables held at a value.
     step_size : float, optional
-        Largest communication step, s; default: from sample to sample (`LINEAR_SUBSTEPS` to a sampling interval
-        where inputs are linear in between and their FMU cannot interpolate).
+        Largest communication step, s, in place of the system's; default: from sample to sample (`LINEAR_SUBSTEPS` to a
+        sampling interval where inputs are linear in between and their FMU cannot interpolate).
 
     Attributes
     ----------
@@ -67,146 +66,318 @@ class PlannedRun:
         self.output_names = experiment.output_names
         self._signals: list[float] = []
         self._references: list[int] = []
-        self._operations: list[tuple[int, int, int, int, int]] = []
+        self._operations: list[Operation] = []
         self._strings: list[c_char_p] = []
+        self._conversions: list[tuple[float, float]] = []
+        self._loops: list[FeedThrough] = []
         self._component_index = {name: i for i, name in enumerate(system.components)}
         check_roles(system, experiment, parameters, values)
         if step_size is not None and not step_size > 0:
             raise InputError(f"step_size must be a positive number of seconds, not {step_size:g}")
+        self._step_size = step_size
+        self._steps = self._component_steps(step_size)
+        self._modes = {name: self._mode(name, held) for name, held in self._inputs()}
 
         stages = [0]
-        parameter_slots = self._start_operations(parameters, values)
+        parameter_slots = self._start_operations(parameters, self._all_values(parameters, values))
         stages.append(len(self._operations))
-        input_slots = self._transfer(_SET, experiment.input_names)
+        input_slots = self._transfer(experiment.input_names, setting=True)
         stages.append(len(self._operations))
-        self._exchange_operations()
+        groups = self._exchange_operations()
         stages.append(len(self._operations))
-        output_slots = self._transfer(_GET, experiment.output_names)
+        output_slots, output_terms = self._output_operations()
         stages.append(len(self._operations))
-        modes = [self._mode(name, bool(held)) for name, held in self._inputs()]
-        derivative_slots = self._derivative_operations(modes)
+        derivative_slots = self._derivative_operations()
         stages.append(len(self._operations))
+        for component in system.components:
+            if system.master == "gauss-seidel":
+                self._pass_on_after(component)
+            stages.append(len(self._operations))
+        integrations = tuple(self._integration(name) for name in system.components)
         self.plan = Plan(
-            operations=np.array(self._operations, np.intp).reshape(-1, 5),
+            operations=tuple(self._operations),
             stages=np.array(stages, np.intp),
+            groups=np.array(groups, np.intp).reshape(-1, 2),
+            loops=tuple(self._loops),
             references=np.array(self._references, np.uint32),
             signals=np.array(self._signals, np.float64),
+            conversions=np.array(self._conversions, np.float64).reshape(-1, 2),
             strings=np.array([cast(s, c_void_p).value for s in self._strings], np.intp),
             parameter_signals=np.array(parameter_slots, np.intp),
             input_signals=np.array(input_slots, np.intp),
-            input_modes=np.array(modes, np.intp),
+            input_modes=np.array(list(self._modes.values()), np.intp),
+            input_curves=self._curves(),
             derivative_signals=np.array(derivative_slots, np.intp),
             output_signals=np.array(output_slots, np.intp),
+            output_terms=np.array(output_terms, np.intp),
+            integrations=integrations,
+            tolerances=np.array([model.numerics.tolerance or 0.0 for model in system.components.values()]),
+            gauss_seidel=system.master == "gauss-seidel",
         )
-        self.grid = self._build_grid(modes, step_size)
+        self.grid = self._build_grid()
 
     def _inputs(self) -> list[tuple[str, bool]]:
         return list(zip(self._experiment.input_names, self._experiment.held.tolist(), strict=True))
 
+    def describe_loop(self, number: int) -> str:
+        """Return in words that a loop of direct feed-through was not solved."""
+        slots = self.plan.loops[number].signals
+        group = [some for some, is_loop in self._system.exchange_order if is_loop][number]
+        names = " -> ".join(self._system.full_name(*connection.target) for connection in group)
+        return f"the loop of direct feed-through through {names} ({len(slots)} unknowns) has no solution that is found"
+
+    # --- how each component runs
+
+    def _component_steps(self, step_size: float | None) -> dict[str, float | None]:
+        """Return the largest communication step of each component; None where the samples decide."""
+        models = self._system.components
+        alone = len(models) == 1  # its integrator may step as it likes between the samples
+        return {
+            name: None if alone and model.kind == "model-exchange" else step_size or model.numerics.step_size
+            for name, model in models.items()
+        }
+
     def _mode(self, name: str, held: bool) -> int:
         component, inner = self._system.split(name)
-        description = self._system.components[component].description
+        model = self._system.components[component]
+        description = model.fmu.description
         if held or not description.variables[inner].continuous:
             return kernels.HELD
-        interface = description.interfaces.get("co-simulation")
-        return kernels.BY_DERIVATIVE if interface and interface.interpolates_inputs else kernels.BY_MIDPOINT
+        if model.kind == "model-exchange":
+            return kernels.BY_STEPPER
+        return kernels.BY_DERIVATIVE if description.interfaces[model.kind].interpolates_inputs else kernels.BY_MIDPOINT
 
-    def _allot(self, count: int) -> int:
-        self._signals.extend([0.0] * count)
-        return len(self._signals) - count
+    def _when(self, name: str, connected: bool) -> int:
+        """Return when a variable may be set once the simulation runs, as bits (`kernels`)."""
+        component, inner = self._system.split(name)
+        model = self._system.components[component]
+        description = model.fmu.description
+        steps = [step for step in self._steps.values() if step is not None]
+        latched = kernels.LATCHED if steps and (self._steps[component] or 0.0) > min(steps) else kernels.ALWAYS
+        exchanging = model.kind == "model-exchange"
+        if not exchanging and not description.interfaces[model.kind].event_mode:
+            return latched
+        if connected and description.variables[inner].continuous:
+            return latched | (kernels.WITH_RESTART if exchanging else kernels.ALWAYS)
+        if not connected and self._modes[name] != kernels.HELD:
+            return latched | (kernels.AT_STEPS if exchanging else kernels.ALWAYS)
+        return latched | kernels.AS_EVENT
 
-    def _call(self, function: int, component: str, names: Sequence[str], first: int) -> None:
-        variables = self._system.components[component].description.variables
-        row = (function, self._component_index[component], len(self._references), len(names), first)
-        self._operations.append(row)
-        self._references.extend(variables[name].reference for name in names)
+    def _integration(self, component: str) -> Integration | None:
+        model = self._system.components[component]
+        if model.kind != "model-exchange":
+            return None
+        inputs = [name for name in self._modes if self._system.split(name)[0] == component]
+        varying = [name for name in inputs if self._modes[name] == kernels.BY_STEPPER]
+        connected = any(connection.target[0] == component for connection in self._system.connections)
+        numerics = model.numerics
+        return Integration(
+            numerics.integrator or DEFAULT_INTEGRATOR,
+            numerics.tolerance or DEFAULT_TOLERANCE,
+            self._step_size or numerics.step_size,
+            np.array([self._system.variables[name].reference for name in varying], np.uint32),
+            autonomous=not inputs and not connected,
+        )
 
-    def _transfer(self, calls: Mapping[str, int], names: Sequence[str]) -> list[int]:
-        """Append one call for each component and type; return the signal of each name, in their order."""
-        slots = {}
-        for (component, kind), group in self._grouped(names).items():
-            first = self._allot(len(group))
-            self._call(calls[kind], component, [self._system.split(name)[1] for name in group], first)
-            slots.update({name: first + i for i, name in enumerate(group)})
+    def _curves(self) -> tuple[tuple[int, int], ...]:
+        """Return for each input which row of which component's polynomials it is."""
+        rows: dict[str, int] = defaultdict(int)
+        found = []
+        for name, mode in self._modes.items():
+            component = self._system.split(name)[0]
+            if mode == kernels.BY_STEPPER:
+                found.append((self._component_index[component], rows[component]))
+                rows[component] += 1
+            else:
+                found.append((-1, -1))
+        return tuple(found)
+
+    # --- operations
+
+    def _transfer(self, names: Sequence[str], *, setting: bool, when: Mapping[str, int] | None = None) -> list[int]:
+        """Append one call for each component, type and time of setting; return the signal of each name, in order."""
+        slots: dict[str, int] = {}
+        for (component, wire, moment), group in self._grouped(names, setting, when).items():
+            first, references = len(self._signals), []
+            for name in group:
+                if name not in slots:
+                    references.append(self._system.variables[name].reference)
+                    slots |= self._allot(component, name)
+            self._call(component, wire, setting, references, first, moment)
         return [slots[name] for name in names]
 
-    def _grouped(self, names: Sequence[str]) -> dict[tuple[str, str], list[str]]:
-        groups: dict[tuple[str, str], list[str]] = defaultdict(list)
+    def _allot(self, component: str, name: str) -> dict[str, int]:
+        """Return the signals of a variable, for one element of an array those of all, holding their start values."""
+        variable = self._system.variables[name]
+        elements = [self._system.full_name(component, element) for element in variable.array] or [name]
+        first = len(self._signals)
+        for element in elements:
+            start = self._system.variables[element].start
+            self._signals.append(float(start) if isinstance(start, int | float) else 0.0)
+        return {element: first + i for i, element in enumerate(elements)}
+
+    def _call(self, component: str, wire: str, setting: bool, references: Sequence[int], first: int, when: int) -> None:
+        place = WIRES.index(wire)
+        version = self._system.components[component].fmu.description.major_version
+        passed = place if place != BOOLEAN else INT32 if version == 2 else UINT8
+        self._operations.append(
+            Operation(
+                place if setting else kernels.N_WIRES + place,
+                self._component_index[component],
+                len(self._references),
+                len(references),
+                first,
+                len(self._signals) - first if wire != "String" else len(references),
+                passed,
+                when,
+            )
+        )
+        self._references.extend(references)
+
+    def _grouped(
+        self, names: Sequence[str], setting: bool, when: Mapping[str, int] | None
+    ) -> dict[tuple[str, str, int], list[str]]:
+        groups: dict[tuple[str, str, int], list[str]] = defaultdict(list)
+        moments = when if when is not None else {name: self._when(name, connected=False) for name in names if setting}
         for name in names:
-            groups[self._system.split(name)[0], self._system.variables[name].type].append(name)
+            wire = self._system.variables[name].wire
+            groups[self._system.split(name)[0], wire, moments.get(name, kernels.ALWAYS)].append(name)
         return groups
 
+    def _all_values(self, parameters: Sequence[str], values: Mapping[str, Value]) -> dict[str, Value]:
+        """Return all that is set before the initialisation but the parameters: values written into an FMU, too."""
+        known: dict[str, Value] = {
+            self._system.full_name(component, name): value
+            for component, model in self._system.components.items()
+            for name, value in model.fmu.description.applied.items()
+        }
+        fed = {*parameters, *self._experiment.input_names, *self._system.connected_inputs}
+        known = {name: value for name, value in (known | self._system.values).items() if name not in fed}
+        return known | dict(values)
+
     def _start_operations(self, parameters: Sequence[str], values: Mapping[str, Value]) -> list[int]:
-        numbers = [name for name in values if self._system.variables[name].type != "String"]
-        slots = self._transfer(_SET, [*numbers, *parameters])
+        variables = self._system.variables
+        numbers = [name for name in values if variables[name].type != "String"]
+        slots = self._transfer([*numbers, *parameters], setting=True, when={})
         for name, slot in zip(numbers, slots, strict=False):
             self._signals[slot] = float(values[name])
         for name in values:
-            if self._system.variables[name].type == "String":
-                component, inner = self._system.split(name)
+            if variables[name].type == "String":
                 self._strings.append(c_char_p(str(values[name]).encode()))
-                self._call(kernels.SET_STRING, component, [inner], len(self._strings) - 1)
+                component, _ = self._system.split(name)
+                self._call(
+                    component, "String", True, [variables[name].reference], len(self._strings) - 1, kernels.ALWAYS
+                )
         return slots[len(numbers) :]
 
-    def _exchange_operations(self) -> None:
-        for group in self._system.exchange_order:
-            pairs = [
-                (self._system.full_name(*connection.source), self._system.full_name(*connection.target))
-                for connection in group
-            ]
-            sources = list(dict.fromkeys(source for source, _ in pairs))
-            got = dict(zip(sources, self._transfer(_GET, sources), strict=True))
-            at = len(self._operations)
-            targets = [target for _, target in pairs]
-            to = self._transfer(_SET, targets)
-            self._operations[at:at] = [
-                (kernels.COPY, 0, got[source], 1, slot) for (source, _), slot in zip(pairs, to, strict=True)
-            ]
+    def _exchange_operations(self) -> list[tuple[int, int]]:
+        """Append what passes outputs on; return the groups of `Plan`."""
+        groups = []
+        for group, is_loop in self._system.exchange_order:
+            first = len(self._operations)
+            setting, slots = self._pass_on(group)
+            if is_loop:
+                groups.append((-1, len(self._loops)))
+                self._loops.append(FeedThrough(first, setting, len(self._operations), tuple(slots)))
+            else:
+                groups.append((first, len(self._operations)))
+        return groups
 
-    def _derivative_operations(self, modes: Sequence[int]) -> list[int]:
-        unused = self._allot(1)  # where the slopes of the inputs go that are given none
+    def _pass_on_after(self, component: str) -> None:
+        """Append what passes the outputs of a component on to those that step after it."""
+        later = [
+            name for name in self._system.components if self._component_index[name] > self._component_index[component]
+        ]
+        self._pass_on([c for c in self._system.connections if c.source[0] == component and c.target[0] in later])
+
+    def _pass_on(self, connections: Iterable[Connection]) -> tuple[int, list[int]]:
+        """Append gets, copies and sets; return where the sets begin, and the signals of the inputs."""
+        group = list(connections)
+        pairs = [(self._system.full_name(*c.source), self._system.full_name(*c.target)) for c in group]
+        sources = list(dict.fromkeys(source for source, _ in pairs))
+        got = dict(zip(sources, self._transfer(sources, setting=False), strict=True))
+        at = len(self._operations)
+        targets = [target for _, target in pairs]
+        slots = self._transfer(targets, setting=True, when={name: self._when(name, connected=True) for name in targets})
+        copies = []
+        for connection, (source, _), slot in zip(group, pairs, slots, strict=True):
+            copies.append(Operation(kernels.COPY, 0, got[source], len(self._conversions), slot, 1, 0))
+            self._conversions.append((connection.factor, connection.offset))
+        self._operations[at:at] = copies
+        return at + len(copies), slots
+
+    def _output_operations(self) -> tuple[list[int], list[int]]:
+        """Append what gets the outputs; return the signals summed, and where those of each output begin."""
+        terms = [self._system.terms(name) for name in self.output_names]
+        found = list(dict.fromkeys(term for some in terms for term in some))
+        slots = dict(zip(found, self._transfer(found, setting=False), strict=True))
+        return [slots[term] for some in terms for term in some], np.cumsum([0, *map(len, terms)]).tolist()
+
+    def _derivative_operations(self) -> list[int]:
+        unused = len(self._signals)  # where the slopes of the inputs go that are given none
+        self._signals.append(0.0)
         slots = dict.fromkeys(self._experiment.input_names, unused)
-        linear = [n for n, mode in zip(slots, modes, strict=True) if mode == kernels.BY_DERIVATIVE]
-        calls = dict.fromkeys(_SET, kernels.SET_DERIVATIVES)
-        slots.update(zip(linear, self._transfer(calls, linear), strict=True))
+        linear = [name for name, mode in self._modes.items() if mode == kernels.BY_DERIVATIVE]
+        first = len(self._operations)
+        found = self._transfer(linear, setting=True, when={})
+        for i in range(first, len(self._operations)):
+            self._operations[i] = self._operations[i]._replace(function=kernels.SET_DERIVATIVES)
+        slots.update(zip(linear, found, strict=True))
+        for slot in found:
+            self._signals[slot] = 0.0
         return list(slots.values())
 
-    def _build_grid(self, modes: Sequence[int], step_size: float | None) -> Grid:
+    # --- the grid
+
+    def _build_grid(self) -> Grid:
         intervals = np.diff(self._experiment.times)
-        if step_size is not None:
-            substeps = np.ceil(intervals / step_size * (1 - STEP_TOLERANCE))
+        steps = [step for step in self._steps.values() if step is not None]
+        strides = np.ones(len(self._steps), np.intp)
+        curved = {name for name, is_curved in zip(self._modes, self._experiment.curved, strict=True) if is_curved}
+        if steps:
+            smallest = min(steps)
+            substeps = np.ceil(intervals / smallest * (1 - STEP_TOLERANCE))
+            strides[:] = [max(1, round((step or smallest) / smallest)) for step in self._steps.values()]
         else:
-            substeps = np.full(intervals.shape, LINEAR_SUBSTEPS if kernels.BY_MIDPOINT in modes else 1)
+            coarse = any(
+                mode == kernels.BY_MIDPOINT or (mode == kernels.BY_DERIVATIVE and name in curved)
+                for name, mode in self._modes.items()
+            )
+            substeps = np.full(intervals.shape, LINEAR_SUBSTEPS if coarse else 1)
         substeps = np.maximum(substeps, 1).astype(np.intp)
         self._check_steps(intervals / substeps)
-        return Grid(np.array(self._experiment.times), substeps, self._converted_inputs())
+        inputs, slopes = self._converted_inputs()
+        return Grid(np.array(self._experiment.times), substeps, strides, inputs, slopes if curved else None)
 
-    def _check_steps(self, steps: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
+    def _check_steps(self, steps: NDArray[np.float64]) -> None:
         """Refuse unequal steps where an FMU declares that it cannot take them."""
         taken = steps[steps > 0]
         if taken.size == 0 or np.ptp(taken) <= STEP_TOLERANCE * taken.max():
             return
-        for fmu in self._system.components.values():
-            interface = fmu.description.interfaces.get("co-simulation")
-            if interface is not None and not interface.variable_step:
+        for model in self._system.components.values():
+            interface = model.fmu.description.interfaces[model.kind]
+            if model.kind == "co-simulation" and not interface.variable_step:
                 raise InputError(
-                    f"{fmu.path.name} needs communication steps of one length, and {self._experiment.source} "
+                    f"{model.fmu.path.name} needs communication steps of one length, and {self._experiment.source} "
                     f"is sampled irregularly ({taken.min():g} s to {taken.max():g} s); resample the table"
                 )
 
-    def _converted_inputs(self) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    def _converted_inputs(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the inputs, and their slopes at the samples, in the units of the FMU."""
         inputs = np.array(self._experiment.input_values, np.float64, order="C")
+        slopes = np.array(self._experiment.input_slopes, np.float64, order="C")
         for j, name in enumerate(self._experiment.input_names):
             if name in self._experiment.units:
                 factor, offset = unit_conversion(self._system, name, self._experiment.units[name])
                 inputs[:, j] = factor * inputs[:, j] + offset
-        return inputs
+                slopes[:, j] *= factor
+        return inputs, slopes
 
 
 def unit_conversion(system: System, name: str, unit: str) -> tuple[float, float]:
     """Return (factor, offset): the value in the variable's unit is factor times that in `unit`, plus offset."""
-    component, inner = system.split(name)
-    description = system.components[component].description
+    component, inner = system.split(system.terms(name)[0])
+    description = system.components[component].fmu.description
     return description.conversion(description.variables[inner], unit)
 
 
@@ -224,12 +395,10 @@ def check_roles(system: System, experiment: Experiment, parameters: Sequence[str
             raise InputError(f"input {name!r} is fed by a connection; take it out of the inputs of {experiment.source}")
         if name in parameters or name in values:
             raise InputError(f"{name!r} is an input from {experiment.source}; it cannot also be given a value")
-        if variable.type == "String":
-            raise InputError(f"input {name!r} is a String; only numbers can come from a table")
+        if variable.type not in _NUMBERS:
+            raise InputError(f"input {name!r} is a {variable.type}; only numbers can come from a table")
     for name in experiment.output_names:
-        variable = _with_causality(system, name, "output", ("output", "local"), experiment.source)
-        if variable.type == "String":
-            raise InputError(f"output {name!r} is a String and cannot be compared with measurements")
+        _check_output(system, name, experiment.source)
     for name in parameters:
         variable = system.variable(name, "parameter")
         if variable.type != "Real":
@@ -239,6 +408,21 @@ def check_roles(system: System, experiment: Experiment, parameters: Sequence[str
             raise InputError(f"{name!r} is both a parameter and held at a value; keep one of the two")
     for name, value in values.items():
         _check_value(system, system.variable(name, "variable"), value)
+
+
+_NUMBERS = ("Real", "Integer", "Boolean")
+
+
+def _check_output(system: System, name: str, source: str) -> None:
+    terms = [_with_causality(system, term, "output", ("output", "local"), source) for term in system.terms(name)]
+    for variable in terms:
+        if variable.type not in _NUMBERS:
+            raise InputError(f"output {variable.name!r} is a {variable.type} and cannot be compared with measurements")
+        if variable.unit != terms[0].unit:
+            raise InputError(
+                f"output {name!r} sums different units: {terms[0].name!r} is in {terms[0].unit or 'no unit'} and "
+                f"{variable.name!r} in {variable.unit or 'no unit'}; sum variables of one unit"
+            )
 
 
 def _with_causality(system: System, name: str, role: str, wanted: tuple[str, ...], source: str) -> Variable:
@@ -266,6 +450,8 @@ def _check_settable(system: System, variable: Variable) -> None:
 def _check_value(system: System, variable: Variable, value: Value) -> None:
     _check_settable(system, variable)
     fits = {
+        "Binary": False,
+        "Clock": False,
         "Real": isinstance(value, int | float) and not isinstance(value, bool),
         "Integer": isinstance(value, int) and not isinstance(value, bool),
         "Boolean": isinstance(value, bool),

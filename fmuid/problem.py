@@ -99,7 +99,8 @@ class Problem:
         ]
         self._assemble(predictors, listed, parameters, noise or Noise(), joint_prior, loss)
         self.models: Mapping[str, Mapping[str, str]] = {
-            name: {"name": fmu.name, "digest": fmu.digest} for name, fmu in system.components.items()
+            name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": model.words()}
+            for name, model in system.components.items()
         }
 
     @classmethod

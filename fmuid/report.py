@@ -77,7 +77,7 @@ class Fit:
 def fit_of(system: System, experiment: Experiment, simulated: npt.NDArray[np.float64]) -> Fit:
     """Set the outputs (K, n_outputs) that a system gives in an experiment beside the measured ones."""
     names = experiment.output_names
-    units = tuple(experiment.units.get(name, system.variables[name].unit) for name in names)
+    units = tuple(experiment.units.get(name, system.unit(name)) for name in names)
     return Fit(experiment.name, experiment.times, names, units, experiment.output_values, simulated, experiment.counted)
 
 

@@ -13,7 +13,7 @@ from fmuid.errors import InputError, SimulationError
 from fmuid.experiment import Experiment
 from fmuid.fmi.archive import FMU
 from fmuid.plan import PlannedRun, Value, unit_conversion
-from fmuid.system import System
+from fmuid.system import Numerics, System
 from fmuid.workers import workers_of
 
 
@@ -48,8 +48,11 @@ class Simulator:
         The variables that theta sets, in this order.
     values : mapping of str to float, int, bool or str
         Variables held at a value.
+    interface, integrator, tolerance : optional
+        How an FMU is run (`fmuid.system.Numerics`); a System says it itself.
     step_size : float, optional
-        Largest communication step, s; default: from sample to sample.
+        Largest communication step, s, of all components, and largest step of an integrator; default: what the system
+        says, else from sample to sample.
 
     Raises
     ------
@@ -70,9 +73,12 @@ class Simulator:
         parameters: Sequence[str] = (),
         *,
         values: Mapping[str, Value] | None = None,
+        interface: str | None = None,
+        integrator: str | None = None,
+        tolerance: float | None = None,
         step_size: float | None = None,
     ) -> None:
-        self.system = System.of(model)
+        self.system = System.of(model, Numerics(interface, integrator, tolerance))
         self.experiment = experiment
         self.parameters = tuple(parameters)
         repeated = {name for name in self.parameters if self.parameters.count(name) > 1}

@@ -60,7 +60,7 @@ class Source:
         if not self.result.models:
             return [*notes, f"{self.path} does not say of which model it is a result"]
         for component in dict.fromkeys(system.split(name)[0] for name in self.names):
-            fmu = system.components[component]
+            fmu = system.components[component].fmu
             earlier = self.result.models.get(component)
             if earlier is None or earlier["name"] != fmu.name:
                 theirs = ", ".join(model["name"] for model in self.result.models.values())

@@ -130,7 +130,7 @@ def read_experiments(top: Section, folder: Path) -> tuple[ExperimentSettings, ..
 
 
 def _interpolation(value: object) -> str | Mapping[str, str]:
-    kind = toml.one_of("linear", "hold")
+    kind = toml.one_of("linear", "hold", "cubic")
     return toml.named(kind)(value) if isinstance(value, dict) else kind(value)
 
 

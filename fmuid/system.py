@@ -3,22 +3,121 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
 from fmuid.errors import InputError, nearest
 from fmuid.fmi.archive import FMU
-from fmuid.fmi.description import Variable
+from fmuid.fmi.description import KINDS, Variable
+
+INTEGRATORS = ("rk4", "rk45", "cvode")
+MASTERS = ("jacobi", "gauss-seidel")
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """How an FMU is run; what is not given is chosen by what the FMU offers (`Component.kind`, `Component.integrator`).
+
+    Parameters
+    ----------
+    interface : "co-simulation" or "model-exchange", optional
+    integrator : "rk4", "rk45" or "cvode", optional
+        For model exchange: Runge–Kutta of order 4 with fixed steps, Dormand–Prince 5(4) with error control, or the
+        stiff BDF methods of SUNDIALS.
+    tolerance : float, optional
+        Relative; for model exchange that of the integrator, for co-simulation what the FMU is told.
+    step_size : float, optional
+        Largest step, s: between communications, and inside an integrator.
+
+    Raises
+    ------
+    InputError
+        If a word is not known or a number not positive.
+    """
+
+    interface: str | None = None
+    integrator: str | None = None
+    tolerance: float | None = None
+    step_size: float | None = None
+
+    def __post_init__(self) -> None:
+        for word, known in (("interface", KINDS), ("integrator", INTEGRATORS)):
+            given = getattr(self, word)
+            if given is not None and given not in known:
+                near = nearest(str(given), known)
+                raise InputError(f"{word} {given!r} is not known{near}: give {' or '.join(known)}")
+        for word, unit in (("tolerance", "number"), ("step_size", "number of seconds")):
+            given = getattr(self, word)
+            if given is not None and not 0 < given < float("inf"):
+                raise InputError(f"{word} must be a positive {unit}, not {given:g}")
+
+    def over(self, others: Numerics) -> Numerics:
+        """Return these, completed by others where nothing is given."""
+        return Numerics(*(getattr(self if getattr(self, f.name) is not None else others, f.name) for f in fields(self)))
+
+
+class Component:
+    """An FMU in a system, and how it is run there.
+
+    Parameters
+    ----------
+    fmu : FMU or path
+    numerics : Numerics
+
+    Raises
+    ------
+    InputError
+        If the FMU has no such interface, or the integrator does not go with the interface.
+    """
+
+    def __init__(self, fmu: FMU | str | Path, numerics: Numerics = Numerics()) -> None:
+        self.fmu = fmu if isinstance(fmu, FMU) else FMU(fmu)
+        self.numerics = numerics
+        offered = self.fmu.description.interfaces
+        if self.kind not in offered:
+            raise InputError(f"{self.fmu.path} offers no {self.kind} interface; it offers {', '.join(offered)}")
+        if numerics.integrator is not None and self.kind != "model-exchange":
+            raise InputError(
+                f"{self.fmu.path} runs as co-simulation, which has its own integrator; take out integrator = "
+                f'"{numerics.integrator}", or give interface = "model-exchange"'
+            )
+
+    @property
+    def kind(self) -> str:
+        """The interface that is used: the one asked for, else co-simulation where it is offered."""
+        offered = self.fmu.description.interfaces
+        return self.numerics.interface or next(kind for kind in KINDS if kind in offered)
+
+    def words(self) -> str:
+        """Return in words how the FMU is run."""
+        given, version = self.numerics, f"FMI {self.fmu.description.fmi_version} {self.kind}"
+        if self.kind == "co-simulation":
+            return version + (f", tolerance {given.tolerance:g}" if given.tolerance else "")
+        integrator = given.integrator or DEFAULT_INTEGRATOR
+        accuracy = "" if integrator == "rk4" else f", tolerance {given.tolerance or DEFAULT_TOLERANCE:g}"
+        return f"{version}, integrator {integrator}{accuracy}"
+
+
+DEFAULT_INTEGRATOR = "rk45"  # no start-up after each step of the inputs; says so where a model is stiff
+# Tight enough that the error stays far below what measurements resolve, and finite differences get good digits.
+DEFAULT_TOLERANCE = 1e-7
 
 
 class Connection(NamedTuple):
-    """An output and the input that it feeds, both as (component, variable name inside the component)."""
+    """An output and the input that it feeds, both as (component, variable name inside the component).
+
+    The input is factor times the output plus offset.
+    """
 
     source: tuple[str, str]
     target: tuple[str, str]
+    factor: float = 1.0
+    offset: float = 0.0
 
 
 class System:
@@ -28,14 +127,22 @@ class System:
     ----------
     fmu : FMU or path, optional
         The only component; its variables keep their names.
-    components : mapping of str to FMU or path
+    components : mapping of str to Component, FMU or path
         Several components; their variables are written ``component.variable``.
-    connections : iterable of (str, str)
-        (output, input), each as ``component.variable``.
+    connections : iterable of (str, str) or (str, str, float, float)
+        (output, input), each as ``component.variable``; with factor and offset where the input is not the output
+        itself. Units that differ are converted as the FMUs define it.
+    numerics : Numerics
+        How components are run that do not say it themselves; `step_size` is the communication step.
+    master : "jacobi" or "gauss-seidel"
+        Whether all components step with the values at the beginning of the step, or each with what those before it,
+        in their given order, have just reached.
+    values : mapping of str to value
+        Start values of variables, as far as the simulation does not set them.
 
     Attributes
     ----------
-    components : dict of str to FMU
+    components : dict of str to Component
         A single FMU is the component ``""``.
     variables : dict of str to Variable
         All variables under their names in the system.
@@ -43,32 +150,57 @@ class System:
     Raises
     ------
     InputError
-        If a connection names an unknown variable, the wrong causality, differing types or units, or feeds an
-        input twice, or if the connections close a loop of direct feed-through.
+        If a connection names an unknown variable, the wrong causality, differing types or units that do not convert,
+        or feeds an input twice, or if the connections close a loop of direct feed-through of other than Real variables.
     """
 
     def __init__(
         self,
-        fmu: FMU | str | Path | None = None,
+        fmu: Component | FMU | str | Path | None = None,
         *,
-        components: Mapping[str, FMU | str | Path] | None = None,
-        connections: Iterable[tuple[str, str]] = (),
+        components: Mapping[str, Component | FMU | str | Path] | None = None,
+        connections: Iterable[tuple[str, str] | tuple[str, str, float, float]] = (),
+        numerics: Numerics = Numerics(),
+        master: str = "jacobi",
+        values: Mapping[str, float | int | bool | str] | None = None,
     ) -> None:
         if (fmu is None) == (not components):
             raise InputError("a system needs either one FMU or named components; give exactly one of the two")
-        given: Mapping[str, FMU | str | Path] = {"": fmu} if fmu is not None else dict(components or {})
-        self.components = {name: model if isinstance(model, FMU) else FMU(model) for name, model in given.items()}
+        if master not in MASTERS:
+            raise InputError(f"master {master!r} is not known{nearest(master, MASTERS)}: give {' or '.join(MASTERS)}")
+        given: Mapping[str, Component | FMU | str | Path] = {"": fmu} if fmu is not None else dict(components or {})
+        self.numerics, self.master = numerics, master
+        self.components = {name: self._component(model, numerics) for name, model in given.items()}
         for name in self.components:
-            if fmu is None and (not name or "." in name):
-                raise InputError(f"component name {name!r} must not be empty or contain a dot; rename the component")
-        self.connections = tuple(self._connect(source, target) for source, target in connections)
+            if fmu is None and not name:
+                raise InputError("a component has an empty name; name it")
+        self.connections = tuple(self._connect(*connection) for connection in connections)
         self._check_fed_once()
-        self.exchange_order  # noqa: B018  # a loop of direct feed-through is an error now, not at the first simulation
+        self.exchange_order  # noqa: B018  # a loop that cannot be solved is an error now, not at the first simulation
+        self.values = dict(values or {})
+        for name in self.values:
+            self.variable(name)
+
+    @staticmethod
+    def _component(model: Component | FMU | str | Path, numerics: Numerics) -> Component:
+        if not isinstance(model, Component):
+            return Component(model, numerics)
+        return Component(model.fmu, model.numerics.over(numerics))
 
     @classmethod
-    def of(cls, model: System | FMU | str | Path) -> System:
-        """Return the model itself where it is a system, else the system of one FMU."""
-        return model if isinstance(model, System) else cls(model)
+    def of(cls, model: System | FMU | str | Path, numerics: Numerics = Numerics()) -> System:
+        """Return the model itself where it is a system, else the system of one FMU.
+
+        Raises
+        ------
+        InputError
+            If numerics are given for a system, which says them itself.
+        """
+        if not isinstance(model, System):
+            return cls(model, numerics=numerics)
+        if numerics != Numerics():
+            raise InputError("a System says interface, integrator and tolerance itself: give them to it")
+        return model
 
     def __repr__(self) -> str:
         return f"System({', '.join(self.components)})" if self.name_prefixed else f"System({self.label})"
@@ -81,15 +213,15 @@ class System:
     @property
     def label(self) -> str:
         """The file name of the FMU, or of all components, for messages."""
-        return ", ".join(fmu.path.name for fmu in self.components.values())
+        return ", ".join(component.fmu.path.name for component in self.components.values())
 
     @cached_property
     def variables(self) -> dict[str, Variable]:
         """All variables under their names in the system."""
         return {
             self.full_name(component, name): replace(variable, name=self.full_name(component, name))
-            for component, fmu in self.components.items()
-            for name, variable in fmu.description.variables.items()
+            for component, model in self.components.items()
+            for name, variable in model.fmu.description.variables.items()
         }
 
     @cached_property
@@ -100,8 +232,8 @@ class System:
     @property
     def can_be_repeated(self) -> bool:
         """Whether several instances of every component may live in one process."""
-        interfaces = [fmu.description.interfaces.get("co-simulation") for fmu in self.components.values()]
-        return all(i is not None and not i.once_per_process and not i.needs_execution_tool for i in interfaces)
+        used = [component.fmu.description.interfaces[component.kind] for component in self.components.values()]
+        return all(not interface.once_per_process and not interface.needs_execution_tool for interface in used)
 
     def full_name(self, component: str, name: str) -> str:
         """Return the name of a component's variable in the system."""
@@ -111,8 +243,18 @@ class System:
         """Return (component, name inside it) of a variable's name in the system."""
         if not self.name_prefixed:
             return "", name
-        component, _, inner = name.partition(".")
-        return component, inner
+        known = [component for component in self.components if name.startswith(component + ".")]
+        component = max(known, key=len, default=name.partition(".")[0])
+        return component, name[len(component) + 1 :]
+
+    def terms(self, output: str) -> list[str]:
+        """Return the variables whose sum an output is: ``machine.ia + fault.ia``, or just the one of that name."""
+        return [output] if output in self.variables else [term.strip() for term in output.split(" + ")]
+
+    def unit(self, name: str) -> str | None:
+        """Return the unit of a variable or sum of variables."""
+        found = self.variables.get(self.terms(name)[0])
+        return found.unit if found else None
 
     def variable(self, name: str, role: str = "variable") -> Variable:
         """Return a variable by its name in the system.
@@ -127,7 +269,7 @@ class System:
             raise InputError(f"{self.label} has no {role} {name!r}{nearest(name, self.variables)}")
         return found
 
-    def _connect(self, source: str, target: str) -> Connection:
+    def _connect(self, source: str, target: str, factor: float = 1.0, offset: float = 0.0) -> Connection:
         ends = (self.variable(source, "connected variable"), self.variable(target, "connected variable"))
         for variable, causality in zip(ends, ("output", "input"), strict=True):
             if variable.causality != causality:
@@ -135,14 +277,24 @@ class System:
                     f"connection {source} -> {target}: {variable.name!r} is of causality {variable.causality!r}; "
                     f"connect an output to an input"
                 )
-        if ends[0].type != ends[1].type:
+        if ends[0].type != ends[1].type or ends[0].type not in ("Real", "Integer", "Boolean"):
             raise InputError(f"connection {source} -> {target}: {ends[0].type} cannot feed {ends[1].type}")
-        if ends[0].unit and ends[1].unit and ends[0].unit != ends[1].unit:
-            raise InputError(
-                f"connection {source} -> {target}: the units differ ({ends[0].unit} and {ends[1].unit}); "
-                f"export the models with the same unit"
-            )
-        return Connection(self.split(source), self.split(target))
+        if (factor, offset) == (1.0, 0.0) and ends[0].unit and ends[1].unit and ends[0].unit != ends[1].unit:
+            factor, offset = self._unit_conversion(source, target)
+        return Connection(self.split(source), self.split(target), factor, offset)
+
+    def _unit_conversion(self, source: str, target: str) -> tuple[float, float]:
+        """Return (factor, offset) from the unit of one component's variable to that of another's."""
+        (giving, output), (taking, name) = self.split(source), self.split(target)
+        gives, takes = self.components[giving].fmu.description, self.components[taking].fmu.description
+        has, wants = gives.variables[output].unit or "", takes.variables[name].unit or ""
+        one, other = gives.units.get(has), takes.units.get(wants)
+        if one and other and one.exponents is not None and one.exponents == other.exponents:
+            return one.factor / other.factor, (one.offset - other.offset) / other.factor
+        raise InputError(
+            f"connection {source} -> {target}: the units do not convert ({has} and {wants}); "
+            f"export the models with units of the same dimension"
+        )
 
     def _check_fed_once(self) -> None:
         seen = set()
@@ -152,38 +304,58 @@ class System:
             seen.add(connection.target)
 
     @cached_property
-    def exchange_order(self) -> tuple[tuple[Connection, ...], ...]:
+    def exchange_order(self) -> tuple[tuple[tuple[Connection, ...], bool], ...]:
         """Connections in the order in which values can be passed on, in groups that may be passed on together.
 
-        A connection comes after those that feed an input on which its source depends directly (ModelStructure,
-        FMI 2.0.4, section 2.2.8; an FMU that declares no dependencies is taken to depend on all its inputs).
+        With each group goes whether it is a loop of direct feed-through, to be solved. A connection comes after those
+        that feed an input on which its source depends directly (ModelStructure, FMI 2.0.4, section 2.2.8; an FMU that
+        declares no dependencies is taken to depend on all its inputs).
         """
-        feeding = {connection.target: connection for connection in self.connections}
-        graph = {
-            connection: {
+        feeding = {connection.target: i for i, connection in enumerate(self.connections)}
+        needs = [
+            {
                 feeding[connection.source[0], name]
                 for name in self._direct_inputs(*connection.source)
                 if (connection.source[0], name) in feeding
             }
             for connection in self.connections
-        }
-        sorter = TopologicalSorter(graph)
-        try:
-            sorter.prepare()
-        except CycleError as error:
-            loop = " -> ".join(self.full_name(*connection.source) for connection in reversed(error.args[1]))
-            raise InputError(
-                f"the connections close a loop of direct feed-through, {loop}; "
-                f"break it with a component whose output does not depend directly on its input"
-            ) from None
-        groups = []
-        while sorter.is_active():
-            ready = sorter.get_ready()
-            groups.append(tuple(sorted(ready)))
-            sorter.done(*ready)
+        ]
+        n = len(needs)
+        edges = [(i, j) for i, needed in enumerate(needs) for j in needed]
+        rows, columns = ([edge[side] for edge in edges] for side in (0, 1))
+        _, labels = connected_components(coo_array(([1] * len(edges), (rows, columns)), (n, n)), connection="strong")
+        members: dict[int, list[int]] = {}
+        for i, label in enumerate(labels.tolist()):
+            members.setdefault(label, []).append(i)
+        groups: list[tuple[tuple[Connection, ...], bool]] = []
+        waiting, done = dict(members), set[int]()
+        while waiting:
+            ready = [label for label, some in waiting.items() if all(needs[i] <= done | {*some} for i in some)]
+            plain = [i for label in ready for i in waiting[label] if not needs[i] & {*waiting[label]}]
+            if plain:
+                groups.append((tuple(sorted(self.connections[i] for i in plain)), False))
+            for label in ready:
+                some = waiting.pop(label)
+                done |= {*some}
+                if some[0] not in plain:
+                    groups.append((self._loop(some), True))
         return tuple(groups)
 
+    def _loop(self, members: Iterable[int]) -> tuple[Connection, ...]:
+        """Return a loop of direct feed-through, if it can be solved."""
+        loop = tuple(self.connections[i] for i in members)
+        for connection in loop:
+            source = self.full_name(*connection.source)
+            if self.variables[source].type != "Real":
+                through = " -> ".join(self.full_name(*each.source) for each in loop)
+                raise InputError(
+                    f"the connections close a loop of direct feed-through, {through}, in which {source!r} is of type "
+                    f"{self.variables[source].type}: only Real variables can be solved for; break it with a component "
+                    f"whose output does not depend directly on its input"
+                )
+        return loop
+
     def _direct_inputs(self, component: str, output: str) -> tuple[str, ...]:
-        description = self.components[component].description
+        description = self.components[component].fmu.description
         declared = description.dependencies.get(output)
         return description.inputs if declared is None else declared

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from fmuid.errors import SimulationError
 from fmuid.fmi import kernels
-from fmuid.fmi.archive import FMU
-from fmuid.fmi.instance import Instance, describe_failure, warn
+from fmuid.fmi.instance import Instance, describe_failure, status_word, warn
 from fmuid.fmi.loop import Loop
 from fmuid.plan import PlannedRun
-from fmuid.system import System
+from fmuid.system import Component, System
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("fmuid.fmu")
@@ -41,7 +40,7 @@ class Worker:
     thread-local data. The first worker is the caller's own thread, the others have one each.
     """
 
-    def __init__(self, components: Mapping[str, FMU], index: int) -> None:
+    def __init__(self, components: Mapping[str, Component], index: int) -> None:
         self._components, self._index = components, index
         self._executor = ThreadPoolExecutor(1, f"fmuid-{index}") if index else None
         self._instances: list[Instance] = []
@@ -104,7 +103,7 @@ class Worker:
 
     def explain(self, run: PlannedRun, theta: Array, parameters: Mapping[str, float]) -> SimulationError | None:
         """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
-        outputs = np.empty((1, run.grid.times.size, run.plan.output_signals.size))
+        outputs = np.empty((1, run.grid.times.size, len(run.output_names)))
         reports = np.empty((1, 4), np.intp)
         if self._resets is False:
             self.close()
@@ -127,9 +126,12 @@ class Worker:
         """Return what a report and the outputs say, as an error; None where the simulation succeeded."""
         function, component, status, sample = (int(word) for word in report)
         if function >= 0:
-            said = _last_words(self._instances[component]) if self._instances else []
             at = float(run.grid.times[max(sample, 0)])
-            return SimulationError(self._labels[component], at, parameters, describe_failure(function, status), said)
+            if function == kernels.LOOP:
+                return SimulationError(", ".join(self._labels), at, parameters, run.describe_loop(component), [])
+            said = _last_words(self._instances[component]) if self._instances else []
+            what = self._describe(run, component, function, status)
+            return SimulationError(self._labels[component], at, parameters, what, said)
         bad = np.argwhere(~np.isfinite(outputs))
         if len(bad):
             row, column = bad[0]
@@ -137,6 +139,22 @@ class Worker:
             said = [text for instance in self._instances for text in _last_words(instance)]
             return SimulationError(", ".join(self._labels), float(run.grid.times[row]), parameters, what, said)
         return None
+
+    def _describe(self, run: PlannedRun, component: int, function: int, status: int) -> str:
+        model = list(self._components.values())[component]
+        version = model.fmu.description.major_version
+        if function < kernels.STEPPER:
+            return describe_failure(version, function, status)
+        if model.kind == "co-simulation":
+            from fmuid.fmi.co_simulation import describe
+
+            return describe(function - kernels.STEPPER, status_word(version, status))
+        from fmuid.fmi import integrators
+
+        integration, loop = run.plan.integrations[component], self._loops.get(run)
+        integrator = integration.integrator if integration else ""
+        bad = loop.bad_state(component) if loop is not None else "of the model"
+        return integrators.describe(function - kernels.STEPPER, status, version, integrator, bad)
 
     def close(self, fatal: bool = False) -> None:
         """Free the instances; after a fatal error they are left alone."""
@@ -154,15 +172,14 @@ class Worker:
 
     @property
     def _labels(self) -> list[str]:
-        return [f"{name} ({fmu.path})" if name else str(fmu.path) for name, fmu in self._components.items()]
+        paths = {name: model.fmu.path for name, model in self._components.items()}
+        return [f"{name} ({path})" if name else str(path) for name, path in paths.items()]
 
     def _prepare(self) -> None:
         if not self._instances:
-            for component, fmu in self._components.items():
-                name = f"{component or fmu.name}-{self._index}"
-                self._instances.append(Instance(fmu, name))
-            self._handles = np.array([instance.handle for instance in self._instances], np.intp)
-            self._addresses = np.array([instance.addresses for instance in self._instances], np.intp)
+            for component, model in self._components.items():
+                name = f"{component or model.fmu.name}-{self._index}"
+                self._instances.append(Instance(model.fmu, model.kind, name))
             self._used = np.zeros(len(self._instances), np.intp)
 
     def _call(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
@@ -178,7 +195,7 @@ class Worker:
     def _simulate(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
         loop = self._loops.get(run)
         if loop is None:
-            loop = self._loops[run] = Loop(run.plan, run.grid, self._handles, self._addresses, self._used)
+            loop = self._loops[run] = Loop(run.plan, run.grid, self._instances, self._used)
         loop.run(thetas, outputs, reports)
 
 
@@ -192,7 +209,7 @@ def _last_words(instance: Instance) -> list[str]:
 class Workers:
     """The workers of one system, shared by all its simulators, as many as the FMUs and the machine allow."""
 
-    def __init__(self, components: Mapping[str, FMU], limit: int) -> None:
+    def __init__(self, components: Mapping[str, Component], limit: int) -> None:
         self.lock = threading.RLock()
         self._components, self._limit = components, limit
         self._workers = [Worker(components, 0)]

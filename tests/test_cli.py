@@ -116,7 +116,8 @@ def test_identify_writes_tables_and_figures(folder: Path) -> None:
     assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out") == DONE
     out = folder / "deep/out"
     assert {path.name for path in out.iterdir()} == {
-        "result.json", "estimates.csv", "trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "figures"
+        "result.json", "estimates.csv", "trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "parameters.ssv",
+        "figures",
     }  # fmt: skip
     figures = {path.name for path in (out / "figures").iterdir()}
     assert figures == {"parameters.png", "criterion.png", "fit.png", "residuals.png"}

@@ -72,7 +72,7 @@ def test_units_convert_both_ways(probe: ProbeMaker) -> None:
     ],
 )
 def test_what_may_be_set(causality: str, variability: str, initial: str | None, settable: bool) -> None:
-    assert Variable("v", 0, "Real", causality, variability, initial).settable is settable
+    assert Variable("v", 0, "Real", "Float64", causality, variability, initial).settable is settable
 
 
 def test_unpacked_once_by_content(probe: ProbeMaker, own_cache: Path, tmp_path: Path) -> None:
@@ -109,9 +109,9 @@ def test_no_model_description_and_broken_xml(tmp_path: Path) -> None:
         FMU(path)
 
 
-@pytest.mark.parametrize("version", ["1.0", "3.0"])
+@pytest.mark.parametrize("version", ["1.0", "4.0"])
 def test_other_fmi_versions(probe: ProbeMaker, version: str) -> None:
-    with pytest.raises(InputError, match=rf"FMI {version}, and only FMI 2\.0 is read"):
+    with pytest.raises(InputError, match=rf"FMI {version}, and only FMI 2\.0 and 3\.0 are read"):
         FMU(probe(version=version))
 
 
@@ -138,7 +138,7 @@ def test_no_binary_for_this_platform_says_which_there_are(tmp_path: Path) -> Non
     fmu = FMU(repack(FMUS / "Coil" / "Coil.fmu", tmp_path / "Coil.fmu", leave_out=f"binaries/{fmpy.platform}/"))
     others = {"linux64", "win64", "darwin64"} - {fmpy.platform}
     with pytest.raises(InputError, match=f"no binary for this platform.*{', '.join(sorted(others))}"):
-        Instance(fmu, "coil")
+        Instance(fmu, "co-simulation", "coil")
 
 
 def test_a_damaged_binary_is_one_sentence(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_a_damaged_binary_is_one_sentence(tmp_path: Path) -> None:
     entry = zipfile.ZipInfo(f"binaries/{fmpy.platform}/Coil{fmpy.sharedLibraryExtension}")
     fmu = FMU(repack(source, tmp_path / "Coil.fmu", entry, leave_out=f"binaries/{fmpy.platform}/"))
     with pytest.raises(InputError, match=r"Coil\.fmu cannot be instantiated"):
-        Instance(fmu, "coil")
+        Instance(fmu, "co-simulation", "coil")
 
 
 def test_wrong_guid_gives_the_message_of_the_fmu() -> None:
@@ -156,11 +156,11 @@ def test_wrong_guid_gives_the_message_of_the_fmu() -> None:
     fmu = FMU(source)
     object.__setattr__(fmu.description, "guid", "{another}")
     with pytest.raises(InputError, match=r"cannot be instantiated: .*the FMU says: .*GUID"):
-        Instance(fmu, "coil")
+        Instance(fmu, "co-simulation", "coil")
 
 
 def test_model_exchange_only_is_refused(probe: ProbeMaker) -> None:
     fmu = FMU(probe())
     object.__setattr__(fmu.description, "interfaces", {})
     with pytest.raises(InputError, match="offers no co-simulation interface"):
-        Instance(fmu, "probe")
+        Instance(fmu, "co-simulation", "probe")

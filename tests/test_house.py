@@ -21,12 +21,23 @@ errors
 tables
 transforms
 experiment
+fmi.unpacking fmi.start_values
 fmi.description
 fmi.archive
+ssv
+ssd
+ssp_links
+ssp_values
+ssp
 fmi.native
 fmi.kernels
+fmi.layout fmi.instance fmi.conversions fmi.coupling fmi.discards fmi.co_simulation
+fmi.block
+fmi.runge_kutta fmi.events fmi.cvode
+fmi.advance
+fmi.integrators
+fmi.model_exchange
 fmi.loop
-fmi.instance
 system
 plan
 workers
@@ -64,6 +75,7 @@ plots
 figures_fit figures_map figures_residuals figures_search figures_uncertainty
 figures_run
 export
+apply
 console
 console_result progress
 cli

@@ -200,7 +200,7 @@ REFUSED = {
     "interpolation": (
         'u = "hold"',
         'u = "holds"',
-        'each entry is "linear" or "hold" (did you mean \'hold\'?) (u is "holds")',
+        'each entry is "linear" or "hold" or "cubic" (did you mean \'hold\'?) (u is "holds")',
     ),
     "interface later": (
         '"co-simulation"',

@@ -1,32 +1,52 @@
-"""What an FMU declares of itself: variables, units, capabilities (FMI 2.0.4, section 2.2)."""
+"""What an FMU declares of itself: variables, units, capabilities (FMI 2.0.4, section 2.2; FMI 3.0.2, section 2.4)."""
 
 from __future__ import annotations
 
+import itertools
+import re
 import zipfile
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 from fmuid.errors import InputError
+from fmuid.fmi.start_values import applied_values
 
-READABLE_VERSIONS = ("2.0",)
+READABLE_VERSIONS = ("2.0", "3.0")
+KINDS = ("co-simulation", "model-exchange")
 SI_BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+
+# FMI type -> (what it is to fmuid, how the binary passes it: an FMI 3.0 type)
+_TYPES = {
+    "Real": ("Real", "Float64"),
+    "Float64": ("Real", "Float64"),
+    "Float32": ("Real", "Float32"),
+    "Integer": ("Integer", "Int32"),
+    **{f"{sign}Int{bits}": ("Integer", f"{sign}Int{bits}") for sign in ("", "U") for bits in (8, 16, 32, 64)},
+    "Boolean": ("Boolean", "Boolean"),
+    "String": ("String", "String"),
+    "Binary": ("Binary", "Binary"),
+    "Clock": ("Clock", "Clock"),
+}
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One scalar variable of an FMU (FMI 2.0.4, section 2.2.7).
+    """One scalar variable of an FMU (FMI 2.0.4, section 2.2.7; FMI 3.0.2, section 2.4.7), or one element of an array.
 
-    `start`, `min`, `max` and `nominal` are in `unit`; `type` is Real, Integer, Boolean or String
-    (an enumeration is an Integer).
+    `start`, `min`, `max` and `nominal` are in `unit`; `type` is Real, Integer, Boolean, String, Binary or Clock
+    (an enumeration is an Integer), `wire` the FMI 3.0 type that the binary's functions take. The elements of an array
+    (FMI 3.0) are variables ``x[1,1]``, ``x[1,2]`` of one `reference`; `array` has all their names, row by row.
     """
 
     name: str
     reference: int
     type: str
+    wire: str
     causality: str
     variability: str
     initial: str | None = None
@@ -37,6 +57,7 @@ class Variable:
     nominal: float | None = None
     description: str = ""
     is_state: bool = False
+    array: tuple[str, ...] = ()
 
     @property
     def settable(self) -> bool:
@@ -67,7 +88,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Interface:
-    """One of the two FMI interfaces and its capabilities (FMI 2.0.4, sections 3.3.1 and 4.3.1)."""
+    """One of the two FMI interfaces and its capabilities (FMI 2.0.4, sections 3.3.1, 4.3.1; FMI 3.0.2, 2.4.8)."""
 
     kind: str
     identifier: str
@@ -78,6 +99,8 @@ class Interface:
     directional_derivatives: bool
     variable_step: bool = False
     interpolates_inputs: bool = False
+    event_mode: bool = False
+    completed_step: bool = True
 
 
 @dataclass(frozen=True)
@@ -95,6 +118,19 @@ class Description:
     default_experiment: Mapping[str, float]
     dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
     """For each output: the variables that it depends on directly; None where the FMU does not say."""
+    derivatives: tuple[str, ...] = ()
+    """The derivatives of the continuous states, in the order of the states."""
+    states: tuple[str, ...] = ()
+    """The continuous states, in their order."""
+    indicators: int = 0
+    """How many event indicators there are."""
+    applied: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+    """Start values that `fmuid apply` wrote: they act only where they are set (`fmuid.fmi.start_values`)."""
+
+    @property
+    def major_version(self) -> int:
+        """2 or 3."""
+        return int(self.fmi_version[0])
 
     def with_causality(self, causality: str) -> list[Variable]:
         """Return the variables of one causality, in the FMU's order."""
@@ -136,7 +172,7 @@ def read_description(path: Path) -> Description:
     Raises
     ------
     InputError
-        If the file is missing, is no zip archive, has no readable model description, or is not FMI 2.0.
+        If the file is missing, is no zip archive, has no readable model description, or is of another FMI version.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such FMU file; check the path")
@@ -145,32 +181,41 @@ def read_description(path: Path) -> Description:
     with zipfile.ZipFile(path) as archive:
         if "modelDescription.xml" not in archive.namelist():
             raise InputError(f"{path} is not an FMU: it has no modelDescription.xml at its top level")
-        _check_version(path, archive.read("modelDescription.xml"))
+        text = archive.read("modelDescription.xml")
+        root = _checked_root(path, text)
     from fmpy import read_model_description
 
     try:
         parsed = read_model_description(str(path), validate=False)
     except Exception as error:
         raise InputError(f"{path}: its modelDescription.xml cannot be read: {error}") from error
-    return _convert(parsed)
+    if parsed.coSimulation is None and parsed.modelExchange is None:
+        raise InputError(f"{path} offers neither co-simulation nor model exchange; export it as one of these")
+    # FMPy reads this attribute of FMI 2.0 only
+    directional = {e.tag for e in root if e.get("providesDirectionalDerivatives") in ("true", "1")}
+    return replace(_convert(parsed, directional), applied=applied_values(text))
 
 
-def _check_version(path: Path, text: bytes) -> None:
+def _checked_root(path: Path, text: bytes) -> ElementTree.Element:
+    """Return the root of a model description of a version that is read."""
     try:
-        version = ElementTree.fromstring(text).get("fmiVersion")
+        root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: its modelDescription.xml is not well-formed XML: {error}") from None
-    if version not in READABLE_VERSIONS:
+    version = root.get("fmiVersion")
+    if not re.match(r"(2\.0|3\.0)(\.|$)", version or ""):
         raise InputError(
             f"{path} is an FMU of FMI {version or 'of unknown version'}, and only FMI "
-            f"{', '.join(READABLE_VERSIONS)} is read; export the model as FMI 2.0 co-simulation"
+            f"{' and '.join(READABLE_VERSIONS)} are read; export the model as one of these"
         )
+    return root
 
 
-def _convert(parsed: Any) -> Description:
+def _convert(parsed: Any, directional: set[str]) -> Description:
     states = {unknown.variable.derivative.name for unknown in parsed.derivatives if unknown.variable.derivative}
     experiment = parsed.defaultExperiment
     words = {"start": "startTime", "stop": "stopTime", "tolerance": "tolerance", "step_size": "stepSize"}
+    enumeration = "Int32" if parsed.fmiVersion.startswith("2") else "Int64"
     declared = {word: getattr(experiment, attribute, None) for word, attribute in words.items()}
     return Description(
         model_name=parsed.modelName,
@@ -178,50 +223,74 @@ def _convert(parsed: Any) -> Description:
         guid=parsed.guid,
         description=parsed.description or "",
         generation_tool=parsed.generationTool or "",
-        variables={v.name: _variable(v, v.name in states) for v in parsed.modelVariables},
+        variables={
+            v.name: v for given in parsed.modelVariables for v in _scalars(given, given.name in states, enumeration)
+        },
         units={unit.name: _unit(unit) for unit in parsed.unitDefinitions},
         interfaces={
-            kind: _interface(kind, element)
-            for kind, element in (("co-simulation", parsed.coSimulation), ("model-exchange", parsed.modelExchange))
+            kind: _interface(kind, element, type(element).__name__ in directional)
+            for kind, element in zip(KINDS, (parsed.coSimulation, parsed.modelExchange), strict=True)
             if element is not None
         },
         default_experiment={word: float(value) for word, value in declared.items() if value is not None},
         dependencies={
-            unknown.variable.name: None
-            if unknown.dependencies is None
-            else tuple(variable.name for variable in unknown.dependencies)
+            name: None if unknown.dependencies is None else tuple(_names(unknown.dependencies))
             for unknown in parsed.outputs
+            for name in _names([unknown.variable])
         },
+        derivatives=tuple(_names(unknown.variable for unknown in parsed.derivatives)),
+        states=tuple(_names(u.variable.derivative for u in parsed.derivatives if u.variable.derivative)),
+        indicators=int(parsed.numberOfEventIndicators),
     )
 
 
-def _variable(parsed: Any, is_state: bool) -> Variable:
+def _names(variables: Iterable[Any]) -> list[str]:
+    """Return the names of variables, those of all its elements for an array: row by row, counted from 1."""
+    found = []
+    for variable in variables:
+        subscripts = itertools.product(*(range(1, n + 1) for n in variable.shape or ()))
+        found += [variable.name + f"[{','.join(map(str, each))}]" * bool(each) for each in subscripts]
+    return found
+
+
+def _scalars(parsed: Any, is_state: bool, enumeration: str) -> list[Variable]:
+    """Return a variable, or all elements of an array."""
     declared = parsed.declaredType
-    kind = "Integer" if parsed.type == "Enumeration" else parsed.type
+    kind, wire = ("Integer", enumeration) if parsed.type == "Enumeration" else _TYPES[parsed.type]
 
     def number(attribute: str) -> float | None:
         text = getattr(parsed, attribute) or (declared and getattr(declared, attribute))
         return float(text) if text else None
 
-    return Variable(
-        name=parsed.name,
-        reference=parsed.valueReference,
-        type=kind,
-        causality=parsed.causality or "local",
-        variability=parsed.variability or "continuous",
-        initial=parsed.initial,
-        unit=parsed.unit or (declared.unit if declared else None) or None,
-        start=_start(kind, parsed.start),
-        min=number("min"),
-        max=number("max"),
-        nominal=number("nominal"),
-        description=parsed.description or "",
-        is_state=is_state,
-    )
+    names = _names([parsed])
+    starts = [parsed.start]
+    if parsed.shape:
+        listed = (parsed.start or "").split()
+        starts = listed if len(listed) == len(names) else [listed[0] if listed else None] * len(names)
+    return [
+        Variable(
+            name=name,
+            reference=parsed.valueReference,
+            type=kind,
+            wire=wire,
+            causality=parsed.causality or "local",
+            variability=parsed.variability or "continuous",
+            initial=parsed.initial,
+            unit=parsed.unit or (declared.unit if declared else None) or None,
+            start=_start(kind, start),
+            min=number("min"),
+            max=number("max"),
+            nominal=number("nominal"),
+            description=parsed.description or "",
+            is_state=is_state,
+            array=tuple(names) if parsed.shape else (),
+        )
+        for name, start in zip(names, starts, strict=True)
+    ]
 
 
 def _start(kind: str, text: str | None) -> float | int | bool | str | None:
-    if text is None or kind == "String":
+    if text is None or kind not in ("Real", "Integer", "Boolean"):
         return text
     if kind == "Boolean":
         return str(text).lower() in ("true", "1")
@@ -239,7 +308,7 @@ def _unit(parsed: Any) -> Unit:
     )
 
 
-def _interface(kind: str, parsed: Any) -> Interface:
+def _interface(kind: str, parsed: Any, directional: bool) -> Interface:
     return Interface(
         kind=kind,
         identifier=parsed.modelIdentifier,
@@ -247,7 +316,9 @@ def _interface(kind: str, parsed: Any) -> Interface:
         once_per_process=bool(parsed.canBeInstantiatedOnlyOncePerProcess),
         get_set_state=bool(parsed.canGetAndSetFMUstate),
         serialize_state=bool(parsed.canSerializeFMUstate),
-        directional_derivatives=bool(parsed.providesDirectionalDerivative),
+        directional_derivatives=directional or bool(parsed.providesDirectionalDerivative),
         variable_step=bool(getattr(parsed, "canHandleVariableCommunicationStepSize", False)),
         interpolates_inputs=bool(getattr(parsed, "canInterpolateInputs", False)),
+        event_mode=bool(getattr(parsed, "hasEventMode", False)),
+        completed_step=bool(getattr(parsed, "needsCompletedIntegratorStep", True)),
     )

@@ -6,22 +6,38 @@ import ctypes
 import itertools
 import logging
 import os
+import re
 import sys
 import weakref
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from fmpy import calloc, free
-from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi3 import _FMU3, FMU3Model, FMU3Slave
 from fmpy.logging import addLoggerProxy
 from numpy.typing import NDArray
 
 from fmuid.errors import InputError
 from fmuid.fmi.archive import FMU
-from fmuid.fmi.kernels import DO_STEP, FUNCTIONS
+from fmuid.fmi.kernels import (
+    DISCARD,
+    DO_STEP,
+    ENTER_INITIALIZATION,
+    EXIT_INITIALIZATION,
+    GET_BOOLEAN_STATUS,
+    GET_REAL_STATUS,
+    N_FUNCTIONS,
+    N_WIRES,
+    RESET,
+    SET_DERIVATIVES,
+    SETUP,
+)
+from fmuid.fmi.native import BOOLEAN, FLOAT64, INT32, STRING, WIRES
 
 MESSAGES_KEPT = 20  # of one simulation: the first say what went wrong, the rest repeat it
-STATUS_WORDS = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi2Pending")
+STATUS_WORDS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 _log = logging.getLogger("fmuid.fmu")
 _instances: weakref.WeakValueDictionary[int, Instance] = weakref.WeakValueDictionary()
@@ -57,17 +73,55 @@ def _callbacks() -> fmi2CallbackFunctions:
 _receiver = fmi2CallbackLoggerTYPE(_receive)
 
 
-class FMU2LenientSlave(FMU2Slave):  # type: ignore[misc]
-    """FMPy's co-simulation FMU, without its refusal of binaries that lack functions nobody here calls.
+def _receiver3(messages: list[tuple[int, str]]) -> Callable[..., None]:
+    """Return a logger of FMI 3.0 that appends to a list."""
+
+    def receive(_environment: Any, status: int, _category: bytes, message: bytes) -> None:
+        text = (message or b"").decode("utf-8", errors="replace").strip()
+        if text and len(messages) < MESSAGES_KEPT:
+            messages.append((status, text))
+
+    return receive
+
+
+class _Lenient:
+    """FMPy's FMU without its refusal of binaries that lack functions nobody here calls.
 
     (FMPy tells the FMI version from the first letters of the class's name.)
     """
 
+    dll: Any
+    component: Any
+
     def _loadFunctions(self) -> None:
-        library: Any = self.dll
-        self.dll: Any = _Stubbed(library)
-        super()._loadFunctions()
+        library = self.dll
+        self.dll = _Stubbed(library)
+        super()._loadFunctions()  # type: ignore[misc]
         self.dll = library
+
+
+class FMU2LenientSlave(_Lenient, FMU2Slave):  # type: ignore[misc]
+    """A co-simulation FMU of FMI 2.0."""
+
+
+class FMU2LenientModel(_Lenient, FMU2Model):  # type: ignore[misc]
+    """A model-exchange FMU of FMI 2.0."""
+
+
+class FMU3LenientSlave(_Lenient, FMU3Slave):  # type: ignore[misc]
+    """A co-simulation FMU of FMI 3.0."""
+
+
+class FMU3LenientModel(_Lenient, FMU3Model):  # type: ignore[misc]
+    """A model-exchange FMU of FMI 3.0."""
+
+
+_CLASSES = {
+    (2, "co-simulation"): FMU2LenientSlave,
+    (2, "model-exchange"): FMU2LenientModel,
+    (3, "co-simulation"): FMU3LenientSlave,
+    (3, "model-exchange"): FMU3LenientModel,
+}
 
 
 class _Stubbed:
@@ -80,91 +134,126 @@ class _Stubbed:
         try:
             return getattr(self._library, name)
         except AttributeError:
-            return ctypes.CFUNCTYPE(ctypes.c_int)(lambda: STATUS_WORDS.index("fmi2Error"))
+            return ctypes.CFUNCTYPE(ctypes.c_int)(lambda: STATUS_WORDS.index("Error"))
 
 
 class Instance:
-    """One co-simulation instance of an FMU.
+    """One instance of an FMU.
 
     Parameters
     ----------
     fmu : FMU
+    kind : str
+        "co-simulation" or "model-exchange".
     name : str
         Instance name, as the FMU uses it in its messages.
 
     Attributes
     ----------
     handle : int
-        The address of the instance (fmi2Component).
-    addresses : (len(FUNCTIONS),) array of intp
-        The addresses of the FMI functions in the order of `fmuid.fmi.kernels.FUNCTIONS`.
+        The address of the instance (fmi2Component, fmi3Instance).
+    version : int
+        Of FMI, 2 or 3.
+    event_mode : bool
+        Whether the instance was told that events are handled between its steps (FMI 3.0 co-simulation).
+    addresses : (kernels.N_FUNCTIONS,) array of intp
+        The addresses of the FMI functions in the places that `fmuid.fmi.kernels` gives them; 0 where there is none.
     messages : list of (int, str)
         Status and text of what the FMU logged since the list was last cleared.
 
     Raises
     ------
     InputError
-        If the FMU has no co-simulation interface or binary for this platform, or cannot be loaded or instantiated.
+        If the FMU has no such interface or no binary for this platform, or cannot be loaded or instantiated.
     """
 
-    def __init__(self, fmu: FMU, name: str) -> None:
-        interface = fmu.description.interfaces.get("co-simulation")
+    def __init__(self, fmu: FMU, kind: str, name: str) -> None:
+        interface = fmu.description.interfaces.get(kind)
         if interface is None:
-            raise InputError(f"{fmu.path} offers no co-simulation interface; export it as co-simulation")
+            raise InputError(
+                f"{fmu.path} offers no {kind} interface; it offers {', '.join(fmu.description.interfaces)}"
+            )
         if interface.once_per_process and fmu.digest in _spent:
             raise InputError(
                 f"{fmu.path} can be instantiated only once in a process, and was; share one fmuid.System between "
                 f"simulators, or run the next one in another process"
             )
-        self.fmu, self.name = fmu, name
+        self.fmu, self.kind, self.name = fmu, kind, name
+        self.version = fmu.description.major_version
+        self.event_mode = self.version == 3 and kind == "co-simulation" and interface.event_mode
         self.messages: list[tuple[int, str]] = []
-        key = next(_keys)
-        _instances[key] = self
         library = fmu.library(interface.identifier)
         folder = os.getcwd()  # noqa: PTH109  # FMPy changes the working directory and, on failure, leaves it so
         try:
-            self._slave: Any = FMU2LenientSlave(
+            self._native: Any = _CLASSES[self.version, kind](
                 guid=fmu.description.guid,
                 modelIdentifier=interface.identifier,
                 unzipDirectory=str(fmu.directory),
                 instanceName=name,
-                libraryPath=str(library),
                 requireFunctions=False,
+                **({"libraryPath": str(library)} if self.version == 2 else {}),
             )
-            callbacks = _callbacks()
-            callbacks.componentEnvironment = key
-            self._slave.instantiate(callbacks=callbacks, loggingOn=False)
+            self._instantiate()
         except Exception as error:
             said = "; ".join(text for _, text in self.messages)
             raise InputError(
-                f"{fmu.path} cannot be instantiated: {error}" + (f' (the FMU says: "{said}")' if said else "")
+                _missing_library(fmu, str(error))
+                or f"{fmu.path} cannot be instantiated: {error}" + (f' (the FMU says: "{said}")' if said else "")
             ) from error
         finally:
             os.chdir(folder)
         _spent.add(fmu.digest)
-        self._finalizer = weakref.finalize(self, _free, self._slave)
-        self.handle = int(self._slave.component)
+        self._finalizer = weakref.finalize(self, _free, self._native)
+        self.handle = int(self._native.component)
         self.addresses = self._find_functions()
+
+    def _instantiate(self) -> None:
+        if self.version == 3:
+            mode = {"eventModeUsed": True, "earlyReturnAllowed": True} if self.event_mode else {}
+            self._native.instantiate(loggingOn=False, logMessage=_receiver3(self.messages), **mode)
+            return
+        key = next(_keys)
+        _instances[key] = self
+        callbacks = _callbacks()
+        callbacks.componentEnvironment = key
+        self._native.instantiate(callbacks=callbacks, loggingOn=False)
 
     @property
     def library(self) -> Any:
         """The loaded shared library, as ctypes has it."""
-        return self._slave.dll
+        return self._native.dll
+
+    def address(self, name: str) -> int:
+        """Return the address of an FMI function by its name without prefix, such as ``DoStep``; 0 if there is none."""
+        try:
+            return ctypes.cast(getattr(self.library, f"fmi{self.version}{name}"), ctypes.c_void_p).value or 0
+        except AttributeError:
+            return 0
+
+    def required(self, name: str) -> int:
+        """Return the address of an FMI function.
+
+        Raises
+        ------
+        InputError
+            If the binary lacks it.
+        """
+        found = self.address(name)
+        if not found:
+            raise InputError(f"{self.fmu.path}: its binary lacks the function fmi{self.version}{name}, which is needed")
+        return found
 
     def _find_functions(self) -> NDArray[np.intp]:
-        addresses = np.zeros(len(FUNCTIONS), np.intp)
-        for i, function in enumerate(FUNCTIONS):
-            try:
-                addresses[i] = ctypes.cast(getattr(self.library, function), ctypes.c_void_p).value or 0
-            except AttributeError:
-                raise InputError(
-                    f"{self.fmu.path}: its binary lacks the function {function}, which FMI 2.0 requires"
-                ) from None
+        addresses = np.zeros(N_FUNCTIONS, np.intp)
+        for place, name in function_names(self.version).items():
+            addresses[place] = self.address(name)
+        for name in LIFE_CYCLE[self.version] + ("DoStep",) * (self.kind == "co-simulation"):
+            self.required(name)
         return addresses
 
     def set_logging(self, on: bool) -> None:
-        """Switch the FMU's debug log (fmi2SetDebugLogging with all categories)."""
-        self._slave.setDebugLogging(on, [])
+        """Switch the FMU's debug log (fmi2SetDebugLogging, fmi3SetDebugLogging with all categories)."""
+        self._native.setDebugLogging(on, [])
 
     def close(self, fatal: bool = False) -> None:
         """Free the instance; after a fatal error it must not be touched any more (FMI 2.0.4, section 2.1.3)."""
@@ -174,15 +263,64 @@ class Instance:
             self._finalizer()
 
 
-def _free(slave: Any) -> None:
-    slave.fmi2FreeInstance(slave.component)
+def _free(native: Any) -> None:
+    free_instance = native.fmi3FreeInstance if isinstance(native, _FMU3) else native.fmi2FreeInstance
+    free_instance(native.component)
 
 
-def describe_failure(function: int, status: int) -> str:
+def _missing_library(fmu: FMU, error: str) -> str | None:
+    """Return a sentence that names a shared library which the FMU's binary needs and the loader did not find."""
+    found = re.search(r"(\S+): cannot open shared object file", error) or re.search(r"Library not loaded: (\S+)", error)
+    if not found:
+        return None
+    return (
+        f"{fmu.path} cannot be loaded: its binary needs the shared library {found[1]}, which is not on this machine; "
+        f"install what provides it, or export the FMU with its libraries inside"
+    )
+
+
+def function_names(version: int) -> dict[int, str]:
+    """Return place in a component's row of addresses -> FMI function without its prefix."""
+    if version == 3:
+        types = dict(enumerate(WIRES))
+        others = {DO_STEP: "DoStep"}
+    else:
+        types = {FLOAT64: "Real", INT32: "Integer", BOOLEAN: "Boolean", STRING: "String"}
+        others = {
+            DO_STEP: "DoStep",
+            SET_DERIVATIVES: "SetRealInputDerivatives",
+            SETUP: "SetupExperiment",
+            GET_REAL_STATUS: "GetRealStatus",
+            GET_BOOLEAN_STATUS: "GetBooleanStatus",
+        }
+    others |= {
+        RESET: "Reset",
+        ENTER_INITIALIZATION: "EnterInitializationMode",
+        EXIT_INITIALIZATION: "ExitInitializationMode",
+    }
+    setting = {place: f"Set{name}" for place, name in types.items()}
+    getting = {N_WIRES + place: f"Get{name}" for place, name in types.items()}
+    return setting | getting | others
+
+
+LIFE_CYCLE = {
+    2: ("Reset", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode"),
+    3: ("Reset", "EnterInitializationMode", "ExitInitializationMode"),
+}
+"""Functions that every simulation calls."""
+
+
+def describe_failure(version: int, function: int, status: int) -> str:
     """Return the failing FMI call in words."""
-    word = STATUS_WORDS[status] if 0 <= status < len(STATUS_WORDS) else f"the illegal status {status}"
-    hint = " (the FMU cannot go on from here)" if function == DO_STEP and status == 2 else ""
-    return f"{FUNCTIONS[function]} returned {word}{hint}"
+    hint = " (the FMU cannot go on from here)" if function == DO_STEP and status == DISCARD else ""
+    return f"fmi{version}{function_names(version)[function]} returned {status_word(version, status)}{hint}"
+
+
+def status_word(version: int, status: int) -> str:
+    """Return a status as the standard calls it."""
+    if 0 <= status < len(STATUS_WORDS):
+        return f"fmi{version}{STATUS_WORDS[status]}"
+    return f"the illegal status {status}"
 
 
 def warn(instance: Instance, told: set[str]) -> None:

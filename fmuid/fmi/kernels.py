@@ -4,6 +4,11 @@ A numba loop calls the FMI functions of the loaded libraries at their addresses.
 and cached on disk, releases the interpreter lock, and needs no compiler on the user's machine. What the loop does in
 which order is laid down beforehand by `fmuid.fmi.loop`: a list of operations, each one call that sets or gets
 the variables of one component from or into the vector of signals.
+
+Co-simulation FMUs of FMI 2.0 are stepped right here. All others have a *stepper*: memory of their own and compiled
+functions that take them from one communication point to the next (`fmuid.fmi.integrators` for model exchange,
+`fmuid.fmi.co_simulation` for FMI 3.0). Steppers, and whatever else not everybody needs (*hooks*: `fmuid.fmi.coupling`,
+`fmuid.fmi.conversions`, `fmuid.fmi.discards`), are called by address: who has no use for them does not compile them.
 """
 
 from __future__ import annotations
@@ -12,79 +17,146 @@ import numba
 import numpy as np
 from numba import types
 
-from fmuid.fmi.native import load_int32, load_real, load_word, native_call, store_int32, store_real, store_word
-
-# Indices of the FMI functions in a component's row of addresses; also the first word of an operation.
-SET_REAL, GET_REAL, SET_INTEGER, GET_INTEGER, SET_BOOLEAN, GET_BOOLEAN, SET_STRING = range(7)
-SET_DERIVATIVES, DO_STEP, RESET, SETUP, ENTER_INITIALIZATION, EXIT_INITIALIZATION = range(7, 13)
-COPY = 13  # not a call: one signal to another
-FUNCTIONS = (
-    "fmi2SetReal",
-    "fmi2GetReal",
-    "fmi2SetInteger",
-    "fmi2GetInteger",
-    "fmi2SetBoolean",
-    "fmi2GetBoolean",
-    "fmi2SetString",
-    "fmi2SetRealInputDerivatives",
-    "fmi2DoStep",
-    "fmi2Reset",
-    "fmi2SetupExperiment",
-    "fmi2EnterInitializationMode",
-    "fmi2ExitInitializationMode",
+from fmuid.fmi.native import (
+    FLOAT64,
+    STRING,
+    WIRES,
+    call_plain,
+    load_real,
+    load_word,
+    native_call,
+    store_real,
+    store_word,
 )
-N_FUNCTIONS = len(FUNCTIONS)
-COLUMNS, FIELDS = 9, 28  # of the table of calls and of the memory of one simulation, see below
-HELD, BY_DERIVATIVE, BY_MIDPOINT = range(3)  # what an input does between two samples
-WARNING = 1  # fmi2Warning, the last status that counts as success
-ERROR = 3  # fmi2Error, the last status after which an instance may be reset
 
+# Places in a component's row of addresses: a setting function for each way of passing values, then the getting ones,
+# then the rest.
+N_WIRES = len(WIRES)
+(
+    SET_DERIVATIVES,
+    DO_STEP,
+    RESET,
+    SETUP,
+    ENTER_INITIALIZATION,
+    EXIT_INITIALIZATION,
+    GET_REAL_STATUS,
+    GET_BOOLEAN_STATUS,
+) = range(2 * N_WIRES, 2 * N_WIRES + 8)
+N_FUNCTIONS = 2 * N_WIRES + 8
+COPY = N_FUNCTIONS  # not a call: one signal to another
+LOOP = N_FUNCTIONS + 1  # in a report: a loop of direct feed-through that was not solved
+STEPPER = 100  # in a report: this and above, what a stepper calls its failures
+
+HELD, BY_DERIVATIVE, BY_STEPPER, BY_MIDPOINT = range(4)  # what an input does between two samples
+WARNING, DISCARD, ERROR = 1, 2, 3  # the last status that counts as success; the last after which a reset is allowed
+
+# When a value is set (bits): always; only where it changed, then in event mode; the same, but only after a step of the
+# inputs; with a restart of the integrator where it changed; only at the communication points of its component.
+ALWAYS, AS_EVENT, AT_STEPS, WITH_RESTART, LATCHED = 0, 1, 2, 4, 8
 
 _call_values = native_call(types.intp, types.intp, types.intp, types.intp)
-_call_derivatives = native_call(types.intp, types.intp, types.intp, types.intp, types.intp)
+_call_more_values = native_call(types.intp, types.intp, types.intp, types.intp, types.intp)
+_call_hook = native_call(types.intp, types.intp)
 _call_step = native_call(types.intp, types.float64, types.float64, types.int32)
 _call_setup = native_call(types.intp, types.int32, types.float64, types.float64, types.int32, types.float64)
-_call_plain = native_call(types.intp)
 
 # Columns of the table of calls: one row an operation, with the addresses that the operation needs.
-ADDRESS, HANDLE, REFERENCES, COUNT, VALUES, ORDERS, FUNCTION, COMPONENT, SIGNAL = range(COLUMNS)
+COLUMNS = 14
+(
+    ADDRESS,
+    HANDLE,
+    REFERENCES,
+    COUNT,  # of value references
+    VALUES,
+    N_VALUES,
+    WIRE,
+    MORE,  # 1: the function wants the number of values too (FMI 3.0)
+    ORDERS,
+    FUNCTION,
+    COMPONENT,
+    SIGNAL,
+    WHEN,
+    LAST,
+) = range(COLUMNS)
 
+# Columns of the table of steppers, one row a component; all zero but the version for co-simulation by FMI 2.0.
+STEPPER_COLUMNS = 9
+VERSION, BLOCK, BEGIN, ENTER_EVENTS, LEAVE_EVENTS, ADVANCE, ORIGIN, FRESH, FAILURE = range(STEPPER_COLUMNS)
+
+# Columns of the table of loops of direct feed-through: operations that get and copy, and that set; the unknowns'
+# number, their signals, and work memory.
+LOOP_COLUMNS = 6
+LOOP_GET, LOOP_SET, LOOP_END, LOOP_COUNT, LOOP_SIGNALS, LOOP_WORK = range(LOOP_COLUMNS)
 
 # The memory of one simulation: sizes and addresses of all that the loop touches, in one array whose address is `m`.
+FIELDS = 59
 (
     N_COMPONENTS,
     N_INPUTS,
     N_OUTPUTS,
     N_TIMES,
+    N_SIGNALS,
+    N_PARAMETERS,
+    N_STEPPERS,
     STAGES,
     CALLS,
     SIGNALS,
-    WORDS,
+    START_SIGNALS,
+    CONVERSIONS,
     HANDLES,
     ADDRESSES,
     USED,
+    TOLERANCES,
     TIMES,
     SUBSTEPS,
+    STRIDES,
+    OWN_TIMES,
     INPUTS,
     INPUT_SIGNALS,
     INPUT_MODES,
+    INPUT_SLOPES,
+    CURVES,
     DERIVATIVE_SIGNALS,
     OUTPUT_SIGNALS,
-    SLOPES,
+    OUTPUT_TERMS,
     OUTPUTS,
     REPORT,
     DIRECT_INPUTS,
     DIRECT_OUTPUTS,
-    N_SIGNALS,
-    N_PARAMETERS,
     THETAS,
     PARAMETER_SIGNALS,
-    START_SIGNALS,
+    STEPPERS,
+    IN_EVENT,
+    NOW,
+    STEPPED,
+    SUBSTEP,
+    LOOPS,
+    GROUPS,
+    N_GROUPS,
+    GAUSS_SEIDEL,
+    SCRATCH,
+    FROM,  # reals: the component's step that is to be taken, and the substep in the interval between the samples
+    UNTIL,
+    AFTER,
+    LENGTH,
+    BEFORE_SETTING,  # from here on hooks: compiled functions int32(m, row or number); 0 where they have no use
+    TO_WIRE,
+    FROM_WIRE,
+    SETTLE,
+    EXCHANGE,
+    BEGIN_STEPPER,
+    ADVANCE_STEPPER,
+    TELL_ORIGIN,
+    BEND,
+    CHORDS,
+    AFTER_DISCARD,
 ) = range(FIELDS)
+RUNNING, IN_EVENTS, INITIALIZING = range(3)  # what IN_EVENT says of a component with a stepper
+GO, SKIP, FAILED = 0, 1, 2  # what a hook returns
 
 
 @numba.njit("boolean(intp, intp, intp, intp)", cache=True, nogil=True, error_model="numpy")
-def _fail(m, function, component, status):  # type: ignore[no-untyped-def]
+def fail(m, function, component, status):  # type: ignore[no-untyped-def]
     """Write a failing call into the report."""
     store_word(load_word(m, REPORT), 0, function)
     store_word(load_word(m, REPORT), 1, component)
@@ -93,67 +165,134 @@ def _fail(m, function, component, status):  # type: ignore[no-untyped-def]
 
 
 @numba.njit("boolean(intp, intp, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _perform(m, first, last):  # type: ignore[no-untyped-def]
-    """Perform the calls from stage `first` up to stage `last`; stop at the first that fails."""
-    for i in range(load_word(load_word(m, STAGES), first), load_word(load_word(m, STAGES), last)):
+def perform(m, first, last):  # type: ignore[no-untyped-def]
+    """Perform the operations from number `first` up to `last`; stop at the first that fails."""
+    for i in range(first, last):
         row = load_word(m, CALLS) + 8 * COLUMNS * i
         address, handle, references = load_word(row, ADDRESS), load_word(row, HANDLE), load_word(row, REFERENCES)
         count, values = load_word(row, COUNT), load_word(row, VALUES)
-        function, signal = load_word(row, FUNCTION), load_word(row, SIGNAL)
-        if function <= GET_REAL or function == SET_STRING:
-            status = _call_values(address, (handle, references, count, values))
-        elif function == SET_DERIVATIVES:
-            status = _call_derivatives(address, (handle, references, count, load_word(row, ORDERS), values))
-        elif function == COPY:
-            store_real(load_word(m, SIGNALS), signal, load_real(load_word(m, SIGNALS), values))
-            status = np.int32(0)
+        function, signal, wire = load_word(row, FUNCTION), load_word(row, SIGNAL), load_word(row, WIRE)
+        if function == COPY:
+            pair, signals = 2 * count, load_word(m, SIGNALS)
+            factor, offset = load_real(load_word(m, CONVERSIONS), pair), load_real(load_word(m, CONVERSIONS), pair + 1)
+            store_real(signals, signal, factor * load_real(signals, values) + offset)
+            continue
+        if load_word(row, WHEN):
+            verdict = _call_hook(load_word(m, BEFORE_SETTING), (m, row))
+            if verdict == FAILED:
+                return False
+            if verdict == SKIP:
+                continue
+        if wire != FLOAT64 and wire != STRING:
+            _call_hook(load_word(m, TO_WIRE), (m, row))
+        if function == SET_DERIVATIVES:
+            status = _call_more_values(address, (handle, references, count, load_word(row, ORDERS), values))
+        elif load_word(row, MORE):
+            status = _call_more_values(address, (handle, references, count, values, load_word(row, N_VALUES)))
         else:
-            for j in range(count):
-                store_int32(values, j, np.int32(round(load_real(load_word(m, SIGNALS), signal + j))))
             status = _call_values(address, (handle, references, count, values))
-            for j in range(count):
-                store_real(load_word(m, SIGNALS), signal + j, np.float64(load_int32(values, j)))
         if status > WARNING:
-            return _fail(m, function, load_word(row, COMPONENT), status)
+            return fail(m, function, load_word(row, COMPONENT), status)
+        if wire != FLOAT64 and wire != STRING:
+            _call_hook(load_word(m, FROM_WIRE), (m, row))
     return True
 
 
+@numba.njit("boolean(intp, intp, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _stage(m, first, last):  # type: ignore[no-untyped-def]
+    """Perform the operations from stage `first` up to stage `last`."""
+    stages = load_word(m, STAGES)
+    return perform(m, load_word(stages, first), load_word(stages, last))
+
+
+@numba.njit("boolean(intp, intp, intp)", cache=True, nogil=True, error_model="numpy")
+def stage(m, first, last):  # type: ignore[no-untyped-def]
+    """Do the same, compiled once for all callers."""
+    return _stage(m, first, last)
+
+
+@numba.njit("boolean(intp)", cache=True, nogil=True, error_model="numpy")
+def _settle(m):  # type: ignore[no-untyped-def]
+    """Give the components their inputs, from the table and from each other."""
+    if load_word(m, SETTLE):
+        return stage(m, 1, 2) and _call_hook(load_word(m, SETTLE), (m, 0)) == GO
+    return stage(m, 1, 3)
+
+
+@numba.njit("intp(intp, intp)", cache=True, nogil=True, error_model="numpy")
+def stepper_of(m, component):  # type: ignore[no-untyped-def]
+    """Return the address of a component's row in the table of steppers."""
+    return load_word(m, STEPPERS) + 8 * STEPPER_COLUMNS * component
+
+
 @numba.njit("intp(intp, intp, intp)", cache=True, nogil=True, error_model="numpy")
-def _address(m, component, function):  # type: ignore[no-untyped-def]
+def address_of(m, component, function):  # type: ignore[no-untyped-def]
+    """Return the address of a component's FMI function."""
     return load_word(load_word(m, ADDRESSES), component * N_FUNCTIONS + function)
 
 
 @numba.njit("boolean(intp)", cache=True, nogil=True, error_model="numpy")
 def _prepare(m):  # type: ignore[no-untyped-def]
     """Reset what was used and set up the experiment; the stop time stays open."""
+    begin = load_real(load_word(m, TIMES), 0)
     for c in range(load_word(m, N_COMPONENTS)):
         handle = load_word(load_word(m, HANDLES), c)
         if load_word(load_word(m, USED), c):
-            status = _call_plain(_address(m, c, RESET), (handle,))
+            status = call_plain(address_of(m, c, RESET), (handle,))
             if status > WARNING:
-                return _fail(m, RESET, c, status)
+                return fail(m, RESET, c, status)
         store_word(load_word(m, USED), c, 1)
-        status = _call_setup(_address(m, c, SETUP), (handle, 0, 0.0, load_real(load_word(m, TIMES), 0), 0, 0.0))
-        if status > WARNING:
-            return _fail(m, SETUP, c, status)
+        store_word(load_word(m, IN_EVENT), c, INITIALIZING)
+        store_real(load_word(m, OWN_TIMES), c, begin)
+        if load_word(stepper_of(m, c), VERSION) == 2:
+            tolerance = load_real(load_word(m, TOLERANCES), c)
+            given = np.int32(tolerance > 0.0)
+            status = _call_setup(address_of(m, c, SETUP), (handle, given, tolerance, begin, 0, 0.0))
+            if status > WARNING:
+                return fail(m, SETUP, c, status)
     return True
 
 
-@numba.njit("boolean(intp, intp)", cache=True, nogil=True, error_model="numpy")
-def _all_components(m, function):  # type: ignore[no-untyped-def]
-    """Call a function without further arguments on every component."""
+@numba.njit("boolean(intp)", cache=True, nogil=True, error_model="numpy")
+def _enter_initialization(m):  # type: ignore[no-untyped-def]
     for c in range(load_word(m, N_COMPONENTS)):
-        status = _call_plain(_address(m, c, function), (load_word(load_word(m, HANDLES), c),))
+        handle, address = load_word(load_word(m, HANDLES), c), address_of(m, c, ENTER_INITIALIZATION)
+        if load_word(stepper_of(m, c), VERSION) == 2:
+            status = call_plain(address, (handle,))
+        else:
+            tolerance = load_real(load_word(m, TOLERANCES), c)
+            given = np.int32(tolerance > 0.0)
+            begin = load_real(load_word(m, TIMES), 0)
+            status = _call_setup(address, (handle, given, tolerance, begin, 0, 0.0))
         if status > WARNING:
-            return _fail(m, function, c, status)
+            return fail(m, ENTER_INITIALIZATION, c, status)
     return True
+
+
+@numba.njit("boolean(intp)", cache=True, nogil=True, error_model="numpy")
+def _exit_initialization(m):  # type: ignore[no-untyped-def]
+    for c in range(load_word(m, N_COMPONENTS)):
+        status = call_plain(address_of(m, c, EXIT_INITIALIZATION), (load_word(load_word(m, HANDLES), c),))
+        if status > WARNING:
+            return fail(m, EXIT_INITIALIZATION, c, status)
+        store_word(load_word(m, IN_EVENT), c, IN_EVENTS)
+        if load_word(stepper_of(m, c), BLOCK) and _call_hook(load_word(m, BEGIN_STEPPER), (m, c)) != GO:
+            return False
+    return True
+
+
+@numba.njit("float64(intp, float64)", cache=True, nogil=True, error_model="numpy")
+def polynomial(curve, after):  # type: ignore[no-untyped-def]
+    """Return the value of a cubic polynomial whose coefficients are stored lowest power first."""
+    high = load_real(curve, 2) + after * load_real(curve, 3)
+    return load_real(curve, 0) + after * (load_real(curve, 1) + after * high)
 
 
 @numba.njit("void(intp, intp, float64, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _set_inputs(m, k, after, modes_from):  # type: ignore[no-untyped-def]
     """Put the inputs, a time `after` past sample k, into the signals; only those of a mode from `modes_from` on."""
     n, signals, slots = load_word(m, N_INPUTS), load_word(m, SIGNALS), load_word(m, INPUT_SIGNALS)
-    modes, slopes = load_word(m, INPUT_MODES), load_word(m, SLOPES)
+    modes, curves = load_word(m, INPUT_MODES), load_word(m, CURVES)
     row = load_word(m, INPUTS) + 8 * n * k
     direct = load_word(m, DIRECT_INPUTS)
     if direct:
@@ -161,54 +300,99 @@ def _set_inputs(m, k, after, modes_from):  # type: ignore[no-untyped-def]
         if after == 0.0:
             return
     for j in range(n):
-        if load_word(modes, j) >= modes_from:
-            store_real(signals, load_word(slots, j), load_real(row, j) + load_real(slopes, j) * after)
+        mode = load_word(modes, j)
+        if mode >= modes_from:
+            value = load_real(row, j)
+            if after != 0.0 and mode != HELD:
+                value = polynomial(load_word(curves, j), after)
+            store_real(signals, load_word(slots, j), value)
 
 
 @numba.njit("boolean(intp, intp, float64)", cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _set_slopes(m, k, length):  # type: ignore[no-untyped-def]
-    """Find the slopes of the linear inputs in interval k; return whether any input goes by midpoints."""
+def _set_curves(m, k, length):  # type: ignore[no-untyped-def]
+    """Find the polynomials of the inputs in interval k, lowest power first; return whether any goes by midpoints."""
     n, signals, slots = load_word(m, N_INPUTS), load_word(m, SIGNALS), load_word(m, DERIVATIVE_SIGNALS)
-    modes, slopes = load_word(m, INPUT_MODES), load_word(m, SLOPES)
+    modes, curves = load_word(m, INPUT_MODES), load_word(m, CURVES)
     row = load_word(m, INPUTS) + 8 * n * k
     by_midpoint = False
     for j in range(n):
         mode = load_word(modes, j)
         if mode != HELD:
+            curve = load_word(curves, j)
             slope = (load_real(row, n + j) - load_real(row, j)) / length
-            store_real(slopes, j, slope)
+            store_real(curve, 0, load_real(row, j))
+            store_real(curve, 1, slope)
             store_real(signals, load_word(slots, j), slope)
             by_midpoint = by_midpoint or mode == BY_MIDPOINT
+    if load_word(m, BEND):
+        _call_hook(load_word(m, BEND), (m, k))
     return by_midpoint
+
+
+@numba.njit(
+    "boolean(intp, intp, float64, float64, float64)", cache=True, nogil=True, error_model="numpy", forceinline=True
+)
+def _advance(m, c, now, h, until):  # type: ignore[no-untyped-def]
+    """Take one component over one of its steps."""
+    if load_word(m, N_STEPPERS) and load_word(stepper_of(m, c), BLOCK):
+        store_real(m, FROM, now)
+        store_real(m, UNTIL, until)
+        return _call_hook(load_word(m, ADVANCE_STEPPER), (m, c)) == GO
+    status = _call_step(address_of(m, c, DO_STEP), (load_word(load_word(m, HANDLES), c), now, h, 1))
+    if status > WARNING:
+        if status == DISCARD and load_word(m, AFTER_DISCARD):
+            store_real(m, FROM, now)
+            store_real(m, UNTIL, until)
+            return _call_hook(load_word(m, AFTER_DISCARD), (m, c)) == GO
+        return fail(m, DO_STEP, c, status)
+    return True
 
 
 @numba.njit("boolean(intp, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _interval(m, k):  # type: ignore[no-untyped-def]
     """All components from sample k to sample k + 1, in equal substeps; the first exchange is done already."""
     times = load_word(m, TIMES)
-    begin = load_real(times, k)
-    length = load_real(times, k + 1) - begin
+    begin, end = load_real(times, k), load_real(times, k + 1)
+    length = end - begin
+    store_word(m, STEPPED, length <= 0.0)
     if length <= 0.0:  # a time given twice: a step of the inputs
         return True
     n = load_word(load_word(m, SUBSTEPS), k)
     h = length / n
-    by_midpoint = _set_slopes(m, k, length)
+    by_midpoint = _set_curves(m, k, length)
+    if load_word(m, N_STEPPERS):
+        _call_hook(load_word(m, TELL_ORIGIN), (m, 0))
+    strides, gauss_seidel = load_word(m, STRIDES), load_word(m, GAUSS_SEIDEL)
     for s in range(n):
+        now = begin + s * h
+        until = end if s == n - 1 else begin + (s + 1) * h
+        store_word(m, SUBSTEP, s)
         if s > 0:
+            store_real(m, NOW, now)
             _set_inputs(m, k, s * h, HELD)
-            if not _perform(m, 1, 3):
+            if not _settle(m):
                 return False
         if by_midpoint:
             _set_inputs(m, k, (s + 0.5) * h, BY_MIDPOINT)
-            if not _perform(m, 1, 2):
+            if not stage(m, 1, 2):
                 return False
-        if not _perform(m, 4, 5):
+        if load_word(m, CHORDS):
+            store_real(m, AFTER, s * h)
+            store_real(m, LENGTH, h)
+            _call_hook(load_word(m, CHORDS), (m, 0))
+        if not _stage(m, 4, 5):
             return False
-        handles = load_word(m, HANDLES)
         for c in range(load_word(m, N_COMPONENTS)):
-            status = _call_step(_address(m, c, DO_STEP), (load_word(handles, c), begin + s * h, h, 1))
-            if status > WARNING:
-                return _fail(m, DO_STEP, c, status)
+            if strides == 0:
+                if not _advance(m, c, now, h, until):
+                    return False
+            elif (s + 1) % load_word(strides, c) == 0 or s == n - 1:
+                own = load_real(load_word(m, OWN_TIMES), c)
+                store_real(load_word(m, OWN_TIMES), c, until)
+                if not _advance(m, c, own, until - own, until):
+                    return False
+            if gauss_seidel and not stage(m, 5 + c, 6 + c):
+                return False
     return True
 
 
@@ -220,22 +404,39 @@ def _sample(m, k):  # type: ignore[no-untyped-def]
     direct = load_word(m, DIRECT_OUTPUTS)
     if direct:
         store_word(direct, 0, row)
+    store_real(m, NOW, load_real(load_word(m, TIMES), k))
+    store_word(m, SUBSTEP, 0)
     _set_inputs(m, k, 0.0, HELD)
-    if not _perform(m, 1, 4):
+    if load_word(m, SETTLE) == 0:
+        if not _stage(m, 1, 4):
+            return False
+    elif not (_settle(m) and stage(m, 3, 4)):
         return False
     if not direct:
+        terms = load_word(m, OUTPUT_TERMS)
         for j in range(n):
-            store_real(row, j, load_real(signals, load_word(slots, j)))
+            value = 0.0
+            for i in range(load_word(terms, j), load_word(terms, j + 1)):
+                value += load_real(signals, load_word(slots, i))
+            store_real(row, j, value)
     return True
 
 
 @numba.njit("boolean(intp)", cache=True, nogil=True, error_model="numpy")
 def _simulate(m):  # type: ignore[no-untyped-def]
     """One simulation: inputs set, outputs passed on and recorded, all components stepped, sample by sample."""
-    if not (_prepare(m) and _perform(m, 0, 1) and _all_components(m, ENTER_INITIALIZATION)):
+    store_word(m, STEPPED, 0)
+    store_word(m, SUBSTEP, 0)
+    store_real(m, NOW, load_real(load_word(m, TIMES), 0))
+    if not (_prepare(m) and stage(m, 0, 1) and _enter_initialization(m)):
         return False
     _set_inputs(m, 0, 0.0, HELD)
-    if not (_perform(m, 1, 3) and _all_components(m, EXIT_INITIALIZATION)):
+    if load_word(m, EXCHANGE) == 0:
+        if not stage(m, 1, 3):
+            return False
+    elif not stage(m, 1, 2) or _call_hook(load_word(m, EXCHANGE), (m, 0)) != GO:
+        return False
+    if not _exit_initialization(m):
         return False
     last = load_word(m, N_TIMES) - 1
     for k in range(last + 1):

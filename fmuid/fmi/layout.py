@@ -1,0 +1,92 @@
+"""What the compiled loop is to do, as arrays, and the experiment as it walks it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.fmi import kernels as k
+
+
+class Operation(NamedTuple):
+    """One call: `n_references` value references from number `reference` on, `n_values` signals from `signal` on.
+
+    For COPY, `reference` is the source signal, `n_references` the number of the conversion and `signal` the target.
+    """
+
+    function: int
+    component: int
+    reference: int
+    n_references: int
+    signal: int
+    n_values: int
+    wire: int
+    when: int = k.ALWAYS
+
+
+class FeedThrough(NamedTuple):
+    """A loop of direct feed-through: which operations get and copy, which set, and the signals of its inputs."""
+
+    first: int
+    setting: int
+    last: int
+    signals: tuple[int, ...]
+
+
+class Integration(NamedTuple):
+    """How a component for model exchange is integrated; `inputs` are the references of those that vary continuously.
+
+    `autonomous` components have no varying inputs at all, so that steps may go beyond the samples.
+    """
+
+    integrator: str
+    tolerance: float
+    step_size: float | None
+    inputs: NDArray[np.uint32]
+    autonomous: bool
+
+
+class Plan(NamedTuple):
+    """What the loop does, as arrays.
+
+    `stages` says where each list of operations starts: start values | external inputs | exchange between components |
+    outputs | input derivatives | exchange after the step of each component in turn (Gauss–Seidel). `groups` are the
+    parts (first, last operation) of the exchange, (-1, number) for a loop of direct feed-through. Output j is the sum
+    of the signals from `output_terms[j]` on. `input_curves` says of each external input which row of the polynomials of
+    which component's stepper it is, (-1, -1) for those of none.
+    """
+
+    operations: tuple[Operation, ...]
+    stages: NDArray[np.intp]
+    groups: NDArray[np.intp]
+    loops: tuple[FeedThrough, ...]
+    references: NDArray[np.uint32]
+    signals: NDArray[np.float64]
+    conversions: NDArray[np.float64]
+    strings: NDArray[np.intp]
+    parameter_signals: NDArray[np.intp]
+    input_signals: NDArray[np.intp]
+    input_modes: NDArray[np.intp]
+    input_curves: tuple[tuple[int, int], ...]
+    derivative_signals: NDArray[np.intp]
+    output_signals: NDArray[np.intp]
+    output_terms: NDArray[np.intp]
+    integrations: tuple[Integration | None, ...]
+    tolerances: NDArray[np.float64]
+    gauss_seidel: bool
+
+
+class Grid(NamedTuple):
+    """The experiment as the loop walks it.
+
+    Times (K,), substeps of each interval (K-1,), how many substeps each component's own step has (n_components,), input
+    values (K, n_u) and, where any input goes along a cubic curve, the slopes at the samples, else None.
+    """
+
+    times: NDArray[np.float64]
+    substeps: NDArray[np.intp]
+    strides: NDArray[np.intp]
+    inputs: NDArray[np.float64]
+    slopes: NDArray[np.float64] | None

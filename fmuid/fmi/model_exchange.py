@@ -1,0 +1,97 @@
+"""The stepper of a model-exchange instance: its integrator, as the compiled master loop calls it.
+
+Only who runs model exchange imports this, and with it the compiled integrators.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.fmi import block
+from fmuid.fmi.description import Description
+from fmuid.fmi.instance import Instance
+from fmuid.fmi.integrators import FUNCTIONS, OPTIONAL, ModelExchange, advance, begin, enter_events, leave_events
+from fmuid.fmi.layout import Integration
+
+
+class ModelExchangeStepper:
+    """Takes one model-exchange instance from one communication point to the next (`fmuid.fmi.loop.Stepper`).
+
+    Parameters
+    ----------
+    instance : Instance
+    integration : Integration
+    last_time : float
+        The last sample, s: steps of an autonomous model may go as far.
+
+    Attributes
+    ----------
+    block : int
+        Address of its memory.
+    functions : tuple of int
+        Addresses of begin, enter_events, leave_events and advance.
+    failure : int
+        Address of two words, what failed and its status.
+    origin : int
+        Address of the time from which on the polynomials of the inputs count.
+    fresh : int
+        Address of the word that is 0 where the integrator has to start anew.
+    coefficients : (n, 4) array
+        The polynomials of the inputs.
+
+    Raises
+    ------
+    InputError
+        If the binary lacks a function, or the platform the integrator.
+    """
+
+    def __init__(self, instance: Instance, integration: Integration, last_time: float) -> None:
+        description = instance.fmu.description
+        interface = description.interfaces[instance.kind]
+        unused = {
+            "CompletedIntegratorStep": not interface.completed_step,
+            "GetDirectionalDerivative": not interface.directional_derivatives,
+        }
+        addresses = {}
+        for key, names in FUNCTIONS.items():
+            name = names[instance.version - 2].removeprefix(f"fmi{instance.version}")
+            if not unused.get(key, False):
+                addresses[key] = instance.address(name) if key in OPTIONAL else instance.required(name)
+        self.states = description.states
+        self._solver = ModelExchange(
+            instance.version,
+            instance.handle,
+            addresses,
+            len(description.derivatives),
+            description.indicators,
+            integrator=integration.integrator,
+            tolerance=integration.tolerance,
+            step_size=integration.step_size,
+            input_references=integration.inputs,
+            state_references=_references(description, description.states),
+            derivative_references=_references(description, description.derivatives),
+        )
+        if integration.autonomous:
+            self._solver.reals[block.LIMIT] = last_time
+        self.block = self._solver.address
+        self.functions: tuple[int, ...] = tuple(each.address for each in (begin, enter_events, leave_events, advance))
+        self.failure = self.block + 8 * block.FAILED_FUNCTION
+        self.origin = int(self._solver.reals.ctypes.data) + 8 * block.ORIGIN
+        self.fresh = self.block + 8 * block.FRESH
+        self.coefficients = self._solver.coefficients
+
+    def bad_state(self) -> str:
+        """Return the name of the state that ceased to be finite."""
+        bad = int(self._solver.words[block.BAD_STATE])
+        return self.states[bad] if bad < len(self.states) else f"number {bad + 1}"
+
+
+def _references(description: Description, names: Sequence[str]) -> NDArray[np.uint32]:
+    """Return value references; none where an array is among the variables, whose reference stands for all of it."""
+    variables = [description.variables[name] for name in names]
+    if any(variable.array for variable in variables):
+        return np.zeros(0, np.uint32)
+    return np.array([variable.reference for variable in variables], np.uint32)
