@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from fmuid.result import Result as Result
     from fmuid.simulator import Simulator as Simulator
     from fmuid.study import Study as Study
+    from fmuid.system import Component as Component
+    from fmuid.system import Numerics as Numerics
     from fmuid.system import System as System
     from fmuid.tables import read_table as read_table
     from fmuid.transforms import concordia as concordia
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Component": "system",
     "Experiment": "experiment",
     "FMU": "fmi.archive",
     "FmuidError": "errors",
@@ -51,6 +54,7 @@ _HOMES = {
     "ModelicaError": "errors",
     "Noise": "noise",
     "Normal": "parameters",
+    "Numerics": "system",
     "Parameter": "parameters",
     "Problem": "problem",
     "Result": "result",

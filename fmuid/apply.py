@@ -195,7 +195,7 @@ def _startable(description: Description, name: str, fmu: Path) -> Variable:
     if name not in variables:
         raise InputError(f"{fmu} has no variable {name!r}{nearest(name, variables)}")
     variable = variables[name]
-    if not variable.settable:
+    if not variable.settable or variable.causality == "structuralParameter":  # which the sizes of arrays hang on
         raise InputError(
             f"{fmu}: the start value of {name!r} may not be set (causality {variable.causality}, variability "
             f"{variable.variability}, initial {variable.initial or 'not given'})"
@@ -219,9 +219,8 @@ def _checked(variable: Variable, value: Value, factor: float, offset: float, fmu
     """Return a value in the unit of its variable, within the limits that the FMU declares."""
     if isinstance(value, str):
         raise InputError(f"{variable.name!r} is the text {value!r}; only numbers and truth values can be applied")
-    if isinstance(value, bool) or (factor, offset) == (1.0, 0.0):
-        new: float | int | bool = value
-    else:
+    new: float | int | bool = value
+    if not isinstance(value, bool) and (variable.type == "Real" or (factor, offset) != (1.0, 0.0)):
         new = factor * value + offset
     for word, limit, outside in (
         ("min", variable.min, variable.min is not None and new < variable.min),

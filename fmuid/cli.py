@@ -237,12 +237,20 @@ def export(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="The FMU to write; default: beside the model.")
     ] = None,
+    fmi: Annotated[str, typer.Option("--fmi", metavar="VERSION", help="The version of FMI, 2.0 or 3.0.")] = "2.0",
+    sensitivities: Annotated[
+        str,
+        typer.Option(
+            "--sensitivities", metavar="P,...", help="Also output the derivatives to these parameters, or to 'all'."
+        ),
+    ] = "",
 ) -> int:
-    """Export a Modelica model as an FMU 2.0 (needs the extra 'export' of the package)."""
+    """Export a Modelica model as an FMU (needs the extra 'export' of the package)."""
     from fmuid import console
     from fmuid.export import export_fmu
 
-    console.show_files([export_fmu(model, output)])
+    names = [name.strip() for name in sensitivities.split(",")] if sensitivities else []
+    console.show_files([export_fmu(model, output, fmi=fmi, sensitivities="all" if names == ["all"] else names)])
     return DONE
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from ctypes import c_char_p, c_void_p, cast
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from fmuid.fmi import kernels
 from fmuid.fmi.description import Variable
 from fmuid.fmi.layout import FeedThrough, Grid, Integration, Operation, Plan
 from fmuid.fmi.native import BOOLEAN, INT32, UINT8, WIRES
-from fmuid.system import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, Connection, System
+from fmuid.system import DEFAULT_TOLERANCE, Connection, System
 
 Value = float | int | bool | str
 
@@ -25,6 +26,14 @@ LINEAR_SUBSTEPS = 10
 # Steps that differ by less, relatively, count as equal: sampling times are rounded, often to single precision. A second
 # substep where the table says 1.00002 ms instead of 1 ms would double a sampled controller's rate.
 STEP_TOLERANCE = 1e-3
+
+
+class _Target(NamedTuple):
+    """Which column feeds a variable: factor times it plus offset."""
+
+    column: int
+    factor: float
+    offset: float
 
 
 class PlannedRun:
@@ -76,12 +85,15 @@ class PlannedRun:
             raise InputError(f"step_size must be a positive number of seconds, not {step_size:g}")
         self._step_size = step_size
         self._steps = self._component_steps(step_size)
-        self._modes = {name: self._mode(name, held) for name, held in self._inputs()}
+        self._targets = self._input_targets()
+        self._modes = {
+            name: self._mode(name, bool(experiment.held[each.column])) for name, each in self._targets.items()
+        }
 
         stages = [0]
         parameter_slots = self._start_operations(parameters, self._all_values(parameters, values))
         stages.append(len(self._operations))
-        input_slots = self._transfer(experiment.input_names, setting=True)
+        input_slots = self._transfer(list(self._targets), setting=True)
         stages.append(len(self._operations))
         groups = self._exchange_operations()
         stages.append(len(self._operations))
@@ -93,7 +105,6 @@ class PlannedRun:
             if system.master == "gauss-seidel":
                 self._pass_on_after(component)
             stages.append(len(self._operations))
-        integrations = tuple(self._integration(name) for name in system.components)
         self.plan = Plan(
             operations=tuple(self._operations),
             stages=np.array(stages, np.intp),
@@ -110,14 +121,21 @@ class PlannedRun:
             derivative_signals=np.array(derivative_slots, np.intp),
             output_signals=np.array(output_slots, np.intp),
             output_terms=np.array(output_terms, np.intp),
-            integrations=integrations,
+            integrations=self._integrations(),
             tolerances=np.array([model.numerics.tolerance or 0.0 for model in system.components.values()]),
             gauss_seidel=system.master == "gauss-seidel",
         )
         self.grid = self._build_grid()
 
-    def _inputs(self) -> list[tuple[str, bool]]:
-        return list(zip(self._experiment.input_names, self._experiment.held.tolist(), strict=True))
+    def _input_targets(self) -> dict[str, _Target]:
+        """Return the variables that the table feeds, with their columns; a connector of the system may feed several."""
+        found: dict[str, _Target] = {}
+        for column, given in enumerate(self._experiment.input_names):
+            for name, factor, offset in self._system.targets(given):
+                if name in found:
+                    raise InputError(f"{self._experiment.source} feeds {name!r} twice, through {given!r} too; keep one")
+                found[name] = _Target(column, factor, offset)
+        return found
 
     def describe_loop(self, number: int) -> str:
         """Return in words that a loop of direct feed-through was not solved."""
@@ -163,6 +181,13 @@ class PlannedRun:
             return latched | (kernels.AT_STEPS if exchanging else kernels.ALWAYS)
         return latched | kernels.AS_EVENT
 
+    def integrate_as_now_chosen(self) -> None:
+        """Take over the components' integrators, after one was found stiff."""
+        self.plan = self.plan._replace(integrations=self._integrations())
+
+    def _integrations(self) -> tuple[Integration | None, ...]:
+        return tuple(self._integration(name) for name in self._system.components)
+
     def _integration(self, component: str) -> Integration | None:
         model = self._system.components[component]
         if model.kind != "model-exchange":
@@ -172,7 +197,7 @@ class PlannedRun:
         connected = any(connection.target[0] == component for connection in self._system.connections)
         numerics = model.numerics
         return Integration(
-            numerics.integrator or DEFAULT_INTEGRATOR,
+            model.integrator,
             numerics.tolerance or DEFAULT_TOLERANCE,
             self._step_size or numerics.step_size,
             np.array([self._system.variables[name].reference for name in varying], np.uint32),
@@ -251,7 +276,7 @@ class PlannedRun:
             for component, model in self._system.components.items()
             for name, value in model.fmu.description.applied.items()
         }
-        fed = {*parameters, *self._experiment.input_names, *self._system.connected_inputs}
+        fed = {*parameters, *self._targets, *self._system.connected_inputs}
         known = {name: value for name, value in (known | self._system.values).items() if name not in fed}
         return known | dict(values)
 
@@ -316,7 +341,7 @@ class PlannedRun:
     def _derivative_operations(self) -> list[int]:
         unused = len(self._signals)  # where the slopes of the inputs go that are given none
         self._signals.append(0.0)
-        slots = dict.fromkeys(self._experiment.input_names, unused)
+        slots = dict.fromkeys(self._targets, unused)
         linear = [name for name, mode in self._modes.items() if mode == kernels.BY_DERIVATIVE]
         first = len(self._operations)
         found = self._transfer(linear, setting=True, when={})
@@ -333,7 +358,7 @@ class PlannedRun:
         intervals = np.diff(self._experiment.times)
         steps = [step for step in self._steps.values() if step is not None]
         strides = np.ones(len(self._steps), np.intp)
-        curved = {name for name, is_curved in zip(self._modes, self._experiment.curved, strict=True) if is_curved}
+        curved = {name for name, each in self._targets.items() if self._experiment.curved[each.column]}
         if steps:
             smallest = min(steps)
             substeps = np.ceil(intervals / smallest * (1 - STEP_TOLERANCE))
@@ -364,13 +389,16 @@ class PlannedRun:
 
     def _converted_inputs(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the inputs, and their slopes at the samples, in the units of the FMU."""
-        inputs = np.array(self._experiment.input_values, np.float64, order="C")
-        slopes = np.array(self._experiment.input_slopes, np.float64, order="C")
-        for j, name in enumerate(self._experiment.input_names):
+        columns = [each.column for each in self._targets.values()]
+        inputs = np.array(self._experiment.input_values[:, columns], np.float64, order="C")
+        slopes = np.array(self._experiment.input_slopes[:, columns], np.float64, order="C")
+        for j, each in enumerate(self._targets.values()):
+            name = self._experiment.input_names[each.column]
+            factor, offset = 1.0, 0.0
             if name in self._experiment.units:
                 factor, offset = unit_conversion(self._system, name, self._experiment.units[name])
-                inputs[:, j] = factor * inputs[:, j] + offset
-                slopes[:, j] *= factor
+            inputs[:, j] = each.factor * (factor * inputs[:, j] + offset) + each.offset
+            slopes[:, j] *= factor * each.factor
         return inputs, slopes
 
 

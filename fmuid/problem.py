@@ -62,8 +62,6 @@ class Problem:
         Where the estimation of the variances starts, NaN where the residual decides.
     loss : Loss or None
         None for the plain sum of squares.
-    models : mapping of str to mapping
-        ``name`` and ``digest`` of each FMU by its component; empty where there are none.
     simulations : int
         How many simulations of an experiment were made so far.
 
@@ -98,10 +96,7 @@ class Problem:
             for experiment in listed
         ]
         self._assemble(predictors, listed, parameters, noise or Noise(), joint_prior, loss)
-        self.models: Mapping[str, Mapping[str, str]] = {
-            name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": model.words()}
-            for name, model in system.components.items()
-        }
+        self._system: System | None = system
 
     @classmethod
     def from_predictors(
@@ -177,8 +172,8 @@ class Problem:
         self.parameters = ParameterSet(parameters, [e.name for e in experiments], joint_prior)
         self.experiments = tuple(experiments)
         self._predictors = tuple(predictors)
+        self._system = None
         self.noise, self.loss = noise, loss_of(loss)
-        self.models = {}
         self.simulations = 0
         self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
         if not self.output_names:
@@ -195,6 +190,15 @@ class Problem:
         self.variance = noise.known(self.output_names)
         self.first_variance = noise.first(self.output_names)
         self._check_counts()
+
+    @property
+    def models(self) -> dict[str, dict[str, str]]:
+        """``name``, ``digest`` and ``run`` (how it is run, in words) of each FMU by its component."""
+        components = self._system.components if self._system is not None else {}
+        return {
+            name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": model.words()}
+            for name, model in components.items()
+        }
 
     def _check_counts(self) -> None:
         for name, count in zip(self.output_names, self.counts, strict=True):

@@ -76,8 +76,8 @@ class Result:
     version : str
         Of fmuid.
     models : mapping of str to mapping
-        ``name`` and ``digest`` of each FMU by its component; a single one is the component ``""``. Empty for problems
-        that are not made of FMUs.
+        ``name``, ``digest`` and ``run`` (interface, integrator and tolerance in words) of each FMU by its component; a
+        single one is the component ``""``. Empty for problems that are not made of FMUs.
     local : LocalModel or None
         The problem made linear at the estimate, which `fmuid.reading` and `fmuid.residuals` start from; with the given
         noise variances where there are any, else with the estimated ones. None where it was not kept in a file.
@@ -332,7 +332,8 @@ class Result:
             at_bounds=tuple(data.get("at_bounds", ())),
             version=str(data["version"]),
             models={
-                str(c): {key: str(m[key]) for key in ("name", "digest")} for c, m in data.get("models", {}).items()
+                str(c): {key: str(m.get(key, "")) for key in ("name", "digest", "run")}
+                for c, m in data.get("models", {}).items()
             },
         )
 

@@ -86,16 +86,25 @@ class Simulator:
             raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
         self._run = PlannedRun(self.system, experiment, self.parameters, values or {}, step_size)
         self._workers = workers_of(self.system)
-        self._conversions = {
-            j: unit_conversion(self.system, name, experiment.units[name])
-            for j, name in enumerate(experiment.output_names)
-            if name in experiment.units
-        }
-        fed = {*experiment.input_names, *self.parameters, *(values or {}), *self.system.connected_inputs}
+        self._conversions = self._output_conversions()
+        fed = {*self.parameters, *(values or {}), *self.system.connected_inputs, *self.system.connectors}
+        fed |= {target for name in experiment.input_names for target, _, _ in self.system.targets(name)}
         self.unfed_inputs = tuple(
             v.name for v in self.system.variables.values() if v.causality == "input" and v.name not in fed
         )
         """Inputs that nothing feeds: they keep their start values."""
+
+    def _output_conversions(self) -> dict[int, tuple[float, float]]:
+        """Return for each output that differs from what the FMU gives: factor and offset."""
+        found = {}
+        for j, name in enumerate(self.experiment.output_names):
+            _, factor, offset = self.system.targets(name)[0]
+            if name in self.experiment.units:
+                of_unit, shift = unit_conversion(self.system, name, self.experiment.units[name])
+                factor, offset = factor / of_unit, (offset - shift) / of_unit
+            if (factor, offset) != (1.0, 0.0):
+                found[j] = factor, offset
+        return found
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -143,7 +152,7 @@ class Simulator:
             self._workers.run(self._run, given, outputs, reports)
             errors = self._explain(given, outputs, reports)
         for j, (factor, offset) in self._conversions.items():
-            outputs[:, :, j] = (outputs[:, :, j] - offset) / factor
+            outputs[:, :, j] = factor * outputs[:, :, j] + offset
         return Batch(outputs, errors)
 
     def close(self) -> None:

@@ -135,9 +135,7 @@ class Study:
         InputError
             If an FMU cannot be read, or a connection is wrong.
         """
-        if "" in self.model.components:
-            return System(self.model.components[""])
-        return System(components=self.model.components, connections=self.model.connections)
+        return self.model.system()
 
     @cached_property
     def tables(self) -> tuple[Experiment, ...]:
@@ -184,7 +182,6 @@ class Study:
             self.parameters,
             noise=self.noise,
             values=model.values,
-            step_size=model.step_size,
             joint_prior=self.joint_prior,
             loss=self.loss,
         )
@@ -274,10 +271,7 @@ class Study:
     def simulators(self) -> tuple[Simulator, ...]:
         """Return the simulator of each experiment, as a function of the study's parameters in their order."""
         names, model = tuple(self.parameters), self.model
-        return tuple(
-            Simulator(self.system, table, names, values=model.values, step_size=model.step_size)
-            for table in self.tables
-        )
+        return tuple(Simulator(self.system, table, names, values=model.values) for table in self.tables)
 
     def simulate(self) -> list[pd.DataFrame]:
         """Simulate every experiment at the parameters' starts.

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,11 +16,18 @@ from fmuid.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
+    from fmuid.fmi.archive import FMU
     from fmuid.fmi.description import Description, Variable
 
 # The names that tables give their time column, in the order in which they are looked for.
 TIME_COLUMNS = ("time", "Time", "t", "TIME", "T")
-
+# What a table can hold, and what an output of an experiment can be.
+NUMBERS, OBSERVED = ("Real", "Integer", "Boolean"), ("output", "local")
+# How many names a comment lists, and how many parameters a skeleton: what can be read at a glance.
+NAMES_LISTED, PARAMETERS_LISTED = 20, 12
+LINE_LENGTH = 110
+# Modelica tools write their largest numbers for bounds that are none.
+NO_BOUND = 1e60
 
 # What does not depend on FMU and table; the words that few studies need are commented out.
 _REST = """
@@ -56,9 +63,9 @@ class Draft:
     text : str
         The file.
     inputs, outputs : tuple of str
-        Variables of the FMU that are columns of the table too.
+        Variables of the FMU that are columns of the table too; an output may be a local variable.
     missing_inputs, missing_outputs : tuple of str
-        Those that are not.
+        Inputs and outputs of the FMU that are not.
     unused : tuple of str
         Columns that are neither.
     """
@@ -91,8 +98,9 @@ def draft(fmu: Path, table: Path, output: Path) -> Draft:
     description = read_description(fmu)
     frame, time = _read(table)
     columns = [str(column) for column in frame.columns if column != time]
-    inputs, missing_inputs = _match(description, "input", columns)
-    outputs, missing_outputs = _match(description, "output", columns)
+    inputs, missing_inputs = _match(_of_tables(description, "input"), columns)
+    outputs, missing_outputs = _match(_of_tables(description, "output"), columns)
+    outputs += _match(_of_tables(description, "local"), columns)[0]
     unused = tuple(column for column in columns if column not in (*inputs, *outputs))
     lines = [
         f"# A study of {description.model_name}, begun by `fmuid init`.",
@@ -102,7 +110,7 @@ def draft(fmu: Path, table: Path, output: Path) -> Draft:
         "",
         "[model]",
         f"fmu = {_text(_relative(fmu, output))}  # paths are relative to this file",
-        "# step_size = 1e-3  # largest internal step, s; default: from sample to sample",
+        *_numerics(description),
         "",
         "[model.values]  # parameters held at another value than the FMU's own: name = value",
         "",
@@ -111,7 +119,7 @@ def draft(fmu: Path, table: Path, output: Path) -> Draft:
         f"time = {_text(time)}",
         *_roles("inputs", inputs, missing_inputs),
         *_roles("outputs", outputs, missing_outputs),
-        *([f"# columns that are no input or output of the FMU: {', '.join(unused)}"] if unused else []),
+        *([f"# columns that are no input or output of the FMU: {_listed(unused)}"] if unused else []),
         '# where a column has another name: outputs = { fmu_variable = "column" }',
         'interpolation = "linear"  # between samples; "hold" for commands of a digital controller',
         "discard = 0.0  # s of transient at the beginning, simulated but not counted",
@@ -121,6 +129,35 @@ def draft(fmu: Path, table: Path, output: Path) -> Draft:
         *_REST,
     ]
     return Draft("\n".join(lines) + "\n", inputs, outputs, missing_inputs, missing_outputs, unused)
+
+
+def skeleton(fmu: FMU) -> str:
+    """Return a short study of an FMU and a table that is still to come: what `fmuid info` shows to be pasted.
+
+    An FMU without outputs is observed by its states, which may be measured like any local variable.
+    """
+    description = fmu.description
+    outputs, remark = _of_tables(description, "output"), ""
+    if not outputs:
+        outputs = [name for name in description.states if description.variables[name].causality in OBSERVED]
+        remark = "  # the FMU declares no outputs: states or other local variables that are measured"
+    lines = [
+        "[model]",
+        f"fmu = {_text(fmu.path.name)}  # relative to the study file",
+        *_numerics(description),
+        "",
+        "[[experiments]]",
+        'table = "table.csv"  # its first column is time, s',
+        *_roles("inputs", _of_tables(description, "input"), ()),
+        _names("outputs", outputs) + remark,
+        "",
+        "[parameters]  # remove the # before those to identify",
+    ]
+    freed = _free(description)
+    lines += [_parameter(variable) for variable in freed[:PARAMETERS_LISTED]]
+    if len(freed) > PARAMETERS_LISTED:
+        lines.append(f"# and {len(freed) - PARAMETERS_LISTED} more, all of which `fmuid init` writes")
+    return "\n".join(lines) + "\n"
 
 
 def write_draft(fmu: Path, table: Path, output: Path) -> Draft:
@@ -156,42 +193,98 @@ def _read(table: Path) -> tuple[pd.DataFrame, str]:
     raise refusal
 
 
-def _match(description: Description, causality: str, columns: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the variables of one causality that are columns, and those that are not."""
-    names = [variable.name for variable in description.with_causality(causality)]
-    return tuple(n for n in names if n in columns), tuple(n for n in names if n not in columns)
+def _of_tables(description: Description, causality: str) -> list[str]:
+    """Return the variables of one causality that the column of a table can stand for."""
+    return [
+        variable.name
+        for variable in description.with_causality(causality)
+        if variable.type in NUMBERS and variable.variability in ("continuous", "discrete")
+    ]
 
 
-def _roles(word: str, matched: Iterable[str], missing: Sequence[str]) -> list[str]:
-    lines = [f"{word} = [{', '.join(_text(name) for name in matched)}]"]
+def _match(names: Sequence[str], columns: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the variables that are columns, and those that are not."""
+    there = set(columns)
+    return tuple(n for n in names if n in there), tuple(n for n in names if n not in there)
+
+
+def _numerics(description: Description) -> list[str]:
+    """Return the words on how the FMU is run, commented out, as far as its interfaces have use for them."""
+    from fmuid.system import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE
+
+    offered, lines = description.interfaces, []
+    if len(offered) > 1:
+        lines.append('# interface = "model-exchange"  # default: "co-simulation", with the integrator inside the FMU')
+    if "model-exchange" in offered:
+        lines += [
+            f'# integrator = "cvode"  # of model exchange: "rk4" (fixed steps), "rk45" or "cvode" (stiff models); '
+            f'default: "{DEFAULT_INTEGRATOR}"',
+            f"# tolerance = {DEFAULT_TOLERANCE!r}  # relative, of the integrator",
+        ]
+    else:
+        lines.append(f"# tolerance = {DEFAULT_TOLERANCE!r}  # relative; default: what the FMU has inside")
+    return [*lines, "# step_size = 1e-3  # largest step, s; default: from sample to sample"]
+
+
+def _roles(word: str, matched: Sequence[str], missing: Sequence[str]) -> list[str]:
+    lines = [_names(word, matched)]
     if missing:
-        lines.append(f"# {word} of the FMU that are no column: {', '.join(missing)}")
+        lines.append(f"# {word} of the FMU that are no column: {_listed(missing)}")
     return lines
+
+
+def _names(word: str, names: Sequence[str]) -> str:
+    """Return a list of names, on several lines where it is long."""
+    quoted = [_text(name) for name in names]
+    line = f"{word} = [{', '.join(quoted)}]"
+    if len(line) <= LINE_LENGTH:
+        return line
+    return "\n".join([f"{word} = [", *textwrap.wrap(", ".join(quoted) + ",", LINE_LENGTH, **_WRAPPING), "]"])
+
+
+def _listed(names: Sequence[str]) -> str:
+    rest = len(names) - NAMES_LISTED
+    return ", ".join(names[:NAMES_LISTED]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _free(description: Description) -> list[Variable]:
+    """Return all that can be identified: Real parameters, then other variables whose start values can be set."""
+    settable = [
+        variable
+        for variable in description.variables.values()
+        if variable.type == "Real" and variable.settable and variable.causality not in ("input", "structuralParameter")
+    ]
+    return sorted(settable, key=lambda variable: variable.causality != "parameter")
 
 
 def _parameters(description: Description) -> list[str]:
     """Return the table of parameters, all of them commented out."""
-    settable = [v for v in description.variables.values() if v.type == "Real" and v.settable and v.causality != "input"]
+    free = _free(description)
     lines = [
         "# Start, min, max and unit are the FMU's. Further keys: nominal = 1.0 (size, needed where the start is 0),",
         '# prior = { mean = 1.0, std = 0.1 } or { result = "healthy/result.json", inflate = 10 },',
         "# per_experiment = true (one value for each experiment).",
         "[parameters]",
     ]
-    lines += [_parameter(variable) for variable in settable if variable.causality == "parameter"]
-    states = [variable for variable in settable if variable.causality != "parameter"]
-    if states:
-        lines += ["# start values of variables:", *(_parameter(variable) for variable in states)]
+    lines += [_parameter(variable) for variable in free if variable.causality == "parameter"]
+    starts = [variable for variable in free if variable.causality != "parameter"]
+    if starts:
+        lines += ["# start values of variables:", *(_parameter(variable) for variable in starts)]
     return lines
 
 
 def _parameter(variable: Variable) -> str:
     """Return the commented line of one parameter."""
-    start = variable.start if isinstance(variable.start, int | float) else 0.0
-    keys = {"start": float(start), "min": variable.min, "max": variable.max}
+    start = float(variable.start) if isinstance(variable.start, int | float) else 0.0
+    keys = {"start": start}
+    for word in ("min", "max"):
+        bound = getattr(variable, word)
+        # a bound that the FMU's own start breaks would only be refused
+        if bound is not None and abs(bound) < NO_BOUND and (start >= bound if word == "min" else start <= bound):
+            keys[word] = bound
     if start == 0:
-        keys["nominal"] = variable.nominal or 1.0
-    given = ", ".join(f"{key} = {value!r}" for key, value in keys.items() if value is not None and math.isfinite(value))
+        keys["nominal"] = abs(variable.nominal or 1.0)
+    given = ", ".join(f"{key} = {value!r}" for key, value in keys.items())
     unit = variable.unit if variable.unit not in (None, "1") else ""
     remark = ": ".join(part for part in (unit, " ".join(variable.description.split())) if part)
     return f"# {_key(variable.name)} = {{ {given} }}" + (f"  # {remark}" if remark else "")

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from fmuid import study_file as toml
 from fmuid.errors import InputError, nearest
 from fmuid.estimators.marquardt import Marquardt
+from fmuid.fmi.description import KINDS
 from fmuid.losses import LOSSES
 from fmuid.noise import Noise
 from fmuid.study_file import Section
+from fmuid.system import INTEGRATORS, MASTERS, Component, Numerics, System
 from fmuid.uncertainty import LEVEL, UncertaintySettings
 
 if TYPE_CHECKING:
@@ -21,7 +23,8 @@ if TYPE_CHECKING:
 
 Pairs = tuple[tuple[str, str], ...]
 
-MODEL_KEYS = ("fmu", "interface", "step_size", "values", "components", "connections")
+NUMERICS_KEYS = ("interface", "integrator", "tolerance", "step_size")
+MODEL_KEYS = ("fmu", *NUMERICS_KEYS, "master", "values", "components", "connections")
 EXPERIMENT_KEYS = ("table", "name", "time", "inputs", "outputs", "interpolation", "discard", "units")
 NOISE_KEYS = ("variance", "start")
 MARQUARDT_KEYS = ("max_iterations", "tolerance", "first_radius")
@@ -37,20 +40,40 @@ class ModelSettings:
 
     Attributes
     ----------
-    components : mapping of str to Path
-        The FMU files; a single FMU is the component ``""``.
-    connections : tuple of (str, str)
-        (output, input), both as ``component.variable``.
-    step_size : float or None
-        The largest internal step (one FMU) or the communication step (several), s.
+    components : mapping of str to (Path, Numerics)
+        The FMU files and how they are run; a single FMU, or a whole ``.ssp``, is the component ``""``.
+    connections : tuple of tuples
+        (output, input), both as ``component.variable``, or (output, input, factor, offset).
+    numerics : Numerics
+        How components run that do not say it themselves.
+    master : "jacobi" or "gauss-seidel"
     values : mapping
         The FMU variables held at a value.
     """
 
-    components: Mapping[str, Path]
-    connections: tuple[tuple[str, str], ...] = ()
-    step_size: float | None = None
+    components: Mapping[str, tuple[Path, Numerics]]
+    connections: tuple[tuple[str, str] | tuple[str, str, float, float], ...] = ()
+    numerics: Numerics = field(default_factory=Numerics)
+    master: str = "jacobi"
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+
+    def system(self) -> System:
+        """Return the model: its FMUs and their connections.
+
+        Raises
+        ------
+        InputError
+            If an FMU or SSP cannot be read, or a connection is wrong.
+        """
+        if "" not in self.components:
+            components = {name: Component(path, numerics) for name, (path, numerics) in self.components.items()}
+            return System(
+                components=components, connections=self.connections, numerics=self.numerics, master=self.master
+            )
+        path, _ = self.components[""]
+        if path.suffix.lower() == ".ssp":
+            return System.read_ssp(path, self.numerics, self.master)
+        return System(path, numerics=self.numerics)
 
 
 @dataclass(frozen=True)
@@ -70,33 +93,47 @@ class ExperimentSettings:
 def read_model(top: Section, folder: Path) -> ModelSettings:
     """Read the table ``[model]``; its paths are relative to `folder`."""
     section = top.table("model", MODEL_KEYS)
-    section.get("interface", toml.one_of("co-simulation", later=("model-exchange",)), "co-simulation")
+    numerics = _read_numerics(section)
     if "fmu" in section.data:
         if "components" in section.data or "connections" in section.data:
             raise section.error("has both 'fmu' (one FMU) and components or connections (several): keep one of the two")
-        components = {"": existing_file(section, "fmu", "the path of the FMU", folder)}
+        components = {"": (existing_file(section, "fmu", "the path of the FMU", folder), numerics)}
     elif "components" in section.data:
         components = _read_components(section, folder)
     else:
         raise section.error("needs the key 'fmu', the path of the FMU, or [[model.components]] where there are several")
     return ModelSettings(
         components,
-        tuple(
-            (entry.need("from", toml.text, "an output"), entry.need("to", toml.text, "the input that it feeds"))
-            for entry in section.tables("connections", ("from", "to"))
-        ),
-        section.get("step_size", toml.positive, None),
+        tuple(_read_connection(entry) for entry in section.tables("connections", ("from", "to", "factor", "offset"))),
+        numerics,
+        section.get("master", toml.one_of(*MASTERS), "jacobi"),
         section.get("values", toml.named(toml.scalar), {}),
     )
 
 
-def _read_components(section: Section, folder: Path) -> dict[str, Path]:
-    components: dict[str, Path] = {}
-    for entry in section.tables("components", ("name", "fmu")):
+def _read_numerics(section: Section) -> Numerics:
+    return Numerics(
+        section.get("interface", toml.one_of(*KINDS), None),
+        section.get("integrator", toml.one_of(*INTEGRATORS), None),
+        section.get("tolerance", toml.share, None),
+        section.get("step_size", toml.positive, None),
+    )
+
+
+def _read_connection(entry: Section) -> tuple[str, str] | tuple[str, str, float, float]:
+    source, target = entry.need("from", toml.text, "an output"), entry.need("to", toml.text, "the input that it feeds")
+    if not {"factor", "offset"} & set(entry.data):
+        return source, target
+    return source, target, entry.get("factor", toml.number, 1.0), entry.get("offset", toml.number, 0.0)
+
+
+def _read_components(section: Section, folder: Path) -> dict[str, tuple[Path, Numerics]]:
+    components: dict[str, tuple[Path, Numerics]] = {}
+    for entry in section.tables("components", ("name", "fmu", *NUMERICS_KEYS)):
         name = entry.need("name", toml.text, "what its variables are prefixed with")
         if name in components:
             raise entry.error(f"has the name {name!r} of an earlier component: give each its own")
-        components[name] = existing_file(entry, "fmu", "the path of the FMU", folder)
+        components[name] = existing_file(entry, "fmu", "the path of the FMU", folder), _read_numerics(entry)
     if not components:
         raise section.error("has no components: name them with [[model.components]]")
     return components

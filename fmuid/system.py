@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
-
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fmuid.errors import InputError, nearest
 from fmuid.fmi.archive import FMU
@@ -69,6 +66,11 @@ class Component:
     fmu : FMU or path
     numerics : Numerics
 
+    Attributes
+    ----------
+    stiff : bool
+        Whether a simulation has found the model stiff: without an `integrator` given it then runs with "cvode".
+
     Raises
     ------
     InputError
@@ -77,7 +79,7 @@ class Component:
 
     def __init__(self, fmu: FMU | str | Path, numerics: Numerics = Numerics()) -> None:
         self.fmu = fmu if isinstance(fmu, FMU) else FMU(fmu)
-        self.numerics = numerics
+        self.numerics, self.stiff = numerics, False
         offered = self.fmu.description.interfaces
         if self.kind not in offered:
             raise InputError(f"{self.fmu.path} offers no {self.kind} interface; it offers {', '.join(offered)}")
@@ -93,19 +95,30 @@ class Component:
         offered = self.fmu.description.interfaces
         return self.numerics.interface or next(kind for kind in KINDS if kind in offered)
 
+    @property
+    def integrator(self) -> str:
+        """The integrator for model exchange: the one asked for, else "rk45", or "cvode" where that found it stiff."""
+        return self.numerics.integrator or (STIFF_INTEGRATOR if self.stiff else DEFAULT_INTEGRATOR)
+
     def words(self) -> str:
         """Return in words how the FMU is run."""
         given, version = self.numerics, f"FMI {self.fmu.description.fmi_version} {self.kind}"
+        step = f", steps of at most {given.step_size:g} s" if given.step_size else ""
         if self.kind == "co-simulation":
-            return version + (f", tolerance {given.tolerance:g}" if given.tolerance else "")
-        integrator = given.integrator or DEFAULT_INTEGRATOR
-        accuracy = "" if integrator == "rk4" else f", tolerance {given.tolerance or DEFAULT_TOLERANCE:g}"
-        return f"{version}, integrator {integrator}{accuracy}"
+            return version + (f", tolerance {given.tolerance:g}" if given.tolerance else "") + step
+        accuracy = "" if self.integrator == "rk4" else f", tolerance {given.tolerance or DEFAULT_TOLERANCE:g}"
+        why = " (rk45 found the model stiff)" if self.stiff and not given.integrator else ""
+        return f"{version}, integrator {self.integrator}{why}{accuracy}{step}"
 
 
-DEFAULT_INTEGRATOR = "rk45"  # no start-up after each step of the inputs; says so where a model is stiff
+DEFAULT_INTEGRATOR = "rk45"  # no start-up after each step of the inputs; and it finds out where a model is stiff
+STIFF_INTEGRATOR = "cvode"
 # Tight enough that the error stays far below what measurements resolve, and finite differences get good digits.
 DEFAULT_TOLERANCE = 1e-7
+
+
+Port = tuple[str, float, float]
+"""A variable behind a connector of the system, factor and offset."""
 
 
 class Connection(NamedTuple):
@@ -130,8 +143,8 @@ class System:
     components : mapping of str to Component, FMU or path
         Several components; their variables are written ``component.variable``.
     connections : iterable of (str, str) or (str, str, float, float)
-        (output, input), each as ``component.variable``; with factor and offset where the input is not the output
-        itself. Units that differ are converted as the FMUs define it.
+        (output, input), each as ``component.variable``. Units that differ are converted as the FMUs define it, unless
+        factor and offset are given: then the input is just factor times the output plus offset.
     numerics : Numerics
         How components are run that do not say it themselves; `step_size` is the communication step.
     master : "jacobi" or "gauss-seidel"
@@ -139,6 +152,9 @@ class System:
         in their given order, have just reached.
     values : mapping of str to value
         Start values of variables, as far as the simulation does not set them.
+    connectors : mapping of str to sequence of (str, float, float)
+        Names of the system's own: an input with the variables that it feeds, each factor times it plus offset, or an
+        output with the one variable that, times factor plus offset, it is.
 
     Attributes
     ----------
@@ -163,6 +179,7 @@ class System:
         numerics: Numerics = Numerics(),
         master: str = "jacobi",
         values: Mapping[str, float | int | bool | str] | None = None,
+        connectors: Mapping[str, Sequence[Port]] | None = None,
     ) -> None:
         if (fmu is None) == (not components):
             raise InputError("a system needs either one FMU or named components; give exactly one of the two")
@@ -174,12 +191,55 @@ class System:
         for name in self.components:
             if fmu is None and not name:
                 raise InputError("a component has an empty name; name it")
+        self.connectors = {name: tuple(ports) for name, ports in (connectors or {}).items() if ports}
         self.connections = tuple(self._connect(*connection) for connection in connections)
         self._check_fed_once()
         self.exchange_order  # noqa: B018  # a loop that cannot be solved is an error now, not at the first simulation
         self.values = dict(values or {})
         for name in self.values:
             self.variable(name)
+
+    @classmethod
+    def read_ssp(cls, path: str | Path, numerics: Numerics = Numerics(), master: str = "jacobi") -> System:
+        """Return the system that an ``.ssp`` file describes (System Structure and Parameterization 1.0 and 2.0).
+
+        Its own connectors go by their names, all else as ``component.variable``.
+
+        Raises
+        ------
+        InputError
+            If the file or an FMU in it cannot be read, or a connection is wrong.
+        """
+        from fmuid.ssp import read_ssp
+
+        structure = read_ssp(path)
+        components = {
+            name: Component(FMU(entry.fmu), numerics.over(Numerics(interface=entry.interface)))
+            for name, entry in structure.components.items()
+        }
+        inputs = {
+            name: [(f"{port.component}.{port.variable}", port.factor, port.offset) for port in ports]
+            for name, ports in structure.inputs.items()
+        }
+        outputs = {
+            name: [(f"{port.component}.{port.variable}", port.factor, port.offset)]
+            for name, port in structure.outputs.items()
+        }
+        links: list[tuple[str, str] | tuple[str, str, float, float]] = []
+        for link in structure.connections:
+            ends = ".".join(link.source), ".".join(link.target)
+            links.append((*ends, link.factor, link.offset) if link.units_settled else ends)
+        try:
+            return cls(
+                components=components,
+                connections=links,
+                numerics=numerics,
+                master=master,
+                values=structure.values,
+                connectors=inputs | outputs,
+            )
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
 
     @staticmethod
     def _component(model: Component | FMU | str | Path, numerics: Numerics) -> Component:
@@ -217,12 +277,14 @@ class System:
 
     @cached_property
     def variables(self) -> dict[str, Variable]:
-        """All variables under their names in the system."""
-        return {
+        """All variables under their names in the system; its own connectors are those of the first variable behind."""
+        found = {
             self.full_name(component, name): replace(variable, name=self.full_name(component, name))
             for component, model in self.components.items()
             for name, variable in model.fmu.description.variables.items()
         }
+        ports = {name: found[some[0][0]] for name, some in self.connectors.items() if some[0][0] in found}
+        return found | {name: replace(variable, name=name) for name, variable in ports.items()}
 
     @cached_property
     def connected_inputs(self) -> frozenset[str]:
@@ -243,9 +305,15 @@ class System:
         """Return (component, name inside it) of a variable's name in the system."""
         if not self.name_prefixed:
             return "", name
+        if name in self.connectors:
+            return self.split(self.connectors[name][0][0])
         known = [component for component in self.components if name.startswith(component + ".")]
         component = max(known, key=len, default=name.partition(".")[0])
         return component, name[len(component) + 1 :]
+
+    def targets(self, name: str) -> tuple[Port, ...]:
+        """Return the variables behind a name, with factor and offset: several for an input connector of the system."""
+        return self.connectors.get(name, ((name, 1.0, 0.0),))
 
     def terms(self, output: str) -> list[str]:
         """Return the variables whose sum an output is: ``machine.ia + fault.ia``, or just the one of that name."""
@@ -269,7 +337,7 @@ class System:
             raise InputError(f"{self.label} has no {role} {name!r}{nearest(name, self.variables)}")
         return found
 
-    def _connect(self, source: str, target: str, factor: float = 1.0, offset: float = 0.0) -> Connection:
+    def _connect(self, source: str, target: str, factor: float | None = None, offset: float = 0.0) -> Connection:
         ends = (self.variable(source, "connected variable"), self.variable(target, "connected variable"))
         for variable, causality in zip(ends, ("output", "input"), strict=True):
             if variable.causality != causality:
@@ -279,8 +347,9 @@ class System:
                 )
         if ends[0].type != ends[1].type or ends[0].type not in ("Real", "Integer", "Boolean"):
             raise InputError(f"connection {source} -> {target}: {ends[0].type} cannot feed {ends[1].type}")
-        if (factor, offset) == (1.0, 0.0) and ends[0].unit and ends[1].unit and ends[0].unit != ends[1].unit:
-            factor, offset = self._unit_conversion(source, target)
+        if factor is None:
+            differ = ends[0].unit and ends[1].unit and ends[0].unit != ends[1].unit
+            factor, offset = self._unit_conversion(source, target) if differ else (1.0, 0.0)
         return Connection(self.split(source), self.split(target), factor, offset)
 
     def _unit_conversion(self, source: str, target: str) -> tuple[float, float]:
@@ -311,6 +380,11 @@ class System:
         that feed an input on which its source depends directly (ModelStructure, FMI 2.0.4, section 2.2.8; an FMU that
         declares no dependencies is taken to depend on all its inputs).
         """
+        if not self.connections:
+            return ()
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
         feeding = {connection.target: i for i, connection in enumerate(self.connections)}
         needs = [
             {

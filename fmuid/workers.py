@@ -163,6 +163,10 @@ class Worker:
         self._instances = []
         self._loops.clear()
 
+    def forget(self, run: PlannedRun) -> None:
+        """Lay a run out anew before its next simulation."""
+        self._loops.pop(run, None)
+
     def shut_down(self) -> None:
         """Free the instances in their own thread and end it."""
         future = self.start(self.close)
@@ -215,7 +219,26 @@ class Workers:
         self._workers = [Worker(components, 0)]
 
     def run(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
-        """Simulate all thetas, in equal shares over the workers."""
+        """Simulate all thetas, in equal shares over the workers; a model found stiff is run again as such."""
+        self._run_shares(run, thetas, outputs, reports)
+        if any(run.plan.integrations) and self._found_stiff(reports):
+            run.integrate_as_now_chosen()
+            for worker in self._workers:
+                worker.forget(run)
+            self._run_shares(run, thetas, outputs, reports)
+
+    def _found_stiff(self, reports: NDArray[np.intp]) -> bool:
+        """Mark the models that the default integrator has found stiff; return whether there are any."""
+        from fmuid.fmi.block import STIFF
+
+        stiff = {int(component) for function, component, _, _ in reports if function == kernels.STEPPER + STIFF}
+        models = [list(self._components.values())[component] for component in stiff]
+        undecided = [model for model in models if model.numerics.integrator is None]
+        for model in undecided:
+            model.stiff = True
+        return bool(undecided)
+
+    def _run_shares(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
         count = min(self._limit, len(thetas))
         while len(self._workers) < count:
             self._workers.append(Worker(self._components, len(self._workers)))

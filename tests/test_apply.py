@@ -19,12 +19,13 @@ from fmuid.cli import DONE, WRONG_INPUT, run
 from fmuid.errors import InputError
 from fmuid.experiment import Experiment
 from fmuid.fmi.description import Unit
-from fmuid.fmi.start_values import applied_values
+from fmuid.fmi.start_values import applied_values, with_starts
 from fmuid.result import Result
 from fmuid.simulator import Simulator
 from fmuid.ssv import Quantity, read_ssv, write_ssv
 from fmuid.system import System
 from tests.conftest import FMUS
+from tests.test_start_values import FMI_3
 
 COIL, DRIVE, CONTROLLER = (FMUS / name / f"{name}.fmu" for name in ("Coil", "PositionDrive", "PositionController"))
 
@@ -166,6 +167,19 @@ def test_wrong_ssv_values(tmp_path: Path, given: Quantity, message: str) -> None
     with pytest.raises(InputError, match=message):
         apply_result(tmp_path / "x.ssv", COIL, tmp_path / "New.fmu")
     assert not (tmp_path / "New.fmu").exists()
+
+
+def test_fmi_3(tmp_path: Path) -> None:
+    source, new = tmp_path / "Old.fmu", tmp_path / "New.fmu"
+    with zipfile.ZipFile(source, "w") as archive:
+        archive.writestr("modelDescription.xml", FMI_3)
+    write_ssv(tmp_path / "x.ssv", "n", {"A[2,3]": Quantity(7.5), "k": Quantity(-3)}, {})
+    applied = apply_result(tmp_path / "x.ssv", source, new)
+    assert [(each.variable, each.old, each.new) for each in applied] == [("A[2,3]", 6.0, 7.5), ("k", -1, -3)]
+    assert description(new) == with_starts(FMI_3.encode(), {"A[2,3]": 7.5, "k": -3})
+    write_ssv(tmp_path / "x.ssv", "n", {"n": Quantity(2)}, {})
+    with pytest.raises(InputError, match=r"start value of 'n' may not be set \(causality structuralParameter"):
+        apply_result(tmp_path / "x.ssv", source, new)
 
 
 def test_an_ssv_file_without_values(tmp_path: Path) -> None:

@@ -257,6 +257,21 @@ def test_what_is_wrong_is_one_sentence(package: Maker, body: str, message: str) 
     assert "\n" not in sentence
 
 
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (connector("w", "output"), r"no connected variable 'drive\.w'"),
+        (connector("M", "output"), r"'drive\.M' is of causality 'parameter'; connect an output to an input"),
+    ],
+)
+def test_what_the_fmus_know_is_checked_when_the_system_is_made(package: Maker, wrong: str, message: str) -> None:
+    part = element("Component", "drive", wrong, source="resources/Drive.fmu")
+    name = wrong.split('"')[1]
+    structure = read_ssp(package(content(part + controller(), connection(f"drive.{name}", "controller.q"))))
+    with pytest.raises(InputError, match=message):
+        system_of(structure)
+
+
 def test_a_circle_without_a_component(package: Maker) -> None:
     through = element(
         "System", "inner", connector("i", "input") + connector("o", "output"), content(drive(), connection("i", "o"))

@@ -16,6 +16,7 @@ from fmuid.parameters import Normal, Parameter
 from fmuid.posterior import Sampling
 from fmuid.study import Study
 from fmuid.study_file import override, show
+from fmuid.system import Numerics
 from fmuid.uncertainty import UncertaintySettings
 
 FULL = """
@@ -78,8 +79,8 @@ def write(folder: Path, text: str = FULL) -> Path:
 def test_every_key(folder: Path) -> None:
     study = Study.read(write(folder))
     assert study.title == "Coil"
-    assert study.model.components == {"": folder / "sub/Coil.fmu"}
-    assert study.model.step_size == 1e-3
+    assert study.model.numerics == Numerics("co-simulation", step_size=1e-3)
+    assert study.model.components == {"": (folder / "sub/Coil.fmu", study.model.numerics)}
     assert study.model.values == {"L": 0.1, "n": 3, "on": True, "word": "fast"}
     first, second = study.experiments
     assert (first.table, first.name, first.time) == (folder / "run1.csv", "run1", "time")
@@ -144,16 +145,27 @@ fmu = "sub/Coil.fmu"
 [[model.components]]
 name = "controller"
 fmu = "sub/Coil.fmu"
+interface = "model-exchange"
+integrator = "rk4"
+step_size = 1e-2
 [[model.connections]]
 from = "drive.q"
 to = "controller.q"
+[[model.connections]]
+from = "controller.u"
+to = "drive.u"
+factor = 60
 [[experiments]]
 table = "run1.csv"
 outputs = ["drive.q"]
 """
     model = Study.read(write(folder, text)).model
-    assert list(model.components) == ["drive", "controller"]
-    assert model.connections == (("drive.q", "controller.q"),)
+    assert {name: numerics for name, (_, numerics) in model.components.items()} == {
+        "drive": Numerics(),
+        "controller": Numerics("model-exchange", "rk4", step_size=1e-2),
+    }
+    assert model.numerics == Numerics(step_size=1e-3)
+    assert model.connections == (("drive.q", "controller.q"), ("controller.u", "drive.u", 60.0, 0.0))
 
 
 REFUSED = {
@@ -202,10 +214,25 @@ REFUSED = {
         'u = "holds"',
         'each entry is "linear" or "hold" or "cubic" (did you mean \'hold\'?) (u is "holds")',
     ),
-    "interface later": (
-        '"co-simulation"',
-        '"model-exchange"',
-        'must be "co-simulation" in this version, not "model-exchange"',
+    "interface": (
+        'interface = "co-simulation"',
+        'interface = "modelexchange"',
+        '[model] interface must be "co-simulation" or "model-exchange" (did you mean \'model-exchange\'?), not "modelexchange"',
+    ),
+    "integrator": (
+        'interface = "co-simulation"',
+        'integrator = "rk5"',
+        '[model] integrator must be "rk4" or "rk45" or "cvode" (did you mean',
+    ),
+    "tolerance": (
+        'interface = "co-simulation"',
+        "tolerance = 2",
+        "[model] tolerance must be a number between 0 and 1, not 2",
+    ),
+    "master": (
+        'interface = "co-simulation"',
+        'master = "gauss"',
+        '[model] master must be "jacobi" or "gauss-seidel" (did you mean',
     ),
     "method later": (
         '"marquardt"',

@@ -20,25 +20,38 @@ import ziglang  # type: ignore[import-untyped]  # noqa: F401 - run as a module; 
 
 from fmuid.errors import FmuidError
 from fmuid.export.codegen import header
-from fmuid.export.description import description
+from fmuid.export.description import build_description, description
 from fmuid.export.equations import System
 
-PLATFORMS = {
-    "linux64": (".so", ("x86_64-linux-gnu.2.17",)),
-    "win64": (".dll", ("x86_64-windows-gnu",)),
-    "darwin64": (".dylib", ("x86_64-macos", "aarch64-macos")),
+_LINUX, _WINDOWS, _INTEL, _APPLE = "x86_64-linux-gnu.2.17", "x86_64-windows-gnu", "x86_64-macos", "aarch64-macos"
+PLATFORMS: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
+    "2.0": {
+        "linux64": (".so", (_LINUX,)),
+        "win64": (".dll", (_WINDOWS,)),
+        "darwin64": (".dylib", (_INTEL, _APPLE)),
+    },
+    "3.0": {
+        "x86_64-linux": (".so", (_LINUX,)),
+        "x86_64-windows": (".dll", (_WINDOWS,)),
+        "x86_64-darwin": (".dylib", (_INTEL,)),
+        "aarch64-darwin": (".dylib", (_APPLE,)),
+    },
 }
-"""FMI 2.0 platform -> extension of its binary and the compiler's targets that go into it."""
+"""FMI version -> platform -> extension of its binary and the compiler's targets that go into it."""
 
 # No contraction to fused multiply-add: the same results on every processor.
 _FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-shared", "-s", "-Wall", "-Werror")
-_SOURCES = ("fmi2.c", "core.h")
-_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+_SOURCES = {"2.0": "fmi2.c", "3.0": "fmi3.c"}
+_SHARED = ("instance.h", "core.h")
+_HEADERS = {
+    "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
 _PAGE = 1 << 14  # of Apple silicon; slices of a universal binary begin on one
 
 
-def build(system: System) -> bytes:
-    """Return the FMU of a model.
+def build(system: System, fmi: str) -> bytes:
+    """Return the FMU of a model, of version `fmi`: a key of `PLATFORMS`.
 
     Raises
     ------
@@ -46,18 +59,20 @@ def build(system: System) -> bytes:
         If the compiler fails.
     """
     package, standard = importlib.resources.files("fmuid.export"), Path(fmpy.__file__).parent / "c-code"
-    files = {f"sources/{name}": (package / name).read_bytes() for name in _SOURCES}
-    files |= {f"sources/{name}": (standard / name).read_bytes() for name in _HEADERS}
+    files = {f"sources/{name}": (package / name).read_bytes() for name in (_SOURCES[fmi], *_SHARED)}
+    files |= {f"sources/{name}": (standard / name).read_bytes() for name in _HEADERS[fmi]}
+    if fmi == "3.0":
+        files["sources/buildDescription.xml"] = build_description(system.model.name, _SOURCES[fmi]).encode()
 
     def generated(guid: str) -> dict[str, bytes]:
         return {
-            "modelDescription.xml": description(system, guid).encode(),
+            "modelDescription.xml": description(system, guid, fmi).encode(),
             "sources/model.h": header(system, guid).encode(),
         }
 
     content = hashlib.sha256(b"".join((files | generated("")).values())).hexdigest()
     files |= generated(f"{{{uuid.uuid5(uuid.NAMESPACE_URL, content)}}}")
-    files |= _binaries(system.model.name, files)
+    files |= _binaries(system.model.name, files, fmi)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:  # deflate's bytes depend on the zlib in use
         for name, data in sorted(files.items()):
@@ -67,7 +82,7 @@ def build(system: System) -> bytes:
     return buffer.getvalue()
 
 
-def _binaries(name: str, files: dict[str, bytes]) -> dict[str, bytes]:
+def _binaries(name: str, files: dict[str, bytes], fmi: str) -> dict[str, bytes]:
     """Compile for all platforms: path in the FMU -> content."""
     with tempfile.TemporaryDirectory() as directory, ThreadPoolExecutor() as pool:
         for path, data in files.items():
@@ -76,18 +91,18 @@ def _binaries(name: str, files: dict[str, bytes]) -> dict[str, bytes]:
             target.write_bytes(data)
         tasks = {
             f"binaries/{platform}/{name}{extension}": [
-                pool.submit(_compile, Path(directory), target, name + extension) for target in targets
+                pool.submit(_compile, Path(directory), _SOURCES[fmi], target, name + extension) for target in targets
             ]
-            for platform, (extension, targets) in PLATFORMS.items()
+            for platform, (extension, targets) in PLATFORMS[fmi].items()
         }
         return {path: _universal([task.result() for task in parts]) for path, parts in tasks.items()}
 
 
-def _compile(directory: Path, target: str, file: str) -> bytes:
+def _compile(directory: Path, source: str, target: str, file: str) -> bytes:
     """Compile for one target. All paths are relative, so that none of this machine gets into the binary."""
     folder = directory / target
     folder.mkdir()
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target, *_FLAGS, "../sources/fmi2.c", "-o", file]
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", target, *_FLAGS, f"../sources/{source}", "-o", file]
     if "linux" in target:
         command.append("-lm")
     if "macos" in target:

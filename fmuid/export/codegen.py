@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import casadi as ca
@@ -23,16 +24,20 @@ _FORMATS = {
     ca.OP_TANH: "tanh({})",
     ca.OP_FMIN: "fmin({}, {})",
     ca.OP_FMAX: "fmax({}, {})",
-    # in derivatives of min and max
+    ca.OP_FABS: "fabs({})",
+    ca.OP_SIGN: "{0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0}",
     ca.OP_LT: "(double)({} < {})",
     ca.OP_LE: "(double)({} <= {})",
     ca.OP_NOT: "(double)!{}",
+    ca.OP_AND: "(double)({} && {})",
+    ca.OP_OR: "(double)({} || {})",
+    ca.OP_IF_ELSE_ZERO: "{} ? {} : 0.0",
 }
 
 
 def header(system: System, guid: str) -> str:
     """Return the text of `model.h`, the same for the same model."""
-    model, x, u, p = system.model, system.x, system.u, system.p
+    model, x, u, p, t, r = system.model, system.x, system.u, system.p, system.t, system.r
     number = system.numbers.get
     values = [
         *(number((each.name, "start"), 0.0) for each in system.inputs),
@@ -40,34 +45,39 @@ def header(system: System, guid: str) -> str:
     ]
     nominals = [number((each.name, "nominal"), 1.0) for each in system.states]
     names = ", ".join(f'"{name}"' for name in system.names())
-    rates, others, symbols, cached = _hoist(system)
-    sizes = {"NX": x, "NU": u, "NP": p, "NW": others, "NC": symbols}
+    relations = ", ".join(json.dumps(f"{each.text} (line {each.line})") for each in system.relations)
+    rates, others, indicators, symbols, cached = _hoist(system)
+    sizes = {"NX": x, "NU": u, "NP": p, "NW": others, "NR": r, "NC": symbols}
     seeds = [ca.SX.sym(name, each.numel()) for name, each in (("xd", x), ("ud", u), ("pd", p))]
-    both = system.plain(ca.vertcat(system.derivatives, system.algebraic))
-    both_seed = ca.densify(ca.jtimes(both, ca.vertcat(x, u, p), ca.vertcat(*seeds)))
+    unknowns = system.plain(ca.vertcat(system.derivatives, system.algebraic, system.indicators))
+    unknowns_seed = ca.densify(ca.jtimes(unknowns, ca.vertcat(x, u, p), ca.vertcat(*seeds)))
+    rates_seed, others_seed, indicators_seed = _split(system, unknowns_seed)
     starts_seed = ca.densify(ca.jtimes(system.starts, p, seeds[2]))
-    point = {"x": x, "u": u, "p": p}
+    point = {"x": x, "u": u, "p": p, "t": t, "r": r}
     directions = dict(zip(("xd", "ud", "pd"), seeds, strict=True))
     return "\n".join(
         [
-            f"/* {model.name}, generated: x states, u inputs, p parameters, w other variables, dx = dx/dt,",
-            "   c subexpressions of p alone; names that end in d: derivatives along a direction of x, u, p */",
+            f"/* {model.name}, generated: x states, u inputs, p parameters, w other variables, dx = dx/dt, t time,",
+            "   r relations (0 or 1), z event indicators (an event sets r to z > 0), c subexpressions of p alone;",
+            "   names that end in d: derivatives along a direction of x, u, p */",
             "#include <math.h>",
             f'#define MODEL_GUID "{guid}"',
             f"#define MODEL_STEP {model.interval!r} /* largest internal step of the co-simulation, s */",
             f"enum {{ {', '.join(f'{name} = {each.numel()}' for name, each in sizes.items())} }};",
             f"static const char *const model_names[] = {{{names}}};",
+            f"static const char *const model_relations[] = {{{relations or 'NULL'}}}; /* r */",
             f"static const double model_values[] = {{{_numbers(values)}}}; /* u, p */",
             f"static const double model_nominals[] = {{{_numbers(nominals)}}}; /* x */",
             _function("model_cache", {"p": p}, {"c": cached}),
             _function("model_starts", {"p": p}, {"x": ca.densify(system.starts)}),
             _function("model_derivatives", point | {"c": symbols}, {"dx": rates}),
             _function("model_evaluate", point | {"c": symbols}, {"dx": rates, "w": others}),
+            _function("model_indicators", point | {"c": symbols}, {"z": indicators}),
             _function("model_starts_seed", {"p": p, "pd": seeds[2]}, {"xd": starts_seed}),
             _function(
                 "model_seed",
                 point | directions,
-                {"dxd": both_seed[: x.numel()], "wd": both_seed[x.numel() :]},
+                {"dxd": rates_seed, "wd": others_seed, "zd": indicators_seed},
             ),
             "",
         ]
@@ -78,20 +88,27 @@ def _numbers(values: list[float]) -> str:
     return ", ".join(map(repr, values)) or "0.0"  # C wants at least one
 
 
-def _hoist(system: System) -> tuple[Any, Any, Any, Any]:
+def _hoist(system: System) -> tuple[Any, Any, Any, Any, Any]:
     """Split off what depends on parameters alone.
 
     Returns
     -------
     tuple of SX columns
-        The derivatives and the other variables in terms of x, u, p, c; the symbols c; their values in terms of p.
+        The derivatives, the other variables and the event indicators in terms of x, u, p, t, r, c; the symbols c;
+        their values in terms of p.
     """
     reciprocals = column(symbol for symbol, _ in system.reciprocals)
-    both = ca.cse(ca.vertcat(system.derivatives, system.algebraic))
-    both, symbols, values = ca.extract_parametric(both, ca.vertcat(system.p, reciprocals))
-    both, nx = ca.densify(both), system.x.numel()
+    unknowns = ca.cse(ca.vertcat(system.derivatives, system.algebraic, system.indicators))
+    unknowns, symbols, values = ca.extract_parametric(unknowns, ca.vertcat(system.p, reciprocals))
     cached = column([*(value for _, value in system.reciprocals), *map(system.plain, values)])
-    return both[:nx], both[nx:], column([reciprocals, *symbols]), cached
+    return *_split(system, ca.densify(unknowns)), column([reciprocals, *symbols]), cached
+
+
+def _split(system: System, unknowns: Any) -> tuple[Any, Any, Any]:
+    """Return the parts of a column that belong to the derivatives, the other variables and the event indicators."""
+    first, second = system.x.numel(), system.x.numel() + len(system.others)
+    rates, others, indicators = ca.vertsplit(unknowns, [0, first, second, unknowns.numel()])
+    return rates, others, indicators
 
 
 def _function(name: str, inputs: dict[str, Any], outputs: dict[str, Any]) -> str:

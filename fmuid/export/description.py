@@ -1,168 +1,135 @@
-"""Writes the FMI 2.0 model description (modelDescription.xml) of a model."""
+"""Writes the model description (modelDescription.xml) of a model, in FMI 2.0 or 3.0."""
 
 from __future__ import annotations
 
-import math
-import re
-from xml.sax.saxutils import quoteattr
+from collections.abc import Iterable
 
-import casadi as ca
-
-from fmuid.errors import ModelicaError, nearest
 from fmuid.export.equations import System
-from fmuid.export.syntax import Declaration
+from fmuid.export.variables import Unknown, Variable, attribute, indicators, unit_definitions, unknowns, variables
 
-_BASE_UNITS = ("kg", "m", "s", "A", "rad")
-_DERIVED_UNITS = {
-    "N": "kg.m.s-2",
-    "J": "kg.m2.s-2",
-    "W": "kg.m2.s-3",
-    "V": "kg.m2.s-3.A-1",
-    "Ohm": "kg.m2.s-3.A-2",
-    "H": "kg.m2.s-2.A-2",
-    "Wb": "kg.m2.s-2.A-1",
-}
-_DISPLAY_UNITS = {
-    "rad": ("deg", 180 / math.pi),
-    "rad/s": ("rpm", 30 / math.pi),
-    "m": ("mm", 1e3),
-    "m/s": ("mm/s", 1e3),
-}
-"""Unit -> one that tables often have instead, and how many of it make one."""
+_HEAD = '<?xml version="1.0" encoding="UTF-8"?>'
 
 
-def description(system: System, guid: str) -> str:
+def description(system: System, guid: str, fmi: str) -> str:
     """Return the text of modelDescription.xml; by the `guid`, binary and description recognise each other."""
-    model, variables = system.model, _Variables(system)
-    capabilities = (
-        f'modelIdentifier="{model.name}" canNotUseMemoryManagementFunctions="true" canGetAndSetFMUstate="true" '
-        'canSerializeFMUstate="true" providesDirectionalDerivative="true"'
-    )
-    sources = '<SourceFiles><File name="fmi2.c"/></SourceFiles>'
+    return "\n".join([_HEAD, *(_fmi2 if fmi == "2.0" else _fmi3)(system, guid), "</fmiModelDescription>", ""])
+
+
+def build_description(model: str, source: str) -> str:
+    """Return the text of FMI 3.0's buildDescription.xml: how to compile the sources."""
     return "\n".join(
         [
-            '<?xml version="1.0" encoding="UTF-8"?>',
-            f'<fmiModelDescription fmiVersion="2.0" modelName="{model.name}" guid="{guid}"'
-            f"{_attribute('description', model.description)}"
-            ' generationTool="fmuid" variableNamingConvention="structured" numberOfEventIndicators="0">',
-            f'<ModelExchange {capabilities} completedIntegratorStepNotNeeded="true">{sources}</ModelExchange>',
-            f'<CoSimulation {capabilities} canHandleVariableCommunicationStepSize="true"'
-            f' canInterpolateInputs="true">{sources}</CoSimulation>',
-            *variables.unit_definitions(),
-            '<LogCategories><Category name="logStatusError" description="why a call failed"/></LogCategories>',
-            f'<DefaultExperiment startTime="0.0" stopTime="{model.stop_time!r}" stepSize="{model.interval!r}"/>',
-            "<ModelVariables>",
-            *variables.elements,
-            "</ModelVariables>",
-            *variables.structure(),
-            "</fmiModelDescription>",
+            _HEAD,
+            '<fmiBuildDescription fmiVersion="3.0">',
+            f'  <BuildConfiguration modelIdentifier="{model}">',
+            f'    <SourceFileSet language="C99"><SourceFile name="{source}"/></SourceFileSet>',
+            "  </BuildConfiguration>",
+            "</fmiBuildDescription>",
             "",
         ]
     )
 
 
-def _attribute(name: str, value: str | float | None) -> str:
-    if value is None or value == "":
-        return ""
-    return f" {name}={quoteattr(value if isinstance(value, str) else repr(value))}"
+def _fmi2(system: System, guid: str) -> list[str]:
+    model, found, dependent = system.model, variables(system), unknowns(system)
+    index = {each.name: k for k, each in enumerate(found, start=1)}
+    capabilities = (
+        f'modelIdentifier="{model.name}" canNotUseMemoryManagementFunctions="true" canGetAndSetFMUstate="true" '
+        'canSerializeFMUstate="true" providesDirectionalDerivative="true"'
+    )
+    sources = '<SourceFiles><File name="fmi2.c"/></SourceFiles>'
+    return [
+        f'<fmiModelDescription fmiVersion="2.0" modelName="{model.name}" guid="{guid}"'
+        f"{attribute('description', model.description)}"
+        ' generationTool="fmuid" variableNamingConvention="structured"'
+        f' numberOfEventIndicators="{len(system.relations)}">',
+        f'<ModelExchange {capabilities} completedIntegratorStepNotNeeded="true">{sources}</ModelExchange>',
+        f'<CoSimulation {capabilities} canHandleVariableCommunicationStepSize="true"'
+        f' canInterpolateInputs="true">{sources}</CoSimulation>',
+        *unit_definitions(system),
+        *_common(system),
+        "<ModelVariables>",
+        *(_scalar_variable(each, index) for each in found),
+        "</ModelVariables>",
+        "<ModelStructure>",
+        *_section("Outputs", dependent["outputs"], index),
+        *_section("Derivatives", dependent["derivatives"], index),
+        *_section("InitialUnknowns", dependent["initial"], index),
+        "</ModelStructure>",
+    ]
 
 
-class _Variables:
-    """The variables in the order of their declarations, then the derivatives; `index` counts from 1 (FMI)."""
-
-    def __init__(self, system: System) -> None:
-        self.system = system
-        self.units: dict[str, str] = {}  # name -> BaseUnit element
-        references = {name: k for k, name in enumerate(system.names())}
-        declared = [d for d in system.model.declarations if d.role != "constant"]
-        rates = [_rate(d) for d in system.states]
-        self.index = {d.name: k for k, d in enumerate([*declared, *rates], start=1)}
-        self.elements = [self.element(d, references[d.name]) for d in declared]
-        for d, rate in zip(system.states, rates, strict=True):
-            self.elements.append(self.element(rate, references[rate.name], str(self.index[d.name])))
-
-    def element(self, d: Declaration, reference: int, derivative: str | None = None) -> str:
-        number = self.system.numbers.get
-        if d.unit is not None:
-            self.units[d.unit] = self.base_unit(d)
-        initial = {"parameter": "exact", "input": None}.get(d.role, "calculated")
-        start = {"parameter": number((d.name, "value")), "input": number((d.name, "start"), 0.0)}.get(d.role)
-        limits = {key: number((d.name, key)) for key in ("min", "max", "nominal")}
-        real = {"unit": d.unit, **limits, "start": start, "derivative": derivative}
-        return (
-            f'  <ScalarVariable name="{d.name}" valueReference="{reference}"'
-            f'{_attribute("description", d.description)} causality="{d.role}"'
-            f' variability="{"tunable" if d.role == "parameter" else "continuous"}"{_attribute("initial", initial)}>'
-            f"<Real{''.join(_attribute(key, value) for key, value in real.items())}/></ScalarVariable>"
-        )
-
-    def base_unit(self, d: Declaration) -> str:
-        """Return the BaseUnit element of a variable's unit, such as ``V.s/m`` or ``N/(m.s)``."""
-        exponents = dict.fromkeys(_BASE_UNITS, 0)
-
-        def multiply(product: str, power: int) -> None:
-            for factor in product.split("."):
-                match = re.fullmatch(r"([A-Za-z]+|1)(-?\d+)?", factor)
-                name = match[1] if match else factor
-                exponent = power * int(match[2] or 1) if match else 0
-                if name in exponents:
-                    exponents[name] += exponent
-                elif name in _DERIVED_UNITS:
-                    multiply(_DERIVED_UNITS[name], exponent)
-                elif factor != "1":
-                    known = [*_BASE_UNITS, *_DERIVED_UNITS]
-                    raise ModelicaError(
-                        self.system.model.file,
-                        d.line,
-                        f"unit '{d.unit}' of '{d.name}' is outside the exported subset: "
-                        f"write it as in 'V.s/m2' with {', '.join(known)}{nearest(name, known)}",
-                    )
-
-        numerator, _, denominator = str(d.unit).partition("/")
-        multiply(numerator, 1)
-        multiply(re.sub(r"^\((.*)\)$", r"\1", denominator) or "1", -1)
-        return f"<BaseUnit{''.join(_attribute(name, str(e)) for name, e in exponents.items() if e)}/>"
-
-    def unit_definitions(self) -> list[str]:
-        lines = []
-        for unit, base in sorted(self.units.items()):
-            name, factor = _DISPLAY_UNITS.get(unit, (None, 0.0))
-            display = f'<DisplayUnit name="{name}" factor="{factor!r}"/>' if name else ""
-            lines.append(f'  <Unit name="{unit}">{base}{display}</Unit>')
-        return ["<UnitDefinitions>", *lines, "</UnitDefinitions>"] if lines else []
-
-    def structure(self) -> list[str]:
-        """Return the ModelStructure: exactly what depends on what, from the symbols in each expression."""
-        s = self.system
-        rates = [_rate(d).name for d in s.states]
-        now = ca.vertcat(s.x, s.plain(ca.vertcat(s.derivatives, s.algebraic)))
-        initially = ca.substitute(now, s.x, s.starts)
-        names = [*(d.name for d in s.states), *rates, *(d.name for d in s.others)]
-        knowns, initial_knowns = ({d.name for d in (*s.inputs, *more)} for more in (s.states, s.parameters))
-
-        def unknown(name: str, values: ca.SX, knowns: set[str]) -> str:
-            symbols = {symbol.name() for symbol in ca.symvar(values[names.index(name)])}
-            dependencies = " ".join(map(str, sorted(self.index[known] for known in symbols & knowns)))
-            return f'    <Unknown index="{self.index[name]}" dependencies="{dependencies}"/>'
-
-        outputs = [d.name for d in s.model.declarations if d.role == "output"]
-        initial = sorted({*outputs, *rates, *(d.name for d in s.states)}, key=self.index.__getitem__)
-        lines = []
-        for element, unknowns in (
-            ("Outputs", [unknown(name, now, knowns) for name in outputs]),
-            ("Derivatives", [unknown(name, now, knowns) for name in rates]),
-            ("InitialUnknowns", [unknown(name, initially, initial_knowns) for name in initial]),
-        ):
-            lines += [f"  <{element}>", *unknowns, f"  </{element}>"] if unknowns else []
-        return ["<ModelStructure>", *lines, "</ModelStructure>"]
+def _common(system: System) -> list[str]:
+    model = system.model
+    return [
+        '<LogCategories><Category name="logStatusError" description="why a call failed"/></LogCategories>',
+        f'<DefaultExperiment startTime="0.0" stopTime="{model.stop_time!r}" stepSize="{model.interval!r}"/>',
+    ]
 
 
-def _rate(state: Declaration) -> Declaration:
-    """Return the declaration of a state's derivative."""
-    unit = state.unit
-    if unit is not None:
-        numerator, _, denominator = unit.partition("/")
-        per_second = {"": "s", "s": "s2"}.get(denominator, f"({denominator.strip('()')}.s)")
-        unit = f"{numerator}/{per_second}"
-    what = f"time derivative of {state.description or state.name}"
-    return Declaration(f"der({state.name})", "local", state.line, what, unit)
+def _described(variable: Variable) -> str:
+    """Return the attributes that variables have in both versions."""
+    return (
+        f'name="{variable.name}" valueReference="{variable.reference}"'
+        f'{attribute("description", variable.description)} causality="{variable.causality}"'
+        f' variability="{variable.variability}"{attribute("initial", variable.initial)}'
+    )
+
+
+def _scalar_variable(variable: Variable, index: dict[str, int]) -> str:
+    derivative = attribute("derivative", str(index[variable.state]) if variable.state else None)
+    attributes = "".join(attribute(*each) for each in variable.attributes)
+    return f"  <ScalarVariable {_described(variable)}><Real{attributes}{derivative}/></ScalarVariable>"
+
+
+def _section(name: str, found: list[Unknown], index: dict[str, int]) -> list[str]:
+    """Return a section of FMI 2.0's ModelStructure; variables are numbered from 1, `time` is not one of them."""
+    lines = [f'    <Unknown index="{index[each.name]}" dependencies="{_numbers(each, index)}"/>' for each in found]
+    return [f"  <{name}>", *lines, f"  </{name}>"] if lines else []
+
+
+def _numbers(unknown: Unknown, numbers: dict[str, int]) -> str:
+    return " ".join(map(str, sorted(numbers[name] for name in unknown.dependencies if name in numbers)))
+
+
+def _fmi3(system: System, guid: str) -> list[str]:
+    model, dependent = system.model, unknowns(system)
+    time = Variable("time", len(system.names()) - 1, "independent", "simulation time")
+    found = [*variables(system), *indicators(system), time]
+    references = {each.name: each.reference for each in found}
+    capabilities = (
+        f'modelIdentifier="{model.name}" canGetAndSetFMUState="true" canSerializeFMUState="true" '
+        'providesDirectionalDerivatives="true"'
+    )
+    structure: Iterable[tuple[str, str]] = (
+        ("Output", "outputs"),
+        ("ContinuousStateDerivative", "derivatives"),
+        ("InitialUnknown", "initial"),
+        ("EventIndicator", "indicators"),
+    )
+    return [
+        f'<fmiModelDescription fmiVersion="3.0" modelName="{model.name}" instantiationToken="{guid}"'
+        f"{attribute('description', model.description)}"
+        ' generationTool="fmuid" variableNamingConvention="structured">',
+        f"<ModelExchange {capabilities}/>",
+        f'<CoSimulation {capabilities} canHandleVariableCommunicationStepSize="true"'
+        ' canReturnEarlyAfterIntermediateUpdate="false" mightReturnEarlyFromDoStep="false" hasEventMode="false"/>',
+        *unit_definitions(system),
+        *_common(system),
+        "<ModelVariables>",
+        *(_float64(each, references) for each in found),
+        "</ModelVariables>",
+        "<ModelStructure>",
+        *(
+            f'  <{element} valueReference="{references[each.name]}" dependencies="{_numbers(each, references)}"/>'
+            for element, kind in structure
+            for each in dependent[kind]
+        ),
+        "</ModelStructure>",
+    ]
+
+
+def _float64(variable: Variable, references: dict[str, int]) -> str:
+    derivative = attribute("derivative", str(references[variable.state]) if variable.state else None)
+    attributes = "".join(attribute(*each) for each in variable.attributes)
+    return f"  <Float64 {_described(variable)}{attributes}{derivative}/>"

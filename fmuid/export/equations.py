@@ -3,6 +3,10 @@
 The unknowns (derivatives of the states, algebraic variables) are solved one equation at a time, each linear in
 its unknown: an equation is taken as soon as all its other variables are known. What is left over is an
 algebraic loop, and refused.
+
+A relation in an if-expression becomes a symbol, 0 or 1, that only an event changes, and an event indicator, which is
+positive where the symbol should be 1: ``a > b`` is 1 where a - b > 0, ``a >= b`` where not b - a > 0. Each indicator
+depends on relations of equations taken earlier, hence never on its own.
 """
 
 from __future__ import annotations
@@ -27,19 +31,34 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "cos": ca.cos,
     "sqrt": ca.sqrt,
     "tanh": ca.tanh,
+    "abs": ca.fabs,
+    "sign": ca.sign,
     "min": ca.fmin,
     "max": ca.fmax,
+    "and": ca.logic_and,
+    "or": ca.logic_or,
+    "not": ca.logic_not,
 }
 
 
 @dataclass(frozen=True)
-class System:
-    """An explicit model: ``dx/dt = derivatives(x, u, p)``, ``w = algebraic(x, u, p)``, ``x(0) = starts(p)``.
+class Relation:
+    """A relation that makes events, as written; `name` is that of its event indicator."""
 
-    The declarations are those of the states x, inputs u, parameters p and other variables w, in the order of
-    the elements of the symbols and expressions (SX columns). `reciprocals` are symbols in `derivatives` and
-    `algebraic` and what they stand for, functions 1/(coefficient) of p alone: many evaluations share one.
-    `numbers` are attributes: (variable, "value", "start", "min", "max" or "nominal") -> number.
+    name: str
+    text: str
+    line: int
+
+
+@dataclass(frozen=True)
+class System:
+    """An explicit model: dx/dt = derivatives, w = algebraic, z = indicators, each of (x, u, p, t, r); x(0) = starts(p).
+
+    The declarations are those of the states x, inputs u, parameters p, other variables w and event indicators z, in
+    the order of the elements of the symbols and expressions (SX columns); t is the time, s. The relations r are 0 or 1:
+    an event sets r to z > 0. `reciprocals` are symbols in these expressions and what they stand for, functions
+    1/(coefficient) of p alone: many evaluations share one. `numbers` are attributes: (variable, "value", "start",
+    "min", "max" or "nominal") -> number. `jumps` is the line of the first relation or sign, 0 if there is none.
     """
 
     model: Model
@@ -47,24 +66,38 @@ class System:
     inputs: tuple[Declaration, ...]
     parameters: tuple[Declaration, ...]
     others: tuple[Declaration, ...]
+    relations: tuple[Relation, ...]
     x: Any
     u: Any
     p: Any
+    t: Any
+    r: Any
     derivatives: Any
     algebraic: Any
+    indicators: Any
     starts: Any
     reciprocals: tuple[tuple[Any, Any], ...]
     numbers: Mapping[tuple[str, str], float]
+    jumps: int
 
     def names(self) -> list[str]:
         """Names of all variables in the order of their FMI value references."""
         known = [each.name for group in (self.states, self.inputs, self.parameters) for each in group]
-        return [*known, *(f"der({each.name})" for each in self.states), *(each.name for each in self.others)]
+        computed = [each.name for group in (self.others, self.relations) for each in group]
+        return [*known, *(f"der({each.name})" for each in self.states), *computed, "time"]
 
     def plain(self, expression: Any) -> Any:
         """Return the expression with its reciprocals written out."""
         symbols, values = (column(each[k] for each in self.reciprocals) for k in (0, 1))
         return ca.substitute(expression, symbols, values)
+
+
+def _choice(args: list[Any]) -> Any:
+    """Return the if-expression of conditions and values by turns, the last value being that of else."""
+    *pairs, result = args
+    for condition, value in zip(pairs[-2::-2], pairs[::-2], strict=True):
+        result = ca.if_else(condition, value, result)
+    return result
 
 
 def column(elements: Any) -> Any:
@@ -93,6 +126,11 @@ class _Analysis:
         self.known: dict[str, Any] = {}  # name, or der(name) -> its SX
         self.numbers: dict[tuple[str, str], float] = {}
         self.reciprocals: dict[str, tuple[Any, Any]] = {}  # coefficient -> symbol, value
+        self.parameters: set[str] = set()
+        self.relations: dict[str, tuple[Any, Any, Relation]] = {}  # indicator -> symbol, value, relation
+        self.tested: list[Any] = []  # what the present equation takes the sign of
+        self.no_event = 0  # how many noEvent() are around
+        self.jumps = 0
 
     def error(self, line: int, text: str) -> ModelicaError:
         return ModelicaError(self.model.file, line, text)
@@ -102,6 +140,8 @@ class _Analysis:
             if each.name in self.declared:
                 first = self.declared[each.name].line
                 raise self.error(each.line, f"'{each.name}' is already declared at line {first}: rename one")
+            if each.name == "time":
+                raise self.error(each.line, "'time' is the simulation time: use it undeclared, or rename this variable")
             self.declared[each.name] = each
         for equation in self.model.equations:
             for name in sorted(equation.names()):
@@ -110,33 +150,41 @@ class _Analysis:
         parameters, inputs, variables = self.of("parameter"), self.of("input"), self.of("output", "local")
         p = self.make_known(parameters)
         states = self.states()
+        self.parameters = {each.name for each in parameters}
         starts = column(self.start(each) for each in states)
         x, u = self.make_known(states), self.make_known(inputs)
+        t = self.known["time"] = ca.SX.sym("time")
         others = [each for each in variables if each not in states]
         rates = [f"der({each.name})" for each in states]
-        self.solve([*rates, *(each.name for each in others)], {symbol.name() for symbol in ca.symvar(p)})
+        self.solve([*rates, *(each.name for each in others)])
+        symbols, indicators, relations = zip(*self.relations.values(), strict=True) if self.relations else ((), (), ())
         return System(
             model=self.model,
             states=tuple(states),
             inputs=tuple(inputs),
             parameters=tuple(parameters),
             others=tuple(others),
+            relations=relations,
             x=x,
             u=u,
             p=p,
+            t=t,
+            r=column(symbols),
             derivatives=column(self.known[name] for name in rates),
             algebraic=column(self.known[each.name] for each in others),
+            indicators=column(indicators),
             starts=starts,
             reciprocals=tuple(self.reciprocals.values()),
             numbers=self.numbers,
+            jumps=self.jumps,
         )
 
     def of(self, *roles: str) -> list[Declaration]:
         return [each for each in self.model.declarations if each.role in roles]
 
     def require_declared(self, line: int, name: str) -> None:
-        if name.removeprefix("der(").removesuffix(")") not in self.declared:
-            hint = ": make it an input" if name == "time" else nearest(name, self.declared) or ": declare it"
+        if name != "time" and name.removeprefix("der(").removesuffix(")") not in self.declared:
+            hint = nearest(name, self.declared) or ": declare it"
             raise self.error(line, f"unknown variable '{name}'{hint}")
 
     def make_known(self, declarations: list[Declaration]) -> Any:
@@ -174,10 +222,36 @@ class _Analysis:
             if name not in self.known:
                 raise self.error(node.line, f"{demand}, not of '{name}'")
             return self.known[name]
-        result = _OPERATIONS[node.op](*(self.expression(arg, demand) for arg in node.args))
+        if node.op == "noEvent":
+            self.no_event += 1
+            result = self.expression(node.args[0], demand)
+            self.no_event -= 1
+            return result
+        args = [self.expression(arg, demand) for arg in node.args]
+        if node.op in ("<", "<=", ">", ">="):
+            return self.relation(node, *args)
+        if node.op == "sign":
+            self.tested += args
+            self.jumps = self.jumps or node.line
+        result = _choice(args) if node.op == "if" else _OPERATIONS[node.op](*args)
         if result.is_constant() and not math.isfinite(float(result)):
             raise self.error(node.line, f"'{node.op}' gives no finite number here: correct its operands")
         return result
+
+    def relation(self, node: Node, left: Any, right: Any) -> Any:
+        """Return a relation's symbol; where it makes no event, its value."""
+        negated = node.op in ("<=", ">=")
+        indicator = left - right if node.op in (">", "<=") else right - left
+        value = indicator > 0
+        known = self.parameters | {symbol.name() for symbol, _ in self.reciprocals.values()}
+        self.tested.append(indicator)
+        if not {each.name() for each in ca.symvar(indicator)} <= known:
+            self.jumps = self.jumps or node.line
+            if not self.no_event:
+                name = f"relation[{len(self.relations) + 1}]"
+                entry = ca.SX.sym(name), indicator, Relation(name, node.text, node.line)
+                value = self.relations.setdefault(str(indicator), entry)[0]
+        return ca.logic_not(value) if negated else value
 
     # ---- states
 
@@ -207,7 +281,7 @@ class _Analysis:
 
     # ---- causality
 
-    def solve(self, unknowns: list[str], parameters: set[str]) -> None:
+    def solve(self, unknowns: list[str]) -> None:
         """Make the unknowns known, one equation after the other."""
         waiting = [(equation, equation.names() & {*unknowns}) for equation in self.model.equations]
         absent = [name for name in unknowns if not any(name in names for _, names in waiting)]
@@ -232,20 +306,21 @@ class _Analysis:
             if not names:
                 text = "this equation has no unknown left, others give all its variables: correct or remove it"
                 raise self.error(equation.line, text)
-            self.solve_one(equation, names.pop(), parameters)
+            self.solve_one(equation, names.pop())
 
-    def solve_one(self, equation: Equation, name: str, parameters: set[str]) -> None:
+    def solve_one(self, equation: Equation, name: str) -> None:
         symbol = self.known[name] = ca.SX.sym(name)
+        self.tested.clear()
         left, right = self.expression(equation.left, ""), self.expression(equation.right, "")
         coefficient = ca.jacobian(left - right, symbol)
-        if ca.depends_on(coefficient, symbol):
+        if ca.depends_on(ca.vertcat(coefficient, *self.tested), symbol):
             text = f"equation not linear in its unknown {name} is outside the exported subset: solve it by hand"
             raise self.error(equation.line, text)
         if coefficient.is_zero():
             raise self.error(equation.line, f"the unknown {name} of this equation drops out: correct it")
         rest = ca.substitute(right - left, symbol, 0)
         involved = {each.name() for each in ca.symvar(coefficient)}
-        if involved and involved <= parameters:
+        if involved and involved <= self.parameters:
             key = str(coefficient)
             self.reciprocals.setdefault(key, (ca.SX.sym(f"1/({key})"), 1 / coefficient))
             self.known[name] = rest * self.reciprocals[key][0]

@@ -20,7 +20,9 @@ from fmuid.export.syntax import FUNCTIONS, MODIFIERS, Declaration, Equation, Mod
 _FLAT = "write one flat model"
 _SCALARS = "declare and write scalars"
 _REAL = "only Real expressions are supported"
-_CONTINUOUS = "only equations that always hold are supported; use min, max or tanh"
+_CONDITION = "a relation stands in the condition of an if-expression only"
+_RELATIONS = ("<", "<=", ">", ">=")
+_CONTINUOUS = "only equations that always hold are supported; use if-expressions"
 
 _REFUSED = {
     Rules.Equation_ifContext: ("if-equation", _CONTINUOUS),
@@ -29,8 +31,7 @@ _REFUSED = {
     Rules.Equation_connect_clauseContext: ("connect()", _FLAT),
     Rules.Equation_functionContext: ("call as an equation", "only equations 'a = b' are supported"),
     Rules.Algorithm_sectionContext: ("algorithm section", "write equations"),
-    Rules.Expression_ifContext: ("if-expression", _CONTINUOUS),
-    Rules.Expr_relContext: ("relation", _CONTINUOUS),
+    Rules.Expr_relContext: ("relation", _CONDITION),
     Rules.Expr_expContext: ("power", "write the product out"),
     Rules.Expr_notContext: ("'not'", _REAL),
     Rules.Expr_andContext: ("'and'", _REAL),
@@ -38,7 +39,7 @@ _REFUSED = {
     Rules.Primary_stringContext: ("string in an expression", _REAL),
     Rules.Primary_trueContext: ("Boolean in an expression", _REAL),
     Rules.Primary_falseContext: ("Boolean in an expression", _REAL),
-    Rules.Primary_initialContext: ("initial()", _CONTINUOUS),
+    Rules.Primary_initialContext: ("initial()", "start values are given by start=... and fixed=true"),
     Rules.Primary_expression_listContext: ("matrix", _SCALARS),
     Rules.Primary_function_argumentsContext: ("array", _SCALARS),
     Rules.Array_subscriptsContext: ("array", _SCALARS),
@@ -246,9 +247,40 @@ class _Walk:
         return Equation(options.start.line, left, right)
 
     def expression(self, rule: Any) -> Node:
-        if not isinstance(rule, Rules.Expression_simpleContext):
-            raise self.unknown(rule)
+        if isinstance(rule, Rules.Expression_ifContext):
+            pairs = zip(rule.conditions, rule.blocks[:-1], strict=True)
+            args = [part for condition, value in pairs for part in (self.condition(condition), self.expression(value))]
+            return Node(rule.start.line, "if", (*args, self.expression(rule.blocks[-1])))
         return self.simple(rule.simple_expression())
+
+    def condition(self, rule: Any) -> Node:
+        """Return the condition of an if-expression."""
+        if isinstance(rule, Rules.Expression_ifContext):
+            raise self.error(rule, "if-expression as a condition", "join relations with and, or, not")
+        if len(rule.simple_expression().expr()) != 1:
+            raise self.error(rule, "range", _SCALARS)
+        return self.logical(rule.simple_expression().expr(0))
+
+    def logical(self, rule: Any) -> Node:
+        line = rule.start.line
+        if isinstance(rule, Rules.Expr_relContext):
+            if rule.op.text not in _RELATIONS:
+                raise self.error(rule, f"relation '{rule.op.text}'", f"{' '.join(_RELATIONS)} are supported")
+            left, right = (self.operation(each) for each in rule.expr())
+            return Node(line, rule.op.text, (left, right), " ".join(_text(rule).split()))
+        if isinstance(rule, Rules.Expr_andContext | Rules.Expr_orContext):
+            op = "and" if isinstance(rule, Rules.Expr_andContext) else "or"
+            return Node(line, op, tuple(self.logical(each) for each in rule.expr()))
+        if isinstance(rule, Rules.Expr_notContext):
+            return Node(line, "not", (self.logical(rule.expr()),))
+        primary = rule.primary() if isinstance(rule, Rules.Expr_primaryContext) else None
+        if isinstance(primary, Rules.Primary_output_expression_listContext):
+            return self.condition(self.parenthesised(primary))
+        if isinstance(primary, Rules.Primary_functionContext) and _text(primary.component_reference()) == "noEvent":
+            return Node(line, "noEvent", (self.condition(self.one_argument(primary)),))
+        if isinstance(primary, Rules.Primary_trueContext | Rules.Primary_falseContext | Rules.Primary_initialContext):
+            raise self.unknown(primary)
+        raise self.error(rule, f"condition '{_text(rule)}'", "write relations, joined with and, or, not")
 
     def simple(self, rule: Any) -> Node:
         if len(rule.expr()) != 1:
@@ -274,11 +306,7 @@ class _Walk:
         if isinstance(rule, Rules.Primary_component_referenceContext):
             return Node(line, "name", (self.reference(rule.component_reference()),))
         if isinstance(rule, Rules.Primary_output_expression_listContext):
-            inner = rule.output_expression_list().getChildren()
-            expressions = [each for each in inner if not hasattr(each, "symbol") or each.getText() == ","]
-            if len(expressions) != 1:
-                raise self.error(rule, f"'{_text(rule)}'", "write one expression between parentheses")
-            return self.expression(expressions[0])
+            return self.expression(self.parenthesised(rule))
         if isinstance(rule, Rules.Primary_derivativeContext):
             arguments = self.call_arguments(rule)
             if len(arguments) != 1 or arguments[0].op != "name":
@@ -286,9 +314,12 @@ class _Walk:
                 raise self.error(rule, _text(rule), remedy)
             return Node(line, "der", arguments[0].args)
         if isinstance(rule, Rules.Primary_functionContext):
-            name, arguments = _text(rule.component_reference()), self.call_arguments(rule)
+            name = _text(rule.component_reference())
+            if name == "noEvent":
+                return Node(line, name, (self.expression(self.one_argument(rule)),))
+            arguments = self.call_arguments(rule)
             if name not in FUNCTIONS:
-                hint = f"{', '.join(FUNCTIONS)} are supported{nearest(name, FUNCTIONS)}"
+                hint = f"{', '.join(FUNCTIONS)}, noEvent are supported{nearest(name, [*FUNCTIONS, 'noEvent'])}"
                 raise self.error(rule, f"function {name}()", hint)
             if len(arguments) != FUNCTIONS[name]:
                 count = f"{len(arguments)} argument{'s' if len(arguments) != 1 else ''}"
@@ -303,14 +334,30 @@ class _Walk:
             raise self.error(rule, f"'{_text(rule)}'", _FLAT)
         return self.identifier(elements[0])
 
+    def parenthesised(self, rule: Any) -> Any:
+        inner = rule.output_expression_list().getChildren()
+        expressions = [each for each in inner if not hasattr(each, "symbol") or each.getText() == ","]
+        if len(expressions) != 1:
+            raise self.error(rule, f"'{_text(rule)}'", "write one expression between parentheses")
+        return expressions[0]
+
     def call_arguments(self, rule: Any) -> list[Node]:
+        return [self.expression(each) for each in self.arguments_of(rule)]
+
+    def one_argument(self, rule: Any) -> Any:
+        arguments = self.arguments_of(rule)
+        if len(arguments) != 1:
+            raise self.error(rule, f"'{_text(rule)}'", "noEvent takes one expression")
+        return arguments[0]
+
+    def arguments_of(self, rule: Any) -> list[Any]:
         inner = rule.function_call_args().function_arguments()
         if inner is None:
             return []
         plain = [getattr(each, "expression", lambda: None)() for each in inner.function_argument()]
         if inner.named_arguments() or inner.for_indices() or None in plain:
             raise self.error(rule, f"'{_text(rule)}'", "give expressions as arguments")
-        return [self.expression(each) for each in plain]
+        return plain
 
 
 def _comment(rule: Any) -> str:

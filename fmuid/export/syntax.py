@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-FUNCTIONS = {"sin": 1, "cos": 1, "sqrt": 1, "tanh": 1, "min": 2, "max": 2}
+FUNCTIONS = {"sin": 1, "cos": 1, "sqrt": 1, "tanh": 1, "abs": 1, "sign": 1, "min": 2, "max": 2}
 """Functions of the subset and their number of arguments."""
 
 MODIFIERS = {
@@ -21,11 +21,17 @@ MODIFIERS = {
 
 @dataclass(frozen=True)
 class Node:
-    """An expression: `op` is "number", "name", "der", an operator + - * /, "neg", or a function's name."""
+    """An expression.
+
+    `op` is "number", "name", "der", an operator + - * /, "neg", a function's name, "noEvent", or "if", whose arguments
+    are conditions and values by turns and then the last value. In conditions it is a relation < <= > >=, "and", "or",
+    "not". `text` is the source of a relation.
+    """
 
     line: int
     op: str
     args: tuple[Any, ...]
+    text: str = ""
 
     def names(self) -> Iterator[str]:
         """Names of the variables in it, derivatives as ``der(x)``."""

@@ -64,7 +64,7 @@ WARNING, DISCARD, ERROR_STATUS = 1, 2, 3  # fmi*Status
     NOMINALS_KNOWN,
     STEPS,  # since `begin`
     STEPS_BEFORE,  # the present `advance`
-    EVENTS,  # handled since `begin`, those by `leave_events` from outside included
+    EVENTS,  # since `begin`, those that `enter_events` brought from outside included
     STIFF_HITS,
     STIFF_MISSES,
     FAILED_FUNCTION,
@@ -125,7 +125,9 @@ N_WORDS = FUNCTIONS + N_FUNCTIONS
 N_REALS = 13
 
 # For functions that only compiled functions call: without wrappers for Python and C a sixth less time to compile.
-compiled = partial(numba.njit, cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=False)
+compiled = partial(
+    numba.njit, cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
 
 _call_time = native_call(types.intp, types.float64)
 _call_set2 = native_call(types.intp, types.intp, types.intp, types.intp)
@@ -229,8 +231,8 @@ def right_hand_side(c, t, x, dx):  # type: ignore[no-untyped-def]
     if code != OK:
         return code
     for i in range(load_word(c, N_TOTAL)):
-        slope = load_real(dx, i)
-        if slope - slope != 0.0:  # infinite or not a number
+        value, slope = load_real(x, i), load_real(dx, i)
+        if (value - value) + (slope - slope) != 0.0:  # one is infinite or not a number
             fail(c, STATE_NOT_FINITE, 0)
             store_word(c, BAD_STATE, i)
             return REJECT

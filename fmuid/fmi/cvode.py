@@ -43,11 +43,8 @@ def _jacobian(t, y, dy, matrix, c, work1, work2, work3):  # type: ignore[no-unty
     code = put(c, t, load_word(load_word(y, 0), 2))
     if code != b.OK:
         return code
-    n, handle, function = (
-        load_word(c, b.N_STATES),
-        load_word(c, b.HANDLE),
-        load_word(c, b.FUNCTIONS + b.DIRECTIONAL_DERIVATIVE),
-    )
+    function = load_word(c, b.FUNCTIONS + b.DIRECTIONAL_DERIVATIVE)
+    n, handle = load_word(c, b.N_STATES), load_word(c, b.HANDLE)
     known, unknown, one = load_word(c, b.STATE_REFERENCES), load_word(c, b.DERIVATIVE_REFERENCES), load_word(c, b.DENSE)
     store_real(one, 0, 1.0)
     for j in range(n):

@@ -28,11 +28,8 @@ def _plain_call(c, function):  # type: ignore[no-untyped-def]
 def _new_discrete_states(c):  # type: ignore[no-untyped-def]
     """One call of fmi2NewDiscreteStates or fmi3UpdateDiscreteStates; what it returns lies in FLAGS as fmi2EventInfo."""
     clear_flags(c, 8)
-    function, handle, flags = (
-        load_word(c, b.FUNCTIONS + b.NEW_DISCRETE_STATES),
-        load_word(c, b.HANDLE),
-        load_word(c, b.FLAGS),
-    )
+    function = load_word(c, b.FUNCTIONS + b.NEW_DISCRETE_STATES)
+    handle, flags = load_word(c, b.HANDLE), load_word(c, b.FLAGS)
     if load_word(c, b.VERSION) == 2:
         status = _call_pointer(function, (handle, flags))
     else:

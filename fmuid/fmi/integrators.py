@@ -181,7 +181,7 @@ def describe(function: int, status: int, version: int, integrator: str, state: s
     return {
         b.STEP_TOO_SMALL: f"integrator {integrator} finds no step short enough for its tolerance: the model has a "
         'discontinuity without an event, or is stiff; choose integrator = "cvode" or a larger tolerance',
-        b.STATE_NOT_FINITE: f"the derivative of state {state} is not a finite number; {smaller}, or keep the "
+        b.STATE_NOT_FINITE: f"state {state} or its derivative is not a finite number; {smaller}, or keep the "
         "parameters within bounds where the model has a meaning",
         b.EVENT_ITERATION_DIVERGES: f"an event does not come to rest in {MAX_ITERATIONS} iterations of its discrete "
         "states; the model has to be mended",

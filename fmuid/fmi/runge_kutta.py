@@ -220,7 +220,7 @@ def runge_kutta_step(c, bound):  # type: ignore[no-untyped-def]
         h = 0.5 * h if rk4 or following >= h else following
         set_real(c, b.H, h)
         again = True
-        if h < smallest:
+        if not h >= smallest:  # also not a number
             return b.FAILED
     if code == b.FAILED:
         return b.FAILED

@@ -124,6 +124,12 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     return fmi2Discard;
 #endif
   }
+#ifdef DISCARDS
+  if (h > 0.3 + 1e-9) { /* takes what it can of the step; -DDISCARDS=2: nothing of it */
+    if (DISCARDS == 1) m->r[X] += m->r[GAIN] * m->r[U] * 0.3, m->time = t + 0.3;
+    return fmi2Discard;
+  }
+#endif
   m->r[X] += m->r[GAIN] * m->r[U] * h;
   m->time = t + h;
   if (t + h > m->r[NAN_AT]) m->r[X] = NAN;
@@ -147,7 +153,18 @@ UNUSED(fmi2GetRealOutputDerivatives, fmi2Component c, const fmi2ValueReference r
 UNUSED(fmi2CancelStep, fmi2Component c)
 #endif
 UNUSED(fmi2GetStatus, fmi2Component c, const fmi2StatusKind k, fmi2Status *s)
-UNUSED(fmi2GetRealStatus, fmi2Component c, const fmi2StatusKind k, fmi2Real *s)
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *s) {
+  *s = ((Probe *)c)->time;
+  return k == fmi2LastSuccessfulTime ? fmi2OK : fmi2Discard;
+}
 UNUSED(fmi2GetIntegerStatus, fmi2Component c, const fmi2StatusKind k, fmi2Integer *s)
-UNUSED(fmi2GetBooleanStatus, fmi2Component c, const fmi2StatusKind k, fmi2Boolean *s)
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *s) {
+  (void)c;
+#ifdef ENDS
+  *s = fmi2True;
+#else
+  *s = fmi2False;
+#endif
+  return k == fmi2Terminated ? fmi2OK : fmi2Discard;
+}
 UNUSED(fmi2GetStringStatus, fmi2Component c, const fmi2StatusKind k, fmi2String *s)

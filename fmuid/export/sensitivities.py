@@ -1,0 +1,128 @@
+"""Adds forward sensitivities to a model: more states ∂x/∂p and more outputs ∂y/∂p.
+
+For a chosen parameter p, differentiating ``dx/dt = f(x, u, p)``, ``y = g(x, u, p)``, ``x(0) = x0(p)`` gives
+``dS/dt = ∂f/∂x S + ∂f/∂p``, ``∂y/∂p = ∂g/∂x S + ∂g/∂p``, ``S(0) = ∂x0/∂p`` with S = ∂x/∂p. A Runge-Kutta method
+gives for S exactly the derivative of what it gives for x, whatever its own error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import casadi as ca
+
+from fmuid.errors import InputError, ModelicaError, nearest
+from fmuid.export.equations import System, column
+from fmuid.export.syntax import Declaration
+
+
+def with_sensitivities(system: System, parameters: Sequence[str] | Literal["all"]) -> System:
+    """Return the system with the sensitivities to these parameters.
+
+    The variables are named ``sens.p.x``: those of the outputs are outputs, those of the other states local.
+
+    Raises
+    ------
+    InputError
+        If the model has no parameter of a name.
+    ModelicaError
+        If the model has relations or sign(): there sensitivities would miss what the jumps add.
+    """
+    names = [each.name for each in system.parameters]
+    chosen = names if parameters == "all" else list(dict.fromkeys(parameters))
+    for name in chosen:
+        if name not in names:
+            raise InputError(
+                f"{system.model.file}: no sensitivities to '{name}', which is no parameter of the model"
+                f"{nearest(name, names) or ': the parameters are ' + (', '.join(names) or 'none')}"
+            )
+    if chosen and system.jumps:
+        text = "sensitivities jump where relations and sign() do: smooth these, as with tanh, or export without"
+        raise ModelicaError(system.model.file, system.jumps, text)
+    both = ca.vertcat(system.derivatives, system.algebraic)
+    extra = _Extra(system)
+    for name in chosen:
+        extra.add(system.parameters[names.index(name)], both)
+    return extra.joined() if chosen else system
+
+
+class _Extra:
+    """Gathers what the sensitivities add to a system, one parameter after the other."""
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.states: list[Declaration] = []
+        self.others: list[Declaration] = []
+        self.expressions: dict[str, list[Any]] = {"x": [], "derivatives": [], "starts": [], "algebraic": []}
+        self.numbers = dict(system.numbers)
+
+    def add(self, parameter: Declaration, both: Any) -> None:
+        """Add the sensitivities of all states and outputs to one parameter; `both` is dx/dt and w."""
+        s = self.system
+        states = [self.declare(each, parameter) for each in s.states]
+        outputs = [k for k, each in enumerate(s.others) if each.role == "output"]
+        state = column(ca.SX.sym(each.name) for each in states)
+        direction = ca.SX([float(each is parameter) for each in s.parameters])
+        symbols, values = (column(each[k] for each in s.reciprocals) for k in (0, 1))
+        knowns = ca.vertcat(s.x, s.p, symbols)
+        seeds = ca.vertcat(state, direction, ca.jtimes(values, s.p, direction))
+        both_seed = ca.densify(ca.jtimes(both, knowns, seeds))
+        rates, others = ca.vertsplit(both_seed, [0, s.x.numel(), both.numel()])
+        starts = ca.densify(ca.jtimes(s.starts, s.p, direction))
+        self.states += states
+        self.others += [self.declare(s.others[k], parameter) for k in outputs]
+        for key, elements in (
+            ("x", state),
+            ("derivatives", rates),
+            ("starts", starts),
+            ("algebraic", column(others[k] for k in outputs)),
+        ):
+            self.expressions[key].append(elements)
+
+    def declare(self, variable: Declaration, parameter: Declaration) -> Declaration:
+        """Return the declaration of a sensitivity; its magnitude is that of the variable for the whole parameter."""
+        name = f"sens.{parameter.name}.{variable.name}"
+        numbers = self.system.numbers.get
+        magnitude = numbers((parameter.name, "nominal")) or abs(numbers((parameter.name, "value"), 0.0)) or 1.0
+        self.numbers[name, "nominal"] = numbers((variable.name, "nominal"), 1.0) / magnitude
+        description = f"derivative of {variable.description or variable.name} with respect to {parameter.name}"
+        return Declaration(name, variable.role, variable.line, description, _quotient(variable.unit, parameter.unit))
+
+    def joined(self) -> System:
+        """Return the system with all that was added, behind what was there."""
+        s = self.system
+        there = {key: getattr(s, key) for key in self.expressions}
+        model = replace(s.model, declarations=(*s.model.declarations, *self.states, *self.others))
+        return replace(
+            s,
+            model=model,
+            states=(*s.states, *self.states),
+            others=(*s.others, *self.others),
+            numbers=self.numbers,
+            **{key: ca.vertcat(there[key], *more) for key, more in self.expressions.items()},
+        )
+
+
+def _quotient(numerator: str | None, denominator: str | None) -> str | None:
+    """Return the unit of a quotient of two units such as ``N.s/m``; None where one is not known."""
+    if numerator is None or denominator is None:
+        return None
+    above, below = _factors(numerator)
+    more_below, more_above = _factors(denominator)
+    above, below = above + more_above, below + more_below
+    for factor in [*above]:
+        if factor in below:
+            above.remove(factor)
+            below.remove(factor)
+    bottom = ".".join(below)
+    return (".".join(above) or "1") + (f"/({bottom})" if len(below) > 1 else f"/{bottom}" if below else "")
+
+
+def _factors(unit: str) -> tuple[list[str], list[str]]:
+    """Return the factors above and below the line."""
+    above, _, below = unit.partition("/")
+    parts = (part.removeprefix("(").removesuffix(")").split(".") for part in (above, below))
+    first, second = ([factor for factor in part if factor not in ("", "1")] for part in parts)
+    return first, second

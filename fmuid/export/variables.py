@@ -1,0 +1,192 @@
+"""What a model description says of the variables of a model, in any version of FMI: units, limits, dependencies."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import casadi as ca
+
+from fmuid.errors import ModelicaError, nearest
+from fmuid.export.equations import System
+from fmuid.export.syntax import Declaration
+
+_BASE_UNITS = ("kg", "m", "s", "A", "rad")
+_DERIVED_UNITS = {
+    "N": "kg.m.s-2",
+    "J": "kg.m2.s-2",
+    "W": "kg.m2.s-3",
+    "V": "kg.m2.s-3.A-1",
+    "Ohm": "kg.m2.s-3.A-2",
+    "H": "kg.m2.s-2.A-2",
+    "Wb": "kg.m2.s-2.A-1",
+}
+_DISPLAY_UNITS = {
+    "rad": ("deg", 180 / math.pi),
+    "rad/s": ("rpm", 30 / math.pi),
+    "m": ("mm", 1e3),
+    "m/s": ("mm/s", 1e3),
+}
+"""Unit -> one that tables often have instead, and how many of it make one."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable as FMI describes it; `state` is the name of the state whose derivative it is, if it is one."""
+
+    name: str
+    reference: int
+    causality: str
+    description: str = ""
+    initial: str | None = None
+    state: str | None = None
+    attributes: tuple[tuple[str, str | float | None], ...] = ()
+
+    @property
+    def variability(self) -> str:
+        """FMI's word for when the value may change."""
+        return "tunable" if self.causality == "parameter" else "continuous"
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A computed variable and the names of the known ones that it depends on."""
+
+    name: str
+    dependencies: frozenset[str]
+
+
+def variables(system: System) -> list[Variable]:
+    """Return the declared variables in their order, then the derivatives."""
+    references = {name: k for k, name in enumerate(system.names())}
+    number = system.numbers.get
+
+    def variable(d: Declaration, state: str | None = None) -> Variable:
+        initial = {"parameter": "exact", "input": None}.get(d.role, "calculated")
+        start = {"parameter": number((d.name, "value")), "input": number((d.name, "start"), 0.0)}.get(d.role)
+        limits = ((key, number((d.name, key))) for key in ("min", "max", "nominal"))
+        attributes = (("unit", d.unit), *limits, ("start", start))
+        return Variable(d.name, references[d.name], d.role, d.description, initial, state, attributes)
+
+    declared = [variable(d) for d in system.model.declarations if d.role != "constant"]
+    return [*declared, *(variable(_rate(d), d.name) for d in system.states)]
+
+
+def indicators(system: System) -> list[Variable]:
+    """Return the event indicators."""
+    first = len(system.names()) - 1 - len(system.relations)
+    return [
+        Variable(each.name, first + k, "local", f"event indicator: it changes sign with {each.text}", "calculated")
+        for k, each in enumerate(system.relations)
+    ]
+
+
+def _rate(state: Declaration) -> Declaration:
+    """Return the declaration of a state's derivative."""
+    unit = state.unit
+    if unit is not None:
+        numerator, _, denominator = unit.partition("/")
+        per_second = {"": "s", "s": "s2"}.get(denominator, f"({denominator.strip('()')}.s)")
+        unit = f"{numerator}/{per_second}"
+    what = f"time derivative of {state.description or state.name}"
+    return Declaration(f"der({state.name})", "local", state.line, what, unit)
+
+
+# ---- dependencies
+
+
+def unknowns(system: System) -> dict[str, list[Unknown]]:
+    """Return what depends on what, from the symbols in each expression: kind of unknown -> those of the kind.
+
+    The kinds are "outputs", "derivatives", "initial" (outputs, states and derivatives as functions of the inputs,
+    parameters and time) and "indicators".
+    """
+    s = system
+    computed = s.plain(ca.vertcat(s.derivatives, s.algebraic, s.indicators))
+    now = ca.vertcat(s.x, _settled(s, computed))
+    initially = ca.substitute(now, s.x, s.starts)
+    rates = [f"der({d.name})" for d in s.states]
+    names = [*(d.name for d in s.states), *rates, *(d.name for d in s.others), *(each.name for each in s.relations)]
+    place = {name: k for k, name in enumerate(names)}
+    outputs = [d.name for d in s.model.declarations if d.role == "output"]
+    knowns, initial_knowns = ({"time", *(d.name for d in (*s.inputs, *more))} for more in (s.states, s.parameters))
+
+    def of(chosen: list[str], values: Any, knowns: set[str]) -> list[Unknown]:
+        symbols = ({symbol.name() for symbol in ca.symvar(values[place[name]])} for name in chosen)
+        return [Unknown(name, frozenset(each & knowns)) for name, each in zip(chosen, symbols, strict=True)]
+
+    order = {each.name: k for k, each in enumerate(variables(s))}
+    initial = sorted({*outputs, *rates, *(d.name for d in s.states)}, key=order.__getitem__)
+    return {
+        "outputs": of(outputs, now, knowns),
+        "derivatives": of(rates, now, knowns),
+        "initial": of(initial, initially, initial_knowns),
+        "indicators": of([each.name for each in s.relations], now, knowns),
+    }
+
+
+def _settled(system: System, expressions: Any) -> Any:
+    """Return the expressions with each relation replaced by what it depends on: an event may change it."""
+    indicators = system.plain(system.indicators)
+    for k in reversed(range(system.r.numel())):
+        expressions = ca.substitute(expressions, system.r[k], indicators[k] > 0)
+    return expressions
+
+
+# ---- XML
+
+
+def attribute(name: str, value: str | float | None) -> str:
+    """Return an XML attribute with the space before it, nothing for none."""
+    if value is None or value == "":
+        return ""
+    return f" {name}={quoteattr(value if isinstance(value, str) else repr(value))}"
+
+
+def unit_definitions(system: System) -> list[str]:
+    """Return the UnitDefinitions of the model's variables, the same in FMI 2.0 and 3.0.
+
+    Raises
+    ------
+    ModelicaError
+        For a unit outside the subset.
+    """
+    declared = [d for d in system.model.declarations if d.role != "constant"]
+    units = {d.unit: d for d in [*map(_rate, system.states), *declared] if d.unit is not None}
+    lines = []
+    for unit, d in sorted(units.items()):
+        name, factor = _DISPLAY_UNITS.get(unit, (None, 0.0))
+        display = f'<DisplayUnit name="{name}" factor="{factor!r}"/>' if name else ""
+        lines.append(f'  <Unit name="{unit}">{_base_unit(d, system.model.file)}{display}</Unit>')
+    return ["<UnitDefinitions>", *lines, "</UnitDefinitions>"] if lines else []
+
+
+def _base_unit(d: Declaration, file: str) -> str:
+    """Return the BaseUnit element of a variable's unit, such as ``V.s/m`` or ``N/(m.s)``."""
+    exponents = dict.fromkeys(_BASE_UNITS, 0)
+
+    def multiply(product: str, power: int) -> None:
+        for factor in product.split("."):
+            match = re.fullmatch(r"([A-Za-z]+|1)(-?\d+)?", factor)
+            name = match[1] if match else factor
+            exponent = power * int(match[2] or 1) if match else 0
+            if name in exponents:
+                exponents[name] += exponent
+            elif name in _DERIVED_UNITS:
+                multiply(_DERIVED_UNITS[name], exponent)
+            elif factor != "1":
+                known = [*_BASE_UNITS, *_DERIVED_UNITS]
+                raise ModelicaError(
+                    file,
+                    d.line,
+                    f"unit '{d.unit}' of '{d.name}' is outside the exported subset: "
+                    f"write it as in 'V.s/m2' with {', '.join(known)}{nearest(name, known)}",
+                )
+
+    numerator, _, denominator = str(d.unit).partition("/")
+    multiply(numerator, 1)
+    multiply(re.sub(r"^\((.*)\)$", r"\1", denominator) or "1", -1)
+    return f"<BaseUnit{''.join(attribute(name, str(e)) for name, e in exponents.items() if e)}/>"
