@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmuid.errors import FmuidError, InputError
+from fmuid.model_sensitivity import Derivatives, ModelSensitivities
 from fmuid.problem import Problem
 from fmuid.sensitivity import FiniteDifferences, NoiseLevel, SensitivityError, noise_level
 
@@ -60,7 +61,7 @@ class Criterion:
         noise: NoiseLevel,
         least_variance: Floats,
         start: Floats,
-        differences: FiniteDifferences | None = None,
+        derivatives: Derivatives | None = None,
     ) -> None:
         self.problem, self.variance, self.least_variance = problem, variance, least_variance
         self.lower, self.upper = problem.parameters.lower, problem.parameters.upper
@@ -69,17 +70,25 @@ class Criterion:
         self._size = _rms(start * self._weights)
         rows = noise.outputs[problem.groups] * self._weights
         self.noise = _rms(rows)
-        if differences is None:
-            reach = problem.parameters.reach
-            self._differences = FiniteDifferences(
-                problem.predict, self.lower, self.upper, reach, rows, self._size, -self._weights
-            )
+        if derivatives is None:
+            self._derivatives = self._chosen_derivatives(rows)
         else:
-            self._differences = differences.weighted(-self._weights, rows)
+            self._derivatives = derivatives.weighted(-self._weights, rows)
+
+    def _chosen_derivatives(self, noise: Floats) -> Derivatives:
+        problem, reach = self.problem, self.problem.parameters.reach
+        differences = FiniteDifferences(
+            problem.predict, self.lower, self.upper, reach, noise, self._size, -self._weights
+        )
+        if problem.sensitivity == "finite-difference":
+            return differences
+        return ModelSensitivities(
+            problem.derivatives, differences, reach, noise, -self._weights, problem.refuse_derivatives
+        )
 
     def reweighted(self, variance: Floats) -> Criterion:
         """Return the criterion with other noise variances and the same difference steps."""
-        return Criterion(self.problem, variance, self._level, self.least_variance, self._start, self._differences)
+        return Criterion(self.problem, variance, self._level, self.least_variance, self._start, self._derivatives)
 
     def converted(self, other: Criterion, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats]:
         """Return residual and Jacobian of this criterion as those of another that differs in its variances only."""
@@ -136,7 +145,7 @@ class Criterion:
         return np.asarray(self._whitened(residual) / self._weights, dtype=np.float64)
 
     def jacobian(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
-        """Return the derivative (n_rows, N) of the residual at theta by finite differences.
+        """Return the derivative (n_rows, N) of the residual at theta, by differences or from the model.
 
         Raises
         ------
@@ -144,12 +153,12 @@ class Criterion:
             If all simulations around theta fail.
         """
         base = self.problem.measured - self.unwhiten(residual)
-        return self._completed(self._differences.jacobian(theta, base, central=central), residual)
+        return self._completed(self._derivatives.jacobian(theta, base, central=central), residual)
 
     def first_jacobian(self, theta: Floats, residual: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the Jacobian at the start, and which parameters act on any output (N,)."""
         base = self.problem.measured - self.unwhiten(residual)
-        derivatives, acting = self._differences.first_jacobian(theta, base)
+        derivatives, acting = self._derivatives.first_jacobian(theta, base)
         return self._completed(derivatives, residual), acting
 
     def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
@@ -159,7 +168,7 @@ class Criterion:
         """
         outputs = self.problem.measured * self._weights - self._whitened(residual)
         shrunk = min(1.0, _rms(outputs) / self._size) if self._size > 0 else 1.0
-        return shrunk * self._differences.error(theta, central=central)
+        return shrunk * self._derivatives.error(theta, central=central)
 
     def evaluate(self, theta: ArrayLike) -> Evaluation:
         """Return residual and (central) Jacobian at theta (N,).

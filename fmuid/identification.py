@@ -246,6 +246,7 @@ class _Identification:
             at_bounds=at_bounds,
             version=__version__,
             models=problem.models,
+            sensitivity=problem.sensitivity_words,
             local=model,
             history=history,
         )

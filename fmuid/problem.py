@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmuid.errors import InputError
+from fmuid.errors import InputError, nearest
 from fmuid.losses import loss_of, robust_variance
+from fmuid.model_sensitivity import SENSITIVITIES
 from fmuid.noise import Noise as Noise
 from fmuid.parameters import JointPrior, Parameter, ParameterSet
 from fmuid.predictors import FunctionPredictor, Measurements, Predictor, Table
@@ -43,6 +44,8 @@ class Problem:
     loss : "linear", "soft_l1", "huber" or "cauchy"
         How the criterion grows with a sample's residual in standard deviations of the noise: all but "linear", the
         plain square, keep outliers from pulling (`fmuid.losses`). Priors always count by their squares.
+    sensitivity : "finite-difference", "forward" or "fmu"
+        How the derivatives of the outputs by the parameters are found (`fmuid.model_sensitivity.SENSITIVITIES`).
 
     Attributes
     ----------
@@ -83,6 +86,7 @@ class Problem:
         step_size: float | None = None,
         joint_prior: JointPrior | None = None,
         loss: str = "linear",
+        sensitivity: str = "finite-difference",
     ) -> None:
         # here, because problems made of functions need no FMU and none of what runs them
         from fmuid.experiment import Experiment
@@ -97,6 +101,16 @@ class Problem:
         ]
         self._assemble(predictors, listed, parameters, noise or Noise(), joint_prior, loss)
         self._system: System | None = system
+        if sensitivity not in SENSITIVITIES:
+            near = nearest(sensitivity, SENSITIVITIES)
+            raise InputError(f"sensitivity {sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
+        self.sensitivity = sensitivity
+        if sensitivity != "finite-difference":
+            from fmuid.forward import derivatives_of
+
+            self._derivatives: tuple[Callable[[Floats], Floats], ...] = tuple(
+                derivatives_of(simulator, sensitivity) for simulator in predictors
+            )
 
     @classmethod
     def from_predictors(
@@ -173,6 +187,9 @@ class Problem:
         self.experiments = tuple(experiments)
         self._predictors = tuple(predictors)
         self._system = None
+        self.sensitivity = "finite-difference"
+        self._derivatives = ()
+        self._refusal = ""
         self.noise, self.loss = noise, loss_of(loss)
         self.simulations = 0
         self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
@@ -233,6 +250,38 @@ class Problem:
         stacked = np.concatenate(blocks, axis=1)
         stacked[np.isnan(stacked).any(axis=1)] = np.nan
         return stacked
+
+    def derivatives(self, theta: Floats) -> Floats:
+        """Return the derivatives (N, n) of all counted samples by the parameters at theta (N,), from the model.
+
+        Raises
+        ------
+        RefusedError
+            If the model cannot give them there.
+        """
+        blocks = []
+        for index, (kept, derivatives) in enumerate(zip(self._counted, self._derivatives, strict=True)):
+            _, columns = self.parameters.for_experiment(index)
+            self.simulations += 1
+            block = np.zeros((theta.size, kept.size))
+            np.add.at(block, columns, derivatives(theta[columns]).reshape(columns.size, -1)[:, kept])
+            blocks.append(block)
+        return np.concatenate(blocks, axis=1)
+
+    def refuse_derivatives(self, reason: str) -> None:
+        """Note why differences serve in place of the derivatives of the model."""
+        self._refusal = reason
+
+    @property
+    def sensitivity_words(self) -> str:
+        """How the derivatives were found, in words."""
+        if self._refusal:
+            return f"finite differences ({self.sensitivity} sensitivities are refused: {self._refusal})"
+        return {
+            "finite-difference": "finite differences of whole simulations",
+            "forward": "the sensitivity system, integrated with the model",
+            "fmu": "outputs of the FMU",
+        }[self.sensitivity]
 
     def outputs(self, theta: ArrayLike, predicted: Floats | None = None) -> list[Floats]:
         """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed.

@@ -78,6 +78,8 @@ class Result:
     models : mapping of str to mapping
         ``name``, ``digest`` and ``run`` (interface, integrator and tolerance in words) of each FMU by its component; a
         single one is the component ``""``. Empty for problems that are not made of FMUs.
+    sensitivity : str
+        How the derivatives by the parameters were found, in words.
     local : LocalModel or None
         The problem made linear at the estimate, which `fmuid.reading` and `fmuid.residuals` start from; with the given
         noise variances where there are any, else with the estimated ones. None where it was not kept in a file.
@@ -106,6 +108,7 @@ class Result:
     at_bounds: tuple[str, ...]
     version: str
     models: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    sensitivity: str = ""
     local: LocalModel | None = None
     history: History | None = None
 
@@ -270,6 +273,7 @@ class Result:
             "at_bounds": list(self.at_bounds),
             "version": self.version,
             "models": {component: dict(model) for component, model in self.models.items()},
+            "sensitivity": self.sensitivity,
         }
 
     @classmethod
@@ -335,6 +339,7 @@ class Result:
                 str(c): {key: str(m.get(key, "")) for key in ("name", "digest", "run")}
                 for c, m in data.get("models", {}).items()
             },
+            sensitivity=str(data.get("sensitivity", "")),
         )
 
     def _index(self, name: str) -> int:

@@ -84,6 +84,7 @@ class Simulator:
         repeated = {name for name in self.parameters if self.parameters.count(name) > 1}
         if repeated:
             raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
+        self._given = dict(values or {}), step_size
         self._run = PlannedRun(self.system, experiment, self.parameters, values or {}, step_size)
         self._workers = workers_of(self.system)
         self._conversions = self._output_conversions()
@@ -154,6 +155,16 @@ class Simulator:
         for j, (factor, offset) in self._conversions.items():
             outputs[:, :, j] = factor * outputs[:, :, j] + offset
         return Batch(outputs, errors)
+
+    def over(self, experiment: Experiment) -> Simulator:
+        """Return the simulator of another experiment with the same model, parameters and values."""
+        values, step_size = self._given
+        return Simulator(self.system, experiment, self.parameters, values=values, step_size=step_size)
+
+    @property
+    def output_factors(self) -> NDArray[np.float64]:
+        """What a change of each output in the unit of the FMU is in that of the table (n_outputs,)."""
+        return np.array([self._conversions.get(j, (1.0, 0.0))[0] for j in range(len(self.output_names))])
 
     def close(self) -> None:
         """Free the instances of the system (also those of its other simulators; they make new ones when needed)."""

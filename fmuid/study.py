@@ -34,6 +34,7 @@ from fmuid.study_settings import (
     read_loss,
     read_model,
     read_noise,
+    read_sensitivity,
     read_uncertainty,
 )
 from fmuid.system import System
@@ -71,6 +72,8 @@ class Study:
         The earlier results that priors are taken from.
     uncertainty_settings : UncertaintySettings
         What is asked beyond the local covariance.
+    sensitivity : "finite-difference", "forward" or "fmu"
+        How the derivatives of the outputs by the parameters are found.
     """
 
     path: Path
@@ -84,6 +87,7 @@ class Study:
     joint_prior: JointPrior | None = None
     sources: tuple[Source, ...] = ()
     uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
+    sensitivity: str = "finite-difference"
 
     @classmethod
     def read(cls, path: str | Path, overrides: Sequence[str] = ()) -> Study:
@@ -124,6 +128,7 @@ class Study:
             known.joint_prior,
             known.sources,
             asked,
+            read_sensitivity(top),
         )
 
     @cached_property
@@ -184,6 +189,7 @@ class Study:
             values=model.values,
             joint_prior=self.joint_prior,
             loss=self.loss,
+            sensitivity=self.sensitivity,
         )
 
     @cached_property

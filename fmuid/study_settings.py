@@ -12,6 +12,7 @@ from fmuid.errors import InputError, nearest
 from fmuid.estimators.marquardt import Marquardt
 from fmuid.fmi.description import KINDS
 from fmuid.losses import LOSSES
+from fmuid.model_sensitivity import SENSITIVITIES
 from fmuid.noise import Noise
 from fmuid.study_file import Section
 from fmuid.system import INTEGRATORS, MASTERS, Component, Numerics, System
@@ -198,7 +199,6 @@ def read_estimator(top: Section) -> Marquardt | GlobalSearch:
     section = top.table("estimator", ESTIMATOR_KEYS)
     implied = "global" if {"starts", "search"} & set(section.data) else "marquardt"
     method = section.get("method", toml.one_of("marquardt", "global", later=("linear",)), implied)
-    section.get("sensitivity", toml.one_of("finite-difference", later=("forward", "fmu")), "finite-difference")
     default = Marquardt()
     marquardt = Marquardt(
         section.get("max_iterations", toml.count, default.max_iterations),
@@ -224,6 +224,11 @@ def read_estimator(top: Section) -> Marquardt | GlobalSearch:
         return GlobalSearch(**words, marquardt=marquardt)
     except InputError as error:
         raise section.error(f"is refused: {error}") from None
+
+
+def read_sensitivity(top: Section) -> str:
+    """Read the word ``sensitivity`` of the table ``[estimator]``."""
+    return top.table("estimator", ESTIMATOR_KEYS).get("sensitivity", toml.one_of(*SENSITIVITIES), "finite-difference")
 
 
 def read_loss(top: Section, estimator: Marquardt | GlobalSearch, asked: UncertaintySettings) -> str:

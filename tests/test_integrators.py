@@ -324,6 +324,37 @@ def stiff() -> NDArray[np.float64]:
     return van_der_pol(STIFF_TIMES, 1000.0)
 
 
+@pytest.mark.parametrize("integrator", ["rk45", "cvode"])
+def test_tolerances_follow_the_nominal_values(make: Maker, integrator: str) -> None:
+    """States and nominal values a thousand times as large, from an event on: as many steps, the same relative error."""
+    trial = make(LINEAR, [1.0], [1.0], n_inputs=1, integrator=integrator, tolerance=1e-5)
+    steps, states = [], []
+    for k, scale in enumerate((1.0, 1e3, 1e-3)):
+        trial.numbers[NOMINAL] = scale
+        trial.memory.coefficients[0, 1] = scale
+        trial.memory.reals[b.ORIGIN] = 5.0 * k
+        if k == 0:
+            trial.begin()
+        else:
+            trial.call(enter_events, 5.0 * k)
+            trial.numbers[X], trial.memory.reals[b.H] = scale, 0.0
+            trial.call(leave_events, 5.0 * k)
+        before = trial.memory.words[b.STEPS]
+        states.append(trial.advance(5.0 * k + 5.0)[0] / scale)
+        steps.append(trial.memory.words[b.STEPS] - before)
+    assert steps[0] == steps[1] == steps[2]
+    assert states == pytest.approx([states[0]] * 3, rel=1e-8)
+
+
+def test_samples_close_to_each_other_do_not_shorten_later_steps(make: Maker) -> None:
+    steps = []
+    for extra in ([], [5.0 + 1e-9]):
+        trial = make(VAN_DER_POL, [2.0, 0.0], [1.0], integrator="rk45").begin()
+        trial.trajectory([5.0, *extra, 6.0])
+        steps.append(trial.memory.words[b.STEPS] - len(extra))
+    assert steps[0] == steps[1]
+
+
 @pytest.mark.parametrize("jacobian", ["exact", "differences", "broken"])
 def test_stiff_van_der_pol_against_radau(make: Maker, jacobian: str, stiff: NDArray[np.float64]) -> None:
     without = ("GetDirectionalDerivative",) if jacobian == "differences" else ()

@@ -168,7 +168,6 @@ def begin(c, t):  # type: ignore[no-untyped-def]
     set_real(c, b.STEP_END, t)
     set_real(c, b.NEXT_EVENT, np.inf)
     set_real(c, b.H, 0.0)
-    set_real(c, b.OLD_ERROR, 1e-4)
     for j in range(load_word(c, b.N_INPUTS)):
         store_real(load_word(c, b.INPUT_VALUES), j, np.nan)
         store_real(load_word(c, b.INPUT_SCALES), j, 0.0)

@@ -82,6 +82,7 @@ def to_continuous_time_mode(c, t):  # type: ignore[no-untyped-def]
         return b.FAILED
     set_real(c, b.STEP_START, t)
     set_real(c, b.STEP_END, t)
+    set_real(c, b.OLD_ERROR, 1e-4)
     store_word(c, b.MODE, b.CONTINUOUS_TIME_MODE)
     store_word(c, b.PENDING, b.SETTLED)
     store_word(c, b.FRESH, 0)

@@ -31,7 +31,7 @@ enum { BALL, TRIANGLE, ROBERTSON, VAN_DER_POL, LINEAR, CHATTER, STAIRS, DECAY, S
 enum { X = 0, DX = 3, P = 6, U = 10, MODEL = 12, COUNT, EVENT_TIME, TERMINATE_AT, STEP_EVENT_AT, FAIL_AT, ENDLESS,
        BROKEN_JACOBIAN, NOMINAL, CALLS, BACKWARDS, N_REALS };
 typedef struct {
-  double r[N_REALS], time, completed;
+  double r[N_REALS], time, completed, nominal; /* the nominal value last told */
   int mode; /* 0 event, 1 continuous time */
 } Model;
 static const int states[] = {2, 1, 3, 2, 1, 1, 1, 1, 0}, indicators[] = {1, 0, 0, 0, 0, 1, 3, 0, 1};
@@ -95,7 +95,9 @@ EXPORT STATUS NAME(GetContinuousStates)(INSTANCE c, double x[], size_t n) {
   return OK;
 }
 EXPORT STATUS NAME(GetNominalsOfContinuousStates)(INSTANCE c, double x[], size_t n) {
-  for (size_t i = 0; i < n; i++) x[i] = ((Model *)c)->r[NOMINAL];
+  Model *m = c;
+  for (size_t i = 0; i < n; i++) x[i] = m->r[NOMINAL];
+  m->nominal = m->r[NOMINAL];
   return OK;
 }
 static STATUS get_derivatives(Model *m, double d[], size_t n) {
@@ -144,7 +146,7 @@ EXPORT STATUS fmi2NewDiscreteStates(INSTANCE c, fmi2EventInfo *info) {
   Model *m = c;
   info->newDiscreteStatesNeeded = m->r[ENDLESS] > 0;
   info->terminateSimulation = m->time >= m->r[TERMINATE_AT];
-  info->nominalsOfContinuousStatesChanged = 0;
+  info->nominalsOfContinuousStatesChanged = m->nominal != m->r[NOMINAL];
   info->valuesOfContinuousStatesChanged = 1;
   info->nextEventTime = next_event(m);
   info->nextEventTimeDefined = isfinite(info->nextEventTime) != 0;
@@ -158,7 +160,7 @@ EXPORT STATUS fmi3UpdateDiscreteStates(INSTANCE c, bool *needed, bool *terminate
   Model *m = c;
   *needed = m->r[ENDLESS] > 0;
   *terminate = m->time >= m->r[TERMINATE_AT];
-  *nominals = false, *values = true;
+  *nominals = m->nominal != m->r[NOMINAL], *values = true;
   *next = next_event(m);
   *defined = isfinite(*next);
   return OK;
