@@ -38,7 +38,7 @@ class AppliedValue:
 
 @dataclass(frozen=True)
 class _Estimate:
-    """A value to apply, in `unit` (None: that of the variable), and its standard deviation."""
+    """A value to apply: of a result with its standard deviation, of an SSV file with its unit, None where not given."""
 
     value: Value
     std: float = math.nan
@@ -126,7 +126,7 @@ def apply_result(result: Path, fmu: Path, output: Path, component: str | None = 
         variable = _startable(description, name, fmu)
         factor, offset = _conversion(description, variable, estimate.unit, units, result)
         new = _checked(variable, estimate.value, factor, offset, fmu)
-        applied.append(AppliedValue(name, variable.start, new, abs(factor) * estimate.std, variable.unit))
+        applied.append(AppliedValue(name, variable.start, new, estimate.std, variable.unit))
     _copy(fmu, output, {each.variable: each.new for each in applied})
     return tuple(applied)
 

@@ -156,8 +156,8 @@ class Package:
     def fed_by(self, source: Node) -> list[Port]:
         """Return the components' variables that a connector of the whole system feeds."""
         found = []
-        for node, start in self.ends_of(source):
-            factor, offset, _ = self.composed(self.chains[node][start:])
+        for node, _ in self.ends_of(source):
+            factor, offset, _ = self.composed(self.chains[node])
             found.append(Port(".".join(node.element), node.connector, factor, offset))
         return found
 

@@ -87,14 +87,13 @@ def test_the_copy_differs_in_the_start_values_only(tmp_path: Path) -> None:
 
 
 def test_the_copy_simulates_as_the_original_at_the_estimates(tmp_path: Path) -> None:
-    """What the annotation lists, set before the initialisation, gives the coil of those values (closed form)."""
+    """The binary has its own start values: what the annotation lists is set, and gives the coil of those values."""
     new = tmp_path / "New.fmu"
     resistance, inductance = 4.0 + 1 / 3, 0.1 * math.pi
     apply_result(result(tmp_path, {"R": (resistance, 0.01), "L": (inductance, 0.002)}), COIL, new)
     times = np.arange(100) * 1e-3
     experiment = Experiment(pd.DataFrame({"time": times, "u": 1.0, "i": 0.0}), ["u"], ["i"])
-    values = applied_values(description(new))
-    simulated = Simulator(new, experiment, values=values)([])
+    simulated = Simulator(new, experiment)([])
     np.testing.assert_array_equal(simulated, Simulator(COIL, experiment, values={"R": resistance, "L": inductance})([]))
     np.testing.assert_allclose(
         simulated[:, 0], (1 - np.exp(-resistance / inductance * times)) / resistance, rtol=1e-9, atol=1e-12
@@ -173,10 +172,13 @@ def test_fmi_3(tmp_path: Path) -> None:
     source, new = tmp_path / "Old.fmu", tmp_path / "New.fmu"
     with zipfile.ZipFile(source, "w") as archive:
         archive.writestr("modelDescription.xml", FMI_3)
+        archive.comment = b"made by hand"
     write_ssv(tmp_path / "x.ssv", "n", {"A[2,3]": Quantity(7.5), "k": Quantity(-3)}, {})
     applied = apply_result(tmp_path / "x.ssv", source, new)
     assert [(each.variable, each.old, each.new) for each in applied] == [("A[2,3]", 6.0, 7.5), ("k", -1, -3)]
     assert description(new) == with_starts(FMI_3.encode(), {"A[2,3]": 7.5, "k": -3})
+    with zipfile.ZipFile(new) as archive:
+        assert archive.comment == b"made by hand"
     write_ssv(tmp_path / "x.ssv", "n", {"n": Quantity(2)}, {})
     with pytest.raises(InputError, match=r"start value of 'n' may not be set \(causality structuralParameter"):
         apply_result(tmp_path / "x.ssv", source, new)
@@ -231,6 +233,20 @@ def test_estimates_as_ssv(tmp_path: Path) -> None:
     own = read_ssv(tmp_path / "parameters.ssv")
     assert own.values["a.R"].description == "standard deviation 0.0123 Ohm"
     assert own.units["Ohm"].exponents == (1, 2, -3, -2, 0, 0, 0, 0)
+
+
+def test_a_unit_that_two_fmus_define_differently_is_left_out(tmp_path: Path) -> None:
+    with zipfile.ZipFile(COIL) as old, zipfile.ZipFile(tmp_path / "Other.fmu", "w") as other:
+        text = old.read("modelDescription.xml").decode()
+        changed = text.replace('<Unit name="H"><BaseUnit ', '<Unit name="H"><BaseUnit factor="2" ')
+        assert changed != text
+        other.writestr("modelDescription.xml", changed)
+    system = System(components={"a": COIL, "b": tmp_path / "Other.fmu"})
+    (path,) = write_estimates(tmp_path, system, read_result(tmp_path, {"a.L": (0.1, 0.01), "a.R": (4.0, 0.1)}))
+    assert [(name, quantity.unit) for name, quantity in read_ssv(path).values.items()] == [
+        ("a.L", None),
+        ("a.R", "Ohm"),
+    ]
 
 
 def test_estimates_written_and_applied_again_are_the_same(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 from fmuid.errors import InputError
 from fmuid.experiment import Experiment
 from fmuid.simulator import Simulator
-from fmuid.ssp import Structure, read_ssp
+from fmuid.ssp import read_ssp
 from fmuid.ssp_links import Link, Port
 from fmuid.system import System
 from tests.ssp_texts import (
@@ -52,16 +52,6 @@ def package(tmp_path: Path) -> Maker:
     return partial(pack, tmp_path)
 
 
-def system_of(structure: Structure) -> System:
-    return System(
-        components={name: entry.fmu for name, entry in structure.components.items()},
-        connections=[
-            (".".join(link.source), ".".join(link.target), link.factor, link.offset) for link in structure.connections
-        ],
-        values=structure.values,
-    )
-
-
 # --- what is read
 
 
@@ -88,7 +78,7 @@ def test_a_closed_loop_simulates_as_the_same_system_put_together_by_hand(package
     times = np.arange(200) * 1e-3
     frame = pd.DataFrame({"time": times, "r": 0.01 * np.sin(20 * times), "q": 0.0, "v": 0.0})
     experiment = Experiment(frame, {"controller.qg": "r"}, {"drive.q": "q", "controller.v": "v"}, interpolation="hold")
-    simulated = Simulator(system_of(structure), experiment)([])
+    simulated = Simulator(System.read_ssp(path), experiment)([])
     assert np.abs(simulated).max() > 1e-3
     np.testing.assert_array_equal(simulated, Simulator(by_hand, experiment)([]))
 
@@ -132,7 +122,7 @@ def test_nested_systems_are_flattened_and_transformations_composed(package: Make
     assert structure.connections == (Link(("outer.inner.drive", "q"), ("controller", "q"), 6.0, -1.0, True),)
     assert set(structure.inputs["u"]) == {Port("outer.inner.drive", "v", 5.0), Port("controller", "qg")}
     assert structure.outputs == {"position": Port("outer.inner.drive", "q", 2.0, 1.0)}
-    assert system_of(structure).connections[0].factor == 6.0
+    assert System.read_ssp(path).connections[0].factor == 6.0
 
 
 @pytest.mark.parametrize(
@@ -160,15 +150,27 @@ def test_units_along_a_connection(
 
 
 def test_units_with_offsets_along_a_chain(package: Maker) -> None:
-    """A sum in K goes through a connector in degC, where it is doubled, and on in K."""
+    """A temperature in K goes through a connector in degF, where it is doubled, and on in K."""
     inner = element(
-        "System", "inner", connector("t", "output", "degC"),
+        "System", "inner", connector("t", "output", "degF"),
         content(drive(unit="K"), connection("drive.q", "t", linear(2.0))),
     )  # fmt: skip
     joined = connection("inner.t", "controller.q")
-    scales = units(K=("K", 1.0, 0.0), degC=("K", 1.0, 273.15))
+    scales = units(K=("K", 1.0, 0.0), degF=("K", 5 / 9, 459.67 * 5 / 9))
     link = read_ssp(package(content(inner + controller(unit="K"), joined), rest=scales)).connections[0]
-    assert link.factor * 300.0 + link.offset == pytest.approx(2 * (300.0 - 273.15) + 273.15, rel=1e-14)
+    doubled = 2 * (300.0 * 9 / 5 - 459.67)
+    assert link.factor * 300.0 + link.offset == pytest.approx((doubled + 459.67) * 5 / 9, rel=1e-14)
+
+
+def test_a_connector_without_unit_passes_the_unit_on(package: Maker) -> None:
+    """The structure defines mm alone; that the controller's variable is in m, and what this is, its FMU says."""
+    inner = element(
+        "System", "inner", connector("out", "output"), content(drive(unit="mm"), connection("drive.q", "out"))
+    )
+    path = package(
+        content(inner + controller(), connection("inner.out", "controller.q")), rest=units(mm=("m", 1e-3, 0.0))
+    )
+    assert read_ssp(path).connections[0][2:] == pytest.approx((1e-3, 0.0, True), rel=1e-14)
 
 
 def test_a_bus_passes_on_what_is_written_to_it(package: Maker) -> None:
@@ -188,12 +190,12 @@ def test_a_bus_passes_on_what_is_written_to_it(package: Maker) -> None:
 
 def test_names_of_elements_may_have_dots_and_sources_escapes(package: Maker) -> None:
     part = element("Component", "a.b", connector("M", "parameter"), source="resources/My%20drive.fmu")
-    path = package(content(part), bindings=binding(parameter("a.b.M", 7.0)), check=False)
+    path = package(content(drive("a") + part), bindings=binding(parameter("a.b.M", 7.0)), check=False)
     with zipfile.ZipFile(path, "a") as archive:
         archive.write(DRIVE, "resources/My drive.fmu")
     structure = read_ssp(path)
     assert structure.values == {"a.b.M": 7.0}
-    assert system_of(structure).values == {"a.b.M": 7.0}
+    assert System.read_ssp(path).values == {"a.b.M": 7.0}
 
 
 def test_the_interface_that_is_asked_for(package: Maker) -> None:
@@ -231,6 +233,7 @@ BAD = [
     (content(BOTH, connection("drive.q", "controller.v")), r"drive.q \(output\) and controller.v \(output\)"),
     (content(BOTH, connection("drive.q", "controller.kp")), r"leads from drive.q \(output\) to controller.kp \(parameter\), which is not supported"),
     (content(BOTH + INNER, connection("inner.p", "controller.kp")), r"from inner.p \(calculatedParameter\) to controller.kp"),
+    (content(BOTH + INNER, connection("inner.p", "controller.q")), r"from inner.p \(calculatedParameter\) to controller.q \(input\), which is not"),
     (content(BOTH, connection("drive.q", "controller.q") + connection("drive.dq", "controller.q")), "controller.q is fed twice, by connection drive.q -> controller.q and by connection drive.dq -> controller.q"),
     (content(drive(unit="m") + controller(unit="V"), connection("drive.q", "controller.q")), "connection drive.q -> controller.q: the units 'm' and 'V' do not convert into each other"),
     (content(drive(unit="inch") + controller(unit="m"), connection("drive.q", "controller.q")), "the units 'inch' and 'm' do not convert"),
@@ -267,9 +270,9 @@ def test_what_is_wrong_is_one_sentence(package: Maker, body: str, message: str) 
 def test_what_the_fmus_know_is_checked_when_the_system_is_made(package: Maker, wrong: str, message: str) -> None:
     part = element("Component", "drive", wrong, source="resources/Drive.fmu")
     name = wrong.split('"')[1]
-    structure = read_ssp(package(content(part + controller(), connection(f"drive.{name}", "controller.q"))))
+    path = package(content(part + controller(), connection(f"drive.{name}", "controller.q")))
     with pytest.raises(InputError, match=message):
-        system_of(structure)
+        System.read_ssp(path)
 
 
 def test_a_circle_without_a_component(package: Maker) -> None:

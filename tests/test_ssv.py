@@ -15,6 +15,7 @@ from fmuid.ssv import Quantity, mapping_entries, parameter_set, read_ssv, read_x
 
 KELVIN = Unit("K", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 0.0, {})
 CELSIUS = Unit("degC", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 273.15, {})
+FAHRENHEIT = Unit("degF", (0, 0, 0, 0, 1, 0, 0, 0), 5 / 9, 459.67 * 5 / 9, {})
 RPM = Unit("rpm", (0, 0, -1, 0, 0, 0, 0, 1), math.pi / 30, 0.0, {})
 SPEED = Unit("rad/s", (0, 0, -1, 0, 0, 0, 0, 1), 1.0, 0.0, {})
 UNKNOWN = Unit("widgets", None, 1.0, 0.0, {})
@@ -63,12 +64,17 @@ def test_what_is_not_finite_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("value", "source", "target", "expected"),
-    [(20.0, CELSIUS, KELVIN, 293.15), (0.0, KELVIN, CELSIUS, -273.15), (60.0, RPM, SPEED, 2 * math.pi)],
+    [
+        (20.0, CELSIUS, KELVIN, 293.15),
+        (0.0, KELVIN, CELSIUS, -273.15),
+        (60.0, RPM, SPEED, 2 * math.pi),
+        (100.0, CELSIUS, FAHRENHEIT, 212.0),
+    ],
 )
 def test_units_convert(value: float, source: Unit, target: Unit, expected: float) -> None:
     conversion = unit_conversion(source, target)
     assert conversion is not None
-    assert conversion[0] * value + conversion[1] == pytest.approx(expected, rel=1e-15)
+    assert conversion[0] * value + conversion[1] == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize(("source", "target"), [(RPM, KELVIN), (UNKNOWN, UNKNOWN), (None, RPM)])

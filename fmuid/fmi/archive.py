@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import shutil
-import stat
-import tempfile
 import zipfile
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
-import platformdirs
-
 from fmuid.errors import InputError
 from fmuid.fmi.description import Description, read_description
+from fmuid.fmi.unpacking import file_digest, unpacked
 
 
 class FMU:
@@ -45,8 +40,7 @@ class FMU:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the file, the key of the unpacking cache and what identifies the model in results."""
-        with self.path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return file_digest(self.path)
 
     @cached_property
     def platforms(self) -> tuple[str, ...]:
@@ -64,14 +58,7 @@ class FMU:
         InputError
             If an entry of the archive would be written outside that folder, or nothing can be written there.
         """
-        target = Path(platformdirs.user_cache_dir("fmuid")) / "unpacked" / self.digest
-        if not target.is_dir():
-            try:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                self._unpack(target)
-            except (OSError, zipfile.BadZipFile) as error:
-                raise InputError(f"{self.path} cannot be unpacked below {target.parent}: {error}") from error
-        return target
+        return unpacked(self.path, self.digest)
 
     def library(self, identifier: str) -> Path:
         """Return the shared library of one interface for this platform.
@@ -94,27 +81,3 @@ class FMU:
         raise InputError(
             f"{self.path} has no binary for this platform ({fmpy.platform}): {there}; export it for this platform"
         )
-
-    def _unpack(self, target: Path) -> None:
-        """Unpack beside the target and rename, so that an interrupted or parallel run leaves no half FMU."""
-        with zipfile.ZipFile(self.path) as archive:
-            for entry in archive.infolist():
-                self._check_entry(entry)
-            fresh = Path(tempfile.mkdtemp(dir=target.parent))
-            try:
-                archive.extractall(fresh)
-                try:
-                    fresh.rename(target)
-                except OSError:
-                    if not target.is_dir():  # else another process was faster with the same content
-                        raise
-            finally:
-                shutil.rmtree(fresh, ignore_errors=True)
-
-    def _check_entry(self, entry: zipfile.ZipInfo) -> None:
-        name = PurePosixPath(entry.filename)
-        outside = name.is_absolute() or ".." in name.parts or "\\" in entry.orig_filename or ":" in entry.filename
-        if outside or stat.S_ISLNK(entry.external_attr >> 16):
-            raise InputError(
-                f"{self.path} is refused: its entry {entry.orig_filename!r} would be written outside the FMU's folder"
-            )

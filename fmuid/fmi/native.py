@@ -6,12 +6,36 @@ cost more than the FMI calls themselves; and functions of arrays take long to co
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+
+def _drop_stale_code() -> None:
+    """Delete cached code that was compiled from other sources than these.
+
+    numba compares the file of a function alone with its cached code, not the files whose constants and functions went
+    into it: after an update that leaves a file as it was, old code would run on a new layout of memory.
+    """
+    folder = Path(__file__).parent
+    cache = folder / "__pycache__"
+    stamps = [f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in sorted(folder.glob("*.py"))]
+    now, marker = "\n".join(stamps), cache / "compiled-from.txt"
+    try:
+        if marker.is_file() and marker.read_text() == now:
+            return
+        for path in cache.glob("*.nb?"):
+            path.unlink(missing_ok=True)
+        marker.write_text(now)
+    except OSError:
+        return  # where nothing can be written, numba keeps its code elsewhere, below the path of this installation
+
+
+_drop_stale_code()
 
 
 def native_call(*arguments: Any) -> Any:
