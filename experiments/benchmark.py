@@ -18,6 +18,7 @@ from typing import Any
 
 import fmpy
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
@@ -189,6 +190,102 @@ def compare_fits(study: fmuid.Study, experiment: fmuid.Experiment, by_fmpy: Call
     print(f"     the two optima are {apart:.0e} standard deviations apart")
 
 
+def fmpy_model_exchange(experiment: fmuid.Experiment) -> Callable[[Array], Array]:
+    """Return theta -> outputs by ``fmpy.simulate_fmu`` with CVode, output at every sample.
+
+    (FMPy 0.3.32 does not apply inputs inside CVode's right-hand side: it is compared in time only.)
+    """
+    folder = fmpy.extract(str(FMU_FILE))
+    description = fmpy.read_model_description(folder, validate=False)
+    signals = experiment.frame[["time", *INPUTS]].to_records(index=False)
+    times = experiment.times
+
+    def simulate(theta: Array) -> Array:
+        result = fmpy.simulate_fmu(
+            folder,
+            validate=False,
+            fmi_type="ModelExchange",
+            solver="CVode",
+            start_time=float(times[0]),
+            stop_time=float(times[-1]),
+            output_interval=float(times[1] - times[0]),
+            relative_tolerance=1e-7,
+            record_events=False,
+            start_values=dict(zip(PARAMETERS, theta, strict=True)),
+            input=signals,
+            output=OUTPUTS,
+            model_description=description,
+        )
+        return np.column_stack([result[name] for name in OUTPUTS])
+
+    return simulate
+
+
+def compare_model_exchange(linear: fmuid.Experiment) -> None:
+    """Print how long one simulation of 4500 samples takes by model exchange, with each integrator."""
+    theta = np.array([9.8, 3.8, 0.436, 0.0762])
+    by_fmpy = fmpy_model_exchange(linear)
+    exact = fmuid.Simulator(FMU_FILE, linear, PARAMETERS)(theta)
+    for integrator in ("rk4", "rk45", "cvode"):
+        numerics = fmuid.Numerics("model-exchange", integrator)
+        simulator = fmuid.Simulator(fmuid.System(FMU_FILE, numerics=numerics), linear, PARAMETERS)
+        ours, other = alternating(3, partial(simulator, theta), partial(by_fmpy, theta), repeat=10)
+        print(f"model exchange: fmuid {integrator} {1e3 * ours:.2f} ms, FMPy's CVode {1e3 * other:.0f} ms: ", end="")
+        print(f"{other / ours:.0f} times as fast (error {difference(simulator(theta), exact):.0e})")
+
+
+def fmpy_system(times: NDArray[Any], reference: NDArray[Any]) -> Callable[[], Array]:
+    """Return a loop in Python over FMPy's instances of the drive and its controller, exchanging every sample."""
+    instances, references = {}, {}
+    for name in ("PositionDrive", "PositionController"):
+        folder = fmpy.extract(str(HERE.parent / "fmus" / name / f"{name}.fmu"))
+        description = fmpy.read_model_description(folder, validate=False)
+        instances[name] = fmpy.instantiate_fmu(folder, description, fmi_type="CoSimulation")
+        references[name] = {v.name: v.valueReference for v in description.modelVariables}
+    drive, controller = instances.values()
+    of_drive, of_controller = references.values()
+    state, command = [of_drive["q"], of_drive["dq"]], [of_controller["v"]]
+    fed, voltage = [of_controller[name] for name in ("qg", "q", "dq")], [of_drive["v"]]
+
+    def simulate() -> Array:
+        for instance in instances.values():
+            instance.reset()
+            instance.setupExperiment(startTime=float(times[0]))
+            instance.enterInitializationMode()
+            instance.exitInitializationMode()
+        found = []
+        for k, time_ in enumerate(times.tolist()):
+            controller.setReal(fed, [reference[k], *drive.getReal(state)])
+            v = controller.getReal(command)
+            drive.setReal(voltage, v)
+            found.append(v[0])
+            if k + 1 < len(times):
+                for instance in instances.values():
+                    instance.doStep(time_, times[k + 1] - time_)
+        return np.array(found)
+
+    return simulate
+
+
+def compare_systems() -> None:
+    """Print how long a drive under its controller takes, 5000 communication steps."""
+    times = np.arange(5000) * 1e-3
+    reference = 0.1 * np.sin(3.0 * times)
+    by_fmpy = fmpy_system(times, reference)
+    parts = {"drive": "PositionDrive", "controller": "PositionController"}
+    system = fmuid.System(
+        components={name: HERE.parent / "fmus" / model / f"{model}.fmu" for name, model in parts.items()},
+        connections=[("drive.q", "controller.q"), ("drive.dq", "controller.dq"), ("controller.v", "drive.v")],
+    )
+    frame = pd.DataFrame({"time": times, "r": reference, "v": 0.0})
+    experiment = fmuid.Experiment(frame, {"controller.qg": "r"}, {"controller.v": "v"}, interpolation="hold")
+    simulator = fmuid.Simulator(system, experiment, ["drive.M"])
+    ours, other = alternating(5, partial(simulator, [95.1089]), by_fmpy, repeat=20)
+    apart = difference(simulator([95.1089])[:, 0], by_fmpy())
+    print(f"two coupled FMUs: fmuid {1e3 * ours:.2f} ms, a loop in Python over FMPy {1e3 * other:.0f} ms: ", end="")
+    print(f"{other / ours:.0f} times as fast (outputs differ by {apart:.0e})")
+
+
 def compare_starts() -> None:
     """Print how long the commands take in a process of their own."""
     command = [sys.executable, "-m", "fmuid"]
@@ -210,6 +307,8 @@ def main() -> None:
     (held,) = study.tables
     by_fmpy = fmpy_simulation(held)
     compare_simulations(linear, held, by_fmpy)
+    compare_model_exchange(linear)
+    compare_systems()
     compare_fits(study, held, by_fmpy)
     compare_starts()
 

@@ -306,7 +306,7 @@ class Result:
         names = tuple(parameters)
         if list(names) != data["covariance"]["names"]:
             raise ValueError("the names of parameters and covariance differ")
-        covariance = _array(data["covariance"]["matrix"], np.nan)
+        covariance = _array(data["covariance"]["matrix"], np.nan).reshape(len(names), len(names))
         lost = np.isnan(np.diag(covariance))
         covariance[lost, lost] = np.inf
         column = {

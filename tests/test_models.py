@@ -59,7 +59,7 @@ class Reference:
 
             if len(x):
                 x = solve_ivp(rates, (0, h), x, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
-            rows.append(self.evaluate(x, inputs[k] + slope * h, p))
+            rows.append(self.evaluate(x, inputs[k + 1], p))  # what follows an input at once follows its new value
         return np.array(rows)
 
     def signals(self, count: int = 150) -> tuple[Array, Array]:
@@ -125,6 +125,86 @@ def three_phase(x: Any, u: Any, p: Any) -> Any:
     return np.concatenate([derivatives[:3], [w], -p["Rr"] * rotor])
 
 
+def phases_and_torque(x: Any, _: Any, p: Any) -> Any:
+    """The states, and the torque as derivative of the co-energy by the angle: p i_sᵀ (dM_sr/dθ) i_r."""
+    _, M, dM, Lr = phase_matrices(x[3], p)
+    J = T23.T
+    rotor = np.linalg.solve(T23 @ Lr @ J, x[4:] - T23 @ M.T @ x[:3])
+    return np.array([*x, p["p"] * x[:3] @ dM @ J @ rotor])
+
+
+def limited(value: Any, most: float) -> Any:
+    return value if abs(value.real) < most else most * np.sign(value.real)
+
+
+def speed_controller(x: Any, u: Any, p: Any) -> Any:
+    halfway, smooth, integral = x
+    proportional = p["K"] * (smooth - u[1])
+    cut = limited(proportional + integral, p["torque_max"]) - (proportional + integral)
+    return np.array([(u[0] - halfway) / p["Tr"], (halfway - smooth) / p["Tr"], (proportional + cut) / p["Ti"]])
+
+
+def speed_control(x: Any, u: Any, p: Any) -> Any:
+    return np.array([limited(p["K"] * (x[1] - u[1]) + x[2], p["torque_max"])])
+
+
+def vector_control(x: Any, u: Any, p: Any) -> tuple[Any, Any]:
+    """Rates of the states and limited voltage in the axes of the rotor; flux axes: along and across the flux."""
+    torque, *phase_currents, theta, w = u
+    current = rotation(-theta) @ T23 @ np.array(phase_currents)
+    flux = (x[0] ** 2 + x[1] ** 2) ** 0.5
+    axes = np.array([[x[0], -x[1]], [x[1], x[0]]]) / flux  # from flux axes to those of the rotor
+    along, across = axes.T @ current
+    error = np.array([x[2] - along, torque / (p["p"] * p["flux_reference"]) - across])
+    turning = w + p["Rr"] * across / (flux if flux.real > p["flux_reference"] / 2 else p["flux_reference"] / 2)
+    induced = turning * np.array([-p["Lf"] * across, p["Lf"] * along + flux])
+    voltage = p["Lf"] / p["T"] * error + x[3:] + induced
+    size = (voltage @ voltage) ** 0.5
+    reached = voltage if size.real < p["u_max"] else voltage * p["u_max"] / size
+    wanted = p["flux_reference"] / p["Lm"] + p["gain"] * (p["flux_reference"] - flux)
+    magnetising = ((p["i_max"] if wanted.real > p["i_max"] else wanted) - x[2]) / p["Tf"]
+    integrals = ((p["Rs"] + p["Rr"]) * error + reached - voltage) / p["T"]
+    return np.array([*(p["Rr"] * (current - x[:2] / p["Lm"])), magnetising, *integrals]), axes @ reached
+
+
+def current_controller(x: Any, u: Any, p: Any) -> Any:
+    return vector_control(x, u, p)[0]
+
+
+def current_control(x: Any, u: Any, p: Any) -> Any:
+    return vector_control(x, u, p)[1]
+
+
+def coil_controller(_: Any, u: Any, p: Any) -> Any:
+    return np.array([p["K"] / p["Ti"] * (u[0] - u[1])])
+
+
+def coil_control(x: Any, u: Any, p: Any) -> Any:
+    return p["K"] * (u[0] - u[1]) + x
+
+
+def sensor(_: Any, u: Any, p: Any) -> Any:
+    return np.array([p["gain"] * u[0] + u[1]])
+
+
+def inverter(x: Any, u: Any, p: Any) -> Any:
+    return (u[:2] - x) / p["T"]
+
+
+def modulated(x: Any, u: Any, p: Any) -> Any:
+    """Phases in the middle of the period, and the states."""
+    half = p["period"] / 2
+    return np.concatenate([T23.T @ rotation(u[2] + half * u[3]) @ (x + half * inverter(x, u, p)), x])
+
+
+def shaft(x: Any, u: Any, p: Any) -> Any:
+    return np.array([(u[0] - p["f"] * x[0]) / p["J"], x[0]])
+
+
+def shaft_speeds(x: Any, u: Any, p: Any) -> Any:
+    return np.array([*x, p["p"] * (x[0] + p["period"] / 2 * shaft(x, u, p)[0])])
+
+
 def drive(x: Any, u: Any, p: Any) -> Any:
     friction = p["Fv"] * x[1] + p["Fc"] * np.tanh(x[1] / p["dq_eps"]) + p["offset"]
     return np.array([x[1], (p["gtau"] * u[0] - friction) / p["M"]])
@@ -141,8 +221,23 @@ def controller(_: Any, u: Any, p: Any) -> Any:
 
 
 MACHINE = {"Rs": 8.5, "Rr": 4.4, "Lm": 0.39, "Lf": 0.081}
-PHASES = {"ia_start": 1.1, "ib_start": 0.3, "ic_start": -0.8, "theta_start": 0.7}
+PHASES = {"p": 3.0, "ia_start": 1.1, "ib_start": 0.3, "ic_start": -0.8, "theta_start": 0.7}
 FLUXES = {"phidr_start": 0.6, "phiqr_start": -0.4}
+SPEED = {"K": 0.8, "Ti": 0.1, "Tr": 0.006, "torque_max": 60.0}
+SPEED_STARTS = {"halfway_start": 76.0, "smooth_start": 75.0, "integral_start": 3.0}
+CURRENT = {
+    "Rs": 9.0,
+    "Rr": 4.2,
+    "Lm": 0.41,
+    "Lf": 0.08,
+    "p": 3.0,
+    "flux_reference": 0.5,
+    "gain": 12.0,
+    "T": 0.004,
+    "Tf": 0.012,
+}
+CURRENT_LIMITS = {"i_max": 30.0, "u_max": 2000.0}  # never reached: a bend is integrated less precisely than 1e-7
+CURRENT_STARTS = {"phid_start": 0.6, "phiq_start": -0.4, "wanted_start": 1.4, "vf_start": 20.0, "vt_start": -30.0}
 DRIVE = {"M": 88.0, "Fv": 230.0, "Fc": 23.0, "offset": -4.0, "gtau": 33.0, "dq_eps": 1.2e-3}
 REFERENCES = {
     "Coil": Reference(("i",), ("u",), ("i",), {"R": 3.3, "L": 0.08, "i_start": -0.4}, coil, first, (1.0,), 1e-3),
@@ -160,13 +255,67 @@ REFERENCES = {
     "ThreePhaseInductionMachine": Reference(
         ("ia", "ib", "ic", "theta", "phidr", "phiqr"),
         ("ua", "ub", "uc", "w"),
-        ("ia", "ib", "ic", "theta", "phidr", "phiqr"),
+        ("ia", "ib", "ic", "theta", "phidr", "phiqr", "torque"),
         MACHINE | PHASES | FLUXES,
         three_phase,
-        first,
+        phases_and_torque,
         (300.0, 300.0, 300.0, 10.0),
         7e-4,
         (0.0, 0.0, 0.0, 157.0),
+    ),
+    "SpeedController": Reference(
+        ("halfway", "smooth", "integral"),
+        ("reference", "speed"),
+        ("torque",),
+        SPEED | SPEED_STARTS,
+        speed_controller,
+        speed_control,
+        (9.0, 9.0),
+        7e-4,
+        (78.0, 78.0),
+    ),
+    "CurrentController": Reference(
+        ("phid", "phiq", "wanted", "vf", "vt"),
+        ("torque", "ia", "ib", "ic", "theta", "w"),
+        ("uds", "uqs"),
+        CURRENT | CURRENT_LIMITS | CURRENT_STARTS,
+        current_controller,
+        current_control,
+        (4.0, 3.0, 3.0, 3.0, 0.05, 10.0),
+        7e-4,
+        (0.0, 0.0, 0.0, 0.0, 0.7, 157.0),
+    ),
+    "CoilController": Reference(
+        ("integral",),
+        ("reference", "i"),
+        ("u",),
+        {"K": 17.0, "Ti": 0.03, "integral_start": 1.3},
+        coil_controller,
+        coil_control,
+        (0.5, 0.5),
+        1e-3,
+    ),
+    "CurrentSensor": Reference((), ("i", "noise"), ("measured",), {"gain": 0.9}, nothing, sensor, (1.0, 0.1), 1e-3),
+    "Inverter": Reference(
+        ("uds", "uqs"),
+        ("uds_wanted", "uqs_wanted", "theta", "w"),
+        ("ua", "ub", "uc", "uds", "uqs"),
+        {"T": 1.5e-3, "period": 1e-4, "uds_start": 40.0, "uqs_start": -70.0},
+        inverter,
+        modulated,
+        (300.0, 300.0, 3.0, 10.0),
+        7e-4,
+        (0.0, 0.0, 0.7, 157.0),
+    ),
+    "MechanicalLoad": Reference(
+        ("speed", "angle"),
+        ("torque",),
+        ("speed", "angle", "w"),
+        {"J": 0.017, "f": 0.06, "p": 3.0, "period": 1e-4, "speed_start": 70.0, "angle_start": 0.3},
+        shaft,
+        shaft_speeds,
+        (8.0,),
+        7e-4,
     ),
     "PositionDrive": Reference(
         ("q", "dq"), ("v",), ("q", "dq"), DRIVE | {"q_start": 0.1, "dq_start": -0.02}, drive, first, (10.0,), 1e-3
@@ -297,8 +446,6 @@ def test_co_simulation_follows_the_equations(opened: Opener, model: str, linear:
     instance.initialise(reference.parameters)
     found = instance.run(reference, times, inputs, linear)
     expected = reference.integrate(times, inputs, linear)
-    if not reference.states:  # without states an output follows the inputs at once
-        expected = np.array([reference.evaluate((), u, reference.parameters) for u in inputs])
     assert relative_error(found, expected) < TOLERANCE
     assert np.all(np.ptp(found, axis=0) > 0)
 
@@ -339,6 +486,31 @@ def test_controller_is_limited(opened: Opener) -> None:
     for reference_position, expected in ((0.0, 0.0), (1e-4, 160.18 * 243.45 * 1e-4), (1.0, 10.0), (-1.0, -10.0)):
         instance.set({"qg": reference_position})
         assert instance.get("v") == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("model", "free", "limits"),
+    [
+        ("SpeedController", {}, {"torque_max": 0.2}),
+        ("CurrentController", {}, {"u_max": 10.0}),
+        ("CurrentController", {"flux_reference": 6.0}, {"i_max": 1.0}),  # flux is missing, and less than half is there
+    ],
+)
+def test_limits_of_the_controllers(
+    opened: Opener, model: str, free: dict[str, float], limits: dict[str, float]
+) -> None:
+    """What the limits leave, and how the integral parts follow; each limit makes a difference at every point."""
+    reference = REFERENCES[model]
+    both = [reference.parameters | free | each for each in ({}, limits)]
+    instance = opened(model, fmpy.fmi2.FMU2Model)
+    instance.start_model_exchange(both[1])
+    for x, u in points(reference):
+        x[:2] += np.sign(x[:2])
+        instance.set(dict(zip(reference.inputs, u, strict=True)))
+        found = np.concatenate([instance.derivatives(x), instance.get(*reference.outputs)])
+        unlimited, expected = (np.concatenate([reference.rates(x, u, p), reference.evaluate(x, u, p)]) for p in both)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
+        assert np.abs(unlimited / expected - 1).max() > 0.01
 
 
 def test_inputs_move_on_along_their_slopes(opened: Opener) -> None:
@@ -494,7 +666,8 @@ def test_model_exchange_integrated_by_scipy(opened: Opener, model: str) -> None:
     x = np.zeros(len(reference.states))
     start = (ctypes.c_double * len(x))()
     instance.fmu.getContinuousStates(start, len(x))
-    x, rows = np.array(start), [np.array(start)]
+    x = np.array(start)
+    rows = [reference.evaluate(x, inputs[0], reference.parameters)]
     for k in range(len(times) - 1):
         slope = (inputs[k + 1] - inputs[k]) / (times[k + 1] - times[k])
 
@@ -507,7 +680,7 @@ def test_model_exchange_integrated_by_scipy(opened: Opener, model: str) -> None:
             :, -1
         ]
         assert instance.fmu.completedIntegratorStep() == (False, False)
-        rows.append(x)
+        rows.append(reference.evaluate(x, inputs[k + 1], reference.parameters))
     slave = opened(model)
     slave.initialise(reference.parameters)
     assert relative_error(slave.run(reference, times, inputs, True), np.array(rows)) < TOLERANCE

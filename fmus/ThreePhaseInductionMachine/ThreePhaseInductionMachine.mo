@@ -5,6 +5,7 @@ model ThreePhaseInductionMachine "Induction machine in phase quantities, leakage
   parameter Real Rr(unit="Ohm", min=0) = 3.83 "rotor resistance, referred to the stator";
   parameter Real Lm(unit="H", min=1e-9) = 0.436 "magnetising inductance, 3/2 of one phase's";
   parameter Real Lf(unit="H", min=1e-9) = 0.0762 "leakage inductance";
+  parameter Real p(unit="1") = 2 "pole pairs; for the torque only";
   parameter Real ia_start(unit="A", nominal=1) = 0 "initial current, phase a";
   parameter Real ib_start(unit="A", nominal=1) = 0 "initial current, phase b";
   parameter Real ic_start(unit="A", nominal=1) = 0 "initial current, phase c";
@@ -19,10 +20,13 @@ model ThreePhaseInductionMachine "Induction machine in phase quantities, leakage
   output Real ib(unit="A", start=ib_start, fixed=true) "current, phase b";
   output Real ic(unit="A", start=ic_start, fixed=true) "current, phase c";
   output Real theta(unit="rad", start=theta_start, fixed=true) "electrical angle of the rotor";
+  output Real torque(unit="N.m") "torque";
   Real phidr(unit="Wb", start=phidr_start, fixed=true) "rotor flux, direct axis linked to the rotor";
   Real phiqr(unit="Wb", start=phiqr_start, fixed=true) "rotor flux, quadrature axis linked to the rotor";
   Real ialpha(unit="A") "stator current, first axis linked to the stator";
   Real ibeta(unit="A") "stator current, second axis linked to the stator";
+  Real ids(unit="A") "stator current, direct axis linked to the rotor";
+  Real iqs(unit="A") "stator current, quadrature axis linked to the rotor";
   Real ed(unit="V") "e.m.f. of the rotor flux, direct axis linked to the rotor";
   Real eq(unit="V") "e.m.f. of the rotor flux, quadrature axis linked to the rotor";
   Real ealpha(unit="V") "e.m.f. of the rotor flux, first axis linked to the stator";
@@ -31,8 +35,11 @@ equation
   der(theta) = w;
   ialpha = k*(ia - (ib + ic)/2);
   ibeta = k*k3*(ib - ic);
-  der(phidr) = Rr*(cos(theta)*ialpha + sin(theta)*ibeta) - Rr/Lm*phidr;
-  der(phiqr) = Rr*(cos(theta)*ibeta - sin(theta)*ialpha) - Rr/Lm*phiqr;
+  ids = cos(theta)*ialpha + sin(theta)*ibeta;
+  iqs = cos(theta)*ibeta - sin(theta)*ialpha;
+  torque = p*(phidr*iqs - phiqr*ids);
+  der(phidr) = Rr*ids - Rr/Lm*phidr;
+  der(phiqr) = Rr*iqs - Rr/Lm*phiqr;
   ed = der(phidr) - w*phiqr;
   eq = der(phiqr) + w*phidr;
   ealpha = cos(theta)*ed - sin(theta)*eq;

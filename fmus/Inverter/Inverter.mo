@@ -1,0 +1,34 @@
+model Inverter "Inverter: voltages wanted in axes linked to the rotor, to phases; each held for a period of the modulation"
+  constant Real k = sqrt(2/3) "factor of the Concordia transform";
+  constant Real k3 = sqrt(3)/2 "sine of 60 degrees";
+  parameter Real T(unit="s", min=1e-9) = 0.002 "time constant of the voltages";
+  parameter Real period(unit="s", min=0) = 5e-5 "period of the modulation: the communication step";
+  parameter Real uds_start(unit="V", nominal=100) = 0 "initial voltage, direct axis";
+  parameter Real uqs_start(unit="V", nominal=100) = 0 "initial voltage, quadrature axis";
+  input Real uds_wanted(unit="V") "voltage wanted, direct axis linked to the rotor";
+  input Real uqs_wanted(unit="V") "voltage wanted, quadrature axis linked to the rotor";
+  input Real theta(unit="rad") "electrical angle of the rotor";
+  input Real w(unit="rad/s") "electrical speed";
+  output Real ua(unit="V") "voltage, phase a, mean over the period that begins";
+  output Real ub(unit="V") "voltage, phase b, mean over the period that begins";
+  output Real uc(unit="V") "voltage, phase c, mean over the period that begins";
+  output Real uds(unit="V", start=uds_start, fixed=true) "voltage, direct axis linked to the rotor";
+  output Real uqs(unit="V", start=uqs_start, fixed=true) "voltage, quadrature axis linked to the rotor";
+  Real angle(unit="rad") "electrical angle of the rotor in the middle of the period";
+  Real d(unit="V") "voltage in the middle of the period, direct axis";
+  Real q(unit="V") "voltage in the middle of the period, quadrature axis";
+  Real alpha(unit="V") "voltage in the middle of the period, first axis linked to the stator";
+  Real beta(unit="V") "voltage in the middle of the period, second axis linked to the stator";
+equation
+  T*der(uds) = uds_wanted - uds;
+  T*der(uqs) = uqs_wanted - uqs;
+  angle = theta + period/2*w;
+  d = uds + period/2*der(uds);
+  q = uqs + period/2*der(uqs);
+  alpha = cos(angle)*d - sin(angle)*q;
+  beta = sin(angle)*d + cos(angle)*q;
+  ua = k*alpha;
+  ub = k*(k3*beta - alpha/2);
+  uc = -k*(k3*beta + alpha/2);
+  annotation(experiment(StopTime=3, Interval=5e-5));
+end Inverter;
