@@ -151,7 +151,7 @@ def test_a_changed_machine_is_noticed() -> None:
     assert "Prior and data disagree" in reading.words[0]
     assert "most of all on Rr" in reading.words[0]
     assert any(
-        line.startswith("The prior moved Rr from 3.7") and "its own prior did most" in line for line in reading.words
+        line.startswith("The prior moved Rr from 3.8") and "its own prior did most" in line for line in reading.words
     )
 
 

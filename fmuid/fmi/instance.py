@@ -8,8 +8,10 @@ import logging
 import os
 import re
 import sys
+import threading
 import weakref
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,7 @@ STATUS_WORDS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 _log = logging.getLogger("fmuid.fmu")
 _instances: weakref.WeakValueDictionary[int, Instance] = weakref.WeakValueDictionary()
 _keys = itertools.count(1)
+_loading = threading.Lock()  # loading changes the working directory of the whole process
 _spent: set[str] = set()  # digests of the FMUs instantiated so far in this process
 
 
@@ -183,29 +186,34 @@ class Instance:
         self.event_mode = self.version == 3 and kind == "co-simulation" and interface.event_mode
         self.messages: list[tuple[int, str]] = []
         library = fmu.library(interface.identifier)
-        folder = os.getcwd()  # noqa: PTH109  # FMPy changes the working directory and, on failure, leaves it so
         try:
-            self._native: Any = _CLASSES[self.version, kind](
-                guid=fmu.description.guid,
-                modelIdentifier=interface.identifier,
-                unzipDirectory=str(fmu.directory),
-                instanceName=name,
-                requireFunctions=False,
-                **({"libraryPath": str(library)} if self.version == 2 else {}),
-            )
-            self._instantiate()
+            with _loading:
+                self._load(interface.identifier, library)
         except Exception as error:
             said = "; ".join(text for _, text in self.messages)
             raise InputError(
                 _missing_library(fmu, str(error))
                 or f"{fmu.path} cannot be instantiated: {error}" + (f' (the FMU says: "{said}")' if said else "")
             ) from error
-        finally:
-            os.chdir(folder)
         _spent.add(fmu.digest)
         self._finalizer = weakref.finalize(self, _free, self._native)
         self.handle = int(self._native.component)
         self.addresses = self._find_functions()
+
+    def _load(self, identifier: str, library: Path) -> None:
+        folder = os.getcwd()  # noqa: PTH109  # FMPy changes the working directory and, on failure, leaves it so
+        try:
+            self._native: Any = _CLASSES[self.version, self.kind](
+                guid=self.fmu.description.guid,
+                modelIdentifier=identifier,
+                unzipDirectory=str(self.fmu.directory),
+                instanceName=self.name,
+                requireFunctions=False,
+                **({"libraryPath": str(library)} if self.version == 2 else {}),
+            )
+            self._instantiate()
+        finally:
+            os.chdir(folder)
 
     def _instantiate(self) -> None:
         if self.version == 3:

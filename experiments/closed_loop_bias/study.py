@@ -1,0 +1,325 @@
+"""The bias of an output-error estimate from a closed loop, against the signal-to-noise ratio (method.md section 4).
+
+    python -m experiments.closed_loop_bias.study
+
+Run from the project's folder; it rewrites bias.csv and bias.png beside it and the table in README.md.
+
+A coil under a sampled PI control of its current: three coupled FMUs. The noise of the current's sensor is an input of
+the simulation, so that the controller sees it. R and L are identified from the controller's voltage, which is known
+exactly, and the measured current. Beside it: the predicted bias (1.30), the same noise in open loop, and the loop
+identified as a whole, from its reference.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter, max_len_seq
+
+import fmuid
+from fmuid.plots import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
+
+Floats = NDArray[np.float64]
+
+HERE = Path(__file__).parent
+FMUS = HERE.parents[1] / "fmus"
+
+R, L = 4.0, 0.1  # Ω, H: the coil of method.md section 10
+NAMES, TRUTH = ("R", "L"), np.array([R, L])
+STEP, SAMPLES, BIT = 1e-3, 1200, 15  # s; samples of the record and of a bit of the reference, as there
+AMPLITUDE = 0.25  # A, of the reference
+CONTROL = {"controller.K": 20.0, "controller.Ti": L / R}  # V/A, s: the current follows with L/K = 5 ms
+COLOUR = 0.8  # correlation of the coloured noise from sample to sample: it lasts as long as the loop takes to answer
+
+RATIOS = (300.0, 100.0, 30.0, 10.0, 3.0, 1.0)  # power of the current without noise over the power of the noise
+
+
+class Kind(NamedTuple):
+    """A kind of experiment.
+
+    Attributes
+    ----------
+    closed : bool
+        Whether the noise goes through the controller.
+    correlation : float
+        Of the noise from sample to sample.
+    whole : bool
+        Whether the loop is identified, from its reference, instead of the coil alone, from its voltage.
+    """
+
+    closed: bool
+    correlation: float
+    whole: bool = False
+
+
+KINDS = {
+    "open loop, coloured noise": Kind(False, COLOUR),
+    "closed loop, white noise": Kind(True, 0.0),
+    "closed loop, coloured noise": Kind(True, COLOUR),
+    "closed loop identified whole, coloured noise": Kind(True, COLOUR, whole=True),
+}
+DRAWS, SEED = 200, 1
+
+
+# --- simulation and estimate ------------------------------------------------------------
+
+
+def reference() -> Floats:
+    """Return the wanted current, A (SAMPLES,): a maximum-length sequence."""
+    bits = 2.0 * max_len_seq(7)[0] - 1.0
+    return np.asarray(AMPLITUDE * bits[np.arange(SAMPLES) // BIT % bits.size])
+
+
+@cache
+def loop() -> fmuid.System:
+    """Return the coil, the sensor and the controller; they exchange their values at every sample."""
+    models = {"coil": "Coil", "sensor": "CurrentSensor", "controller": "CoilController"}
+    return fmuid.System(
+        components={name: FMUS / model / f"{model}.fmu" for name, model in models.items()},
+        connections=[
+            ("coil.i", "sensor.i"),
+            ("sensor.measured", "controller.i"),
+            ("controller.u", "coil.u"),
+        ],
+    )
+
+
+@cache
+def coil() -> fmuid.System:
+    """Return the model that is identified, loaded once."""
+    return fmuid.System.of(FMUS / "Coil" / "Coil.fmu")
+
+
+def simulate(noise: Floats) -> pd.DataFrame:
+    """Return what the loop does.
+
+    Columns: ``time`` (s); voltage ``u`` (V); ``reference``, true current ``i`` and ``measured`` one (A).
+
+    Parameters
+    ----------
+    noise : (SAMPLES,) array
+        What the sensor adds to the current, A; the controller sees it.
+    """
+    times = STEP * np.arange(SAMPLES)
+    inputs = {"controller.reference": "reference", "sensor.noise": "noise"}
+    outputs = {"controller.u": "u", "coil.i": "i", "sensor.measured": "measured"}
+    frame = pd.DataFrame(
+        {"time": times, "reference": reference(), "noise": noise, **dict.fromkeys(outputs.values(), 0.0)}
+    )
+    experiment = fmuid.Experiment(frame, inputs, outputs, interpolation="hold")
+    found = fmuid.Simulator(loop(), experiment, values={"coil.R": R, "coil.L": L, **CONTROL})([])
+    return frame[["time", "reference"]].assign(**dict(zip(outputs.values(), found.T, strict=True)))
+
+
+def estimate(record: pd.DataFrame, whole: bool) -> fmuid.Result:
+    """Identify R and L from voltage (held between samples) and measured current.
+
+    Parameters
+    ----------
+    record : DataFrame
+        As `simulate` returns.
+    whole : bool
+        Whether the model is the loop, with its known controller, and the input its reference.
+
+    Raises
+    ------
+    RuntimeError
+        If the search does not converge.
+    """
+    inputs, outputs = {"u": "u"}, {"i": "measured"}
+    if whole:
+        inputs, outputs = {"controller.reference": "reference"}, {"sensor.measured": "measured"}
+    experiment = fmuid.Experiment(record, inputs, outputs, interpolation="hold")
+    names = [f"coil.{name}" if whole else name for name in NAMES]
+    parameters = {name: fmuid.Parameter(value) for name, value in zip(names, TRUTH.tolist(), strict=True)}
+    model, values = (loop(), CONTROL) if whole else (coil(), None)
+    result = fmuid.identify(fmuid.Problem(model, experiment, parameters, values=values))
+    if not result.converged:
+        raise RuntimeError(f"the search did not converge: {result.status}")
+    return result
+
+
+def noise(rng: np.random.Generator, correlation: float) -> Floats:
+    """Draw stationary noise of variance 1 (SAMPLES,), its correlation over m samples being correlation**m."""
+    white = rng.standard_normal(SAMPLES)
+    white[1:] *= np.sqrt(1.0 - correlation**2)
+    return np.asarray(lfilter([1.0], [1.0, -correlation], white))
+
+
+def draws(kind: Kind, ratio: float, rng: np.random.Generator, count: int) -> Floats:
+    """Return estimates of R and L from fresh noise (count, 2); the open loop replays the voltage without noise."""
+    clean = simulate(np.zeros(SAMPLES))
+    std = np.sqrt(np.mean(clean["i"] ** 2) / ratio)
+    found = np.empty((count, len(NAMES)))
+    for row in found:
+        added = std * noise(rng, kind.correlation)
+        record = simulate(added) if kind.closed else clean.assign(measured=clean["i"] + added)
+        row[:] = estimate(record, kind.whole).values
+    return found
+
+
+# --- prediction -------------------------------------------------------------------------
+
+
+def sensitivities(voltage: Floats) -> Floats:
+    """Return ∂i/∂R and ∂i/∂L of the coil under a held voltage (K, 2), in closed form from sample to sample."""
+    decay = np.exp(-R / L * STEP)
+    # i[k+1] = decay i[k] + gain u[k], gain = (1 - decay)/R, and its derivatives
+    decay_by = decay * STEP * np.array([-1.0 / L, R / L**2])
+    gain_by = -decay_by / R - np.array([(1.0 - decay) / R**2, 0.0])
+    current = lfilter([0.0, (1.0 - decay) / R], [1.0, -decay], voltage)
+    return np.column_stack(
+        [lfilter([0.0, 1.0], [1.0, -decay], a * current + b * voltage) for a, b in zip(decay_by, gain_by, strict=True)]
+    )
+
+
+def answer_to_noise() -> Floats:
+    """Return the voltage (SAMPLES,) with which the loop answers to a sensor that is 1 A wrong in the first sample."""
+    decay = np.exp(-R / L * STEP)
+    gain, integral_time = CONTROL.values()
+    current = integral = 0.0
+    voltage = np.empty(SAMPLES)
+    for k in range(SAMPLES):
+        error = -current - (k == 0)
+        voltage[k] = gain * error + integral
+        integral += gain / integral_time * STEP * error
+        current = decay * current + (1.0 - decay) / R * voltage[k]
+    return voltage
+
+
+@cache
+def moments(correlation: float) -> tuple[Floats, Floats]:
+    """Return E[Σ σ b] (2,) and E[Σ σ_b σ_bᵀ] (2, 2) for noise b of variance 1; σ_b is the share of b in σ."""
+    covariance = toeplitz(correlation ** np.arange(SAMPLES))
+    responses = sensitivities(answer_to_noise()).T
+    spread = [toeplitz(response, np.zeros(SAMPLES)) for response in responses]  # σ_b = spread @ b
+    passed = [each @ covariance for each in spread]
+    gram = np.array([[np.sum(left * right) for right in spread] for left in passed])
+    return np.array([np.trace(each) for each in passed]), gram
+
+
+def predicted(kind: Kind, ratio: float) -> Floats:
+    """Return the bias of R and L to first order, E[Σ σσᵀ]⁻¹ E[Σ σ b] (1.30), with σ at the truth, Ω and H (2,).
+
+    It is zero where the inputs know nothing of the noise.
+    """
+    if kind.whole or not kind.closed:
+        return np.zeros(len(NAMES))
+    clean = simulate(np.zeros(SAMPLES))
+    variance = np.mean(clean["i"] ** 2) / ratio
+    own = sensitivities(clean["u"].to_numpy())
+    with_noise, gram = moments(kind.correlation)
+    return np.asarray(np.linalg.solve(own.T @ own + variance * gram, variance * with_noise))
+
+
+# --- results ----------------------------------------------------------------------------
+
+
+def cell(kind: str, ratio: float, count: int = DRAWS) -> pd.DataFrame:
+    """Return what one kind of noise does at one signal-to-noise ratio, a row a parameter.
+
+    Each kind and ratio has random numbers of its own.
+
+    Returns
+    -------
+    DataFrame
+        ``kind``, ``ratio``, ``parameter``; ``bias``, mean of the draws less truth; ``error``, its standard error;
+        ``std`` of the draws; ``predicted`` bias. All four as shares of the true value.
+    """
+    rng = np.random.default_rng([SEED, list(KINDS).index(kind), RATIOS.index(ratio)])
+    found = draws(KINDS[kind], ratio, rng, count) / TRUTH - 1.0
+    std = found.std(axis=0, ddof=1)
+    return pd.DataFrame(
+        {
+            "kind": kind,
+            "ratio": ratio,
+            "parameter": NAMES,
+            "bias": found.mean(axis=0),
+            "error": std / np.sqrt(count),
+            "std": std,
+            "predicted": predicted(KINDS[kind], ratio) / TRUTH,
+        }
+    )
+
+
+def table(found: pd.DataFrame) -> str:
+    """Return the biases as Markdown: in per cent, predicted, over the std of an estimate and over its own error."""
+    heads = [f"{name} {what}" for name in NAMES for what in ("bias (%)", "predicted (%)", "bias/std", "bias/error")]
+    lines = ["| " + " | ".join(["", "ratio", *heads]) + " |", "|---" * (len(heads) + 2) + "|"]
+    for (kind, ratio), part in found.groupby(["kind", "ratio"], sort=False):
+        cells = [str(kind), f"{ratio:g}"]
+        for bias, error, std, wanted in part[["bias", "error", "std", "predicted"]].to_numpy(dtype=float).tolist():
+            expected = f"{100 * wanted:.2f}" if wanted else "0"
+            cells += [f"{100 * bias:.2f} ± {100 * error:.2f}", expected, f"{bias / std:.2f}", f"{bias / error:.1f}"]
+        lines.append("| " + " | ".join(cells).replace("-", "−") + " |")
+    return "\n".join(lines)
+
+
+def insert(page: str, biases: str) -> str:
+    """Return a page with the table between the comments ``<!-- bias -->`` and ``<!-- end of bias -->``."""
+    begin, end = "<!-- bias -->", "<!-- end of bias -->"
+    return re.sub(f"{begin}.*{end}", lambda _: f"{begin}\n{biases}\n{end}", page, flags=re.DOTALL)
+
+
+def figure(found: pd.DataFrame) -> Figure:
+    """Draw the bias against the signal-to-noise ratio: per cent above, in standard deviations of an estimate below."""
+    with style():
+        drawn = Figure(figsize=(WIDTH, 5.0), layout="constrained")
+        panels = drawn.subplots(2, len(NAMES), sharex=True, sharey="row")
+        for column, name in enumerate(NAMES):
+            part = found[found["parameter"] == name]
+            _panel(panels[0, column], part, pd.Series(100.0, part.index))
+            _panel(panels[1, column], part, 1.0 / part["std"])
+            panels[0, column].set_title(f"${name}$")
+            panels[1, column].set_xlabel("power of the current / power of the noise")
+        panels[0, 0].set_ylabel("bias (%)")
+        panels[1, 0].set_ylabel("bias / std of one estimate")
+        legend = sorted(zip(*panels[0, 0].get_legend_handles_labels(), strict=True), key=lambda pair: pair[1])
+        drawn.legend(*zip(*legend[::-1], strict=True), loc="outside lower center", ncols=2)
+    return drawn
+
+
+def _panel(axes: Axes, part: pd.DataFrame, scale: pd.Series) -> None:
+    """Draw one parameter's biases, times a scale, with two standard errors either way, beside their prediction."""
+    axes.axhline(0.0, color=INK, lw=0.6)
+    looks = ((GREY, 0.88), (BLUE, 0.96), (AMBER, 1.04), (INK, 1.12))  # side by side, not upon each other
+    for (kind, rows), (colour, aside) in zip(part.groupby("kind", sort=False), looks, strict=True):
+        factor = scale[rows.index]
+        places, bars = rows["ratio"] * aside, 2.0 * rows["error"] * factor
+        label = f"{kind}: drawn, ± 2 standard errors"
+        axes.errorbar(places, rows["bias"] * factor, bars, color=colour, fmt="o", ms=3.4, capsize=2.5, label=label)
+        if rows["predicted"].any():
+            expected = rows["predicted"] * factor
+            axes.plot(places, expected, color=colour, ls=(0, (4, 3)), label=f"{kind}: predicted")
+    axes.set_xscale("log")
+    axes.set_xticks(RATIOS, [f"{ratio:g}" for ratio in RATIOS])
+    axes.minorticks_off()
+
+
+def main() -> None:
+    """Rewrite table and figure, and the table in README.md."""
+    began = time.perf_counter()
+    found = pd.concat([cell(kind, ratio) for kind in KINDS for ratio in RATIOS], ignore_index=True)
+    count = len(KINDS) * len(RATIOS) * DRAWS
+    print(f"{count} simulations and identifications in {time.perf_counter() - began:.1f} s")
+    found.to_csv(HERE / "bias.csv", index=False, float_format="%.6g", lineterminator="\n")
+    drawn = figure(found)
+    with style():  # ticks take theirs when they are drawn
+        drawn.savefig(HERE / "bias.png", dpi=DPI)
+    readme = HERE / "README.md"
+    readme.write_text(insert(readme.read_text(encoding="utf-8"), table(found)), encoding="utf-8")
+    print(table(found))
+
+
+if __name__ == "__main__":
+    main()
