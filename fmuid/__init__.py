@@ -9,6 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fmuid.component import Component as Component
+    from fmuid.component import Numerics as Numerics
     from fmuid.criterion_map import map_criterion as map_criterion
     from fmuid.errors import FmuidError as FmuidError
     from fmuid.errors import InputError as InputError
@@ -33,17 +35,16 @@ if TYPE_CHECKING:
     from fmuid.result import Result as Result
     from fmuid.simulator import Simulator as Simulator
     from fmuid.study import Study as Study
-    from fmuid.system import Component as Component
-    from fmuid.system import Numerics as Numerics
     from fmuid.system import System as System
     from fmuid.tables import read_table as read_table
     from fmuid.transforms import concordia as concordia
     from fmuid.transforms import park as park
+    from fmuid.validation import validate as validate
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "Component": "system",
+    "Component": "component",
     "Experiment": "experiment",
     "FMU": "fmi.archive",
     "FmuidError": "errors",
@@ -54,7 +55,7 @@ _HOMES = {
     "ModelicaError": "errors",
     "Noise": "noise",
     "Normal": "parameters",
-    "Numerics": "system",
+    "Numerics": "component",
     "Parameter": "parameters",
     "Problem": "problem",
     "Result": "result",
@@ -73,6 +74,7 @@ _HOMES = {
     "read_table": "tables",
     "sample": "posterior",
     "search_globally": "estimators.global_search",
+    "validate": "validation",
 }
 """The module below this one that each public name comes from."""
 

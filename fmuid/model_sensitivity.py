@@ -107,8 +107,8 @@ class ModelSensitivities:
         if found is None:
             return self._differences.first_jacobian(theta, base)
         change = np.abs(found) * (LARGEST_STEP * self._magnitudes(theta))[:, None]
-        acting = (change > INFLUENCE * np.maximum(self._noise, np.finfo(float).tiny)).any(axis=1)
-        return found, acting
+        floor = INFLUENCE * np.maximum(self._noise, np.finfo(float).tiny)
+        return found, np.asarray((change > floor).any(axis=1), dtype=np.bool_)
 
     def error(self, theta: Floats, *, central: bool) -> Floats:
         """Return the error of each row of a Jacobian at theta, its norm over the samples (N,)."""

@@ -10,15 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.errors import InputError, nearest
+from fmuid.component import DEFAULT_TOLERANCE
+from fmuid.errors import InputError
 from fmuid.experiment import Experiment
 from fmuid.fmi import kernels
-from fmuid.fmi.description import Variable
 from fmuid.fmi.layout import FeedThrough, Grid, Integration, Operation, Plan
 from fmuid.fmi.native import BOOLEAN, INT32, UINT8, WIRES
-from fmuid.system import DEFAULT_TOLERANCE, Connection, System
-
-Value = float | int | bool | str
+from fmuid.roles import Value, check_roles, unit_conversion
+from fmuid.system import Connection, System
 
 # Substeps of a sampling interval where an input is linear in between but the FMU can only hold it. Each substep
 # holds the value at its middle, an error of second order in the substep: a hundredth of that of one whole step.
@@ -193,29 +192,49 @@ class PlannedRun:
         if model.kind != "model-exchange":
             return None
         inputs = [name for name in self._modes if self._system.split(name)[0] == component]
-        varying = [name for name in inputs if self._modes[name] == kernels.BY_STEPPER]
+        varying = self._polynomial_rows(component)
         connected = any(connection.target[0] == component for connection in self._system.connections)
         numerics = model.numerics
         return Integration(
             model.integrator,
             numerics.tolerance or DEFAULT_TOLERANCE,
             self._step_size or numerics.step_size,
-            np.array([self._system.variables[name].reference for name in varying], np.uint32),
+            np.array(list(dict.fromkeys(self._system.variables[name].reference for name in varying)), np.uint32),
+            np.array([self._start(name) for name in varying], np.float64),
             autonomous=not inputs and not connected,
         )
 
     def _curves(self) -> tuple[tuple[int, int], ...]:
         """Return for each input which row of which component's polynomials it is."""
-        rows: dict[str, int] = defaultdict(int)
         found = []
         for name, mode in self._modes.items():
             component = self._system.split(name)[0]
             if mode == kernels.BY_STEPPER:
-                found.append((self._component_index[component], rows[component]))
-                rows[component] += 1
+                found.append((self._component_index[component], self._polynomial_rows(component).index(name)))
             else:
                 found.append((-1, -1))
         return tuple(found)
+
+    def _polynomial_rows(self, component: str) -> list[str]:
+        """Return the inputs of a component that vary continuously, with all elements of the arrays among them."""
+        rows: dict[str, None] = {}
+        for name, mode in self._modes.items():
+            if mode != kernels.BY_STEPPER or self._system.split(name)[0] != component or name in rows:
+                continue
+            array = self._system.variables[name].array
+            elements = [self._system.full_name(component, element) for element in array] or [name]
+            held = [element for element in elements if self._modes.get(element, mode) != mode]
+            if held:
+                raise InputError(
+                    f"{held[0]!r} is held between the samples and {name!r} is not, and both are elements of one array "
+                    f"of {self._system.label}; give them one interpolation"
+                )
+            rows |= dict.fromkeys(elements)
+        return list(rows)
+
+    def _start(self, name: str) -> float:
+        start = self._system.variables[name].start
+        return float(start) if isinstance(start, int | float) else 0.0
 
     # --- operations
 
@@ -236,9 +255,7 @@ class PlannedRun:
         variable = self._system.variables[name]
         elements = [self._system.full_name(component, element) for element in variable.array] or [name]
         first = len(self._signals)
-        for element in elements:
-            start = self._system.variables[element].start
-            self._signals.append(float(start) if isinstance(start, int | float) else 0.0)
+        self._signals += [self._start(element) for element in elements]
         return {element: first + i for i, element in enumerate(elements)}
 
     def _call(self, component: str, wire: str, setting: bool, references: Sequence[int], first: int, when: int) -> None:
@@ -400,92 +417,3 @@ class PlannedRun:
             inputs[:, j] = each.factor * (factor * inputs[:, j] + offset) + each.offset
             slopes[:, j] *= factor * each.factor
         return inputs, slopes
-
-
-def unit_conversion(system: System, name: str, unit: str) -> tuple[float, float]:
-    """Return (factor, offset): the value in the variable's unit is factor times that in `unit`, plus offset."""
-    component, inner = system.split(system.terms(name)[0])
-    description = system.components[component].fmu.description
-    return description.conversion(description.variables[inner], unit)
-
-
-def check_roles(system: System, experiment: Experiment, parameters: Sequence[str], values: Mapping[str, Value]) -> None:
-    """Check that every name exists and can play its role.
-
-    Raises
-    ------
-    InputError
-        One sentence that names the variable, what is wrong with it, and the nearest names or the remedy.
-    """
-    for name in experiment.input_names:
-        variable = _with_causality(system, name, "input", ("input",), experiment.source)
-        if name in system.connected_inputs:
-            raise InputError(f"input {name!r} is fed by a connection; take it out of the inputs of {experiment.source}")
-        if name in parameters or name in values:
-            raise InputError(f"{name!r} is an input from {experiment.source}; it cannot also be given a value")
-        if variable.type not in _NUMBERS:
-            raise InputError(f"input {name!r} is a {variable.type}; only numbers can come from a table")
-    for name in experiment.output_names:
-        _check_output(system, name, experiment.source)
-    for name in parameters:
-        variable = system.variable(name, "parameter")
-        if variable.type != "Real":
-            raise InputError(f"{name!r} is of type {variable.type}; only Real parameters can be estimated")
-        _check_settable(system, variable)
-        if name in values:
-            raise InputError(f"{name!r} is both a parameter and held at a value; keep one of the two")
-    for name, value in values.items():
-        _check_value(system, system.variable(name, "variable"), value)
-
-
-_NUMBERS = ("Real", "Integer", "Boolean")
-
-
-def _check_output(system: System, name: str, source: str) -> None:
-    terms = [_with_causality(system, term, "output", ("output", "local"), source) for term in system.terms(name)]
-    for variable in terms:
-        if variable.type not in _NUMBERS:
-            raise InputError(f"output {variable.name!r} is a {variable.type} and cannot be compared with measurements")
-        if variable.unit != terms[0].unit:
-            raise InputError(
-                f"output {name!r} sums different units: {terms[0].name!r} is in {terms[0].unit or 'no unit'} and "
-                f"{variable.name!r} in {variable.unit or 'no unit'}; sum variables of one unit"
-            )
-
-
-def _with_causality(system: System, name: str, role: str, wanted: tuple[str, ...], source: str) -> Variable:
-    variable = system.variable(name, role)
-    if variable.causality not in wanted:
-        same = [v.name for v in system.variables.values() if v.causality == role]
-        raise InputError(
-            f"{name!r} cannot be an {role} of {source}: {system.label} declares it as {variable.causality!r}; "
-            f"its {role}s are {', '.join(same[:12]) or 'none'}{', ...' if len(same) > 12 else ''}"
-        )
-    return variable
-
-
-def _check_settable(system: System, variable: Variable) -> None:
-    if variable.name in system.connected_inputs:
-        raise InputError(f"{variable.name!r} is fed by a connection and cannot be set")
-    if not variable.settable:
-        parameters = [v.name for v in system.variables.values() if v.causality == "parameter" and v.settable]
-        raise InputError(
-            f"{variable.name!r} cannot be set: {system.label} fixes it (causality {variable.causality!r}, variability "
-            f"{variable.variability!r}); set one of its parameters{nearest(variable.name, parameters)}"
-        )
-
-
-def _check_value(system: System, variable: Variable, value: Value) -> None:
-    _check_settable(system, variable)
-    fits = {
-        "Binary": False,
-        "Clock": False,
-        "Real": isinstance(value, int | float) and not isinstance(value, bool),
-        "Integer": isinstance(value, int) and not isinstance(value, bool),
-        "Boolean": isinstance(value, bool),
-        "String": isinstance(value, str),
-    }[variable.type]
-    if not fits:
-        raise InputError(f"{variable.name!r} is of type {variable.type} and cannot be held at {value!r}")
-    if isinstance(value, float) and not np.isfinite(value):
-        raise InputError(f"{variable.name!r} cannot be held at {value!r}; give a finite number")

@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmuid.component import Numerics
 from fmuid.errors import InputError, SimulationError
 from fmuid.experiment import Experiment
 from fmuid.fmi.archive import FMU
-from fmuid.plan import PlannedRun, Value, unit_conversion
-from fmuid.system import Numerics, System
+from fmuid.plan import PlannedRun
+from fmuid.roles import Value, unit_conversion
+from fmuid.system import System
 from fmuid.workers import workers_of
 
 
@@ -49,7 +51,7 @@ class Simulator:
     values : mapping of str to float, int, bool or str
         Variables held at a value.
     interface, integrator, tolerance : optional
-        How an FMU is run (`fmuid.system.Numerics`); a System says it itself.
+        How an FMU is run (`fmuid.Numerics`); a System says it itself.
     step_size : float, optional
         Largest communication step, s, of all components, and largest step of an integrator; default: what the system
         says, else from sample to sample.
@@ -85,15 +87,38 @@ class Simulator:
         if repeated:
             raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
         self._given = dict(values or {}), step_size
-        self._run = PlannedRun(self.system, experiment, self.parameters, values or {}, step_size)
+        self._targets = [
+            (name, column, factor, offset)
+            for column, parameter in enumerate(self.parameters)
+            for name, factor, offset in self.system.targets(parameter)
+        ]
+        names = [name for name, *_ in self._targets]
+        self._run = PlannedRun(self.system, experiment, names, self._target_values(), step_size)
         self._workers = workers_of(self.system)
         self._conversions = self._output_conversions()
-        fed = {*self.parameters, *(values or {}), *self.system.connected_inputs, *self.system.connectors}
+        fed = {*names, *self._target_values(), *self.system.connected_inputs, *self.system.connectors}
         fed |= {target for name in experiment.input_names for target, _, _ in self.system.targets(name)}
         self.unfed_inputs = tuple(
             v.name for v in self.system.variables.values() if v.causality == "input" and v.name not in fed
         )
         """Inputs that nothing feeds: they keep their start values."""
+
+    def _target_values(self) -> dict[str, Value]:
+        """Return the values held, those of connectors of the system at the variables behind them."""
+        found: dict[str, Value] = {}
+        for given, value in self._given[0].items():
+            for name, factor, offset in self.system.targets(given):
+                plain = isinstance(value, bool | str) or (factor, offset) == (1.0, 0.0)
+                found[name] = value if plain else factor * float(value) + offset
+        return found
+
+    def _set(self, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values of all variables that thetas (m, N) set."""
+        if len(self._targets) == len(self.parameters) and not self.system.connectors:
+            return thetas
+        columns = np.array([column for _, column, _, _ in self._targets], np.intp)
+        factors, offsets = np.array([each[2:] for each in self._targets], np.float64).reshape(-1, 2).T
+        return np.ascontiguousarray(thetas[:, columns] * factors + offsets)
 
     def _output_conversions(self) -> dict[int, tuple[float, float]]:
         """Return for each output that differs from what the FMU gives: factor and offset."""
@@ -150,7 +175,7 @@ class Simulator:
         outputs = np.empty((len(given), self._run.grid.times.size, len(self.output_names)))
         reports = np.empty((len(given), 4), np.intp)
         with self._workers.lock:
-            self._workers.run(self._run, given, outputs, reports)
+            self._workers.run(self._run, self._set(given), outputs, reports)
             errors = self._explain(given, outputs, reports)
         for j, (factor, offset) in self._conversions.items():
             outputs[:, :, j] = factor * outputs[:, :, j] + offset
@@ -190,6 +215,6 @@ class Simulator:
                 continue
             # what the FMU says costs another simulation: for the first failure of a batch
             first = not any(errors)
-            errors[i] = (worker.explain(self._run, thetas[i], named) if first else None) or known
+            errors[i] = (worker.explain(self._run, self._set(thetas[i : i + 1])[0], named) if first else None) or known
             outputs[i] = np.nan
         return tuple(errors)

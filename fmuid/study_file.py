@@ -23,11 +23,11 @@ TOP = "the file"
 
 # Tables whose keys are names of FMU variables: `--set` takes all that is left of its path as one name there.
 _NAME_TABLES = re.compile(
-    r"model\.values|noise\.(variance|start)|experiments\.\d+\.(inputs|outputs|interpolation|units)"
+    r"model\.(values|connectors)|noise\.(variance|start)|experiments\.\d+\.(inputs|outputs|interpolation|units)"
 )
 # Tables that `--set` may begin where the file has none.
 _OPTIONAL_TABLES = re.compile(
-    r"model|model\.values|parameters|prior|noise|estimator|uncertainty|experiments\.\d+\.units|parameters\..+\.prior"
+    r"model|model\.(values|connectors)|parameters|prior|noise|estimator|uncertainty|experiments\.\d+\.units|parameters\..+\.prior"
     r"|uncertainty\.posterior"
 )
 _SEGMENT = re.compile(r"""\s*(?:"([^"]*)"|'([^']*)'|([^."'\s]+))\s*(?:\.|$)""")

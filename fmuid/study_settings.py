@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from fmuid import study_file as toml
+from fmuid.component import INTEGRATORS, Component, Numerics
 from fmuid.errors import InputError, nearest
 from fmuid.estimators.marquardt import Marquardt
 from fmuid.fmi.description import KINDS
@@ -15,7 +16,7 @@ from fmuid.losses import LOSSES
 from fmuid.model_sensitivity import SENSITIVITIES
 from fmuid.noise import Noise
 from fmuid.study_file import Section
-from fmuid.system import INTEGRATORS, MASTERS, Component, Numerics, System
+from fmuid.system import MASTERS, System
 from fmuid.uncertainty import LEVEL, UncertaintySettings
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 Pairs = tuple[tuple[str, str], ...]
 
 NUMERICS_KEYS = ("interface", "integrator", "tolerance", "step_size")
-MODEL_KEYS = ("fmu", *NUMERICS_KEYS, "master", "values", "components", "connections")
+MODEL_KEYS = ("fmu", *NUMERICS_KEYS, "master", "values", "components", "connections", "connectors")
 EXPERIMENT_KEYS = ("table", "name", "time", "inputs", "outputs", "interpolation", "discard", "units")
 NOISE_KEYS = ("variance", "start")
 MARQUARDT_KEYS = ("max_iterations", "tolerance", "first_radius")
@@ -50,6 +51,8 @@ class ModelSettings:
     master : "jacobi" or "gauss-seidel"
     values : mapping
         The FMU variables held at a value.
+    connectors : mapping of str to tuple of str
+        Names of the system's own, and the variables that each of them sets.
     """
 
     components: Mapping[str, tuple[Path, Numerics]]
@@ -57,6 +60,7 @@ class ModelSettings:
     numerics: Numerics = field(default_factory=Numerics)
     master: str = "jacobi"
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+    connectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def system(self) -> System:
         """Return the model: its FMUs and their connections.
@@ -69,7 +73,11 @@ class ModelSettings:
         if "" not in self.components:
             components = {name: Component(path, numerics) for name, (path, numerics) in self.components.items()}
             return System(
-                components=components, connections=self.connections, numerics=self.numerics, master=self.master
+                components=components,
+                connections=self.connections,
+                numerics=self.numerics,
+                master=self.master,
+                connectors={name: [(each, 1.0, 0.0) for each in some] for name, some in self.connectors.items()},
             )
         path, _ = self.components[""]
         if path.suffix.lower() == ".ssp":
@@ -96,8 +104,9 @@ def read_model(top: Section, folder: Path) -> ModelSettings:
     section = top.table("model", MODEL_KEYS)
     numerics = _read_numerics(section)
     if "fmu" in section.data:
-        if "components" in section.data or "connections" in section.data:
-            raise section.error("has both 'fmu' (one FMU) and components or connections (several): keep one of the two")
+        for key in ("components", "connections", "connectors"):
+            if key in section.data:
+                raise section.error(f"has both 'fmu' (one FMU) and {key} (of several): keep one of the two")
         components = {"": (existing_file(section, "fmu", "the path of the FMU", folder), numerics)}
     elif "components" in section.data:
         components = _read_components(section, folder)
@@ -109,7 +118,12 @@ def read_model(top: Section, folder: Path) -> ModelSettings:
         numerics,
         section.get("master", toml.one_of(*MASTERS), "jacobi"),
         section.get("values", toml.named(toml.scalar), {}),
+        section.get("connectors", toml.named(_one_or_more), {}),
     )
+
+
+def _one_or_more(value: object) -> tuple[str, ...]:
+    return (toml.text(value),) if isinstance(value, str) else tuple(toml.names(value))
 
 
 def _read_numerics(section: Section) -> Numerics:

@@ -3,119 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
+from fmuid.component import AS_OFFERED, Component, Numerics
 from fmuid.errors import InputError, nearest
 from fmuid.fmi.archive import FMU
-from fmuid.fmi.description import KINDS, Variable
+from fmuid.fmi.description import Variable
 
-INTEGRATORS = ("rk4", "rk45", "cvode")
 MASTERS = ("jacobi", "gauss-seidel")
-
-
-@dataclass(frozen=True)
-class Numerics:
-    """How an FMU is run; what is not given is chosen by what the FMU offers (`Component.kind`, `Component.integrator`).
-
-    Parameters
-    ----------
-    interface : "co-simulation" or "model-exchange", optional
-    integrator : "rk4", "rk45" or "cvode", optional
-        For model exchange: Runge–Kutta of order 4 with fixed steps, Dormand–Prince 5(4) with error control, or the
-        stiff BDF methods of SUNDIALS.
-    tolerance : float, optional
-        Relative; for model exchange that of the integrator, for co-simulation what the FMU is told.
-    step_size : float, optional
-        Largest step, s: between communications, and inside an integrator.
-
-    Raises
-    ------
-    InputError
-        If a word is not known or a number not positive.
-    """
-
-    interface: str | None = None
-    integrator: str | None = None
-    tolerance: float | None = None
-    step_size: float | None = None
-
-    def __post_init__(self) -> None:
-        for word, known in (("interface", KINDS), ("integrator", INTEGRATORS)):
-            given = getattr(self, word)
-            if given is not None and given not in known:
-                near = nearest(str(given), known)
-                raise InputError(f"{word} {given!r} is not known{near}: give {' or '.join(known)}")
-        for word, unit in (("tolerance", "number"), ("step_size", "number of seconds")):
-            given = getattr(self, word)
-            if given is not None and not 0 < given < float("inf"):
-                raise InputError(f"{word} must be a positive {unit}, not {given:g}")
-
-    def over(self, others: Numerics) -> Numerics:
-        """Return these, completed by others where nothing is given."""
-        return Numerics(*(getattr(self if getattr(self, f.name) is not None else others, f.name) for f in fields(self)))
-
-
-class Component:
-    """An FMU in a system, and how it is run there.
-
-    Parameters
-    ----------
-    fmu : FMU or path
-    numerics : Numerics
-
-    Attributes
-    ----------
-    stiff : bool
-        Whether a simulation has found the model stiff: without an `integrator` given it then runs with "cvode".
-
-    Raises
-    ------
-    InputError
-        If the FMU has no such interface, or the integrator does not go with the interface.
-    """
-
-    def __init__(self, fmu: FMU | str | Path, numerics: Numerics = Numerics()) -> None:
-        self.fmu = fmu if isinstance(fmu, FMU) else FMU(fmu)
-        self.numerics, self.stiff = numerics, False
-        offered = self.fmu.description.interfaces
-        if self.kind not in offered:
-            raise InputError(f"{self.fmu.path} offers no {self.kind} interface; it offers {', '.join(offered)}")
-        if numerics.integrator is not None and self.kind != "model-exchange":
-            raise InputError(
-                f"{self.fmu.path} runs as co-simulation, which has its own integrator; take out integrator = "
-                f'"{numerics.integrator}", or give interface = "model-exchange"'
-            )
-
-    @property
-    def kind(self) -> str:
-        """The interface that is used: the one asked for, else co-simulation where it is offered."""
-        offered = self.fmu.description.interfaces
-        return self.numerics.interface or next(kind for kind in KINDS if kind in offered)
-
-    @property
-    def integrator(self) -> str:
-        """The integrator for model exchange: the one asked for, else "rk45", or "cvode" where that found it stiff."""
-        return self.numerics.integrator or (STIFF_INTEGRATOR if self.stiff else DEFAULT_INTEGRATOR)
-
-    def words(self) -> str:
-        """Return in words how the FMU is run."""
-        given, version = self.numerics, f"FMI {self.fmu.description.fmi_version} {self.kind}"
-        step = f", steps of at most {given.step_size:g} s" if given.step_size else ""
-        if self.kind == "co-simulation":
-            return version + (f", tolerance {given.tolerance:g}" if given.tolerance else "") + step
-        accuracy = "" if self.integrator == "rk4" else f", tolerance {given.tolerance or DEFAULT_TOLERANCE:g}"
-        why = " (rk45 found the model stiff)" if self.stiff and not given.integrator else ""
-        return f"{version}, integrator {self.integrator}{why}{accuracy}{step}"
-
-
-DEFAULT_INTEGRATOR = "rk45"  # no start-up after each step of the inputs; and it finds out where a model is stiff
-STIFF_INTEGRATOR = "cvode"
-# Tight enough that the error stays far below what measurements resolve, and finite differences get good digits.
-DEFAULT_TOLERANCE = 1e-7
-
 
 Port = tuple[str, float, float]
 """A variable behind a connector of the system, factor and offset."""
@@ -153,8 +51,8 @@ class System:
     values : mapping of str to value
         Start values of variables, as far as the simulation does not set them.
     connectors : mapping of str to sequence of (str, float, float)
-        Names of the system's own: an input with the variables that it feeds, each factor times it plus offset, or an
-        output with the one variable that, times factor plus offset, it is.
+        Names of the system's own: an input or parameter with the variables that it sets, each factor times it plus
+        offset, or an output with the one variable that, times factor plus offset, it is.
 
     Attributes
     ----------
@@ -176,7 +74,7 @@ class System:
         *,
         components: Mapping[str, Component | FMU | str | Path] | None = None,
         connections: Iterable[tuple[str, str] | tuple[str, str, float, float]] = (),
-        numerics: Numerics = Numerics(),
+        numerics: Numerics = AS_OFFERED,
         master: str = "jacobi",
         values: Mapping[str, float | int | bool | str] | None = None,
         connectors: Mapping[str, Sequence[Port]] | None = None,
@@ -194,13 +92,14 @@ class System:
         self.connectors = {name: tuple(ports) for name, ports in (connectors or {}).items() if ports}
         self.connections = tuple(self._connect(*connection) for connection in connections)
         self._check_fed_once()
+        self._check_connectors()
         self.exchange_order  # noqa: B018  # a loop that cannot be solved is an error now, not at the first simulation
         self.values = dict(values or {})
         for name in self.values:
             self.variable(name)
 
     @classmethod
-    def read_ssp(cls, path: str | Path, numerics: Numerics = Numerics(), master: str = "jacobi") -> System:
+    def read_ssp(cls, path: str | Path, numerics: Numerics = AS_OFFERED, master: str = "jacobi") -> System:
         """Return the system that an ``.ssp`` file describes (System Structure and Parameterization 1.0 and 2.0).
 
         Its own connectors go by their names, all else as ``component.variable``.
@@ -248,7 +147,7 @@ class System:
         return Component(model.fmu, model.numerics.over(numerics))
 
     @classmethod
-    def of(cls, model: System | FMU | str | Path, numerics: Numerics = Numerics()) -> System:
+    def of(cls, model: System | FMU | str | Path, numerics: Numerics = AS_OFFERED) -> System:
         """Return the model itself where it is a system, else the system of one FMU.
 
         Raises
@@ -258,7 +157,7 @@ class System:
         """
         if not isinstance(model, System):
             return cls(model, numerics=numerics)
-        if numerics != Numerics():
+        if numerics != AS_OFFERED:
             raise InputError("a System says interface, integrator and tolerance itself: give them to it")
         return model
 
@@ -364,6 +263,22 @@ class System:
             f"connection {source} -> {target}: the units do not convert ({has} and {wants}); "
             f"export the models with units of the same dimension"
         )
+
+    def _check_connectors(self) -> None:
+        for name, ports in self.connectors.items():
+            if any(name == component or name.startswith(component + ".") for component in self.components):
+                raise InputError(f"connector {name!r} is named like a component or its variable; give it another name")
+            behind = [self.variable(port, f"variable behind {name!r}") for port, _, _ in ports]
+            for variable in behind:
+                if variable.name in self.connected_inputs:
+                    raise InputError(f"connector {name!r} sets {variable.name!r}, which a connection feeds; keep one")
+                if variable.causality != behind[0].causality or variable.type != behind[0].type:
+                    raise InputError(
+                        f"connector {name!r} joins {behind[0].name!r} ({behind[0].causality}, {behind[0].type}) and "
+                        f"{variable.name!r} ({variable.causality}, {variable.type}); join variables of one kind"
+                    )
+                if variable.causality == "output" and len(behind) > 1:
+                    raise InputError(f"connector {name!r} joins several outputs; write their sum in the outputs")
 
     def _check_fed_once(self) -> None:
         seen = set()

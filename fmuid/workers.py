@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmuid.component import Component
 from fmuid.errors import SimulationError
 from fmuid.fmi import kernels
 from fmuid.fmi.instance import Instance, describe_failure, status_word, warn
 from fmuid.fmi.loop import Loop
 from fmuid.plan import PlannedRun
-from fmuid.system import Component, System
+from fmuid.system import System
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("fmuid.fmu")

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
+from fmuid.component import Component, Numerics
 from fmuid.errors import InputError, SimulationError
 from fmuid.experiment import Experiment
 from fmuid.fmi.archive import FMU
@@ -17,7 +18,7 @@ from fmuid.identification import identify
 from fmuid.parameters import Parameter
 from fmuid.problem import Problem
 from fmuid.simulator import Simulator
-from fmuid.system import Component, Numerics, System
+from fmuid.system import System
 from tests.conftest import FMUS
 from tests.exported import export_text
 from tests.test_export_events import FRICTION, friction

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
+from fmuid.component import Component, Numerics
 from fmuid.errors import InputError, SimulationError
 from fmuid.experiment import Experiment
 from fmuid.simulator import Simulator
-from fmuid.system import Component, Numerics, System
+from fmuid.system import System
 from tests.conftest import FMUS, ProbeMaker
 from tests.test_simulator import coil_response
 
@@ -287,3 +288,43 @@ def test_numerics_of_a_system_are_its_own() -> None:
     experiment = Experiment(frame(np.arange(2.0), i=0.0), outputs=["i"])
     with pytest.raises(InputError, match="a System says interface, integrator and tolerance itself"):
         Simulator(system, experiment, interface="model-exchange")
+
+
+def test_a_connector_sets_several_variables(record: tuple[Array, Array]) -> None:
+    """One R and one voltage for two coils: twice the current of one, whose resistance is half the parameter."""
+    times, u = record
+    system = System(
+        components={"one": COIL, "other": COIL},
+        connectors={
+            "R": [("one.R", 0.5, 0.0), ("other.R", 0.5, 0.0)],
+            "u": [("one.u", 1.0, 0.0), ("other.u", 1.0, 0.0)],
+        },
+    )
+    table = frame(times, u=u, i=0.0)
+    simulator = Simulator(system, Experiment(table, ["u"], {"one.i + other.i": "i"}, interpolation="hold"), ["R"])
+    got = simulator([[6.0], [8.0]])[..., 0]
+    assert simulator.unfed_inputs == ()
+    for found, R in zip(got, (3.0, 4.0), strict=True):
+        assert np.abs(found - 2.0 * coil_response(times, u, R, 0.1, False)).max() < 1e-8
+    held = Simulator(system, simulator.experiment, values={"R": 6.0})([])[:, 0]
+    assert np.abs(held - got[0]).max() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("connectors", "sentence"),
+    [
+        ({"R": ["one.R", "one.u"]}, r"'R' joins 'one\.R' \(parameter, Real\) and 'one\.u' \(input, Real\)"),
+        ({"R": ["one.Q"]}, r"no variable behind 'R' 'one\.Q'"),
+        ({"one": ["one.R"]}, "named like a component"),
+        ({"i": ["one.i", "other.i"]}, "joins several outputs; write their sum"),
+        ({"u": ["other.u"]}, r"sets 'other\.u', which a connection feeds"),
+    ],
+)
+def test_wrong_connectors_are_one_sentence(connectors: dict[str, list[str]], sentence: str) -> None:
+    ports = {name: [(each, 1.0, 0.0) for each in some] for name, some in connectors.items()}
+    with pytest.raises(InputError, match=sentence):
+        System(
+            components={"one": COIL, "other": COIL},
+            connections=[("one.i", "other.u", 1.0, 0.0)],
+            connectors=ports,
+        )

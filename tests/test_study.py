@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from fmuid.component import Numerics
 from fmuid.errors import InputError
 from fmuid.estimators.global_search import GlobalSearch
 from fmuid.estimators.marquardt import Marquardt
@@ -16,7 +17,6 @@ from fmuid.parameters import Normal, Parameter
 from fmuid.posterior import Sampling
 from fmuid.study import Study
 from fmuid.study_file import override, show
-from fmuid.system import Numerics
 from fmuid.uncertainty import UncertaintySettings
 
 FULL = """
@@ -148,6 +148,9 @@ fmu = "sub/Coil.fmu"
 interface = "model-exchange"
 integrator = "rk4"
 step_size = 1e-2
+[model.connectors]
+R = ["drive.R", "controller.R"]
+u = "drive.u"
 [[model.connections]]
 from = "drive.q"
 to = "controller.q"
@@ -165,6 +168,7 @@ outputs = ["drive.q"]
         "controller": Numerics("model-exchange", "rk4", step_size=1e-2),
     }
     assert model.numerics == Numerics(step_size=1e-3)
+    assert model.connectors == {"R": ("drive.R", "controller.R"), "u": ("drive.u",)}
     assert model.connections == (("drive.q", "controller.q"), ("controller.u", "drive.u", 60.0, 0.0))
 
 
@@ -217,7 +221,7 @@ REFUSED = {
     "interface": (
         'interface = "co-simulation"',
         'interface = "modelexchange"',
-        '[model] interface must be "co-simulation" or "model-exchange" (did you mean \'model-exchange\'?), not "modelexchange"',
+        '[model] interface must be "co-simulation" or "model-exchange" (did you mean',
     ),
     "integrator": (
         'interface = "co-simulation"',
@@ -326,7 +330,7 @@ REFUSED = {
         "[parameters.dR]: start 0 has no magnitude; give nominal",
     ),
     "same name": ('name = "second"', 'name = "run1"', "[experiments][1] is called 'run1' like an earlier one"),
-    "both": ("interface =", "components = []\ninterface =", "[model] has both 'fmu' (one FMU) and components"),
+    "both": ("interface =", "components = []\ninterface =", "[model] has both 'fmu' (one FMU) and components (of several)"),
     "no model": (
         'fmu = "sub/Coil.fmu"',
         "",
