@@ -67,12 +67,28 @@ def fmuid(
 
 @app.command()
 def info(fmu: FmuFile) -> int:
-    """Show what an FMU declares: capabilities, platforms, parameters, inputs, outputs."""
-    from fmuid import console
+    """Show what an FMU declares: capabilities, parameters, inputs, outputs, units; with a study to begin with."""
+    from fmuid.console_fmu import show_facts
     from fmuid.fmi.archive import FMU
+    from fmuid.fmu_facts import facts
 
-    console.show_fmu(FMU(fmu))
+    show_facts(facts(FMU(fmu)))
     return DONE
+
+
+@app.command()
+def validate(fmu: FmuFile) -> int:
+    """Check an FMU: its description by FMPy, its binaries, and a short simulation of each interface."""
+    from fmuid import console
+    from fmuid.console_fmu import show_validation
+    from fmuid.fmi.archive import FMU
+    from fmuid.validation import TIME_LIMIT, validate
+
+    model = FMU(fmu)
+    console.show_notes([f"simulating each interface; one that does not end is stopped after {TIME_LIMIT:g} s"])
+    found = validate(model)
+    show_validation(found)
+    return DONE if found.passed else NOT_SUCCEEDED
 
 
 @app.command()

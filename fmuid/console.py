@@ -14,8 +14,6 @@ from rich.table import Table
 from fmuid.report import has_unit, label
 
 if TYPE_CHECKING:
-    from fmuid.fmi.archive import FMU
-    from fmuid.fmi.description import Description, Interface, Variable
     from fmuid.report import Fit
     from fmuid.simulator import Simulator
     from fmuid.study_init import Draft
@@ -38,84 +36,6 @@ def show_files(paths: Iterable[Path]) -> None:
         folders.setdefault(path.parent, []).append(path.name)
     for folder, names in folders.items():
         console().print(f"Written to [bold]{escape(str(folder))}/[/]: {escape(', '.join(names))}", soft_wrap=True)
-
-
-# --- fmuid info -------------------------------------------------------------------------
-
-
-def show_fmu(fmu: FMU) -> None:
-    """Print what an FMU declares."""
-    described, out = fmu.description, console()
-    remark = described.description.removeprefix(described.model_name).lstrip(": ")
-    out.print(f"[bold]{escape(described.model_name)}[/]" + (f": {escape(remark)}" if remark else ""))
-    facts = Table.grid(padding=(0, 2))
-    facts.add_row("FMI version", described.fmi_version)
-    for interface in described.interfaces.values():
-        facts.add_row(interface.kind, _capabilities(interface))
-    facts.add_row("platforms", ", ".join(fmu.platforms) or "none (no binaries)")
-    if described.default_experiment:
-        facts.add_row("default experiment", _default_experiment(described))
-    if described.generation_tool:
-        facts.add_row("made by", escape(described.generation_tool))
-    out.print(facts)
-    variables = list(described.variables.values())
-    shown = {
-        "Parameters": [v for v in variables if v.causality == "parameter"],
-        "Inputs": described.with_causality("input"),
-        "Outputs": described.with_causality("output"),
-        "States": [v for v in variables if v.is_state],
-    }
-    for title, some in shown.items():
-        _show_variables(out, title, some)
-    names = {variable.name for some in shown.values() for variable in some}
-    rest = len(variables) - len(names)
-    if rest:
-        out.print(f"\n{rest} other variables")
-
-
-def _capabilities(interface: Interface) -> str:
-    """Return the capabilities of one interface in words."""
-    words = [
-        *(["variable communication steps" if interface.variable_step else "communication steps of one length"]
-          if interface.kind == "co-simulation" else []),
-        *(["interpolates inputs"] if interface.interpolates_inputs else []),
-        *(["gets and sets its state"] if interface.get_set_state else []),
-        *(["serialises its state"] if interface.serialize_state else []),
-        *(["directional derivatives"] if interface.directional_derivatives else []),
-        *(["once per process"] if interface.once_per_process else []),
-        *(["needs its tool"] if interface.needs_execution_tool else []),
-    ]  # fmt: skip
-    return ", ".join(words) or "no optional capabilities"
-
-
-def _default_experiment(described: Description) -> str:
-    words = {"start": "start {:g} s", "stop": "stop {:g} s", "step_size": "step {:g} s", "tolerance": "tolerance {:g}"}
-    given = described.default_experiment
-    return ", ".join(text.format(given[word]) for word, text in words.items() if word in given)
-
-
-def _show_variables(out: Console, title: str, variables: Sequence[Variable]) -> None:
-    if not variables:
-        return
-    rows = variables if not out.is_terminal else variables[:TERMINAL_ROWS]
-    bounded = any(v.min is not None or v.max is not None for v in rows)
-    heads = ["name", "start", "unit", *(["min", "max"] if bounded else []), "description"]
-    table = table_of(f"{title} ({len(variables)})", heads, right=("start", "min", "max"))
-    for v in rows:
-        bounds = [_plain(v.min), _plain(v.max)] if bounded else []
-        # A free text that FMUs fill as they like: one line of it.
-        remark = " ".join(v.description.split()) + ("" if v.variability != "constant" else " (constant)")
-        table.add_row(*(escape(text) for text in (v.name, _plain(v.start), unit_text(v.unit), *bounds, remark.strip())))
-    out.print()
-    out.print(table)
-    if len(rows) < len(variables):
-        out.print(f"and {len(variables) - len(rows)} more; all of them: fmuid info FMU | less")
-
-
-def _plain(value: float | int | bool | str | None) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def unit_text(unit: str | None) -> str:

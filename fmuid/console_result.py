@@ -50,6 +50,8 @@ def show_result(found: Findings) -> None:
     out.print(f"[bold {color}]{escape(result.status[0].upper() + result.status[1:])}[/]", soft_wrap=True)
     for component, model in result.models.items():
         out.print(f"[dim]{escape(component or model['name'])} run as {escape(model['run'])}[/]", soft_wrap=True)
+    if result.sensitivity:
+        out.print(f"[dim]sensitivities by {escape(result.sensitivity)}[/]", soft_wrap=True)
     out.print(
         f"[dim]{result.iterations} iterations, {result.simulations} simulations, {result.elapsed_s:.2f} s; "
         f"criterion {result.criterion:.6g}[/]"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import os
 import re
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
@@ -25,7 +25,7 @@ TIME_COLUMNS = ("time", "Time", "t", "TIME", "T")
 NUMBERS, OBSERVED = ("Real", "Integer", "Boolean"), ("output", "local")
 # How many names a comment lists, and how many parameters a skeleton: what can be read at a glance.
 NAMES_LISTED, PARAMETERS_LISTED = 20, 12
-LINE_LENGTH = 110
+LINE_LENGTH, REMARK_LENGTH = 110, 80
 # Modelica tools write their largest numbers for bounds that are none.
 NO_BOUND = 1e60
 
@@ -151,9 +151,9 @@ def skeleton(fmu: FMU) -> str:
         *_roles("inputs", _of_tables(description, "input"), ()),
         _names("outputs", outputs) + remark,
         "",
-        "[parameters]  # remove the # before those to identify",
     ]
     freed = _free(description)
+    lines.append("[parameters]  # " + ("remove the # before those to identify" if freed else "none can be set"))
     lines += [_parameter(variable) for variable in freed[:PARAMETERS_LISTED]]
     if len(freed) > PARAMETERS_LISTED:
         lines.append(f"# and {len(freed) - PARAMETERS_LISTED} more, all of which `fmuid init` writes")
@@ -210,7 +210,7 @@ def _match(names: Sequence[str], columns: Sequence[str]) -> tuple[tuple[str, ...
 
 def _numerics(description: Description) -> list[str]:
     """Return the words on how the FMU is run, commented out, as far as its interfaces have use for them."""
-    from fmuid.system import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE
+    from fmuid.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE
 
     offered, lines = description.interfaces, []
     if len(offered) > 1:
@@ -235,11 +235,15 @@ def _roles(word: str, matched: Sequence[str], missing: Sequence[str]) -> list[st
 
 def _names(word: str, names: Sequence[str]) -> str:
     """Return a list of names, on several lines where it is long."""
-    quoted = [_text(name) for name in names]
-    line = f"{word} = [{', '.join(quoted)}]"
-    if len(line) <= LINE_LENGTH:
-        return line
-    return "\n".join([f"{word} = [", *textwrap.wrap(", ".join(quoted) + ",", LINE_LENGTH, **_WRAPPING), "]"])
+    lines = [f"{word} = ["]
+    for name in names:
+        item = _text(name) + ", "
+        if len(lines[-1] + item) > LINE_LENGTH:
+            lines.append("    ")
+        lines[-1] += item
+    if len(lines) == 1:
+        return lines[0].removesuffix(", ") + "]"
+    return "\n".join([*(line.rstrip() for line in lines), "]"])
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -282,11 +286,13 @@ def _parameter(variable: Variable) -> str:
         # a bound that the FMU's own start breaks would only be refused
         if bound is not None and abs(bound) < NO_BOUND and (start >= bound if word == "min" else start <= bound):
             keys[word] = bound
+    if "min" in keys and keys["min"] == keys.get("max"):
+        del keys["min"], keys["max"]
     if start == 0:
         keys["nominal"] = abs(variable.nominal or 1.0)
     given = ", ".join(f"{key} = {value!r}" for key, value in keys.items())
     unit = variable.unit if variable.unit not in (None, "1") else ""
-    remark = ": ".join(part for part in (unit, " ".join(variable.description.split())) if part)
+    remark = shorten(": ".join(part for part in (unit, variable.description) if part), REMARK_LENGTH, placeholder="…")
     return f"# {_key(variable.name)} = {{ {given} }}" + (f"  # {remark}" if remark else "")
 
 

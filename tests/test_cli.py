@@ -578,19 +578,26 @@ def test_every_word_that_init_comments_on_is_one(folder: Path) -> None:
 
 
 def test_export(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command passes both paths on and says where the FMU is; the export has its own tests."""
+    """The command passes paths and options on and says where the FMU is; the export has its own tests."""
     import fmuid.export
 
     calls = []
 
-    def fake(source: Path, output: Path | None = None) -> Path:
-        calls.append((source, output))
+    def fake(source: Path, output: Path | None = None, **options: object) -> Path:
+        calls.append((source, output, options))
         return folder / "Coil.fmu"
 
     monkeypatch.setattr(fmuid.export, "export_fmu", fake)
     assert fmuid_("export", "Coil.mo") == DONE
     assert fmuid_("export", "Coil.mo", "--output", "x/Y.fmu") == DONE
-    assert calls == [(Path("Coil.mo"), None), (Path("Coil.mo"), Path("x/Y.fmu"))]
+    assert fmuid_("export", "Coil.mo", "--fmi", "3.0", "--sensitivities", "R, L") == DONE
+    assert fmuid_("export", "Coil.mo", "--sensitivities", "all") == DONE
+    assert calls == [
+        (Path("Coil.mo"), None, {"fmi": "2.0", "sensitivities": []}),
+        (Path("Coil.mo"), Path("x/Y.fmu"), {"fmi": "2.0", "sensitivities": []}),
+        (Path("Coil.mo"), None, {"fmi": "3.0", "sensitivities": ["R", "L"]}),
+        (Path("Coil.mo"), None, {"fmi": "2.0", "sensitivities": "all"}),
+    ]
     assert "Coil.fmu" in capsys.readouterr().out
 
 

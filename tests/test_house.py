@@ -38,13 +38,19 @@ fmi.advance
 fmi.integrators
 fmi.model_exchange
 fmi.loop
+component
 system
+fmu_facts roles
 plan
 workers
 simulator
+smoke
+validation
 parameters
 noise losses
 sensitivity
+model_sensitivity
+forward
 predictors
 problem
 criterion
@@ -77,7 +83,7 @@ figures_run
 export
 apply
 console
-console_result progress
+console_result console_fmu progress
 cli
 __main__
 """
