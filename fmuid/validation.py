@@ -19,7 +19,7 @@ TIME_LIMIT = 60.0
 """How long the simulations of one try may take, s."""
 
 # What fmuid.workers warns of where an instance has to be made anew for every simulation.
-NO_RESET = "Reset does not bring it back"
+NO_RESET = "a reset does not bring it back"
 
 # Shares of the default experiment that are simulated, the second where the first takes too long: it tells a model that
 # is merely slow from one that hangs.

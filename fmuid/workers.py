@@ -91,7 +91,7 @@ class Worker:
         self.close(fatal)
         if self._index == 0:
             _log.warning(
-                "%s: fmi2Reset does not bring it back to its beginning, so it is instantiated anew for every "
+                "%s: a reset does not bring it back to its beginning, so it is instantiated anew for every "
                 "simulation, which is slow and, for some FMUs, fails after a thousand times",
                 ", ".join(self._labels),
             )
@@ -106,8 +106,8 @@ class Worker:
         """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
         outputs = np.empty((1, run.grid.times.size, len(run.output_names)))
         reports = np.empty((1, 4), np.intp)
-        if self._resets is False:
-            self.close()
+        if self._resets is False or (self._resets is None and self._can_be_replaced):
+            self.close()  # whether a reset undoes the failure is not known
         self._prepare()
         for instance in self._instances:
             instance.messages.clear()
@@ -174,6 +174,11 @@ class Worker:
         if self._executor is not None and future is not None:
             future.result()
             self._executor.shutdown()
+
+    @property
+    def _can_be_replaced(self) -> bool:
+        used = [model.fmu.description.interfaces[model.kind] for model in self._components.values()]
+        return not any(interface.once_per_process for interface in used)
 
     @property
     def _labels(self) -> list[str]:

@@ -62,7 +62,7 @@ class Variable:
     @property
     def settable(self) -> bool:
         """Whether a value set before initialisation has an effect that the standard promises."""
-        if self.variability == "constant" or self.causality in ("calculatedParameter", "independent"):
+        if self.variability == "constant" or self.causality in ("calculatedParameter", "independent", "structuralParameter"):
             return False
         return self.causality in ("parameter", "input") or self.initial in ("exact", "approx")
 

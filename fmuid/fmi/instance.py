@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from fmpy import calloc, free
+from fmpy.fmi1 import _FMU
 from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import _FMU3, FMU3Model, FMU3Slave
 from fmpy.logging import addLoggerProxy
@@ -111,11 +112,16 @@ class FMU2LenientModel(_Lenient, FMU2Model):  # type: ignore[misc]
     """A model-exchange FMU of FMI 2.0."""
 
 
-class FMU3LenientSlave(_Lenient, FMU3Slave):  # type: ignore[misc]
+class _Lenient3(_Lenient):
+    def __init__(self, **words: Any) -> None:
+        _FMU.__init__(self, **words)  # FMPy would look for the binary in one folder only
+
+
+class FMU3LenientSlave(_Lenient3, FMU3Slave):  # type: ignore[misc]
     """A co-simulation FMU of FMI 3.0."""
 
 
-class FMU3LenientModel(_Lenient, FMU3Model):  # type: ignore[misc]
+class FMU3LenientModel(_Lenient3, FMU3Model):  # type: ignore[misc]
     """A model-exchange FMU of FMI 3.0."""
 
 
@@ -208,8 +214,8 @@ class Instance:
                 modelIdentifier=identifier,
                 unzipDirectory=str(self.fmu.directory),
                 instanceName=self.name,
+                libraryPath=str(library),
                 requireFunctions=False,
-                **({"libraryPath": str(library)} if self.version == 2 else {}),
             )
             self._instantiate()
         finally:
@@ -217,8 +223,15 @@ class Instance:
 
     def _instantiate(self) -> None:
         if self.version == 3:
-            mode = {"eventModeUsed": True, "earlyReturnAllowed": True} if self.event_mode else {}
-            self._native.instantiate(loggingOn=False, logMessage=_receiver3(self.messages), **mode)
+            log = {"loggingOn": False, "logMessage": _receiver3(self.messages)}
+            if self.event_mode:
+                try:
+                    self._native.instantiate(**log, eventModeUsed=True, earlyReturnAllowed=True)
+                except Exception:  # there are binaries that do not have the event mode that their description promises
+                    self.event_mode = False
+                    self.messages.clear()
+            if not self.event_mode:
+                self._native.instantiate(**log)
             return
         key = next(_keys)
         _instances[key] = self

@@ -23,6 +23,7 @@ class Stepper(Protocol):
     origin: int
     fresh: int
     coefficients: NDArray[np.float64]
+    sensitivities: int
 
     def bad_state(self) -> str:
         """Return the name of the state that ceased to be finite."""
@@ -55,8 +56,10 @@ class Loop:
         self._words = np.zeros(len(plan.signals) + 1, np.uint64)  # values of other types on their way
         self._last = np.zeros(len(plan.signals) + 1)
         self._ones = np.ones(len(plan.references) + 1, np.int32)  # the order of every input derivative
+        self._steppers: list[Stepper | None] = []
+        for i in range(n):
+            self._steppers.append(self._stepper(i, plan, grid))
         self._calls = self._resolve(plan, addresses, handles)
-        self._steppers = [self._stepper(i, plan, grid) for i in range(n)]
         self._loops, self._loop_memory = self._feed_through(plan)
         self._curves = np.zeros((len(plan.input_signals) + 1, 4))
         curves = np.array(
@@ -130,7 +133,11 @@ class Loop:
             from fmuid.fmi.discards import HOOKS  # compiled only where an FMU does so
 
             self._memory[k.AFTER_DISCARD] = HOOKS[k.AFTER_DISCARD]
+            before = reports.copy()
             k.simulate(self._memory.ctypes.data, len(thetas))
+            # what comes not even as far again is an FMU that its end has spoiled: the first end was the true one
+            worse = (before[:, 0] >= 0) & (reports[:, 0] >= 0) & (reports[:, 3] < before[:, 3])
+            reports[worse] = before[worse]
 
     def _hooks(self, plan: Plan, grid: Grid) -> dict[int, int]:
         """Return the addresses of the hooks that this run has a use for, compiled only now."""
@@ -165,6 +172,12 @@ class Loop:
             if operation.function == k.COPY:
                 row[k.VALUES] = operation.reference
                 continue
+            row[k.REFERENCES] = plan.references.ctypes.data + 4 * operation.reference
+            stepper = self._steppers[operation.component]
+            if operation.function == k.SENSITIVITIES and stepper is not None:
+                row[[k.ADDRESS, k.HANDLE]] = stepper.sensitivities, stepper.block
+                row[k.WIRE], row[k.VALUES] = FLOAT64, self._signals.ctypes.data + 8 * operation.signal
+                continue
             instance = self._instances[operation.component]
             row[k.ADDRESS], row[k.HANDLE] = (
                 addresses[operation.component, operation.function],
@@ -172,7 +185,6 @@ class Loop:
             )
             if not row[k.ADDRESS]:
                 instance.required(function_names(instance.version).get(operation.function, "SetRealInputDerivatives"))
-            row[k.REFERENCES] = plan.references.ctypes.data + 4 * operation.reference
             row[[k.WIRE, k.WHEN, k.MORE]] = operation.wire, operation.when, int(instance.version == 3)
             row[k.ORDERS] = self._ones.ctypes.data
             row[k.LAST] = self._last.ctypes.data + 8 * operation.signal
@@ -191,7 +203,9 @@ class Loop:
             integration = plan.integrations[number]
             if integration is None:
                 raise ValueError("a component for model exchange needs an integration")
-            return ModelExchangeStepper(instance, integration, float(grid.times[-1]))
+            wanted = integration.sensitivities.twins if integration.sensitivities else ()
+            twins = [twin.block for twin in (self._steppers[i] for i in wanted) if twin is not None]
+            return ModelExchangeStepper(instance, integration, float(grid.times[-1]), twins)
         if instance.version == 3:
             from fmuid.fmi.co_simulation import CoSimulation3
 
