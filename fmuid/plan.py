@@ -160,8 +160,8 @@ class PlannedRun:
         description = model.fmu.description
         if held or not description.variables[inner].continuous:
             return kernels.HELD
-        if model.kind == "model-exchange":
-            return kernels.BY_STEPPER
+        if model.kind == "model-exchange":  # whose integrators set 64-bit numbers
+            return kernels.BY_STEPPER if description.variables[inner].wire == "Float64" else kernels.BY_MIDPOINT
         return kernels.BY_DERIVATIVE if description.interfaces[model.kind].interpolates_inputs else kernels.BY_MIDPOINT
 
     def _when(self, name: str, connected: bool) -> int:
@@ -176,6 +176,8 @@ class PlannedRun:
             return latched
         if connected and description.variables[inner].continuous:
             return latched | (kernels.WITH_RESTART if exchanging else kernels.ALWAYS)
+        if exchanging and not connected and self._modes[name] == kernels.BY_MIDPOINT:
+            return latched | kernels.WITH_RESTART
         if not connected and self._modes[name] != kernels.HELD:
             return latched | (kernels.AT_STEPS if exchanging else kernels.ALWAYS)
         return latched | kernels.AS_EVENT
@@ -201,7 +203,8 @@ class PlannedRun:
             self._step_size or numerics.step_size,
             np.array(list(dict.fromkeys(self._system.variables[name].reference for name in varying)), np.uint32),
             np.array([self._start(name) for name in varying], np.float64),
-            autonomous=not inputs and not connected,
+            # with events, no step goes beyond a sample: a long one may step over what happens inside it
+            autonomous=not inputs and not connected and model.fmu.description.indicators == 0,
         )
 
     def _curves(self) -> tuple[tuple[int, int], ...]:

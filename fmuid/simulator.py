@@ -112,6 +112,16 @@ class Simulator:
                 found[name] = value if plain else factor * float(value) + offset
         return found
 
+    @property
+    def targets(self) -> tuple[tuple[str, int, float, float], ...]:
+        """The variables that theta sets: name, and factor times which element of theta plus offset it is."""
+        return tuple(self._targets)
+
+    @property
+    def settings(self) -> tuple[dict[str, Value], float | None]:
+        """The variables held at a value, and the largest step, s."""
+        return self._target_values(), self._given[1]
+
     def _set(self, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values of all variables that thetas (m, N) set."""
         if len(self._targets) == len(self.parameters) and not self.system.connectors:

@@ -79,12 +79,28 @@ class Worker:
         """Repeat the first simulation after a reset: an FMU that keeps something is instantiated anew every time."""
         if not np.isfinite(expected).all():
             return
+        same, fatal = self._repeats(run, theta, expected)
+        self._resets = same
+        if not same:
+            self._give_up_reset(fatal)
+        if not same and self._can_be_replaced:
+            self._prepare()
+            same, fatal = self._repeats(run, theta, expected)
+            self.close(fatal)
+            if not same and self._index == 0:
+                _log.warning(
+                    "%s: not even a new instance begins where the first did: the FMU keeps something outside its "
+                    "instances, and results depend on the simulations before them",
+                    ", ".join(self._labels),
+                )
+
+    def _repeats(self, run: PlannedRun, theta: Array, expected: Array) -> tuple[bool, bool]:
+        """Simulate again; return whether the outputs are the same, and whether the FMU failed fatally."""
         outputs, report = np.empty_like(expected), np.empty((1, 4), np.intp)
         self._simulate(run, theta, outputs, report)
         tolerance = RESET_TOLERANCE * np.abs(expected).max(initial=0.0)
-        self._resets = bool(report[0, 0] < 0 and np.allclose(outputs, expected, rtol=0.0, atol=tolerance))
-        if not self._resets:
-            self._give_up_reset(fatal=bool(report[0, 0] >= 0 and report[0, 2] >= FATAL))
+        same = report[0, 0] < 0 and np.allclose(outputs, expected, rtol=0.0, atol=tolerance)
+        return bool(same), bool(report[0, 0] >= 0 and report[0, 2] >= FATAL)
 
     def _give_up_reset(self, fatal: bool = False) -> None:
         self._resets = False

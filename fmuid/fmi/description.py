@@ -34,6 +34,9 @@ _TYPES = {
 }
 
 
+_NEVER_SET = ("calculatedParameter", "independent", "structuralParameter")
+
+
 @dataclass(frozen=True)
 class Variable:
     """One scalar variable of an FMU (FMI 2.0.4, section 2.2.7; FMI 3.0.2, section 2.4.7), or one element of an array.
@@ -62,7 +65,7 @@ class Variable:
     @property
     def settable(self) -> bool:
         """Whether a value set before initialisation has an effect that the standard promises."""
-        if self.variability == "constant" or self.causality in ("calculatedParameter", "independent", "structuralParameter"):
+        if self.variability == "constant" or self.causality in _NEVER_SET:
             return False
         return self.causality in ("parameter", "input") or self.initial in ("exact", "approx")
 

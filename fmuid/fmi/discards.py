@@ -28,7 +28,8 @@ def _after_discard(m, c):  # type: ignore[no-untyped-def]
     for _ in range(TRIALS if ask_time and ask_ended else 0):
         store_word(scratch, 0, 0)
         if _call_status(ask_ended, (handle, TERMINATED, scratch)) <= k.WARNING and load_word(scratch, 0) & 0xFF:
-            break
+            fail(m, k.ENDED, c, k.DISCARD)
+            return k.FAILED
         store_real(scratch, 0, now)
         _call_status(ask_time, (handle, LAST_SUCCESSFUL_TIME, scratch))
         reached = load_real(scratch, 0)

@@ -27,6 +27,7 @@ from fmuid.fmi.archive import FMU
 from fmuid.fmi.kernels import (
     DISCARD,
     DO_STEP,
+    ENDED,
     ENTER_INITIALIZATION,
     EXIT_INITIALIZATION,
     GET_BOOLEAN_STATUS,
@@ -333,6 +334,8 @@ LIFE_CYCLE = {
 
 def describe_failure(version: int, function: int, status: int) -> str:
     """Return the failing FMI call in words."""
+    if function == ENDED:
+        return "the FMU ended the simulation"
     hint = " (the FMU cannot go on from here)" if function == DO_STEP and status == DISCARD else ""
     return f"fmi{version}{function_names(version)[function]} returned {status_word(version, status)}{hint}"
 

@@ -45,6 +45,8 @@ N_WIRES = len(WIRES)
 N_FUNCTIONS = 2 * N_WIRES + 8
 COPY = N_FUNCTIONS  # not a call: one signal to another
 LOOP = N_FUNCTIONS + 1  # in a report: a loop of direct feed-through that was not solved
+ENDED = N_FUNCTIONS + 3  # in a report: the FMU ended the simulation
+SENSITIVITIES = N_FUNCTIONS + 2  # not a call of the FMU but of its stepper: sensitivities of outputs
 STEPPER = 100  # in a report: this and above, what a stepper calls its failures
 
 HELD, BY_DERIVATIVE, BY_STEPPER, BY_MIDPOINT = range(4)  # what an input does between two samples
