@@ -34,6 +34,7 @@ fmi.kernels
 fmi.layout fmi.instance fmi.conversions fmi.coupling fmi.discards fmi.co_simulation
 fmi.block
 fmi.runge_kutta fmi.events fmi.cvode
+fmi.sensitivities
 fmi.advance
 fmi.integrators
 fmi.model_exchange
@@ -50,6 +51,7 @@ parameters
 noise losses
 sensitivity
 model_sensitivity
+forward_run
 forward
 predictors
 problem

@@ -12,6 +12,7 @@ from typing import Any
 
 import fmpy
 import numpy as np
+import pandas as pd
 import pytest
 from fmpy.fmi2 import FMU2Model
 from numpy.typing import ArrayLike, NDArray
@@ -19,10 +20,14 @@ from scipy.integrate import solve_ivp
 from scipy.integrate._ivp.rk import RK45
 
 from fmuid.errors import InputError
+from fmuid.experiment import Experiment
 from fmuid.fmi import block as b
 from fmuid.fmi import runge_kutta
 from fmuid.fmi.integrators import FUNCTIONS, ModelExchange, advance, begin, describe, enter_events, leave_events
+from fmuid.simulator import Simulator
 from tests.conftest import FMUS, HERE
+from tests.hybrid import hybrid_fmu
+from tests.test_simulator import coil_response
 
 # As in probe/hybrid.c.
 BALL, TRIANGLE, ROBERTSON, VAN_DER_POL, LINEAR, CHATTER, STAIRS, DECAY, SWITCH = range(9)
@@ -588,3 +593,22 @@ def test_many_solvers_come_and_go(libraries: Libraries) -> None:
         assert trial.advance(1.0)[0] == pytest.approx(np.exp(-2.0), abs=1e-5)
         libraries[3].drop(trial.handle)
     gc.collect()
+
+
+@every_integrator
+def test_an_array_of_inputs_of_which_one_varies(settings: dict[str, Any], tmp_path: Path) -> None:
+    """x' = -x + u[1] + u[2]: u[1] goes straight from sample to sample, u[2] keeps its start value, 0.5."""
+    path = hybrid_fmu(tmp_path, "linear", 3)
+    rng = np.random.default_rng(2)
+    times, u = np.linspace(0.0, 2.0, 30), rng.normal(size=30)
+    frame = pd.DataFrame({"time": times, "u": u, "v": u, "x": 0.0})
+    experiment = Experiment(frame, {"u[1]": "u"}, {"x0": "x"})
+    found = Simulator(path, experiment, values={"p0": 1.0}, **settings)([])[:, 0]
+    expected = coil_response(times, u + 0.5, 1.0, 1.0, True)
+    assert np.abs(found - expected).max() < 1e-7
+    both = Experiment(frame, {"u[1]": "u", "u[2]": "v"}, {"x0": "x"})
+    found = Simulator(path, both, values={"p0": 1.0}, **settings)([])[:, 0]
+    assert np.abs(found - coil_response(times, 2 * u, 1.0, 1.0, True)).max() < 1e-7
+    mixed = Experiment(frame, {"u[1]": "u", "u[2]": "v"}, {"x0": "x"}, interpolation={"u[2]": "hold"})
+    with pytest.raises(InputError, match=r"'u\[2\]' is held.*'u\[1\]' is not.*give them one interpolation"):
+        Simulator(path, mixed)

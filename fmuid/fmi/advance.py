@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from fmuid.fmi import block as b
-from fmuid.fmi.block import array_call, compiled, copy, fail, input_at, put, put_inputs, real, set_real
+from fmuid.fmi.block import array_call, compiled, copy, fail, hook, input_at, put, put_inputs, real, set_real
 from fmuid.fmi.cvode import cvode_interpolate, cvode_step
 from fmuid.fmi.events import complete_step, settle, to_continuous_time_mode, to_event_mode
 from fmuid.fmi.native import load_real, load_word, store_real, store_word
@@ -148,20 +148,23 @@ def _heed_inputs(c, t):  # type: ignore[no-untyped-def]
 def _arrive(c, t):  # type: ignore[no-untyped-def]
     """Leave time t, the inputs and the states as of t in the FMU; t is within the step or its settled end."""
     end = real(c, b.STEP_END)
+    x = load_word(c, b.X_END if t == end else b.X_AT)
     if t == end and load_word(c, b.HOLDS):
-        return put_inputs(c, t)  # they may have new polynomials
-    if t == end:
-        code = put(c, t, load_word(c, b.X_END))
+        code = put_inputs(c, t)  # they may have new polynomials
+    elif t == end:
+        code = put(c, t, x)
         store_word(c, b.HOLDS, 1)
-        return code
-    return put(c, t, load_word(c, b.X_AT)) if _interpolate(c, t) == b.OK else b.FAILED
+    else:
+        code = put(c, t, x) if _interpolate(c, t) == b.OK else b.FAILED
+    return hook(c, b.FOLLOW, t, x) if code == b.OK else code
 
 
 @numba.cfunc("int32(intp, float64)", cache=True, error_model="numpy")
 def begin(c, t):  # type: ignore[no-untyped-def]
     """Make the memory fresh for a simulation from time t on; the FMU has left Initialization Mode for Event Mode."""
-    for field in (b.NOMINALS_KNOWN, b.STEPS, b.EVENTS, b.FRESH, b.HOLDS):
+    for field in (b.NOMINALS_KNOWN, b.STEPS, b.EVENTS, b.FRESH, b.HOLDS, b.INSIDE):
         store_word(c, field, 0)
+    store_word(c, b.STARTING, 1)
     store_word(c, b.MODE, b.EVENT_MODE)
     store_word(c, b.PENDING, b.SETTLED)
     set_real(c, b.TIME, t)

@@ -40,7 +40,9 @@ N_FUNCTIONS = 12
     TOO_MANY_EVENTS,
     STIFF,
     CVODE_FAILED,
-) = range(N_FUNCTIONS, N_FUNCTIONS + 8)
+    JUMP_UNKNOWN,
+    JUMP_REFUSED,
+) = range(N_FUNCTIONS, N_FUNCTIONS + 10)
 
 RK4, RK45, CVODE = range(3)  # the word INTEGRATOR
 EVENT_MODE, CONTINUOUS_TIME_MODE = range(2)  # the word MODE
@@ -55,7 +57,8 @@ WARNING, DISCARD, ERROR_STATUS = 1, 2, 3  # fmi*Status
     N_STATES,
     N_TOTAL,  # length of the integrated vector: the states, and what is integrated with them
     N_INDICATORS,
-    N_INPUTS,
+    N_INPUTS,  # values; an array of FMI 3.0 has several
+    N_INPUT_REFERENCES,
     INTEGRATOR,
     MODE,
     PENDING,
@@ -70,6 +73,8 @@ WARNING, DISCARD, ERROR_STATUS = 1, 2, 3  # fmi*Status
     FAILED_FUNCTION,
     FAILED_STATUS,
     BAD_STATE,
+    STARTING,  # whether the event that is to be left is the first
+    INSIDE,  # whether the event that was entered was found by the integrator, not brought from outside
     REALS,  # from here on addresses
     COEFFICIENTS,
     INPUT_REFERENCES,
@@ -102,8 +107,15 @@ WARNING, DISCARD, ERROR_STATUS = 1, 2, 3  # fmi*Status
     CVODE_SET_JACOBIAN,
     STATE_REFERENCES,
     DERIVATIVE_REFERENCES,
+    MAGNITUDES,  # of the parameters whose sensitivities are integrated with the states
+    SENSITIVITIES,  # memory of `fmuid.fmi.sensitivities`
+    EXTEND,  # from here on compiled functions that deal with what is integrated beside the states, 0 without it
+    FOLLOW,
+    COMPLETE,
+    BEFORE_EVENT,
+    AFTER_EVENT,
     FUNCTIONS,  # the first of N_FUNCTIONS addresses; 0 where the FMU has none
-) = range(53)
+) = range(63)
 N_WORDS = FUNCTIONS + N_FUNCTIONS
 
 # The numbers of a block, at the address in its word REALS.
@@ -133,6 +145,8 @@ _call_time = native_call(types.intp, types.float64)
 _call_set2 = native_call(types.intp, types.intp, types.intp, types.intp)
 _call_set3 = native_call(types.intp, types.intp, types.intp, types.intp, types.intp)
 _call_array = native_call(types.intp, types.intp, types.intp)
+_call_extend = native_call(types.intp, types.float64, types.intp, types.intp)
+_call_hook = native_call(types.intp, types.float64, types.intp)
 
 
 @compiled("float64(intp, intp)")
@@ -196,11 +210,11 @@ def put_inputs(c, t):  # type: ignore[no-untyped-def]
     if same:
         return OK
     function, handle = load_word(c, FUNCTIONS + SET_REAL), load_word(c, HANDLE)
-    references = load_word(c, INPUT_REFERENCES)
+    references, count = load_word(c, INPUT_REFERENCES), load_word(c, N_INPUT_REFERENCES)
     if load_word(c, VERSION) == 2:
-        status = _call_set2(function, (handle, references, n, values))
+        status = _call_set2(function, (handle, references, count, values))
     else:
-        status = _call_set3(function, (handle, references, n, values, n))
+        status = _call_set3(function, (handle, references, count, values, n))
     return fail(c, SET_REAL, status) if status > WARNING else OK
 
 
@@ -228,6 +242,8 @@ def right_hand_side(c, t, x, dx):  # type: ignore[no-untyped-def]
     code = put(c, t, x)
     if code == OK:
         code = array_call(c, GET_DERIVATIVES, dx)
+    if code == OK and load_word(c, EXTEND):
+        code = _call_extend(load_word(c, EXTEND), (c, t, x, dx))
     if code != OK:
         return code
     for i in range(load_word(c, N_TOTAL)):
@@ -237,6 +253,13 @@ def right_hand_side(c, t, x, dx):  # type: ignore[no-untyped-def]
             store_word(c, BAD_STATE, i)
             return REJECT
     return OK
+
+
+@compiled("int32(intp, intp, float64, intp)")
+def hook(c, field, t, x):  # type: ignore[no-untyped-def]
+    """Call what deals with what is integrated beside the states x, if there is anything."""
+    address = load_word(c, field)
+    return _call_hook(address, (c, t, x)) if address else OK
 
 
 @compiled("int32(intp, intp)")

@@ -144,7 +144,7 @@ class CoSimulation3:
         self._memory[FIRST_ADDRESS : FIRST_ADDRESS + len(used)] = [address_of(name) for name in used]
         self.block: int = self._memory.ctypes.data
         self.failure = self.block + 8 * FAILED_FUNCTION
-        self.origin = self.fresh = 0  # no inputs that vary within a step, nothing to restart
+        self.origin = self.fresh = self.sensitivities = 0  # no inputs that vary within a step, nothing to restart
         self.coefficients = np.zeros((0, 4))
         self.functions: tuple[int, ...] = tuple(function.address for function in _COMPILED)
 

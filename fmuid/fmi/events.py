@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 
 from fmuid.fmi import block as b
-from fmuid.fmi.block import array_call, clear_flags, compiled, copy, fail, put, real, set_real
+from fmuid.fmi.block import array_call, clear_flags, compiled, copy, fail, hook, put, real, set_real
 from fmuid.fmi.native import load_int32, load_real, load_word, native_call, store_real, store_word
 
 MAX_ITERATIONS = 100  # of one event; the standard sets no bound, but an event that needs as many never ends
@@ -64,6 +64,9 @@ def _find_tolerances(c):  # type: ignore[no-untyped-def]
     for i in range(load_word(c, b.N_STATES)):
         nominal = abs(load_real(absolute, i))
         store_real(absolute, i, real(c, b.TOLERANCE) * (nominal if nominal > 0.0 and nominal < np.inf else 1.0))
+    n = load_word(c, b.N_STATES)
+    for i in range(n, load_word(c, b.N_TOTAL)):
+        store_real(absolute, i, load_real(absolute, i % n) / load_real(load_word(c, b.MAGNITUDES), i // n - 1))
     store_word(c, b.NOMINALS_KNOWN, 1)
     return b.OK
 
@@ -89,12 +92,17 @@ def to_continuous_time_mode(c, t):  # type: ignore[no-untyped-def]
     store_word(c, b.HOLDS, 1)
     for j in range(load_word(c, b.N_INPUTS)):
         store_real(load_word(c, b.INPUT_VALUES), j, np.nan)
-    return b.OK
+    code = hook(c, b.AFTER_EVENT, t, load_word(c, b.X_END))
+    store_word(c, b.INSIDE, 0)
+    store_word(c, b.STARTING, 0)
+    return code
 
 
 @compiled("int32(intp)")
 def to_event_mode(c):  # type: ignore[no-untyped-def]
-    """Enter Event Mode."""
+    """Enter Event Mode from the step's end."""
+    if hook(c, b.BEFORE_EVENT, real(c, b.STEP_END), load_word(c, b.X_END)) != b.OK:
+        return b.FAILED
     store_word(c, b.MODE, b.EVENT_MODE)
     store_word(c, b.EVENTS, load_word(c, b.EVENTS) + 1)
     return _plain_call(c, b.ENTER_EVENT_MODE)
@@ -114,7 +122,7 @@ def complete_step(c):  # type: ignore[no-untyped-def]
         return fail(c, b.TERMINATED_BY_FMU, 0)
     if load_int32(flags, 0):
         store_word(c, b.PENDING, b.EVENT)
-    return b.OK
+    return hook(c, b.COMPLETE, real(c, b.STEP_END), load_word(c, b.X_END))
 
 
 @compiled("int32(intp)")
@@ -129,8 +137,10 @@ def settle(c):  # type: ignore[no-untyped-def]
         store_word(c, b.HOLDS, 1)
     if load_word(c, b.PENDING) != b.SETTLED and complete_step(c) != b.OK:
         return b.FAILED
+    store_word(c, b.INSIDE, 1)
     if event or load_word(c, b.PENDING) == b.EVENT:
         return to_continuous_time_mode(c, end) if to_event_mode(c) == b.OK else b.FAILED
+    store_word(c, b.INSIDE, 0)
     store_word(c, b.PENDING, b.SETTLED)
     copy(load_word(c, b.Z_END), load_word(c, b.Z_START), load_word(c, b.N_INDICATORS))
     return b.OK

@@ -63,10 +63,16 @@ class ModelExchange:
         Relative tolerance of "rk45" and "cvode"; the absolute one of a state is that times its nominal value.
     step_size : float, optional
         Largest step, s; by default there is no bound but the wanted times.
-    input_references : (n_u,) array of uint32, optional
-        Value references of the inputs that have polynomials.
+    input_references : array of uint32, optional
+        Value references of the inputs that have polynomials, one for an array of FMI 3.0.
+    input_starts : (n_u,) array, optional
+        One value for each element of these inputs, in their order: what those keep that are given no polynomial.
+        Default: zero, one element a reference.
     state_references, derivative_references : (n_states,) array of uint32, optional
         Value references of states and derivatives, in their order, for the Jacobian of "cvode".
+    magnitudes : (N,) array, optional
+        Of the parameters whose sensitivities are integrated with the states (`fmuid.fmi.sensitivities`): their absolute
+        tolerance is that of their state over the magnitude. The array may be filled in later.
 
     Attributes
     ----------
@@ -98,26 +104,35 @@ class ModelExchange:
         tolerance: float = 1e-6,
         step_size: float | None = None,
         input_references: NDArray[np.uint32] = NO_REFERENCES,
+        input_starts: NDArray[np.float64] | None = None,
         state_references: NDArray[np.uint32] = NO_REFERENCES,
         derivative_references: NDArray[np.uint32] = NO_REFERENCES,
+        magnitudes: NDArray[np.float64] | None = None,
     ) -> None:
         _check(integrator, tolerance, step_size)
         tableau = CLASSICAL if integrator == "rk4" else DORMAND_PRINCE
         self.integrator, self.version = integrator, version
         self.words: NDArray[np.intp] = np.zeros(b.N_WORDS, np.intp)
         self.reals: NDArray[np.float64] = np.zeros(b.N_REALS)
-        self.coefficients: NDArray[np.float64] = np.zeros((len(input_references), 4))
+        starts = np.zeros(len(input_references)) if input_starts is None else input_starts
+        self.coefficients: NDArray[np.float64] = np.zeros((len(starts), 4))
+        self.coefficients[:, 0] = starts
         self.reals[[b.LIMIT, b.TOLERANCE]] = -math.inf, tolerance
         self.reals[b.LARGEST_STEP] = math.inf if step_size is None else step_size
-        self._owned = self._lay_out(n_states, n_indicators, tableau)
+        n_total = n_states * (1 + (0 if magnitudes is None else len(magnitudes)))
+        self._owned = self._lay_out(n_total, n_indicators, tableau)
+        if magnitudes is not None:
+            self._owned.append(magnitudes)
+            self.words[b.MAGNITUDES] = magnitudes.ctypes.data
         references = (input_references, state_references, derivative_references)
         self._references = [np.ascontiguousarray(values, np.uint32) for values in references]
         fields = (b.INPUT_REFERENCES, b.STATE_REFERENCES, b.DERIVATIVE_REFERENCES)
         for field, values in zip(fields, self._references, strict=True):
             self.words[field] = values.ctypes.data
         self.words[[b.VERSION, b.HANDLE, b.INTEGRATOR]] = version, handle, INTEGRATORS[integrator]
-        self.words[[b.N_STATES, b.N_TOTAL, b.N_INDICATORS]] = n_states, n_states, n_indicators
-        self.words[[b.N_INPUTS, b.N_STAGES]] = len(input_references), len(tableau.nodes)
+        self.words[[b.N_STATES, b.N_TOTAL, b.N_INDICATORS]] = n_states, n_total, n_indicators
+        self.words[[b.N_INPUTS, b.N_INPUT_REFERENCES]] = len(starts), len(input_references)
+        self.words[b.N_STAGES] = len(tableau.nodes)
         for i, (name, in_version) in enumerate(FUNCTIONS.items()):
             self.words[b.FUNCTIONS + i] = functions.get(name, 0)
             if not functions.get(name, 0) and name not in OPTIONAL:
@@ -138,7 +153,7 @@ class ModelExchange:
             states[bad] if bad < len(states) else f"number {bad + 1}",
         )
 
-    def _lay_out(self, n_states: int, n_indicators: int, tableau: Tableau) -> list[NDArray[Any]]:
+    def _lay_out(self, n_total: int, n_indicators: int, tableau: Tableau) -> list[NDArray[Any]]:
         """Allocate the work arrays and write their addresses into the block."""
         n_inputs = len(self.coefficients)
         arrays: dict[int, NDArray[Any]] = {
@@ -149,10 +164,10 @@ class ModelExchange:
             b.FLAGS: np.zeros(16, np.int32),
             b.INPUT_VALUES: np.zeros(n_inputs),
             b.INPUT_SCALES: np.zeros(n_inputs),
-            b.SLOPES: np.zeros((len(tableau.nodes), n_states)),
-            b.DENSE: np.zeros((2, n_states)),
+            b.SLOPES: np.zeros((len(tableau.nodes), n_total)),
+            b.DENSE: np.zeros((2, n_total)),
         }
-        arrays |= {f: np.zeros(n_states) for f in (b.X_START, b.X_END, b.X_STAGE, b.X_AT, b.ABSOLUTE)}
+        arrays |= {f: np.zeros(n_total) for f in (b.X_START, b.X_END, b.X_STAGE, b.X_AT, b.ABSOLUTE)}
         arrays |= {f: np.zeros(n_indicators) for f in (b.Z_START, b.Z_END, b.Z_AT)}
         for field, array in arrays.items():
             self.words[field] = array.ctypes.data
@@ -190,6 +205,10 @@ def describe(function: int, status: int, version: int, integrator: str, state: s
         'integrator = "cvode" or a larger tolerance',
         b.TOO_MANY_EVENTS: f"there are more than {MAX_EVENTS} events between two samples: the model chatters; give it "
         "a hysteresis, or more samples",
+        b.JUMP_UNKNOWN: "an event changes the states or their derivatives, and directional derivatives do not tell "
+        "how the sensitivities change",
+        b.JUMP_REFUSED: "the sensitivities cannot be carried through an event: the states only touch its threshold, or "
+        "it is none for parameters that differ a little",
         b.STIFF: 'integrator rk45 finds the model stiff; choose integrator = "cvode"',
         b.CVODE_FAILED: f"CVODE gives up with flag {status}{_CVODE_WORDS.get(status, '')}; {smaller}, or choose "
         'integrator = "rk45"',

@@ -35,17 +35,38 @@ class FeedThrough(NamedTuple):
     signals: tuple[int, ...]
 
 
+class Sensitivities(NamedTuple):
+    """The sensitivities of the states to N parameters, to be integrated with a component's n states.
+
+    `magnitudes` (N,) of the parameters scale the tolerances. The derivatives come from the FMU (directional
+    derivatives): `initial` (N, n) are the sensitivities to begin with, `references` (N,) those of the parameters. Or
+    they are differences: `twins` are components of the same FMU with one parameter each changed by `steps` (N,).
+    The arrays are filled in before each simulation.
+    """
+
+    magnitudes: NDArray[np.float64]
+    initial: NDArray[np.float64]
+    references: NDArray[np.uint32]
+    steps: NDArray[np.float64]
+    twins: tuple[int, ...]
+
+
 class Integration(NamedTuple):
     """How a component for model exchange is integrated; `inputs` are the references of those that vary continuously.
 
-    `autonomous` components have no varying inputs at all, so that steps may go beyond the samples.
+    `input_starts` has one value for each of their elements (an array of FMI 3.0 has one reference for all). Components
+    that are `autonomous` have no varying inputs at all, so that steps may go beyond the samples. A component that
+    `follows` is not integrated: it is the twin of one that is.
     """
 
     integrator: str
     tolerance: float
     step_size: float | None
     inputs: NDArray[np.uint32]
+    input_starts: NDArray[np.float64]
     autonomous: bool
+    follows: bool = False
+    sensitivities: Sensitivities | None = None
 
 
 class Plan(NamedTuple):

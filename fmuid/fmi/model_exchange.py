@@ -26,6 +26,8 @@ class ModelExchangeStepper:
     integration : Integration
     last_time : float
         The last sample, s: steps of an autonomous model may go as far.
+    twins : sequence of int
+        Addresses of the memory of the twins whose differences give the sensitivities.
 
     Attributes
     ----------
@@ -41,6 +43,8 @@ class ModelExchangeStepper:
         Address of the word that is 0 where the integrator has to start anew.
     coefficients : (n, 4) array
         The polynomials of the inputs.
+    sensitivities : int
+        Address of the getter of the outputs' sensitivities, 0 where there is none.
 
     Raises
     ------
@@ -48,7 +52,9 @@ class ModelExchangeStepper:
         If the binary lacks a function, or the platform the integrator.
     """
 
-    def __init__(self, instance: Instance, integration: Integration, last_time: float) -> None:
+    def __init__(
+        self, instance: Instance, integration: Integration, last_time: float, twins: Sequence[int] = ()
+    ) -> None:
         description = instance.fmu.description
         interface = description.interfaces[instance.kind]
         unused = {
@@ -71,22 +77,39 @@ class ModelExchangeStepper:
             tolerance=integration.tolerance,
             step_size=integration.step_size,
             input_references=integration.inputs,
+            input_starts=integration.input_starts,
             state_references=_references(description, description.states),
             derivative_references=_references(description, description.derivatives),
+            magnitudes=integration.sensitivities.magnitudes if integration.sensitivities else None,
         )
         if integration.autonomous:
             self._solver.reals[block.LIMIT] = last_time
         self.block = self._solver.address
         self.functions: tuple[int, ...] = tuple(each.address for each in (begin, enter_events, leave_events, advance))
+        self.sensitivities = 0
+        if integration.follows or integration.sensitivities:
+            self._append(integration, _references(description, description.states), twins)
         self.failure = self.block + 8 * block.FAILED_FUNCTION
         self.origin = int(self._solver.reals.ctypes.data) + 8 * block.ORIGIN
         self.fresh = self.block + 8 * block.FRESH
         self.coefficients = self._solver.coefficients
 
+    def _append(self, integration: Integration, states: NDArray[np.uint32], twins: Sequence[int]) -> None:
+        """Prepare for sensitivities: those of this instance, or as a twin for those of another."""
+        from fmuid.fmi.sensitivities import OUTPUTS, TWIN_FUNCTIONS, SensitivityMemory  # compiled where it is needed
+
+        if integration.follows:
+            self.functions = begin.address, *TWIN_FUNCTIONS
+        elif integration.sensitivities:
+            self._memory = SensitivityMemory(self._solver.words, integration.sensitivities, states, twins)
+            self.sensitivities = 0 if twins else OUTPUTS
+
     def bad_state(self) -> str:
         """Return the name of the state that ceased to be finite."""
         bad = int(self._solver.words[block.BAD_STATE])
-        return self.states[bad] if bad < len(self.states) else f"number {bad + 1}"
+        count = len(self.states)
+        of = f"(its sensitivity to parameter {bad // count})" if count and bad >= count else ""
+        return f"{self.states[bad % count]}{of}" if count else f"number {bad + 1}"
 
 
 def _references(description: Description, names: Sequence[str]) -> NDArray[np.uint32]:

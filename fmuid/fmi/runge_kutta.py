@@ -63,27 +63,35 @@ DORMAND_PRINCE = Tableau(
 )
 
 
-@compiled("float64(intp, intp, intp)")
-def _weighted(c, row, i):  # type: ignore[no-untyped-def]
-    """Return the sum of component i of the slopes with a row of weights."""
+@compiled("void(intp, float64, intp, intp)")
+def _add(y, weight, slopes, count):  # type: ignore[no-untyped-def]
+    """Add weighted slopes to y."""
+    for i in range(count):
+        store_real(y, i, load_real(y, i) + weight * load_real(slopes, i))
+
+
+@compiled("void(intp, intp, float64, intp)")
+def _combine(c, row, h, y):  # type: ignore[no-untyped-def]
+    """Add h times the sum of the slopes with a row of weights to y."""
     s, n = load_word(c, b.N_STAGES), load_word(c, b.N_TOTAL)
     weights, slopes = load_word(c, b.WEIGHTS) + 8 * row * s, load_word(c, b.SLOPES)
-    total = 0.0
     for q in range(min(row, s)):
-        total += load_real(weights, q) * load_real(slopes, q * n + i)
-    return total
+        weight = h * load_real(weights, q)
+        if weight != 0.0:
+            _add(y, weight, slopes + 8 * q * n, n)
 
 
 @compiled("int32(intp, float64, float64, float64)")
 def _stages(c, begin, end, h):  # type: ignore[no-untyped-def]
     """All stages but the first; the last leaves X_END, and the FMU there."""
     n, s, x = load_word(c, b.N_TOTAL), load_word(c, b.N_STAGES), load_word(c, b.X_START)
+    slopes = load_word(c, b.SLOPES)
     for r in range(1, s):
         y = load_word(c, b.X_END if r == s - 1 else b.X_STAGE)
-        for i in range(n):
-            store_real(y, i, load_real(x, i) + h * _weighted(c, r, i))
+        copy(x, y, n)
+        _combine(c, r, h, y)
         node = load_real(load_word(c, b.NODES), r)
-        code = right_hand_side(c, end if node == 1.0 else begin + node * h, y, load_word(c, b.SLOPES) + 8 * r * n)
+        code = right_hand_side(c, end if node == 1.0 else begin + node * h, y, slopes + 8 * r * n)
         if code != b.OK:
             return code
     return b.OK
@@ -124,7 +132,8 @@ def _judge(c, h, clipped, again):  # type: ignore[no-untyped-def]
     """Return the length of the next step: PI control (Hairer, Wanner, volume II, section IV.2)."""
     y = load_word(c, b.X_AT)
     for i in range(load_word(c, b.N_TOTAL)):
-        store_real(y, i, h * _weighted(c, load_word(c, b.N_STAGES), i))
+        store_real(y, i, 0.0)
+    _combine(c, load_word(c, b.N_STAGES), h, y)
     error = _norm(c, y, load_word(c, b.X_END))
     set_real(c, b.ERROR, error)
     raw = error ** (0.2 - 0.75 * PI_EXPONENT)
@@ -142,13 +151,13 @@ def _judge(c, h, clipped, again):  # type: ignore[no-untyped-def]
 @compiled("boolean(intp, float64)")
 def _is_stiff(c, h):  # type: ignore[no-untyped-def]
     """Return whether stability, not accuracy, has bounded the steps for long (Hairer, Wanner, section IV.2)."""
-    n, slopes = load_word(c, b.N_TOTAL), load_word(c, b.SLOPES)
+    n, total, slopes = load_word(c, b.N_STATES), load_word(c, b.N_TOTAL), load_word(c, b.SLOPES)
     taken = load_word(c, b.STEPS) - load_word(c, b.STEPS_BEFORE)  # few steps from sample to sample are no complaint
     if taken % STIFF_EVERY != 0 and load_word(c, b.STIFF_HITS) == 0:
         return False
     above, below = 0.0, 0.0
     for i in range(n):
-        above += (load_real(slopes, 6 * n + i) - load_real(slopes, 5 * n + i)) ** 2
+        above += (load_real(slopes, 6 * total + i) - load_real(slopes, 5 * total + i)) ** 2
         below += (load_real(load_word(c, b.X_END), i) - load_real(load_word(c, b.X_STAGE), i)) ** 2
     if below > 0.0 and h * math.sqrt(above / below) > STIFF_BOUND:
         store_word(c, b.STIFF_MISSES, 0)
@@ -179,8 +188,9 @@ def _accept(c, begin, end, h):  # type: ignore[no-untyped-def]
     n, s = load_word(c, b.N_TOTAL), load_word(c, b.N_STAGES)
     dense = load_word(c, b.DENSE)
     for i in range(n):
-        store_real(dense, i, _weighted(c, s + 1, i))
+        store_real(dense, i, 0.0)
         store_real(dense, n + i, load_real(load_word(c, b.X_END), i))
+    _combine(c, s + 1, 1.0, dense)
     set_real(c, b.STEP_START, begin)
     set_real(c, b.STEP_END, end)
     set_real(c, b.STEP_LENGTH, h)

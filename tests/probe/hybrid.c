@@ -1,5 +1,5 @@
 /* Model-exchange models for tests only, one chosen by parameter; compiled as FMI 2.0 (-DFMI=2) and as FMI 3.0 (-DFMI=3).
-   Only the functions that an integrator calls are there. */
+   The functions that an integrator calls, and those of the life cycle. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -26,21 +26,25 @@ enum { OK = fmi3OK, DISCARD = fmi3Discard, ERROR = fmi3Error };
 #define EXPORT
 #endif
 
-enum { BALL, TRIANGLE, ROBERTSON, VAN_DER_POL, LINEAR, CHATTER, STAIRS, DECAY, SWITCH };
+enum { BALL, TRIANGLE, ROBERTSON, VAN_DER_POL, LINEAR, CHATTER, STAIRS, DECAY, SWITCH, THRESHOLD };
 /* value references: states first, then their derivatives */
 enum { X = 0, DX = 3, P = 6, U = 10, MODEL = 12, COUNT, EVENT_TIME, TERMINATE_AT, STEP_EVENT_AT, FAIL_AT, ENDLESS,
-       BROKEN_JACOBIAN, NOMINAL, CALLS, BACKWARDS, N_REALS };
+       BROKEN_JACOBIAN, NOMINAL, CALLS, BACKWARDS, START, N_REALS = START + 3 };
 typedef struct {
   double r[N_REALS], time, completed, nominal; /* the nominal value last told */
   int mode; /* 0 event, 1 continuous time */
 } Model;
-static const int states[] = {2, 1, 3, 2, 1, 1, 1, 1, 0}, indicators[] = {1, 0, 0, 0, 0, 1, 3, 0, 1};
+static const int states[] = {2, 1, 3, 2, 1, 1, 1, 1, 0, 1}, indicators[] = {1, 0, 0, 0, 0, 1, 3, 0, 1, 1};
 
-EXPORT void *make(double model) {
-  Model *m = calloc(1, sizeof *m);
-  m->r[MODEL] = model;
+static void set_defaults(Model *m) {
+  memset(m, 0, sizeof *m);
   m->r[TERMINATE_AT] = m->r[STEP_EVENT_AT] = m->r[FAIL_AT] = 1e99;
   m->r[NOMINAL] = 1, m->completed = -1e99;
+}
+EXPORT void *make(double model) {
+  Model *m = malloc(sizeof *m);
+  set_defaults(m);
+  m->r[MODEL] = model;
   return m;
 }
 EXPORT void rewind_to_event_mode(Model *m) { m->mode = 0, m->completed = -1e99, m->r[COUNT] = m->r[EVENT_TIME] = 0; }
@@ -62,6 +66,7 @@ static int derivatives(Model *m, const double *x, double *d) {
   case LINEAR: d[0] = -p[0] * x[0] + u + m->r[U + 1]; break;
   case CHATTER: d[0] = (int)m->r[COUNT] % 2 ? 1 : -1; break;
   case STAIRS: d[0] = 1; break;
+  case THRESHOLD: d[0] = -p[0] * (m->r[COUNT] > 0 ? p[2] : 1); break;
   case DECAY: /* has a meaning for x >= 0 only */
     if (x[0] < 0) return DISCARD;
     d[0] = -p[0] * x[0];
@@ -113,6 +118,7 @@ EXPORT STATUS NAME(GetEventIndicators)(INSTANCE c, double z[], size_t n) {
   case STAIRS: /* p[2] is crossed twice */
     z[0] = x - m->r[P], z[1] = m->r[P + 1] - x, z[2] = (x - m->r[P + 2]) * (x - m->r[P + 3]);
     break;
+  case THRESHOLD: z[0] = x - m->r[P + 1]; break;
   case SWITCH: z[0] = m->r[U] - m->r[P]; break;
   default: z[0] = x;
   }
@@ -171,7 +177,8 @@ EXPORT STATUS fmi3UpdateDiscreteStates(INSTANCE c, bool *needed, bool *terminate
 EXPORT STATUS fmi2SetReal(INSTANCE c, const REFERENCE r[], size_t n, const double v[]) {
 #else
 EXPORT STATUS fmi3SetFloat64(INSTANCE c, const REFERENCE r[], size_t n, const double v[], size_t n_values) {
-  if (n_values != n) return ERROR;
+  if (n == 1 && n_values == 2 && r[0] == U) memcpy(((Model *)c)->r + U, v, 2 * sizeof *v); /* u as an array */
+  else if (n_values != n) return ERROR;
 #endif
   for (size_t i = 0; i < n; i++) ((Model *)c)->r[r[i]] = v[i];
   return OK;
@@ -195,6 +202,16 @@ EXPORT STATUS fmi3GetDirectionalDerivative(INSTANCE c, const REFERENCE unknown[]
 #endif
   Model *m = c;
   const double *x = m->r + X, mu = m->r[P];
+  if (m->r[MODEL] == LINEAR) { /* for states and inputs, as FMI promises: as if nothing depended on parameters */
+    for (size_t i = 0; i < n; i++) {
+      out[i] = 0;
+      for (size_t j = 0; j < k; j++) {
+        if (known[j] == X) out[i] += (unknown[i] == DX ? -mu : 1) * seed[j];
+        else if (known[j] == U && unknown[i] == DX) out[i] += seed[j];
+      }
+    }
+    return OK;
+  }
   if (m->r[MODEL] != VAN_DER_POL || m->r[BROKEN_JACOBIAN] > 0 || k != 1) return DISCARD;
   m->r[COUNT] += 1; /* of columns */
   for (size_t i = 0; i < n; i++) {
@@ -204,3 +221,43 @@ EXPORT STATUS fmi3GetDirectionalDerivative(INSTANCE c, const REFERENCE unknown[]
   }
   return OK;
 }
+
+/* ---- life cycle; the GUID is the number of the model */
+
+#if FMI == 2
+EXPORT INSTANCE fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+                                const fmi2CallbackFunctions *callbacks, FLAG visible, FLAG logging) {
+  return make(atof(guid));
+}
+EXPORT STATUS fmi2SetupExperiment(INSTANCE c, FLAG tolerant, double tolerance, double start, FLAG stops, double stop) {
+  ((Model *)c)->time = start;
+  return OK;
+}
+EXPORT STATUS fmi2EnterInitializationMode(INSTANCE c) { return OK; }
+EXPORT STATUS fmi2SetDebugLogging(INSTANCE c, FLAG on, size_t n, const fmi2String categories[]) { return OK; }
+#else
+EXPORT INSTANCE fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, FLAG visible,
+                                             FLAG logging, fmi3InstanceEnvironment environment,
+                                             fmi3LogMessageCallback log) {
+  return make(atof(token));
+}
+EXPORT STATUS fmi3EnterInitializationMode(INSTANCE c, FLAG tolerant, double tolerance, double start, FLAG stops,
+                                          double stop) {
+  ((Model *)c)->time = start;
+  return OK;
+}
+EXPORT STATUS fmi3SetDebugLogging(INSTANCE c, FLAG on, size_t n, const fmi3String categories[]) { return OK; }
+#endif
+EXPORT STATUS NAME(ExitInitializationMode)(INSTANCE c) {
+  Model *m = c;
+  memcpy(m->r + X, m->r + START, 3 * sizeof(double));
+  m->mode = 0;
+  return OK;
+}
+EXPORT STATUS NAME(Reset)(INSTANCE c) {
+  const double model = ((Model *)c)->r[MODEL];
+  set_defaults(c);
+  ((Model *)c)->r[MODEL] = model;
+  return OK;
+}
+EXPORT void NAME(FreeInstance)(INSTANCE c) { free(c); }
