@@ -277,9 +277,11 @@ class Problem:
         """How the derivatives were found, in words."""
         if self._refusal:
             return f"finite differences ({self.sensitivity} sensitivities are refused: {self._refusal})"
+        by_twins = any(getattr(each, "by_differences", False) for each in self._derivatives)
         return {
             "finite-difference": "finite differences of whole simulations",
-            "forward": "the sensitivity system, integrated with the model",
+            "forward": "the sensitivity system, integrated with the model: "
+            + ("differences of its right-hand side" if by_twins else "directional derivatives"),
             "fmu": "outputs of the FMU",
         }[self.sensitivity]
 

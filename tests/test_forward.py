@@ -347,5 +347,5 @@ def test_identification_is_that_by_differences_and_says_what_served(noisy: Exper
         other = found["finite-difference"]
         assert found["forward"].values[j] == pytest.approx(other.values[j], rel=1e-6)
         assert found["forward"].std[j] == pytest.approx(other.std[j], rel=1e-4)
-    assert found["forward"].sensitivity == "the sensitivity system, integrated with the model"
+    assert found["forward"].sensitivity == "the sensitivity system, integrated with the model: directional derivatives"
     assert found["finite-difference"].sensitivity == "finite differences of whole simulations"

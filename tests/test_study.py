@@ -330,7 +330,11 @@ REFUSED = {
         "[parameters.dR]: start 0 has no magnitude; give nominal",
     ),
     "same name": ('name = "second"', 'name = "run1"', "[experiments][1] is called 'run1' like an earlier one"),
-    "both": ("interface =", "components = []\ninterface =", "[model] has both 'fmu' (one FMU) and components (of several)"),
+    "both": (
+        "interface =",
+        "components = []\ninterface =",
+        "[model] has both 'fmu' (one FMU) and components (of several)",
+    ),
     "no model": (
         'fmu = "sub/Coil.fmu"',
         "",
@@ -460,3 +464,12 @@ def test_override_begins_tables() -> None:
 def test_show() -> None:
     values: list[object] = ["ü", True, 1.5, [1, "a"], [1] * 9, {}]
     assert [show(value) for value in values] == ['"ü"', "true", "1.5", '[1, "a"]', "a list", "a table"]
+
+
+def test_forward_sensitivities_of_a_study(folder: Path) -> None:
+    """Model exchange and forward sensitivities are words of the file."""
+    text = FULL.replace('interface = "co-simulation"', 'interface = "model-exchange"')
+    for word in ("finite-difference", "forward"):
+        study = Study.read(write(folder, text.replace('sensitivity = "finite-difference"', f'sensitivity = "{word}"')))
+        assert study.sensitivity == word
+        assert study.model.numerics.interface == "model-exchange"
