@@ -171,7 +171,8 @@ class Worker:
         integration, loop = run.plan.integrations[component], self._loops.get(run)
         integrator = integration.integrator if integration else ""
         bad = loop.bad_state(component) if loop is not None else "of the model"
-        return integrators.describe(function - kernels.STEPPER, status, version, integrator, bad)
+        at, step = loop.whereabouts(component) if loop is not None else (np.nan, np.nan)
+        return integrators.describe(function - kernels.STEPPER, status, version, integrator, bad, at, step)
 
     def close(self, fatal: bool = False) -> None:
         """Free the instances; after a fatal error they are left alone."""

@@ -545,6 +545,8 @@ def test_a_solution_that_ends_in_finite_time(make: Maker, settings: dict[str, An
         trial.advance(1.0)
     reasons = {"rk4": b.STATE_NOT_FINITE, "rk45": b.STEP_TOO_SMALL, "cvode": b.STATE_NOT_FINITE}
     assert failure.value.args[0] == reasons[settings["integrator"]]
+    if settings["integrator"] == "rk45":
+        assert "state speed errs most" in trial.memory.describe(["place", "speed"])
 
 
 def test_steps_without_end(make: Maker) -> None:
@@ -557,14 +559,16 @@ def test_steps_without_end(make: Maker) -> None:
 def test_every_failure_has_words() -> None:
     for code in range(b.N_FUNCTIONS + 8):
         for integrator in ("rk4", "rk45", "cvode"):
-            said = describe(code, 2, 3, integrator, "phi")
+            said = describe(code, 2, 3, integrator, "phi", 0.5, 1e-9)
             assert len(said) > 20
             assert "\n" not in said
-    assert describe(b.GET_DERIVATIVES, 3, 2, "rk4", "") == "fmi2GetDerivatives returned fmi2Error"
-    assert describe(b.GET_DERIVATIVES, 9, 3, "rk4", "") == (
+    assert describe(b.GET_DERIVATIVES, 3, 2, "rk4", "", 0.5, 1e-9) == "fmi2GetDerivatives returned fmi2Error"
+    assert describe(b.GET_DERIVATIVES, 9, 3, "rk4", "", 0.5, 1e-9) == (
         "fmi3GetContinuousStateDerivatives returned the illegal status 9"
     )
-    assert "state phi" in describe(b.STATE_NOT_FINITE, 0, 2, "rk45", "phi")
+    assert "state phi" in describe(b.STATE_NOT_FINITE, 0, 2, "rk45", "phi", 0.5, 1e-9)
+    small = describe(b.STEP_TOO_SMALL, 0, 2, "rk45", "phi", 0.5, 1e-9)
+    assert "at t = 0.5 s (the last one 1e-09 s; state phi errs most)" in small
 
 
 @pytest.mark.parametrize(

@@ -148,6 +148,10 @@ class CoSimulation3:
         self.coefficients = np.zeros((0, 4))
         self.functions: tuple[int, ...] = tuple(function.address for function in _COMPILED)
 
+    def whereabouts(self) -> tuple[float, float]:
+        """Return the time that was reached, s; steps are inside the FMU."""
+        return float(self._memory.view(np.float64)[TIME]), np.nan
+
     def bad_state(self) -> str:
         """Return nothing: the states are inside the FMU."""
         return ""

@@ -151,6 +151,8 @@ class ModelExchange:
             self.version,
             self.integrator,
             states[bad] if bad < len(states) else f"number {bad + 1}",
+            float(self.reals[b.STEP_END]),
+            float(self.reals[b.H]),
         )
 
     def _lay_out(self, n_total: int, n_indicators: int, tableau: Tableau) -> list[NDArray[Any]]:
@@ -174,7 +176,7 @@ class ModelExchange:
         return list(arrays.values())
 
 
-def describe(function: int, status: int, version: int, integrator: str, state: str) -> str:
+def describe(function: int, status: int, version: int, integrator: str, state: str, time: float, step: float) -> str:
     """Return a failure in words, with the remedy.
 
     Parameters
@@ -186,6 +188,8 @@ def describe(function: int, status: int, version: int, integrator: str, state: s
     integrator : str
     state : str
         Name of the state that the word BAD_STATE numbers.
+    time, step : float
+        Where the integrator got, and the step that it tried last, s.
     """
     if function < b.N_FUNCTIONS:
         name = list(FUNCTIONS.values())[function][version - 2]
@@ -194,14 +198,16 @@ def describe(function: int, status: int, version: int, integrator: str, state: s
         return f"{name} returned {f'fmi{version}' if word in STATUS_WORDS else ''}{word}{again}"
     smaller = "give a smaller step_size" if integrator == "rk4" else "give a step_size or another tolerance"
     return {
-        b.STEP_TOO_SMALL: f"integrator {integrator} finds no step short enough for its tolerance: the model has a "
+        b.STEP_TOO_SMALL: f"integrator {integrator} finds no step short enough for its tolerance at t = {time:.9g} s "
+        f"(the last one {step:.2g} s; state {state} errs most): the model has a "
         'discontinuity without an event, or is stiff; choose integrator = "cvode" or a larger tolerance',
         b.STATE_NOT_FINITE: f"state {state} or its derivative is not a finite number; {smaller}, or keep the "
         "parameters within bounds where the model has a meaning",
         b.EVENT_ITERATION_DIVERGES: f"an event does not come to rest in {MAX_ITERATIONS} iterations of its discrete "
         "states; the model has to be mended",
         b.TERMINATED_BY_FMU: "the FMU asked to terminate the simulation",
-        b.TOO_MANY_STEPS: f"integrator {integrator} needs more than {MAX_STEPS} steps between two samples; choose "
+        b.TOO_MANY_STEPS: f"integrator {integrator} needs more than {MAX_STEPS} steps between two samples (it got to "
+        f"t = {time:.9g} s with steps of {step:.2g} s); choose "
         'integrator = "cvode" or a larger tolerance',
         b.TOO_MANY_EVENTS: f"there are more than {MAX_EVENTS} events between two samples: the model chatters; give it "
         "a hysteresis, or more samples",
@@ -209,9 +215,9 @@ def describe(function: int, status: int, version: int, integrator: str, state: s
         "how the sensitivities change",
         b.JUMP_REFUSED: "the sensitivities cannot be carried through an event: the states only touch its threshold, or "
         "it is none for parameters that differ a little",
-        b.STIFF: 'integrator rk45 finds the model stiff; choose integrator = "cvode"',
-        b.CVODE_FAILED: f"CVODE gives up with flag {status}{_CVODE_WORDS.get(status, '')}; {smaller}, or choose "
-        'integrator = "rk45"',
+        b.STIFF: f'integrator rk45 finds the model stiff at t = {time:.9g} s; choose integrator = "cvode"',
+        b.CVODE_FAILED: f"CVODE gives up at t = {time:.9g} s with flag {status}{_CVODE_WORDS.get(status, '')}; "
+        f'{smaller}, or choose integrator = "rk45"',
     }[function]
 
 

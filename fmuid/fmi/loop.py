@@ -25,6 +25,9 @@ class Stepper(Protocol):
     coefficients: NDArray[np.float64]
     sensitivities: int
 
+    def whereabouts(self) -> tuple[float, float]:
+        """Return the time that was reached and the step that was tried last, s."""
+
     def bad_state(self) -> str:
         """Return the name of the state that ceased to be finite."""
 
@@ -157,6 +160,11 @@ class Loop:
             if not curved:
                 found[k.BEND] = found[k.CHORDS] = 0
         return found
+
+    def whereabouts(self, component: int) -> tuple[float, float]:
+        """Return the time that a component reached in the last simulation and the step that it tried last, s."""
+        stepper = self._steppers[component]
+        return stepper.whereabouts() if stepper is not None else (np.nan, np.nan)
 
     def bad_state(self, component: int) -> str:
         """Return which state of a component ceased to be finite in the last simulation."""

@@ -104,8 +104,13 @@ class ModelExchangeStepper:
             self._memory = SensitivityMemory(self._solver.words, integration.sensitivities, states, twins)
             self.sensitivities = 0 if twins else OUTPUTS
 
+    def whereabouts(self) -> tuple[float, float]:
+        """Return the time that was reached and the step that was tried last, s."""
+        reals = self._solver.reals
+        return float(reals[block.STEP_END]), float(reals[block.H])
+
     def bad_state(self) -> str:
-        """Return the name of the state that ceased to be finite."""
+        """Return the name of the state that ceased to be finite, or has the largest error."""
         bad = int(self._solver.words[block.BAD_STATE])
         count = len(self.states)
         of = f"(its sensitivity to parameter {bad // count})" if count and bad >= count else ""

@@ -148,6 +148,19 @@ def _judge(c, h, clipped, again):  # type: ignore[no-untyped-def]
     return factor * h
 
 
+@compiled("void(intp)")
+def _blame(c):  # type: ignore[no-untyped-def]
+    """Note the state whose error is the largest."""
+    errors, x, absolute = load_word(c, b.X_AT), load_word(c, b.X_END), load_word(c, b.ABSOLUTE)
+    worst = -1.0
+    for i in range(load_word(c, b.N_TOTAL)):
+        scale = load_real(absolute, i) + real(c, b.TOLERANCE) * abs(load_real(x, i))
+        error = abs(load_real(errors, i)) / scale
+        if not error <= worst:  # also not a number
+            worst = error
+            store_word(c, b.BAD_STATE, i)
+
+
 @compiled("boolean(intp, float64)")
 def _is_stiff(c, h):  # type: ignore[no-untyped-def]
     """Return whether stability, not accuracy, has bounded the steps for long (Hairer, Wanner, section IV.2)."""
@@ -231,6 +244,8 @@ def runge_kutta_step(c, bound):  # type: ignore[no-untyped-def]
         set_real(c, b.H, h)
         again = True
         if not h >= smallest:  # also not a number
+            if load_word(c, b.FAILED_FUNCTION) == b.STEP_TOO_SMALL:
+                _blame(c)
             return b.FAILED
     if code == b.FAILED:
         return b.FAILED
