@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from fmuid.component import Component as Component
     from fmuid.component import Numerics as Numerics
     from fmuid.criterion_map import map_criterion as map_criterion
+    from fmuid.diagnosis import diagnose as diagnose
     from fmuid.errors import FmuidError as FmuidError
     from fmuid.errors import InputError as InputError
     from fmuid.errors import ModelicaError as ModelicaError
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from fmuid.estimators.global_search import search_globally as search_globally
     from fmuid.estimators.marquardt import Marquardt as Marquardt
     from fmuid.experiment import Experiment as Experiment
+    from fmuid.faults import Angle as Angle
+    from fmuid.faults import Fault as Fault
     from fmuid.fmi.archive import FMU as FMU
     from fmuid.identification import identify as identify
     from fmuid.noise import Noise as Noise
@@ -40,13 +43,17 @@ if TYPE_CHECKING:
     from fmuid.transforms import concordia as concordia
     from fmuid.transforms import park as park
     from fmuid.validation import validate as validate
+    from fmuid.verdict import Diagnosis as Diagnosis
 
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Angle": "faults",
     "Component": "component",
+    "Diagnosis": "verdict",
     "Experiment": "experiment",
     "FMU": "fmi.archive",
+    "Fault": "faults",
     "FmuidError": "errors",
     "GlobalSearch": "estimators.global_search",
     "InputError": "errors",
@@ -65,6 +72,7 @@ _HOMES = {
     "Study": "study",
     "System": "system",
     "concordia": "transforms",
+    "diagnose": "diagnosis",
     "examine_residuals": "residuals",
     "identify": "identification",
     "map_criterion": "criterion_map",

@@ -208,6 +208,28 @@ def _search(read: Study, problem: Problem, start: Any) -> tuple[Result, GlobalRe
 
 
 @app.command()
+def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None) -> int:
+    """Look for the faults that a study names, and write verdict, table and figures; exit code 1 for a fault."""
+    from fmuid import console, figures_diagnosis, plots, report
+    from fmuid.console_diagnosis import show_diagnosis
+    from fmuid.study import Study
+
+    folder = _folder(output, study)
+    read = Study.read(study, set_ or ())
+    if read.diagnosis is not None:
+        console.show_notes(read.notes)
+        console.warn_unfed(read.simulators())
+    report.make_folder(folder)
+    with console.console().status("fitting the healthy machine") as status:
+        found = read.diagnose(lambda name: status.update(f"fitting {name}"))
+    show_diagnosis(found)
+    written = [found.to_json(folder / "diagnosis.json"), report.write_table(folder / "diagnosis.csv", found.table)]
+    written += plots.save(figures_diagnosis.draw(found), folder / "figures")
+    console.show_files(written)
+    return DONE if found.kind == "healthy" else NOT_SUCCEEDED
+
+
+@app.command()
 def apply(
     result: Annotated[
         Path,

@@ -24,6 +24,7 @@ from fmuid.problem import Problem
 from fmuid.report import Fit, fit_of
 from fmuid.result import Result
 from fmuid.simulator import Simulator
+from fmuid.study_diagnosis import DiagnosisSettings, read_diagnosis
 from fmuid.study_file import Section
 from fmuid.study_parameters import Source, read_parameters
 from fmuid.study_settings import (
@@ -44,8 +45,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmuid.estimators.global_search import GlobalResult, GlobalSearch, GlobalStep
+    from fmuid.verdict import Diagnosis
 
-STUDY_KEYS = ("title", "model", "experiments", "parameters", "prior", "noise", "estimator", "uncertainty")
+STUDY_KEYS = ("title", "model", "experiments", "parameters", "prior", "noise", "estimator", "uncertainty", "diagnosis")
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,8 @@ class Study:
         What is asked beyond the local covariance.
     sensitivity : "finite-difference", "forward" or "fmu"
         How the derivatives of the outputs by the parameters are found.
+    diagnosis : DiagnosisSettings or None
+        The faults to look for, and what is known of the healthy machine.
     """
 
     path: Path
@@ -88,6 +92,7 @@ class Study:
     sources: tuple[Source, ...] = ()
     uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
     sensitivity: str = "finite-difference"
+    diagnosis: DiagnosisSettings | None = None
 
     @classmethod
     def read(cls, path: str | Path, overrides: Sequence[str] = ()) -> Study:
@@ -129,6 +134,7 @@ class Study:
             known.sources,
             asked,
             read_sensitivity(top),
+            read_diagnosis(top, path.parent, model, loss, known),
         )
 
     @cached_property
@@ -201,7 +207,8 @@ class Study:
         InputError
             If one of them is a result of another model.
         """
-        return tuple(dict.fromkeys(note for source in self.sources for note in source.compare(self.system)))
+        sources = (*self.sources, *([self.diagnosis.source] if self.diagnosis is not None else []))
+        return tuple(dict.fromkeys(note for source in sources for note in source.compare(self.system)))
 
     @property
     def marquardt(self) -> Marquardt:
@@ -254,6 +261,38 @@ class Study:
         if isinstance(settings, Marquardt):
             settings = GlobalSearch(marquardt=settings)
         return search_globally(self.problem(), settings, progress)
+
+    def diagnose(self, progress: Callable[[str], None] | None = None) -> Diagnosis:
+        """Look for the faults that ``[diagnosis]`` names.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with the name of each fault before its model is fitted.
+
+        Raises
+        ------
+        InputError
+            If the study has no ``[diagnosis]``, or models, tables and the healthy result do not fit together.
+        SimulationError
+            If the simulation fails at the healthy estimate.
+        """
+        settings = self.diagnosis
+        if settings is None:
+            raise InputError(
+                f'{self.path} has no [diagnosis]: give it, with healthy = "healthy/result.json" and the fault '
+                "models as [diagnosis.faults.<name>]"
+            )
+        return settings.diagnose(
+            self.tables,
+            self.system,
+            self.model,
+            self.parameters,
+            noise=self.noise,
+            settings=self.marquardt,
+            sensitivity=self.sensitivity,
+            progress=progress,
+        )
 
     def uncertainty(self, result: Result, progress: Callable[[Step], None] | None = None) -> Uncertainty:
         """Do what ``[uncertainty]`` asks for around a result of this study: maps, profiles, posterior.

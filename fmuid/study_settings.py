@@ -101,7 +101,11 @@ class ExperimentSettings:
 
 def read_model(top: Section, folder: Path) -> ModelSettings:
     """Read the table ``[model]``; its paths are relative to `folder`."""
-    section = top.table("model", MODEL_KEYS)
+    return model_of(top.table("model", MODEL_KEYS), folder)
+
+
+def model_of(section: Section, folder: Path) -> ModelSettings:
+    """Return the model that a table with the words of ``[model]`` describes."""
     numerics = _read_numerics(section)
     if "fmu" in section.data:
         for key in ("components", "connections", "connectors"):

@@ -19,7 +19,7 @@ PACKAGE = Path(fmuid.__file__).parent
 ORDER = """
 errors
 tables
-transforms
+transforms excitation
 experiment
 fmi.unpacking fmi.start_values
 fmi.description
@@ -75,17 +75,22 @@ estimators.global_search
 uncertainty
 study_file
 report
+decision faults
+hypothesis
+verdict
+diagnosis
 study_settings
 study_parameters
+study_diagnosis
 study
 study_init
 plots
-figures_fit figures_map figures_residuals figures_search figures_uncertainty
+figures_diagnosis figures_fit figures_map figures_residuals figures_search figures_uncertainty
 figures_run
 export
 apply
 console
-console_result console_fmu progress
+console_result console_diagnosis console_fmu progress
 cli
 __main__
 """

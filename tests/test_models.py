@@ -93,6 +93,35 @@ def park_machine(x: Any, u: Any, p: Any) -> Any:
     )
 
 
+def faulty_coil(x: Any, u: Any, p: Any) -> Any:
+    """R and L of the healthy coil, and dR (1 + 2 tau s) in series: resistance and inductance add up."""
+    resistance, inductance = p["R"] + p["dR"], p["L"] + 2 * p["tau"] * p["dR"]
+    return np.array([(u[0] - resistance * x[0]) / inductance])
+
+
+def towards(angle: Any) -> Any:
+    """Q of method.md section 11."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c**2, c * s], [c * s, s**2]])
+
+
+def short_circuit(_: Any, u: Any, p: Any) -> Any:
+    """The sum over phases as it stands in method.md section 11."""
+    there, back = rotation(u[2]), rotation(-u[2])
+    ratios = zip("abc", (0, 2 * np.pi / 3, 4 * np.pi / 3), strict=True)
+    return sum(2 / 3 * p[f"eta_{phase}"] / p["Rs"] * back @ towards(angle) @ there @ u[:2] for phase, angle in ratios)
+
+
+def broken_bars(x: Any, u: Any, p: Any) -> Any:
+    """u = Rs i + dψ/dt + w J ψ with ψ = Lf i + φ, dφ/dt = R_eq (i - φ/Lm)."""
+    alpha, turn = 2 / 3 * p["eta0"], np.array([[0, -1], [1, 0]])
+    resistance = p["Rr"] * (np.eye(2) + alpha / (1 - alpha) * towards(p["theta0"]))
+    currents, phi = x[:2], x[2:]
+    rates = resistance @ (currents - phi / p["Lm"])
+    whole = u[:2] - p["Rs"] * currents - u[2] * turn @ (p["Lf"] * currents + phi)
+    return np.concatenate([(whole - rates) / p["Lf"], rates])
+
+
 def rotation(theta: Any) -> Any:
     return np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
 
@@ -241,6 +270,16 @@ CURRENT_STARTS = {"phid_start": 0.6, "phiq_start": -0.4, "wanted_start": 1.4, "v
 DRIVE = {"M": 88.0, "Fv": 230.0, "Fc": 23.0, "offset": -4.0, "gtau": 33.0, "dq_eps": 1.2e-3}
 REFERENCES = {
     "Coil": Reference(("i",), ("u",), ("i",), {"R": 3.3, "L": 0.08, "i_start": -0.4}, coil, first, (1.0,), 1e-3),
+    "FaultyCoil": Reference(
+        ("i",),
+        ("u",),
+        ("i",),
+        {"R": 3.3, "L": 0.08, "dR": 0.7, "tau": 0.021, "i_start": -0.4},
+        faulty_coil,
+        first,
+        (1.0,),
+        1e-3,
+    ),
     "InductionMachine": Reference(
         ("ids", "iqs", "phidr", "phiqr"),
         ("uds", "uqs", "w"),
@@ -251,6 +290,27 @@ REFERENCES = {
         (300.0, 300.0, 10.0),
         7e-4,
         (0.0, 0.0, 157.0),
+    ),
+    "InductionMachineRotorFault": Reference(
+        ("ids", "iqs", "phidr", "phiqr"),
+        ("uds", "uqs", "w"),
+        ("ids", "iqs", "phidr", "phiqr"),
+        MACHINE | {"eta0": 0.3, "theta0": 0.7, "ids_start": 1.2, "iqs_start": -0.7} | FLUXES,
+        broken_bars,
+        first,
+        (300.0, 300.0, 10.0),
+        7e-4,
+        (0.0, 0.0, 157.0),
+    ),
+    "StatorShortCircuit": Reference(
+        (),
+        ("uds", "uqs", "theta"),
+        ("ids", "iqs"),
+        {"eta_a": 0.011, "eta_b": 0.024, "eta_c": 0.043, "Rs": 8.5},
+        nothing,
+        short_circuit,
+        (300.0, 300.0, 3.0),
+        7e-4,
     ),
     "ThreePhaseInductionMachine": Reference(
         ("ia", "ib", "ic", "theta", "phidr", "phiqr"),

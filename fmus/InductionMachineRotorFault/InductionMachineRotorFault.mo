@@ -1,0 +1,33 @@
+model InductionMachineRotorFault "Induction machine with broken rotor bars in Park axes linked to the rotor, leakage summed at the stator"
+  parameter Real Rs(unit="Ohm", min=0) = 9.81 "stator resistance";
+  parameter Real Rr(unit="Ohm", min=0) = 3.83 "resistance of the healthy rotor, referred to the stator";
+  parameter Real Lm(unit="H", min=1e-9) = 0.436 "magnetising inductance";
+  parameter Real Lf(unit="H", min=1e-9) = 0.0762 "leakage inductance";
+  parameter Real eta0(unit="1", min=0, max=1.4, nominal=0.1) = 0 "three times the broken bars over the bars; less than 3/2";
+  parameter Real theta0(unit="rad", nominal=1) = 0 "electrical angle of the broken bars on the rotor; its period is pi";
+  parameter Real ids_start(unit="A", nominal=1) = 0 "initial stator current, direct axis";
+  parameter Real iqs_start(unit="A", nominal=1) = 0 "initial stator current, quadrature axis";
+  parameter Real phidr_start(unit="Wb", nominal=1) = 0 "initial rotor flux, direct axis";
+  parameter Real phiqr_start(unit="Wb", nominal=1) = 0 "initial rotor flux, quadrature axis";
+  input Real uds(unit="V") "stator voltage, direct axis";
+  input Real uqs(unit="V") "stator voltage, quadrature axis";
+  input Real w(unit="rad/s") "electrical speed: pole pairs times mechanical speed";
+  output Real ids(unit="A", start=ids_start, fixed=true) "stator current, direct axis";
+  output Real iqs(unit="A", start=iqs_start, fixed=true) "stator current, quadrature axis";
+  Real phidr(unit="Wb", start=phidr_start, fixed=true) "rotor flux, direct axis";
+  Real phiqr(unit="Wb", start=phiqr_start, fixed=true) "rotor flux, quadrature axis";
+  Real alpha(unit="1") "twice the broken bars over the bars";
+  Real jd(unit="A") "rotor current, sign reversed, direct axis";
+  Real jq(unit="A") "rotor current, sign reversed, quadrature axis";
+  Real j(unit="A") "what the broken bars add to the rotor current, as seen by the healthy resistance, along their angle";
+equation
+  alpha = 2/3*eta0;
+  jd = ids - phidr/Lm;
+  jq = iqs - phiqr/Lm;
+  j = alpha/(1 - alpha)*(cos(theta0)*jd + sin(theta0)*jq);
+  der(phidr) = Rr*(jd + cos(theta0)*j);
+  der(phiqr) = Rr*(jq + sin(theta0)*j);
+  Lf*der(ids) = uds - Rs*ids + w*Lf*iqs + w*phiqr - der(phidr);
+  Lf*der(iqs) = uqs - Rs*iqs - w*Lf*ids - w*phidr - der(phiqr);
+  annotation(experiment(StopTime=3, Interval=7e-4));
+end InductionMachineRotorFault;

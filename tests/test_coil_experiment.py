@@ -1,0 +1,146 @@
+"""The coil of method.md section 10: the data, table 1.1, and what the draws must show."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.linalg import expm
+
+import fmuid
+from experiments.coil import study
+
+README = (study.HERE / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def committed() -> pd.DataFrame:
+    return pd.read_csv(study.HERE / "draws.csv")
+
+
+@pytest.fixture(scope="module")
+def single() -> dict[int, fmuid.Diagnosis]:
+    path = study.HERE / "test.toml"
+    return {n: fmuid.Study.read(path, [f"experiments.0.table=test{n}.csv"]).diagnose() for n in study.TESTS}
+
+
+def test_the_data_are_the_exact_response_to_a_held_voltage() -> None:
+    resistance, inductance = 5.2, 0.11
+    block = expm(np.array([[-resistance / inductance, 1.0 / inductance], [0.0, 0.0]]) * study.STEP)
+    current, expected = 0.0, []
+    for voltage in study.voltage():
+        expected.append(current)
+        current = block[0, 0] * current + block[0, 1] * float(voltage)
+    assert study.current(resistance, inductance) == pytest.approx(np.array(expected), abs=1e-12)
+    assert set(study.voltage()) == {-1.0, 1.0}
+
+
+def test_sensitivities_of_the_fault_lie_in_the_plane_of_the_others() -> None:
+    """∂i/∂ΔR = ∂i/∂R + 2τ ∂i/∂L, by differences of the closed form."""
+    step = 1e-5
+    ends = [study.current(study.R + d, study.L + 2 * study.TAU * d) for d in (step, -step)]
+    own = study.sensitivities(study.R, study.L)
+    assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(own @ [1.0, 2 * study.TAU], abs=1e-7)
+
+
+def test_the_time_constant_is_that_of_the_healthy_record() -> None:
+    healthy = fmuid.Result.from_json(study.HERE / "healthy" / "result.json")
+    settings = fmuid.Study.read(study.HERE / "test.toml").diagnosis
+    assert settings is not None
+    assert settings.faults["turns"].values["tau"] == pytest.approx(healthy["L"] / healthy["R"], abs=5e-6)
+    again = fmuid.Study.read(study.HERE / "healthy.toml").identify()
+    assert again.values == pytest.approx(healthy.values, rel=1e-5)
+    assert (np.abs(healthy.values - [study.R, study.L]) < 3 * healthy.std).all()
+
+
+def test_table_1_1(single: dict[int, fmuid.Diagnosis]) -> None:
+    for number, case in study.TESTS.items():
+        size = single[number]["turns"]["dR"]
+        assert abs(size.value - case.fault) < 3 * study.theory(case.R, case.fault).spread
+        # the chapter's estimate has an error of its own
+        assert abs(size.value - case.chapter[2]) < 4 * math.sqrt(2) * size.std
+        assert single[number].kind == ("fault" if case.fault else "healthy")
+    assert single[1].verdict.startswith("Fault found: turns, dR = ")
+
+
+def test_identifiability_with_and_without_prior() -> None:
+    rng = np.random.default_rng(3)
+    healthy, table = study.identify(study.record(study.R, 0.0, rng)), study.record(5.0, 0.2, rng)
+    with_prior, without = study.diagnose(table, healthy), study.diagnose(table, healthy, math.inf)
+    words = "R, L and dR cannot be told apart: raising R by 1 while L rises by 0.0"
+    assert with_prior["turns"].determined
+    assert any(note.startswith(f"without the healthy record, {words}") for note in with_prior["turns"].notes)
+    assert (without.kind, without["turns"].determined) == ("undecided", False)
+    assert words in without.verdict
+    assert math.isinf(without["turns"]["dR"].std)
+
+
+@pytest.mark.parametrize("number", [1, 2, 5])
+def test_fresh_draws_scatter_and_alarm_as_the_theory_says(number: int) -> None:
+    case, count = study.TESTS[number], 40
+    expected = study.theory(case.R, case.fault)
+    found = study.draws(case.R, case.fault, count, 1000 + number)
+    error = found["dR"] - case.fault
+    assert error.mean() == pytest.approx(expected.bias, abs=4 * expected.spread / math.sqrt(count))
+    assert error.std() / expected.spread == pytest.approx(1.0, abs=4 / math.sqrt(2 * count))
+    rate = math.sqrt(expected.rate * (1 - expected.rate) / count)
+    assert found["called"].mean() == pytest.approx(expected.rate, abs=4 * rate + 0.5 / count)
+
+
+@pytest.mark.parametrize("number", study.TESTS)
+def test_the_committed_draws_reach_what_is_wanted(committed: pd.DataFrame, number: int) -> None:
+    case, part = study.TESTS[number], committed[committed["test"] == number]
+    expected, error = study.theory(case.R, case.fault), part["dR"] - case.fault
+    assert len(part) == study.DRAWS
+    assert abs(error.mean()) < 0.02
+    assert error.std() == pytest.approx(expected.spread, rel=0.15)
+    if number == 2:
+        assert 0.002 <= part["called"].mean() <= 0.03
+    else:
+        assert part["called"].mean() == pytest.approx(expected.rate, abs=0.05)
+    if number in (1, 4):
+        assert part["called"].all()
+
+
+def test_the_committed_draws_are_these(committed: pd.DataFrame) -> None:
+    case = study.TESTS[3]
+    again, there = study.draws(case.R, case.fault, 2, 3), committed[committed["test"] == 3].head(2)
+    assert again["dR"].to_numpy() == pytest.approx(there["dR"].to_numpy(), rel=1e-4)
+    assert again["D"].to_numpy() == pytest.approx(there["D"].to_numpy(), rel=1e-3)
+
+
+def test_warm_and_cold_coils_alarm_at_the_level() -> None:
+    alarms = pd.read_csv(study.HERE / "alarms.csv")
+    assert tuple(alarms["R"]) == study.WARM
+    for kind in ("called", "alarms"):
+        assert (alarms[kind] / alarms["draws"]).between(0.002, 0.03).all()
+
+
+def test_the_page_shows_what_comes_out(single: dict[int, fmuid.Diagnosis], committed: pd.DataFrame) -> None:
+    page = README
+    for name, table in (
+        ("single", study.single_table(single)),
+        ("draws", study.draws_table(committed)),
+        ("alarms", study.alarms_table(pd.read_csv(study.HERE / "alarms.csv"))),
+    ):
+        page = study.insert(page, name, table)
+    assert page == README, "run python -m experiments.coil.study"
+    with pytest.raises(ValueError, match="no place for the table other"):
+        study.insert(README, "other", "")
+
+
+def test_the_healthy_result_is_of_the_committed_model() -> None:
+    content = json.loads((study.HERE / "healthy" / "result.json").read_text(encoding="utf-8"))
+    assert content["models"][""]["name"] == "Coil"
+    assert content["models"][""]["digest"] == fmuid.FMU(study.FMUS / "Coil" / "Coil.fmu").digest
+    assert not fmuid.Study.read(study.HERE / "test.toml").notes
+
+
+def test_the_figure_has_a_panel_a_test(committed: pd.DataFrame) -> None:
+    drawn = study.figure(committed)
+    assert [axes.get_title(loc="left") for axes in drawn.axes] == [
+        f"test {n}: R = {case.R:g} Ω" for n, case in study.TESTS.items()
+    ]

@@ -1,0 +1,118 @@
+"""Excitations against the closed forms of their autocorrelation, spectrum and peaks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid.errors import InputError
+from fmuid.excitation import multisine, prbs, steps
+
+
+@pytest.mark.parametrize("order", [2, 5, 9])
+@pytest.mark.parametrize("seed", [0, 3])
+def test_prbs_is_a_maximum_length_sequence(order: int, seed: int) -> None:
+    """Periodic autocorrelation: A² at no shift, -A²/N at all others; power N + 1 in every line but that at zero, 1."""
+    count, amplitude = 2**order - 1, 2.5
+    frame = prbs(count * 1e-3, 1e-3, amplitude, 1, order=order, seed=seed, offset=4.0)
+    centred = (frame["u"] - 4.0).to_numpy()
+    power = np.abs(np.fft.fft(centred / amplitude)) ** 2
+    np.testing.assert_allclose(power, [1.0] + [count + 1.0] * (count - 1), rtol=1e-9)
+    correlation = [np.mean(centred * np.roll(centred, shift)) for shift in range(count)]
+    np.testing.assert_allclose(correlation, [amplitude**2] + [-(amplitude**2) / count] * (count - 1), atol=1e-12)
+
+
+def test_prbs_holds_its_bits() -> None:
+    """Autocorrelation in samples: a triangle as wide as a bit, from 1 to -1/N."""
+    frame = prbs(31 * 15 * 1e-3, 1e-3, 1.0, 15, order=5, column="voltage")
+    assert list(frame.columns) == ["time", "voltage"]
+    np.testing.assert_allclose(frame["time"], np.arange(465) * 1e-3, rtol=1e-14)
+    values = frame["voltage"].to_numpy()
+    for shift in range(20):
+        expected = max(1 - shift / 15 * (1 + 1 / 31), -1 / 31)
+        assert np.mean(values * np.roll(values, shift)) == pytest.approx(expected, abs=1e-12)
+
+
+def test_prbs_order_and_seed() -> None:
+    """By default the record is no longer than a period; a seed is a shift of the same sequence."""
+    frame = prbs(0.4, 1e-3, 1.0, 10)  # 40 bits: order 6, 63 bits
+    bits = (frame["u"].to_numpy()[::10] > 0).astype(int)
+    whole = prbs(0.63, 1e-3, 1.0, 10, seed=5)["u"].to_numpy()[::10] > 0
+    shifted = [np.roll(whole, k)[:40].astype(int).tolist() for k in range(63)]
+    assert bits.tolist() in shifted
+    assert not prbs(0.63, 1e-3, 1.0, 10, seed=1).equals(prbs(0.63, 1e-3, 1.0, 10, seed=2))
+    pd.testing.assert_frame_equal(prbs(0.4, 1e-3, 1.0, 10), frame)
+    again = prbs(0.6, 1e-3, 1.0, 1, order=4)["u"].to_numpy()
+    np.testing.assert_array_equal(again[:300], again[15:315])  # a given order repeats itself
+
+
+def test_prbs_of_a_broken_last_bit() -> None:
+    assert len(prbs(0.007, 1e-3, 1.0, 3)) == 7
+
+
+def test_multisine_has_equal_lines_in_its_band_and_none_outside() -> None:
+    frame = multisine(2.0, 1e-3, 3.0, 5.0, 40.0, period=1.0, offset=-1.0)
+    lines = np.abs(np.fft.rfft(frame["u"] + 1.0)) / 1000  # 0.5 Hz apart; amplitudes
+    wanted = np.zeros(1001, bool)
+    wanted[10:81:2] = True
+    np.testing.assert_allclose(lines[~wanted], 0.0, atol=1e-12)
+    np.testing.assert_allclose(lines[wanted], lines[10], rtol=1e-9)
+    assert np.abs(frame["u"] + 1.0).max() == pytest.approx(3.0, rel=1e-12)
+    np.testing.assert_allclose(frame["u"][:1000], frame["u"][1000:], atol=1e-11)
+
+
+@pytest.mark.parametrize("count", [8, 31, 200])
+def test_multisine_has_low_peaks(count: int) -> None:
+    """Schroeder: crest factors near 1.7, whatever the number of lines; without phases they are sqrt(2 n)."""
+    values = multisine(1.0, 1 / 4096, 1.0, 1.0, float(count))["u"].to_numpy()
+    crest = 1.0 / np.sqrt(np.mean(values**2))
+    assert np.sqrt(2) < crest < 1.85
+
+
+def test_multisine_of_one_line() -> None:
+    times = 1e-3 * np.arange(1000)
+    found = multisine(1.0, 1e-3, 2.0, 5.0, 5.0)["u"]
+    np.testing.assert_allclose(found, 2.0 * np.cos(2 * np.pi * 5.0 * times), atol=1e-12)
+
+
+def test_steps() -> None:
+    frame = steps(1.0, 0.1, [1.0, -1.0, 2.0], offset=10.0, column="w")
+    assert frame["w"].tolist() == [11.0] * 3 + [9.0] * 3 + [12.0] * 4
+    given = steps(1.0, 0.1, [0.0, 1.0, 3.0], times=[0.0, 0.3, 0.45])["u"]
+    assert given.tolist() == [0.0] * 3 + [1.0] * 2 + [3.0] * 5
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: prbs(0.0, 1e-3, 1.0, 5), "duration must be greater than 0, not 0.0"),
+        (lambda: prbs(1.0, -1e-3, 1.0, 5), "step must be greater than 0"),
+        (lambda: prbs(1.0, 0.3, 1.0, 1), "duration 1 s is 3.33333 samples of 0.3 s; give a whole number of them"),
+        (lambda: prbs(1.0, 1.0, 1.0, 1), "is 1 samples of 1 s; give a whole number of them, two or more"),
+        (lambda: prbs(1e9, 1e-3, 1.0, 1), r"are 1e\+12 samples of 0.001 s; duration and step are in seconds"),
+        (lambda: prbs(1.0, 1e-3, float("nan"), 5), "amplitude must be a finite number, not nan"),
+        (lambda: prbs(1.0, 1e-3, 1.0, 5, offset=float("inf")), "offset must be a finite number"),
+        (lambda: prbs(1.0, 1e-3, 1.0, 0), "the samples of one bit, must be a whole number from 1 to 1000, not 0"),
+        (lambda: prbs(1.0, 1e-3, 1.0, 2.5), "must be a whole number from 1 to 1000, not 2.5"),  # type: ignore[arg-type]
+        (lambda: prbs(1.0, 1e-3, 1.0, 5, order=1), "order must be a whole number from 2 to 32, not 1"),
+        (lambda: prbs(1.0, 1e-3, 1.0, 5, seed=-1), "seed must be a whole number, 0 or more, not -1"),
+        (lambda: prbs(1.0, 1e-3, 1.0, 5, column="time"), "column 'time' cannot be the name of the excitation"),
+        (lambda: multisine(1.0, 1e-3, 1.0, 5.0, 500.0), "less than half the sampling frequency, 500 Hz"),
+        (lambda: multisine(1.0, 1e-3, 1.0, 5.0, 4.0), "highest 4 Hz must not be less than lowest 5 Hz"),
+        (lambda: multisine(1.0, 1e-3, 1.0, 5.2, 5.8), "no multiple of 1/period, 1 Hz, lies between 5.2 and 5.8 Hz"),
+        (lambda: multisine(1.0, 1e-3, 1.0, 0.0, 5.0), "lowest must be greater than 0"),
+        (lambda: multisine(1.0, 1e-3, "1", 1.0, 5.0), "amplitude must be a finite number, not '1'"),  # type: ignore[arg-type]
+        (lambda: steps(1.0, 0.1, []), "0 levels do not fit 10 samples"),
+        (lambda: steps(1.0, 0.1, [1.0, 2.0], times=[0.0]), "there are 2 levels and 1 times; give one time for each"),
+        (lambda: steps(1.0, 0.1, [1.0, 2.0], times=[0.1, 0.2]), "the times of the levels must begin with 0"),
+        (lambda: steps(1.0, 0.1, [1.0, 2.0], times=[0.0, 1.0]), "end before 1 s"),
+        (lambda: steps(1.0, 0.1, [True]), "a level must be a finite number, not True"),
+    ],
+)
+def test_refusals(call: Callable[[], Any], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        call()

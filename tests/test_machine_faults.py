@@ -1,0 +1,237 @@
+"""The machine in its windings that makes the tables of machine faults, and what is found in some of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+
+import fmuid
+from experiments.machine_faults import machine, make_tables, models, study
+from experiments.machine_faults.machine import BARS, COILS, TRUTH, TURNS, Condition
+from fmuid.transforms import T23
+
+Array = npt.NDArray[np.floating]
+
+
+@pytest.fixture(scope="module")
+def record() -> Callable[[str], pd.DataFrame]:
+    """Tables without noise by their cases, each simulated once."""
+    made: dict[str, pd.DataFrame] = {}
+
+    def of(case: str) -> pd.DataFrame:
+        if case not in made:
+            made[case] = make_tables.simulate(make_tables.CASES[case])
+        return made[case]
+
+    return of
+
+
+@pytest.fixture(scope="module")
+def known(record: Callable[[str], pd.DataFrame]) -> fmuid.Result:
+    return models.healthy(make_tables.add_noise(record("healthy"), np.random.default_rng(1)))
+
+
+# ---- the machine
+
+
+@pytest.mark.parametrize(("case", "warmth"), [("healthy", 1.0), ("warm", 1.3)])
+def test_without_fault_it_is_park_s_machine(record: Callable[[str], pd.DataFrame], case: str, warmth: float) -> None:
+    """The cage with its leakage is that with all leakage at the stator; shaft and load follow its torque."""
+    frame = record(case)
+    values = TRUTH | {name: warmth * TRUTH[name] for name in ("Rs", "Rr")}
+    outputs = ["ids", "iqs", "phidr", "phiqr"]
+    experiment = fmuid.Experiment(frame.assign(phidr=0.0, phiqr=0.0), ("uds", "uqs", "w"), outputs)
+    found = fmuid.Simulator(models.path("InductionMachine"), experiment, values=values)([])
+    left = found[:, :2] - frame[["ids", "iqs"]].to_numpy()
+    assert np.abs(found[:, :2]).max() > 6.0
+    assert np.abs(left).max() < 0.02  # straight lines between samples; the noise has 0.215 A
+    assert np.sqrt(np.mean(left**2)) < 4e-3
+    speed = frame["w"].to_numpy() / machine.POLE_PAIRS
+    torque = machine.POLE_PAIRS * (found[:, 2] * found[:, 1] - found[:, 3] * found[:, 0])
+    rate = (torque - machine.LOAD * speed) / machine.INERTIA
+    gained = np.cumsum(make_tables.SAMPLE_TIME * (rate[1:] + rate[:-1]) / 2)
+    np.testing.assert_allclose(speed[1:] - speed[0], gained, atol=0.05)
+    assert np.ptp(speed) > 20.0
+
+
+def steady_currents(condition: Condition, frequency: float, voltage: Array, angle: float) -> Array:
+    """Phasors of ids, iqs at standstill, from the rates of the states."""
+    matrices = machine.Windings(*map(np.ascontiguousarray, machine.windings(condition)))
+    count = matrices.axes.shape[0] + matrices.admittance.shape[0]
+
+    def rates(fluxes: Array, u: Array) -> tuple[Array, Array]:
+        x = np.zeros(count + machine.CONTROL_STATES)
+        x[:count] = fluxes
+        x[count], x[count + 5], x[count + 10 :] = angle, 0.01, u
+        found = np.empty_like(x)
+        currents = machine.slope(x, 0.0, matrices, found)
+        return found[:count], np.array(currents)
+
+    nothing, still = np.zeros(count), np.zeros(2)
+    dynamics, currents = (np.array(each).T for each in zip(*(rates(x, still) for x in np.eye(count)), strict=True))
+    drive = np.array([rates(nothing, u)[0] for u in np.eye(2)]).T @ voltage
+    fluxes = np.linalg.solve(2j * np.pi * frequency * np.eye(count) - dynamics, drive)
+    return np.asarray(currents @ fluxes)
+
+
+def circuit_currents(turns: int, phase: int, frequency: float, voltage: Array, angle: float) -> Array:
+    """The same from Kirchhoff's laws: three phases, the contact, and a star point at whatever potential."""
+    jw = 2j * np.pi * frequency
+    slots, common = machine.SLOTS * machine.STATOR_LEAKAGE, (1 - machine.SLOTS) * machine.STATOR_LEAKAGE
+    in_coil = TURNS // COILS
+    rotor = jw * TRUTH["Lm"] * TRUTH["Rr"] / (TRUTH["Rr"] + jw * TRUTH["Lm"])
+    gap = jw * (TRUTH["Lf"] - machine.STATOR_LEAKAGE) + rotor
+    axes = np.sqrt(2 / 3) * np.exp(2j * np.pi / 3 * np.arange(3))
+    loop = np.array([turns / TURNS if k == phase else 0.0 for k in range(3)])
+    # voltage of a turn over each current (a, b, c, contact): by the air gap, by slots of its coil, by what all share
+    ampere = np.column_stack([np.eye(3), -loop])  # of each phase, in shares of its turns
+    through_gap = gap * np.real(np.outer(axes.conj(), axes)) @ ampere
+    in_slot = jw * slots / COILS * np.array([1.0, 1.0, 1.0, -turns / in_coil])  # of a whole coil, the faulty one
+    whole = jw * common * ampere + through_gap
+    a, b, c, contact, star = np.eye(5)
+    rows = []
+    for k, current in enumerate((a, b, c)):
+        row = TRUTH["Rs"] * (current - loop[k] * contact) + star
+        row = row + np.append(whole[k], 0) + (COILS - 1) * jw * slots / COILS * current
+        rows.append(row + (in_slot[k] * current + in_slot[3] * contact if k == phase else jw * slots / COILS * current))
+    share, faulty = turns / TURNS, (a, b, c)[phase]
+    closed = TRUTH["Rs"] * share * (faulty - contact) - machine.CONTACT * contact + share * np.append(whole[phase], 0)
+    rows.append(closed + turns / in_coil * (in_slot[phase] * faulty + in_slot[3] * contact))
+    rows.append(a + b + c)
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+    found = np.linalg.solve(np.array(rows), np.array([*(T23.T @ turn @ voltage), 0.0, 0.0]))
+    return np.asarray(turn.T @ T23 @ found[:3])
+
+
+@pytest.mark.parametrize("phase", range(3))
+@pytest.mark.parametrize("turns", [1, 20])
+def test_shorted_turns_obey_kirchhoff(turns: int, phase: int) -> None:
+    voltage = np.array([100.0, 40.0 - 70.0j])
+    found = steady_currents(Condition(turns=turns, phase=phase), 50.0, voltage, 0.4)
+    np.testing.assert_allclose(found, circuit_currents(turns, phase, 50.0, voltage, 0.4), rtol=1e-9)
+    healthy = steady_currents(Condition(), 50.0, voltage, 0.4)
+    assert np.abs(found - healthy).max() > 1e-3 * turns
+
+
+@pytest.mark.parametrize("bars", [1, 3])
+def test_broken_bars_in_a_slow_field(bars: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rings without resistance: each bar left carries what the field drives through it, all of them together nothing.
+
+    So the conductance is G Σ (c - m)(c - m)ᵀ over the bars left, c their directions and m the mean of these. For one
+    bar that is R_eq of the fault model but for m.
+    """
+    monkeypatch.setattr(machine, "RINGS", 1e-9)
+    cage = machine.windings(Condition(bars=bars))
+    conductance = cage.loops @ np.linalg.solve(cage.loop_resistance, cage.loops.T) / TRUTH["Lm"] ** 2
+    places = 2 * np.pi * machine.POLE_PAIRS / BARS * (np.arange(BARS) + 0.5) + np.pi / 2
+    left = np.array([np.cos(places), np.sin(places)])[:, bars:]
+    centred = left - left.mean(axis=1, keepdims=True)
+    np.testing.assert_allclose(conductance, 2 / BARS / TRUTH["Rr"] * centred @ centred.T, rtol=1e-6, atol=1e-9)
+    weakest = np.linalg.eigh(conductance)[1][:, 0]
+    assert np.arctan2(weakest[1], weakest[0]) % np.pi == pytest.approx(machine.bar_angle(bars), abs=1e-6)
+
+
+@pytest.mark.parametrize("condition", [Condition(turns=1, phase=2), Condition(turns=20), Condition(bars=3)])
+def test_the_integration_is_precise(condition: Condition) -> None:
+    """Half the substeps: the method is of order 4, and changes by what is left 16-fold."""
+    references = np.where(np.arange(250) > 145, machine.SPEED + machine.SPEED_STEP, machine.SPEED)
+    fine, coarse = (
+        machine.run(condition, references, make_tables.SAMPLE_TIME, substeps)
+        for substeps in (2 * make_tables.SUBSTEPS, make_tables.SUBSTEPS)
+    )
+    np.testing.assert_allclose(coarse[:, 4:], fine[:, 4:], rtol=0, atol=1e-5)
+    assert np.abs(fine[:, 4:]).max() > 5.0
+
+
+def test_tables_are_the_chapter_s_experiment(record: Callable[[str], pd.DataFrame]) -> None:
+    table = make_tables.table("healthy", seed=3)
+    assert list(table.columns) == ["time", "uds", "uqs", "w", "theta", "ids", "iqs"]
+    np.testing.assert_allclose(table["time"], np.arange(4500) * 0.7e-3, rtol=1e-12)
+    noise = (table - record("healthy"))[["ids", "iqs"]].to_numpy()
+    assert noise.var() == pytest.approx(0.0462, abs=4 * 0.0462 * np.sqrt(2 / 9000))
+    rpm = table["w"] / machine.POLE_PAIRS / machine.RPM
+    assert rpm.between(610, 890).all()
+    torque = machine.LOAD * machine.SPEED  # full load: the rated torque of 1.1 kW at some 1450 rpm
+    assert torque == pytest.approx(1100 / (1450 * machine.RPM), rel=0.05)
+
+
+# ---- what is found
+
+
+@pytest.mark.parametrize("case", ["healthy", "warm"])
+def test_no_fault_no_alarm(record: Callable[[str], pd.DataFrame], known: fmuid.Result, case: str) -> None:
+    found = study.examine(make_tables.add_noise(record(case), np.random.default_rng(2)), known)
+    assert found.verdict == "none"
+    turns, std = found.turns
+    assert (np.abs(turns) < 4 * std).all()
+    assert found.bars["eta0"] < 0.015
+    expected = make_tables.CASES[case].warmth * np.array([TRUTH["Rs"], TRUTH["Rr"]])
+    np.testing.assert_allclose(found.best.values[:2], expected, rtol=0.03)
+
+
+@pytest.mark.parametrize("case", ["stator_b5", "stator_a20"])
+def test_shorted_turns_are_found(record: Callable[[str], pd.DataFrame], known: fmuid.Result, case: str) -> None:
+    condition = make_tables.CASES[case]
+    found = study.examine(make_tables.add_noise(record(case), np.random.default_rng(2)), known)
+    assert found.verdict == f"stator {'abc'[condition.phase]}"
+    expected = np.where(np.arange(3) == condition.phase, condition.turns, 0)
+    np.testing.assert_allclose(found.turns[0], expected, atol=3.0)
+    assert found.gains[0] > 10 * found.gains[1]
+
+
+def test_a_broken_bar_is_found(record: Callable[[str], pd.DataFrame], known: fmuid.Result) -> None:
+    found = study.examine(make_tables.add_noise(record("bars_1"), np.random.default_rng(2)), known)
+    assert found.verdict == "rotor"
+    assert found.bars["eta0"] == pytest.approx(3 / BARS, rel=0.2)
+    assert found.bars["theta0"] == pytest.approx(machine.bar_angle(1), abs=0.3)
+    assert found.gains[1] > 5 * found.gains[0]
+
+
+def test_the_study_names_the_phase(record: Callable[[str], pd.DataFrame], known: fmuid.Result, tmp_path: Path) -> None:
+    """The page's study file, with the table of five turns of phase b."""
+    folder = tmp_path / "experiments" / "machine_faults"
+    (folder / "tables").mkdir(parents=True)
+    noisy = make_tables.add_noise(record("stator_b5"), np.random.default_rng(2))
+    noisy.to_csv(folder / "tables" / "stator_b5.csv", index=False)
+    (folder / "results" / "healthy").mkdir(parents=True)
+    (folder / "results" / "healthy" / "result.json").write_text(json.dumps(known.to_json_dict()), encoding="utf-8")
+    text = study.HERE.joinpath("study.toml").read_text(encoding="utf-8")
+    (folder / "study.toml").write_text(text.replace("../../fmus", models.FMUS.as_posix()), encoding="utf-8")
+    found = fmuid.Study.read(folder / "study.toml").diagnose()
+    assert found.named == ("stator",)
+    assert found["stator"]["fault.eta_b"].value * TURNS == pytest.approx(5.0, abs=3.0)
+
+
+def test_no_verdict_below_the_threshold() -> None:
+    """Chi square at 0.995: 12.84 for three ratios, 10.60 for size and angle."""
+    turns = np.array([0.1, 0.3, 0.2])
+    found = [study.verdict(*gains, turns) for gains in ((12.8, 10.5), (12.9, 10.5), (12.8, 10.7), (50.0, 60.0))]
+    assert found == ["none", "stator b", "rotor", "rotor"]
+
+
+def test_no_size_at_the_bound(known: fmuid.Result) -> None:
+    """No fit with broken bars converged: the size is zero and the angle nothing."""
+    found = study.Finding(known, known, None)
+    assert found.gains == (0.0, 0.0)
+    assert found.bars["eta0"] == 0.0
+    assert np.isnan(found.bars["theta0"])
+
+
+def test_tables_of_the_page() -> None:
+    columns = {name: [0.1, 0.3] for name in ("turns_a", "turns_b", "turns_c", "std_a", "eta0", "std_eta0", "theta0")}
+    gains = {"stator_gain": [1.0, 900.0], "rotor_gain": [2.0, 3.0], "Rs": 9.8, "Rr": 3.8}
+    found = pd.DataFrame({"case": ["healthy", "stator_b5"], "verdict": ["none", "stator b"], **columns, **gains})
+    page = "Before\n<!-- verdicts -->\nold\n<!-- end of verdicts -->\nafter\n"
+    lines = study.insert(page, {"verdicts": study.summary(found)}).splitlines()
+    assert lines[4] == "| healthy | 1 | none: 1 | 1 | 2 | 9.80 | 3.80 |"
+    assert lines[5] == "| 5 turns of b | 1 | stator b: 1 | 900 | 3 | 9.80 | 3.80 |"
+    assert lines[6:] == ["<!-- end of verdicts -->", "after"]
+    assert len(study.stator_table(found).splitlines()) == 4
+    assert len(study.rotor_table(found).splitlines()) == 3
