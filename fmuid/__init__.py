@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from fmuid.estimators.global_search import GlobalSearch as GlobalSearch
     from fmuid.estimators.global_search import search_globally as search_globally
     from fmuid.estimators.marquardt import Marquardt as Marquardt
+    from fmuid.excitation import multisine as multisine
+    from fmuid.excitation import prbs as prbs
+    from fmuid.excitation import steps as steps
     from fmuid.experiment import Experiment as Experiment
     from fmuid.faults import Angle as Angle
     from fmuid.faults import Fault as Fault
@@ -76,12 +79,15 @@ _HOMES = {
     "examine_residuals": "residuals",
     "identify": "identification",
     "map_criterion": "criterion_map",
+    "multisine": "excitation",
     "park": "transforms",
+    "prbs": "excitation",
     "profiles": "profile",
     "read_result": "reading",
     "read_table": "tables",
     "sample": "posterior",
     "search_globally": "estimators.global_search",
+    "steps": "excitation",
     "validate": "validation",
 }
 """The module below this one that each public name comes from."""
