@@ -24,9 +24,8 @@ from fmuid.problem import Problem
 from fmuid.report import Fit, fit_of
 from fmuid.result import Result
 from fmuid.simulator import Simulator
-from fmuid.study_diagnosis import DiagnosisSettings, read_diagnosis
 from fmuid.study_file import Section
-from fmuid.study_parameters import Source, read_parameters
+from fmuid.study_parameters import Knowns, Source, read_parameters
 from fmuid.study_settings import (
     ExperimentSettings,
     ModelSettings,
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmuid.estimators.global_search import GlobalResult, GlobalSearch, GlobalStep
+    from fmuid.study_diagnosis import DiagnosisSettings
     from fmuid.verdict import Diagnosis
 
 STUDY_KEYS = ("title", "model", "experiments", "parameters", "prior", "noise", "estimator", "uncertainty", "diagnosis")
@@ -134,7 +134,7 @@ class Study:
             known.sources,
             asked,
             read_sensitivity(top),
-            read_diagnosis(top, path.parent, model, loss, known),
+            _diagnosis(top, path.parent, model, loss, known) if "diagnosis" in data else None,
         )
 
     @cached_property
@@ -343,3 +343,9 @@ class Study:
         """
         starts = [parameter.start for parameter in self.parameters.values()]
         return tuple(fit_of(self.system, each.experiment, each(starts)) for each in self.simulators())
+
+
+def _diagnosis(top: Section, folder: Path, model: ModelSettings, loss: str, known: Knowns) -> DiagnosisSettings | None:
+    from fmuid.study_diagnosis import read_diagnosis  # and all that decides, only where a study asks for it
+
+    return read_diagnosis(top, folder, model, loss, known)
