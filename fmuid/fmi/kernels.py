@@ -63,7 +63,7 @@ _call_step = native_call(types.intp, types.float64, types.float64, types.int32)
 _call_setup = native_call(types.intp, types.int32, types.float64, types.float64, types.int32, types.float64)
 
 # Columns of the table of calls: one row an operation, with the addresses that the operation needs.
-COLUMNS = 14
+COLUMNS = 15
 (
     ADDRESS,
     HANDLE,
@@ -79,7 +79,9 @@ COLUMNS = 14
     SIGNAL,
     WHEN,
     LAST,
+    KIND,  # of the call, so that the usual ones are told at one glance
 ) = range(COLUMNS)
+PLAIN, SLOPES, OTHER = range(3)  # four arguments, at once; with the orders of derivatives, at once; anything else
 
 # Columns of the table of steppers, one row a component; all zero but the version for co-simulation by FMI 2.0.
 STEPPER_COLUMNS = 9
@@ -166,37 +168,52 @@ def fail(m, function, component, status):  # type: ignore[no-untyped-def]
     return False
 
 
+@numba.njit("boolean(intp, intp)", cache=True, nogil=True, error_model="numpy")
+def _perform_other(m, row):  # type: ignore[no-untyped-def]
+    """Perform an operation that is not one of the usual two."""
+    count, values, signal = load_word(row, COUNT), load_word(row, VALUES), load_word(row, SIGNAL)
+    function, wire = load_word(row, FUNCTION), load_word(row, WIRE)
+    if function == COPY:
+        pair, signals = 2 * count, load_word(m, SIGNALS)
+        factor, offset = load_real(load_word(m, CONVERSIONS), pair), load_real(load_word(m, CONVERSIONS), pair + 1)
+        store_real(signals, signal, factor * load_real(signals, values) + offset)
+        return True
+    if load_word(row, WHEN):
+        verdict = _call_hook(load_word(m, BEFORE_SETTING), (m, row))
+        if verdict != GO:
+            return verdict == SKIP
+    if wire != FLOAT64 and wire != STRING:
+        _call_hook(load_word(m, TO_WIRE), (m, row))
+    address, handle, references = load_word(row, ADDRESS), load_word(row, HANDLE), load_word(row, REFERENCES)
+    if load_word(row, MORE):
+        status = _call_more_values(address, (handle, references, count, values, load_word(row, N_VALUES)))
+    else:
+        status = _call_values(address, (handle, references, count, values))
+    if status > WARNING:
+        return fail(m, function, load_word(row, COMPONENT), status)
+    if wire != FLOAT64 and wire != STRING:
+        _call_hook(load_word(m, FROM_WIRE), (m, row))
+    return True
+
+
 @numba.njit("boolean(intp, intp, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
 def perform(m, first, last):  # type: ignore[no-untyped-def]
     """Perform the operations from number `first` up to `last`; stop at the first that fails."""
     for i in range(first, last):
         row = load_word(m, CALLS) + 8 * COLUMNS * i
+        kind = load_word(row, KIND)
+        if kind == OTHER:
+            if not _perform_other(m, row):
+                return False
+            continue
         address, handle, references = load_word(row, ADDRESS), load_word(row, HANDLE), load_word(row, REFERENCES)
         count, values = load_word(row, COUNT), load_word(row, VALUES)
-        function, signal, wire = load_word(row, FUNCTION), load_word(row, SIGNAL), load_word(row, WIRE)
-        if function == COPY:
-            pair, signals = 2 * count, load_word(m, SIGNALS)
-            factor, offset = load_real(load_word(m, CONVERSIONS), pair), load_real(load_word(m, CONVERSIONS), pair + 1)
-            store_real(signals, signal, factor * load_real(signals, values) + offset)
-            continue
-        if load_word(row, WHEN):
-            verdict = _call_hook(load_word(m, BEFORE_SETTING), (m, row))
-            if verdict == FAILED:
-                return False
-            if verdict == SKIP:
-                continue
-        if wire != FLOAT64 and wire != STRING:
-            _call_hook(load_word(m, TO_WIRE), (m, row))
-        if function == SET_DERIVATIVES:
-            status = _call_more_values(address, (handle, references, count, load_word(row, ORDERS), values))
-        elif load_word(row, MORE):
-            status = _call_more_values(address, (handle, references, count, values, load_word(row, N_VALUES)))
-        else:
+        if kind == PLAIN:
             status = _call_values(address, (handle, references, count, values))
+        else:
+            status = _call_more_values(address, (handle, references, count, load_word(row, ORDERS), values))
         if status > WARNING:
-            return fail(m, function, load_word(row, COMPONENT), status)
-        if wire != FLOAT64 and wire != STRING:
-            _call_hook(load_word(m, FROM_WIRE), (m, row))
+            return fail(m, load_word(row, FUNCTION), load_word(row, COMPONENT), status)
     return True
 
 
@@ -310,21 +327,23 @@ def _set_inputs(m, k, after, modes_from):  # type: ignore[no-untyped-def]
             store_real(signals, load_word(slots, j), value)
 
 
-@numba.njit("boolean(intp, intp, float64)", cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _set_curves(m, k, length):  # type: ignore[no-untyped-def]
+@numba.njit("boolean(intp, intp, float64, intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _set_curves(m, k, length, substeps):  # type: ignore[no-untyped-def]
     """Find the polynomials of the inputs in interval k, lowest power first; return whether any goes by midpoints."""
     n, signals, slots = load_word(m, N_INPUTS), load_word(m, SIGNALS), load_word(m, DERIVATIVE_SIGNALS)
     modes, curves = load_word(m, INPUT_MODES), load_word(m, CURVES)
     row = load_word(m, INPUTS) + 8 * n * k
+    needed = substeps > 1 or load_word(m, BEND) != 0  # an FMU that goes along the slope needs no more
     by_midpoint = False
     for j in range(n):
         mode = load_word(modes, j)
         if mode != HELD:
-            curve = load_word(curves, j)
             slope = (load_real(row, n + j) - load_real(row, j)) / length
-            store_real(curve, 0, load_real(row, j))
-            store_real(curve, 1, slope)
             store_real(signals, load_word(slots, j), slope)
+            if needed or mode != BY_DERIVATIVE:
+                curve = load_word(curves, j)
+                store_real(curve, 0, load_real(row, j))
+                store_real(curve, 1, slope)
             by_midpoint = by_midpoint or mode == BY_MIDPOINT
     if load_word(m, BEND):
         _call_hook(load_word(m, BEND), (m, k))
@@ -361,7 +380,7 @@ def _interval(m, k):  # type: ignore[no-untyped-def]
         return True
     n = load_word(load_word(m, SUBSTEPS), k)
     h = length / n
-    by_midpoint = _set_curves(m, k, length)
+    by_midpoint = _set_curves(m, k, length, n)
     if load_word(m, N_STEPPERS):
         _call_hook(load_word(m, TELL_ORIGIN), (m, 0))
     strides, gauss_seidel = load_word(m, STRIDES), load_word(m, GAUSS_SEIDEL)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fmuid.fmi import kernels as k
 from fmuid.fmi.instance import Instance, function_names
-from fmuid.fmi.layout import Grid, Plan
+from fmuid.fmi.layout import Grid, Operation, Plan
 from fmuid.fmi.native import FLOAT64, STRING
 
 
@@ -178,7 +178,7 @@ class Loop:
             row[[k.FUNCTION, k.COMPONENT, k.COUNT]] = operation.function, operation.component, operation.n_references
             row[[k.SIGNAL, k.N_VALUES]] = operation.signal, operation.n_values
             if operation.function == k.COPY:
-                row[k.VALUES] = operation.reference
+                row[k.VALUES], row[k.KIND] = operation.reference, k.OTHER
                 continue
             row[k.REFERENCES] = plan.references.ctypes.data + 4 * operation.reference
             stepper = self._steppers[operation.component]
@@ -195,6 +195,7 @@ class Loop:
                 instance.required(function_names(instance.version).get(operation.function, "SetRealInputDerivatives"))
             row[[k.WIRE, k.WHEN, k.MORE]] = operation.wire, operation.when, int(instance.version == 3)
             row[k.ORDERS] = self._ones.ctypes.data
+            row[k.KIND] = _kind(operation, instance.version)
             row[k.LAST] = self._last.ctypes.data + 8 * operation.signal
             if operation.wire == STRING:
                 row[k.VALUES] = plan.strings.ctypes.data + 8 * operation.signal
@@ -251,3 +252,11 @@ class Loop:
             return 0
         address: int = self._calls.ctypes.data
         return address + 8 * (k.COLUMNS * first + k.VALUES)
+
+
+def _kind(operation: Operation, version: int) -> int:
+    """Return whether an operation is one of the usual two calls."""
+    if operation.function == k.SET_DERIVATIVES:
+        return k.SLOPES
+    plain = operation.wire in (FLOAT64, STRING) and operation.when == k.ALWAYS and version == 2
+    return k.PLAIN if plain else k.OTHER
