@@ -9,9 +9,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fmuid.alarms import Rule as Rule
     from fmuid.component import Component as Component
     from fmuid.component import Numerics as Numerics
     from fmuid.criterion_map import map_criterion as map_criterion
+    from fmuid.detectability import Design as Design
+    from fmuid.detectability import trial as trial
     from fmuid.diagnosis import diagnose as diagnose
     from fmuid.errors import FmuidError as FmuidError
     from fmuid.errors import InputError as InputError
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from fmuid.faults import Fault as Fault
     from fmuid.fmi.archive import FMU as FMU
     from fmuid.identification import identify as identify
+    from fmuid.monitoring import Monitor as Monitor
     from fmuid.noise import Noise as Noise
     from fmuid.parameters import JointPrior as JointPrior
     from fmuid.parameters import Normal as Normal
@@ -53,6 +57,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Angle": "faults",
     "Component": "component",
+    "Design": "detectability",
     "Diagnosis": "verdict",
     "Experiment": "experiment",
     "FMU": "fmi.archive",
@@ -63,12 +68,14 @@ _HOMES = {
     "JointPrior": "parameters",
     "Marquardt": "estimators.marquardt",
     "ModelicaError": "errors",
+    "Monitor": "monitoring",
     "Noise": "noise",
     "Normal": "parameters",
     "Numerics": "component",
     "Parameter": "parameters",
     "Problem": "problem",
     "Result": "result",
+    "Rule": "alarms",
     "Sampling": "posterior",
     "SimulationError": "errors",
     "Simulator": "simulator",
@@ -88,6 +95,7 @@ _HOMES = {
     "sample": "posterior",
     "search_globally": "estimators.global_search",
     "steps": "excitation",
+    "trial": "detectability",
     "validate": "validation",
 }
 """The module below this one that each public name comes from."""

@@ -230,6 +230,62 @@ def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None) ->
 
 
 @app.command()
+def monitor(
+    study: StudyFile,
+    tables: Annotated[
+        list[Path],
+        typer.Argument(metavar="TABLE", help="Records, or folders of records, in their order.", show_default=False),
+    ],
+    output: Folder = None,
+    set_: Overrides = None,
+    window: Annotated[
+        float | None, typer.Option(metavar="S", help="Length of a window, s; default: each record is one.")
+    ] = None,
+    transient: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Simulated before each window, s; default: what the study discards."),
+    ] = None,
+    level: Annotated[
+        float | None,
+        typer.Option(metavar="P", help="Probability that a healthy window is significant; default: the study's."),
+    ] = None,
+    needed: Annotated[int, typer.Option(metavar="M", help="An alarm takes so many significant windows ...")] = 3,
+    among: Annotated[int, typer.Option(metavar="N", help="... of the last so many.")] = 4,
+    forgetting: Annotated[
+        float, typer.Option(metavar="F", help="0: windows by themselves; towards 1: earlier ones count by F, F², ...")
+    ] = 0.0,
+    append: Annotated[
+        bool, typer.Option("--append", help="Go on with the run in the output folder; records of it are left out.")
+    ] = False,
+) -> int:
+    """Look for the faults that a study names in records, window by window; exit code 1 for an alarm."""
+    from fmuid import console, figures_monitoring, plots, report
+    from fmuid.console_monitoring import show_monitoring
+    from fmuid.study import Study
+    from fmuid.study_monitoring import monitor_of, records_of, rule_of
+
+    folder = _folder(output, study)
+    read = Study.read(study, set_ or ())
+    rule = rule_of(read, window, transient, level, needed=needed, among=among, forgetting=forgetting)
+    found = monitor_of(read, rule)
+    if append:
+        found.resume(folder)
+    console.show_notes(read.notes)
+    report.make_folder(folder)
+    with console.console().status("reading") as status:
+        try:
+            for record in records_of(read, tables, found.records):
+                status.update(record.name)
+                found.add(record)
+        finally:  # what was found before a record that is wrong is kept, and can be appended to
+            written = found.write(folder) if found.records else []
+    show_monitoring(found)
+    written += plots.save(figures_monitoring.draw(found), folder / "figures")
+    console.show_files(written)
+    return NOT_SUCCEEDED if found.alarms or found.undetermined else DONE
+
+
+@app.command()
 def apply(
     result: Annotated[
         Path,

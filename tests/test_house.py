@@ -83,14 +83,17 @@ study_settings
 study_parameters
 study_diagnosis
 study
-study_init
+study_init alarms belief windows
+window_fit
+monitoring detectability
+study_monitoring
 plots
-figures_diagnosis figures_fit figures_map figures_residuals figures_search figures_uncertainty
+figures_diagnosis figures_fit figures_map figures_monitoring figures_residuals figures_search figures_uncertainty
 figures_run
 export
 apply
 console
-console_result console_diagnosis console_fmu progress
+console_result console_diagnosis console_fmu console_monitoring progress
 cli
 __main__
 """
