@@ -40,8 +40,8 @@ def derivatives_of(simulator: Simulator, sensitivity: str) -> Callable[[Floats],
 class FmuSensitivities:
     """Sensitivities that the FMU outputs, as ``sens.R.i`` for the derivative of the output i by the parameter R.
 
-    `fmuid export --sensitivities` makes such FMUs. In a system they are ``component.sens.R.i``, and exist within a
-    component only; where other components would change with the parameter, they are not the whole derivative.
+    `fmuid export --sensitivities` makes such FMUs. They go with a single FMU: in a system other components would change
+    with the parameter, and they would not be the whole derivative.
 
     Parameters
     ----------

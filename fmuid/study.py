@@ -345,7 +345,7 @@ class Study:
         return tuple(fit_of(self.system, each.experiment, each(starts)) for each in self.simulators())
 
 
-def _diagnosis(top: Section, folder: Path, model: ModelSettings, loss: str, known: Knowns) -> DiagnosisSettings | None:
+def _diagnosis(top: Section, folder: Path, model: ModelSettings, loss: str, known: Knowns) -> DiagnosisSettings:
     from fmuid.study_diagnosis import read_diagnosis  # and all that decides, only where a study asks for it
 
     return read_diagnosis(top, folder, model, loss, known)

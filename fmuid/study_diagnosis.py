@@ -144,10 +144,8 @@ class DiagnosisSettings:
             raise InputError(f"{self.source.where}: {error}") from None
 
 
-def read_diagnosis(
-    top: Section, folder: Path, model: ModelSettings, loss: str, known: Knowns
-) -> DiagnosisSettings | None:
-    """Read the table ``[diagnosis]``, None where there is none.
+def read_diagnosis(top: Section, folder: Path, model: ModelSettings, loss: str, known: Knowns) -> DiagnosisSettings:
+    """Read the table ``[diagnosis]``.
 
     Parameters
     ----------
@@ -167,8 +165,6 @@ def read_diagnosis(
         If a key is unknown, missing or of the wrong kind, there is no fault to look for, or another word of the study
         does not go with a diagnosis.
     """
-    if "diagnosis" not in top.data:
-        return None
     section = top.table("diagnosis", DIAGNOSIS_KEYS)
     for word, there in (("[prior]", known.joint_prior is not None), (f'loss = "{loss}"', loss != "linear")):
         if there:

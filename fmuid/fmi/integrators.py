@@ -19,6 +19,7 @@ from fmuid.fmi import block as b
 from fmuid.fmi.advance import MAX_EVENTS, MAX_STEPS, advance, begin, enter_events, leave_events
 from fmuid.fmi.cvode import Solver
 from fmuid.fmi.events import MAX_ITERATIONS
+from fmuid.fmi.instance import status_word
 from fmuid.fmi.runge_kutta import CLASSICAL, DORMAND_PRINCE, Tableau
 
 __all__ = ["FUNCTIONS", "INTEGRATORS", "ModelExchange", "advance", "begin", "describe", "enter_events", "leave_events"]
@@ -40,7 +41,6 @@ FUNCTIONS = {
 }
 OPTIONAL = {"CompletedIntegratorStep", "GetDirectionalDerivative"}
 INTEGRATORS = {"rk4": b.RK4, "rk45": b.RK45, "cvode": b.CVODE}
-STATUS_WORDS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 NO_REFERENCES: NDArray[np.uint32] = np.zeros(0, np.uint32)
 
 
@@ -193,9 +193,8 @@ def describe(function: int, status: int, version: int, integrator: str, state: s
     """
     if function < b.N_FUNCTIONS:
         name = list(FUNCTIONS.values())[function][version - 2]
-        word = STATUS_WORDS[status] if 0 <= status < len(STATUS_WORDS) else f"the illegal status {status}"
         again = ", however small the step" if status == b.DISCARD else ""
-        return f"{name} returned {f'fmi{version}' if word in STATUS_WORDS else ''}{word}{again}"
+        return f"{name} returned {status_word(version, status)}{again}"
     smaller = "give a smaller step_size" if integrator == "rk4" else "give a step_size or another tolerance"
     return {
         b.STEP_TOO_SMALL: f"integrator {integrator} finds no step short enough for its tolerance at t = {time:.9g} s "

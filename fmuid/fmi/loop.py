@@ -65,14 +65,7 @@ class Loop:
         self._calls = self._resolve(plan, addresses, handles)
         self._loops, self._loop_memory = self._feed_through(plan)
         self._curves = np.zeros((len(plan.input_signals) + 1, 4))
-        curves = np.array(
-            [
-                (self._curves[j] if stepper is None else stepper.coefficients[row]).ctypes.data
-                for j, (c, row) in enumerate(plan.input_curves)
-                for stepper in (self._steppers[c] if c >= 0 else None,)
-            ],
-            np.intp,
-        )
+        curves = self._curve_addresses(plan)
         table = self._stepper_table()
         in_event, own_times, scratch = np.zeros(n, np.intp), np.zeros(n), np.zeros(2, np.intp)
         self._owned = (plan, grid, handles, addresses, used, curves, table, in_event, own_times, scratch)
@@ -108,9 +101,7 @@ class Loop:
             k.OUTPUT_TERMS: plan.output_terms,
             k.PARAMETER_SIGNALS: plan.parameter_signals,
             k.DIRECT_INPUTS: self._direct(plan, 1, 0, plan.input_signals),
-            k.DIRECT_OUTPUTS: self._direct(plan, 3, k.N_WIRES, plan.output_signals)
-            if len(plan.output_signals) == len(plan.output_terms) - 1
-            else 0,
+            k.DIRECT_OUTPUTS: self._direct(plan, 3, k.N_WIRES, plan.output_signals),
             k.STEPPERS: table,
             k.IN_EVENT: in_event,
             k.LOOPS: self._loops,
@@ -231,6 +222,14 @@ class Loop:
                 row[k.ORIGIN], row[k.FRESH] = stepper.origin, stepper.fresh
         return table
 
+    def _curve_addresses(self, plan: Plan) -> NDArray[np.intp]:
+        """Return where the polynomial of each input is: in the memory of a stepper, or here."""
+        found = []
+        for own, (component, row) in zip(self._curves, plan.input_curves, strict=False):
+            stepper = self._steppers[component] if component >= 0 else None
+            found.append((own if stepper is None else stepper.coefficients[row]).ctypes.data)
+        return np.array(found, np.intp)
+
     @staticmethod
     def _feed_through(plan: Plan) -> tuple[NDArray[np.intp], list[NDArray[Any]]]:
         table, owned = np.zeros((len(plan.loops), k.LOOP_COLUMNS), np.intp), []
@@ -247,7 +246,8 @@ class Loop:
         if last != first + 1:
             return 0
         operation = plan.operations[first]
-        in_order = np.array_equal(signals, operation.signal + np.arange(operation.n_values))
+        summed = stage == 3 and len(signals) != len(plan.output_terms) - 1
+        in_order = not summed and np.array_equal(signals, operation.signal + np.arange(operation.n_values))
         if not in_order or operation.function != function or operation.when != k.ALWAYS:
             return 0
         address: int = self._calls.ctypes.data
