@@ -11,15 +11,16 @@ from pathlib import Path
 from fmuid import ssv
 from fmuid.errors import InputError, nearest
 from fmuid.fmi.archive import FMU
-from fmuid.fmi.description import Description, Unit, Variable
+from fmuid.fmi.description import DESCRIPTION_FILE, Description, Unit, Variable
 from fmuid.fmi.start_values import Value, with_starts
+from fmuid.fmi.zipped import Zipped
+from fmuid.paths import exists, is_folder
 from fmuid.report import replacing
 from fmuid.result import Result
 from fmuid.ssv import Quantity, unit_conversion
 from fmuid.system import System
 
 ESTIMATES_FILE = "parameters.ssv"
-DESCRIPTION = "modelDescription.xml"
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ def apply_result(result: Path, fmu: Path, output: Path, component: str | None = 
     """
     model = FMU(fmu)
     estimates, units = _read(result, model.description.model_name, component)
-    if output.exists() and output.samefile(fmu):
+    if exists(output) and output.samefile(fmu):
         raise InputError(f"{output} is the FMU itself; choose another name for the copy with --output")
     description = model.description
     applied = []
@@ -136,7 +137,7 @@ def apply_result(result: Path, fmu: Path, output: Path, component: str | None = 
 
 def _read(path: Path, model: str, component: str | None) -> tuple[dict[str, _Estimate], Mapping[str, Unit]]:
     """Return the values of a result or SSV file by the names in the FMU, and the units that the file defines."""
-    if path.is_dir():
+    if is_folder(path):
         path = path / "result.json"
     if path.suffix.lower() == ".ssv":
         given = ssv.read_ssv(path)
@@ -239,12 +240,12 @@ def _checked(variable: Variable, value: Value, factor: float, offset: float, fmu
 
 def _copy(fmu: Path, output: Path, values: Mapping[str, float | int | bool]) -> None:
     """Write a copy of an FMU with other start values; all other entries keep their content, order and attributes."""
-    with zipfile.ZipFile(fmu) as old:
+    with Zipped(fmu) as old:
         try:
-            text = with_starts(old.read(DESCRIPTION), values)
+            text = with_starts(old.read(DESCRIPTION_FILE), values)
         except InputError as error:
             raise InputError(f"{fmu}: {error}") from None
         with replacing(output) as draft, zipfile.ZipFile(draft, "w") as new:
             new.comment = old.comment
-            for entry in old.infolist():
-                new.writestr(entry, text if entry.filename == DESCRIPTION else old.read(entry))
+            for entry in old.entries:
+                new.writestr(entry, text if entry.filename == DESCRIPTION_FILE else b"".join(old.chunks(entry)))

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from math import prod
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 from fmuid.component import Component
+from fmuid.fmi import safe_xml
 from fmuid.fmi.archive import FMU
-from fmuid.fmi.description import Description, Variable
+from fmuid.fmi.description import DESCRIPTION_FILE, Description, Variable, read_text
 
 # Elements of an array that are listed singly; more of them share a line.
 SINGLE_ELEMENTS = 4
@@ -153,16 +153,15 @@ def _group(variable: Variable) -> str | None:
 def _capabilities(fmu: FMU) -> dict[str, tuple[str, ...]]:
     """Return what each interface can do, from the attributes of its element; these stand before the variables."""
     found: dict[str, tuple[str, ...]] = {}
-    with zipfile.ZipFile(fmu.path) as archive, archive.open("modelDescription.xml") as file:
-        for _, element in ElementTree.iterparse(file, ("start",)):
-            if element.tag == "ModelVariables":
-                break
-            if element.tag in _TAGS:
-                found[_TAGS[element.tag]] = _words(element, fmu.description.major_version)
+    for element in safe_xml.started(read_text(fmu.path), f"{fmu.path}: its {DESCRIPTION_FILE}"):
+        if element.tag == "ModelVariables":
+            break
+        if element.tag in _TAGS:
+            found[_TAGS[element.tag]] = _words(element, fmu.description.major_version)
     return dict(sorted(found.items()))
 
 
-def _words(element: ElementTree.Element, version: int) -> tuple[str, ...]:
+def _words(element: Element, version: int) -> tuple[str, ...]:
     true = ("true", "1")
     given = {name: value.strip() in true for name, value in element.attrib.items()}
     if element.tag == "ModelExchange" and version == 2:  # FMI 2.0 states the opposite

@@ -64,9 +64,10 @@ class Fit:
     @property
     def misfit(self) -> tuple[float, ...]:
         """‖measured − simulated‖ / ‖measured‖ of each output over the counted samples; NaN without any."""
-        error = np.where(self.counted, self.measured - self.simulated, 0.0)
-        size = np.linalg.norm(np.where(self.counted, self.measured, 0.0), axis=0)
-        ratios = np.linalg.norm(error, axis=0) / np.where(size > 0, size, np.nan)
+        with np.errstate(over="ignore", invalid="ignore"):  # of an unstable simulation: infinite
+            error = np.where(self.counted, self.measured - self.simulated, 0.0)
+            size = np.linalg.norm(np.where(self.counted, self.measured, 0.0), axis=0)
+            ratios = np.linalg.norm(error, axis=0) / np.where(size > 0, size, np.nan)
         return tuple(float(ratio) for ratio in ratios)
 
     def simulated_frame(self) -> pd.DataFrame:

@@ -290,11 +290,11 @@ class Result:
             data = json.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{path} is not JSON: {error}; give the result.json of an identification") from None
         try:
             return cls._of_json(data)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
             raise InputError(
                 f"{path} is not a result of fmuid: {what}; give the result.json of an identification"
@@ -313,6 +313,10 @@ class Result:
             key: _array([parameters[name].get(key) for name in names], np.nan)
             for key in ("value", "start", "prior_mean", "prior_std")
         }
+        if any(found.shape != (len(names),) for found in column.values()):
+            raise ValueError("a value of a parameter is no number")
+        if (np.diag(covariance) < 0).any():
+            raise ValueError("a variance is negative")
         freedom = data.get("degrees_of_freedom")
         return cls(
             status=str(data["status"]),
@@ -323,17 +327,17 @@ class Result:
             prior_mean=column["prior_mean"],
             prior_std=column["prior_std"],
             covariance=covariance,
-            noise_variance=dict(data["noise_variance"]),
-            given_variance=dict(data.get("given_variance", {})),
+            noise_variance=_floats(data["noise_variance"]),
+            given_variance=_floats(data.get("given_variance", {})),
             criterion=math.nan if data["criterion"] is None else float(data["criterion"]),
             degrees_of_freedom=math.inf if freedom is None else float(freedom),
             iterations=int(data["iterations"]),
             simulations=int(data["simulations"]),
             elapsed_s=float(data["elapsed_s"]),
-            undetermined=tuple(data.get("undetermined", ())),
-            weak=tuple(data.get("weak", ())),
-            prior_determined=tuple(data.get("prior_determined", ())),
-            at_bounds=tuple(data.get("at_bounds", ())),
+            undetermined=tuple(map(str, data.get("undetermined", ()))),
+            weak=tuple(map(str, data.get("weak", ()))),
+            prior_determined=tuple(map(str, data.get("prior_determined", ()))),
+            at_bounds=tuple(map(str, data.get("at_bounds", ()))),
             version=str(data["version"]),
             models={
                 str(c): {key: str(m.get(key, "")) for key in ("name", "digest", "run")}
@@ -350,6 +354,10 @@ class Result:
 
 def _plain(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def _floats(values: Any) -> dict[str, float]:
+    return {str(name): float(value) for name, value in values.items()}
 
 
 def _array(values: Any, missing: float) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -99,5 +100,15 @@ def _check_value(system: System, variable: Variable, value: Value) -> None:
     }[variable.type]
     if not fits:
         raise InputError(f"{variable.name!r} is of type {variable.type} and cannot be held at {value!r}")
-    if isinstance(value, float) and not np.isfinite(value):
-        raise InputError(f"{variable.name!r} cannot be held at {value!r}; give a finite number")
+    if variable.type in ("Real", "Integer") and not _in_range(value, variable.wire):
+        raise InputError(
+            f"{variable.name!r} cannot be held at {value!r}; give a finite number that fits its type {variable.wire}"
+        )
+
+
+def _in_range(value: Value, wire: str) -> bool:
+    """Whether a number is one that an FMI 3.0 type has."""
+    if wire.startswith("Float"):
+        return -sys.float_info.max <= value <= sys.float_info.max  # type: ignore[operator]  # no text gets here
+    limits = np.iinfo(wire.lower())
+    return limits.min <= value <= limits.max  # type: ignore[operator]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from fmuid.errors import InputError
 from fmuid.fmi.unpacking import file_digest, unpacked
+from fmuid.paths import is_file
 from fmuid.ssp_links import ComponentEntry, Link, Package, Port
 from fmuid.ssp_values import Bindings
 from fmuid.ssv import Value, children, number, read_xml
@@ -67,7 +68,7 @@ def read_ssp(path: str | Path) -> Structure:
         know (causalities, types, units that the structure does not state) is not checked here.
     """
     path = Path(path)
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(f"{path}: there is no such SSP file; check the path")
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path} is not an SSP: it is not a zip archive; export the system again")

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from urllib.parse import unquote
-from xml.etree import ElementTree
 
 from fmuid.errors import InputError, nearest
-from fmuid.fmi.description import Description, Unit, Variable, read_description
+from fmuid.fmi import safe_xml
+from fmuid.fmi.description import DESCRIPTION_FILE, Description, Unit, Variable, read_description, read_text
+from fmuid.paths import is_file
 from fmuid.ssd import Edge, Node, Tree, read_tree
 from fmuid.ssd import Path as ElementPath
 from fmuid.ssv import Element, enumerations_of, unit_conversion, units_of
@@ -94,7 +94,7 @@ class Package:
         if not name or ":" in name or "#" in source or name.startswith("/") or "\\" in name or ".." in parts:
             raise self.error(f"{what} has the source {source!r}; only files inside the archive are supported")
         file = self.folder.joinpath(*parts)
-        if not file.is_file():
+        if not is_file(file):
             there = [p.relative_to(self.folder).as_posix() for p in self.folder.rglob("*") if p.is_file()]
             raise self.error(f"{what} needs the file {name!r}, which the archive does not have{nearest(name, there)}")
         return file
@@ -104,10 +104,10 @@ class Package:
         what = f"component {name!r}"
         file = self.file_in_archive(source, what)
         try:
-            with zipfile.ZipFile(file) as archive, archive.open("modelDescription.xml") as text:
-                _, first = next(iter(ElementTree.iterparse(text, ["start"])))
-        except (zipfile.BadZipFile, KeyError, ElementTree.ParseError, StopIteration):
-            raise self.error(f"{what}: {source} is not an FMU with a readable modelDescription.xml") from None
+            first = next(safe_xml.started(read_text(file), DESCRIPTION_FILE))
+        except (InputError, StopIteration) as error:
+            said = str(error).replace(str(file), source) or "it is empty"
+            raise self.error(f"{what}: {source} is not an FMU with a readable modelDescription.xml: {said}") from None
         version = first.get("fmiVersion", "")
         if version.startswith("1"):
             raise self.error(f"{what} is an FMU of FMI {version}, which is not supported; export it as FMI 2.0 or 3.0")

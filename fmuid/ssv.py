@@ -16,6 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 from fmuid import __version__
 from fmuid.errors import InputError
+from fmuid.fmi import safe_xml
 from fmuid.fmi.description import SI_BASE_UNITS, Unit
 
 Value = float | int | bool | str
@@ -168,11 +169,13 @@ def read_xml(path: Path, root: str, what: str) -> Element:
         If it cannot be read, is not well-formed, or is something else.
     """
     try:
-        element = ElementTree.parse(path).getroot()
+        with path.open("rb") as file:
+            text = file.read(safe_xml.LARGEST_XML + 1)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}; check the path") from None
-    except (ElementTree.ParseError, UnicodeError, LookupError, ValueError) as error:
-        raise InputError(f"{path} is not well-formed XML: {error}") from None
+    if len(text) > safe_xml.LARGEST_XML:
+        raise InputError(f"{path} is larger than the {safe_xml.LARGEST_XML} bytes of XML that are read")
+    element = safe_xml.parse(text, str(path))
     if local(element) != root:
         raise InputError(f"{path} is not {what}: its root element is {local(element)}, not {root}")
     version = element.get("version", "")
@@ -187,15 +190,18 @@ def number(element: Element, attribute: str, where: str, default: float | None =
     Raises
     ------
     InputError
-        If it is missing and there is no default, or is not a number.
+        If it is missing and there is no default, or is not a finite number.
     """
     text = element.get(attribute)
     if text is None and default is not None:
         return default
     try:
-        return float(text or "")
+        found = float(text or "")
     except ValueError:
-        raise InputError(f"{where}: {attribute} of {local(element)} must be a number, not {text!r}") from None
+        found = math.nan
+    if not math.isfinite(found):
+        raise InputError(f"{where}: {attribute} of {local(element)} must be a finite number, not {text!r}")
+    return found
 
 
 def units_of(root: Element, where: str) -> dict[str, Unit]:
@@ -206,7 +212,10 @@ def units_of(root: Element, where: str) -> dict[str, Unit]:
         at = f"{where}, unit {name!r}"
         for base in children(element, "BaseUnit"):
             exponents = tuple(round(number(base, si, at, 0.0)) for si in SI_BASE_UNITS)
-            found[name] = Unit(name, exponents, number(base, "factor", at, 1.0), number(base, "offset", at, 0.0), {})
+            factor = number(base, "factor", at, 1.0)
+            if factor == 0:
+                raise InputError(f"{at} has the factor 0, with which nothing can be converted")
+            found[name] = Unit(name, exponents, factor, number(base, "offset", at, 0.0), {})
     return found
 
 

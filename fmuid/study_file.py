@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from fmuid.errors import InputError, nearest
+from fmuid.toml_text import UnreadableError, float_of, parsed
 
 T = TypeVar("T")
 
@@ -24,11 +25,12 @@ TOP = "the file"
 # Tables whose keys are names of FMU variables: `--set` takes all that is left of its path as one name there.
 _NAME_TABLES = re.compile(
     r"model\.(values|connectors)|noise\.(variance|start)|experiments\.\d+\.(inputs|outputs|interpolation|units)"
+    r"|batch\.(values|sample\.ranges|noise\.(std|truth))"
 )
 # Tables that `--set` may begin where the file has none.
 _OPTIONAL_TABLES = re.compile(
-    r"model|model\.(values|connectors)|parameters|prior|noise|estimator|uncertainty|experiments\.\d+\.units|parameters\..+\.prior"
-    r"|uncertainty\.posterior"
+    r"model|model\.(values|connectors)|isolation|parameters|prior|noise|estimator|uncertainty|experiments\.\d+\.units|parameters\..+\.prior"
+    r"|uncertainty\.posterior|batch|batch\.(values|sample|sample\.ranges|noise|noise\.(std|truth))"
 )
 _SEGMENT = re.compile(r"""\s*(?:"([^"]*)"|'([^']*)'|([^."'\s]+))\s*(?:\.|$)""")
 
@@ -42,7 +44,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         If the file is missing, a folder, no UTF-8 text or no valid TOML (with the line).
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        return parsed(text)
     except FileNotFoundError:
         beside = sorted(p.name for p in path.parent.glob("*.toml")) if path.parent.is_dir() else []
         raise InputError(f"{path}: there is no such study file{nearest(path.name, beside)}") from None
@@ -52,10 +55,12 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path} is not a study file: it is not UTF-8 text") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except UnreadableError as error:
+        raise InputError(f"{path} is not a study file: {error}") from None
     except tomllib.TOMLDecodeError as error:
         said = str(error)
         line = re.search(r"at line (\d+)", said)
-        there = path.read_text(encoding="utf-8").splitlines()[int(line[1]) - 1].strip() if line else ""
+        there = text.split("\n")[int(line[1]) - 1].strip() if line else ""
         raise InputError(
             f"{path} is not valid TOML: {said[0].lower()}{said[1:]}" + (f": {there}" if there else "")
         ) from None
@@ -115,10 +120,10 @@ def _segments(path: str) -> list[str]:
 
 def _value(text: str) -> Any:
     try:
-        parsed = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
+        found = parsed(f"value = {text}")
+    except (UnreadableError, tomllib.TOMLDecodeError):
         return text
-    return parsed["value"] if len(parsed) == 1 else text
+    return found["value"] if len(found) == 1 else text
 
 
 def _assign(node: Any, segments: Sequence[str], value: Any, above: tuple[str, ...], where: str) -> None:
@@ -270,22 +275,22 @@ def flag(value: object) -> bool:
 
 def number(value: object) -> float:
     """Check for a number (inf is one, nan is not)."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and not math.isnan(value):
-        return float(value)
-    raise MismatchError("a number")
+    if math.isnan(found := float_of(value)):
+        raise MismatchError("a number")
+    return found
 
 
 def positive(value: object) -> float:
     """Check for a finite number above zero."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf:
-        return float(value)
+    if 0 < (found := float_of(value)) < math.inf:
+        return found
     raise MismatchError("a number above 0")
 
 
 def not_negative(value: object) -> float:
     """Check for a finite number, zero or above."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < math.inf:
-        return float(value)
+    if 0 <= (found := float_of(value)) < math.inf:
+        return found
     raise MismatchError("a number, 0 or above")
 
 
@@ -305,8 +310,8 @@ def natural(value: object) -> int:
 
 def share(value: object) -> float:
     """Check for a number between zero and one, neither of them."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < 1:
-        return float(value)
+    if 0 < (found := float_of(value)) < 1:
+        return found
     raise MismatchError("a number between 0 and 1")
 
 

@@ -12,6 +12,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
+from fmuid.paths import exists
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -168,7 +169,7 @@ def write_draft(fmu: Path, table: Path, output: Path) -> Draft:
     InputError
         If a file of that name is there already, or `draft` refuses.
     """
-    if output.exists():
+    if exists(output):
         raise InputError(f"{output} is there already: choose another name with --output, or remove it")
     made = draft(fmu, table, output)
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmuid.errors import InputError, nearest
+from fmuid.mat_file import check_mat
+from fmuid.paths import is_file, is_folder
 
 _LISTED_NAMES = 12
 """Names listed in a message: enough to recognise the table, short enough for one sentence."""
@@ -60,8 +63,8 @@ def read_table(path: Path | str, time: str = "time") -> pd.DataFrame:
             f"{path}: tables of the kind {path.suffix or 'without suffix'!r} are not read: "
             f"save it as one of {', '.join(readers)}"
         )
-    if not path.is_file():
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}: give a table")
+    if not is_file(path):
+        raise InputError(f"{path}: {'this is a folder' if is_folder(path) else 'there is no such file'}: give a table")
     try:
         frame = reader(path, time)
     except PermissionError:
@@ -127,7 +130,8 @@ def numeric_column(frame: pd.DataFrame, column: str, source: str) -> npt.NDArray
 
 def _first_text(series: pd.Series[Any]) -> tuple[int, str]:
     """Return row (from 1) and text of the first cell that is no number (of the first cell, if all are)."""
-    cells = [(row, cell) for row, cell in enumerate(series, start=1) if not pd.isna(cell)]
+    there = [pd.api.types.is_list_like(cell) or not pd.isna(cell) for cell in series]
+    cells = [(row, cell) for row, (cell, given) in enumerate(zip(series, there, strict=True), start=1) if given]
     for row, cell in cells:
         if isinstance(cell, str | complex):
             try:
@@ -195,9 +199,9 @@ def _is_number(text: str) -> bool:
 def _read_parquet(path: Path, time: str) -> pd.DataFrame:
     try:
         frame = pd.read_parquet(path, engine="pyarrow")
-    except (OSError, ValueError) as error:  # pyarrow's own errors derive from these two
-        if isinstance(error, PermissionError):
-            raise
+    except PermissionError:
+        raise
+    except Exception:  # pyarrow's own errors are few, but on broken files there are others, even KeyError
         raise InputError(f"{path}: the file is no readable Parquet table: write it again") from None
     return frame.reset_index() if frame.index.name == time and time not in frame.columns else frame
 
@@ -206,8 +210,14 @@ def _read_mat(path: Path, time: str) -> pd.DataFrame:
     from scipy.io import loadmat  # slow to import, and needed for this format only
 
     try:
-        # Characters stay single: names of a transposed result file stand in columns.
-        content = loadmat(path, chars_as_strings=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what else is in the file, such as functions and objects
+            warnings.filterwarnings("error", r'Duplicate variable name "(?!None")|.*may be corrupt')
+            # Characters stay single: names of a transposed result file stand in columns.
+            check_mat(path)
+            content = loadmat(path, chars_as_strings=False)
+    except PermissionError:
+        raise
     except NotImplementedError:
         raise InputError(
             f"{path}: MAT files of version 7.3 are not read: save it by save(…, '-v7') in MATLAB, or as CSV"

@@ -12,9 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fmuid.errors import InputError
+from fmuid.fmi import safe_xml
 from fmuid.fmi.archive import FMU
+from fmuid.fmi.description import DESCRIPTION_FILE
+from fmuid.fmi.zipped import Zipped, archive_of
 from fmuid.smoke import Report
 
+BUILD_FILE = "sources/buildDescription.xml"
+"""How to compile an FMU that has its sources with it (FMI 3.0.2, section 2.5.1.5)."""
 TIME_LIMIT = 60.0
 """How long the simulations of one try may take, s."""
 
@@ -94,7 +99,11 @@ def validate(fmu: FMU | str | Path) -> Validation:
 def _description(fmu: FMU) -> Check:
     from fmpy.validation import validate_fmu
 
-    problems = validate_fmu(str(fmu.path))
+    with Zipped(fmu.path) as archive:
+        texts = {name: archive.read(name) for name in (DESCRIPTION_FILE, BUILD_FILE) if name in archive.names}
+    for name, text in texts.items():
+        safe_xml.parse(text, f"{fmu.path}: its {name}")
+    problems = validate_fmu(archive_of(texts))
     said = tuple(" ".join(problem.split()) for problem in problems)
     return Check("model description", "failed" if said else "ok", said or ("keeps the standard, as FMPy checks it",))
 

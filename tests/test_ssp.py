@@ -216,6 +216,7 @@ def test_ssp_2_is_read(package: Maker) -> None:
 BOTH = drive() + controller()
 INNER = element("System", "inner", connector("p", "calculatedParameter"), content(drive()))
 BAD = [
+    (content(drive(source="x" * 300)), "component 'drive' needs the file 'x*', which the archive does not have"),
     (content(drive(source="resources/Drvie.fmu")), "component 'drive' needs the file 'resources/Drvie.fmu', which the archive does not have .*'resources/Drive.fmu'"),
     (content(drive(source="../Drive.fmu")), r"component 'drive' has the source '\.\./Drive.fmu'; only files inside"),
     (content(drive(source="file:///Drive.fmu")), "only files inside the archive"),

@@ -109,7 +109,7 @@ def test_ssp_2_types_are_read(tmp_path: Path) -> None:
         (SSV.format(version="1.0", body="<ssv:Parameter name='a'/>"), "parameter 'a' needs one value"),
         (
             SSV.format(version="1.0", body="<ssv:Parameter name='a'><ssv:Real value='x'/></ssv:Parameter>"),
-            "parameter 'a': value of Real must be a number, not 'x'",
+            "parameter 'a': value of Real must be a finite number, not 'x'",
         ),
         (
             SSV.format(version="1.0", body="<ssv:Parameter name='a'><ssv:Integer value='1.5'/></ssv:Parameter>"),

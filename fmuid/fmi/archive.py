@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from fmuid.errors import InputError
 from fmuid.fmi.description import Description, read_description
 from fmuid.fmi.unpacking import file_digest, unpacked
+from fmuid.fmi.zipped import Zipped
 
 
 class FMU:
@@ -22,7 +22,8 @@ class FMU:
     Raises
     ------
     InputError
-        If the file is missing, no zip archive, without a readable model description, or not FMI 2.0.
+        If the file is missing, no zip archive, refused, without a readable model description, or not
+        FMI 2.0 or 3.0.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -45,8 +46,8 @@ class FMU:
     @cached_property
     def platforms(self) -> tuple[str, ...]:
         """The platform folders below ``binaries/``."""
-        with zipfile.ZipFile(self.path) as archive:
-            parts = [PurePosixPath(name).parts for name in archive.namelist()]
+        with Zipped(self.path) as archive:
+            parts = [PurePosixPath(name).parts for name in archive.names]
         return tuple(sorted({p[1] for p in parts if len(p) > 2 and p[0] == "binaries"}))
 
     @cached_property
@@ -56,7 +57,7 @@ class FMU:
         Raises
         ------
         InputError
-            If an entry of the archive would be written outside that folder, or nothing can be written there.
+            If the archive is refused, or nothing can be written there.
         """
         return unpacked(self.path, self.digest)
 

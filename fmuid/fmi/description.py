@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import zipfile
 from collections.abc import Iterable, Mapping
@@ -10,13 +11,19 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 from fmuid.errors import InputError
+from fmuid.fmi import safe_xml
 from fmuid.fmi.start_values import applied_values
+from fmuid.fmi.zipped import Zipped, archive_of
+from fmuid.paths import is_file
 
+DESCRIPTION_FILE = "modelDescription.xml"
 READABLE_VERSIONS = ("2.0", "3.0")
 KINDS = ("co-simulation", "model-exchange")
+MOST_ELEMENTS = 1_000_000
+"""Variables, elements of arrays counted one by one: a few words of XML can declare any number."""
 SI_BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
@@ -177,34 +184,46 @@ def read_description(path: Path) -> Description:
     InputError
         If the file is missing, is no zip archive, has no readable model description, or is of another FMI version.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(f"{path}: there is no such FMU file; check the path")
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path} is not an FMU: it is not a zip archive; export the model again")
-    with zipfile.ZipFile(path) as archive:
-        if "modelDescription.xml" not in archive.namelist():
-            raise InputError(f"{path} is not an FMU: it has no modelDescription.xml at its top level")
-        text = archive.read("modelDescription.xml")
-        root = _checked_root(path, text)
+    text = read_text(path)
+    root = _checked_root(path, text)
     from fmpy import read_model_description
 
     try:
-        parsed = read_model_description(str(path), validate=False)
-    except Exception as error:
-        raise InputError(f"{path}: its modelDescription.xml cannot be read: {error}") from error
-    if parsed.coSimulation is None and parsed.modelExchange is None:
-        raise InputError(f"{path} offers neither co-simulation nor model exchange; export it as one of these")
-    # FMPy reads this attribute of FMI 2.0 only
-    directional = {e.tag for e in root if e.get("providesDirectionalDerivatives") in ("true", "1")}
-    return replace(_convert(parsed, directional), applied=applied_values(text))
+        parsed = read_model_description(archive_of({DESCRIPTION_FILE: text}), validate=False)
+        if parsed.coSimulation is None and parsed.modelExchange is None:
+            raise InputError(f"{path} offers neither co-simulation nor model exchange; export it as one of these")
+        # FMPy reads this attribute of FMI 2.0 only
+        directional = {e.tag for e in root if e.get("providesDirectionalDerivatives") in ("true", "1")}
+        return replace(_convert(parsed, directional), applied=applied_values(text))
+    except InputError as error:
+        said = str(error)
+        raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None
+    except Exception as error:  # of whatever kind FMPy meets first, even AttributeError
+        said = f"it refers to {error}, which it does not declare" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"{path}: its {DESCRIPTION_FILE} cannot be read: {said}") from error
 
 
-def _checked_root(path: Path, text: bytes) -> ElementTree.Element:
+def read_text(path: Path) -> bytes:
+    """Return the modelDescription.xml of an FMU.
+
+    Raises
+    ------
+    InputError
+        If the archive is refused, or has none.
+    """
+    with Zipped(path) as archive:
+        if DESCRIPTION_FILE not in archive.names:
+            raise InputError(f"{path} is not an FMU: it has no {DESCRIPTION_FILE} at its top level")
+        return archive.read(DESCRIPTION_FILE)
+
+
+def _checked_root(path: Path, text: bytes) -> Element:
     """Return the root of a model description of a version that is read."""
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}: its modelDescription.xml is not well-formed XML: {error}") from None
+    root = safe_xml.parse(text, f"{path}: its {DESCRIPTION_FILE}")
     version = root.get("fmiVersion")
     if not re.match(r"(2\.0|3\.0)(\.|$)", version or ""):
         raise InputError(
@@ -216,6 +235,8 @@ def _checked_root(path: Path, text: bytes) -> ElementTree.Element:
 
 def _convert(parsed: Any, directional: set[str]) -> Description:
     states = {unknown.variable.derivative.name for unknown in parsed.derivatives if unknown.variable.derivative}
+    _check_names(parsed)
+    _check_size(parsed)
     experiment = parsed.defaultExperiment
     words = {"start": "startTime", "stop": "stopTime", "tolerance": "tolerance", "step_size": "stepSize"}
     enumeration = "Int32" if parsed.fmiVersion.startswith("2") else "Int64"
@@ -235,16 +256,51 @@ def _convert(parsed: Any, directional: set[str]) -> Description:
             for kind, element in zip(KINDS, (parsed.coSimulation, parsed.modelExchange), strict=True)
             if element is not None
         },
-        default_experiment={word: float(value) for word, value in declared.items() if value is not None},
+        default_experiment={word: _finite(value, words[word]) for word, value in declared.items() if value is not None},
         dependencies={
-            name: None if unknown.dependencies is None else tuple(_names(unknown.dependencies))
+            name: depends
             for unknown in parsed.outputs
+            for depends in [None if unknown.dependencies is None else tuple(_names(unknown.dependencies))]
             for name in _names([unknown.variable])
         },
         derivatives=tuple(_names(unknown.variable for unknown in parsed.derivatives)),
         states=tuple(_names(u.variable.derivative for u in parsed.derivatives if u.variable.derivative)),
         indicators=int(parsed.numberOfEventIndicators),
     )
+
+
+def _check_names(parsed: Any) -> None:
+    given = [("fmiModelDescription", parsed.modelName), ("Unit", *(unit.name for unit in parsed.unitDefinitions))]
+    given.append(("DisplayUnit", *(each.name for unit in parsed.unitDefinitions for each in unit.displayUnits)))
+    for element, *names in given:
+        if None in names:
+            raise InputError(f"its {DESCRIPTION_FILE} has a {element} without its name")
+    if parsed.guid is None:
+        raise InputError(f"its {DESCRIPTION_FILE} has no guid or instantiationToken, which the binary asks for")
+
+
+def _check_size(parsed: Any) -> None:
+    """Refuse what could not be held in memory, before it is, and what the binary's functions do not take."""
+    count = sum(math.prod(variable.shape or ()) for variable in parsed.modelVariables)
+    for what, number in (
+        ("variables and elements of arrays", count),
+        ("event indicators", parsed.numberOfEventIndicators),
+    ):
+        if not 0 <= number <= MOST_ELEMENTS:
+            raise InputError(f"its {DESCRIPTION_FILE} declares {number} {what}, and at most {MOST_ELEMENTS} are read")
+    for variable in parsed.modelVariables:
+        if not 0 <= variable.valueReference < 2**32:
+            raise InputError(
+                f"its {DESCRIPTION_FILE} gives {variable.name!r} the value reference {variable.valueReference}, "
+                "which is no unsigned 32-bit integer"
+            )
+
+
+def _finite(number: Any, what: str, *, zero: bool = True) -> float:
+    found = float(number)
+    if not math.isfinite(found) or (found == 0 and not zero):
+        raise InputError(f"its {DESCRIPTION_FILE} has {what} = {number}, which no calculation can use")
+    return found
 
 
 def _names(variables: Iterable[Any]) -> list[str]:
@@ -266,6 +322,7 @@ def _scalars(parsed: Any, is_state: bool, enumeration: str) -> list[Variable]:
         return float(text) if text else None
 
     names = _names([parsed])
+    array = tuple(names) if parsed.shape else ()
     starts = [parsed.start]
     if parsed.shape:
         listed = (parsed.start or "").split()
@@ -286,7 +343,7 @@ def _scalars(parsed: Any, is_state: bool, enumeration: str) -> list[Variable]:
             nominal=number("nominal"),
             description=parsed.description or "",
             is_state=is_state,
-            array=tuple(names) if parsed.shape else (),
+            array=array,
         )
         for name, start in zip(names, starts, strict=True)
     ]
@@ -305,16 +362,25 @@ def _unit(parsed: Any) -> Unit:
     return Unit(
         name=parsed.name,
         exponents=None if base is None else tuple(int(getattr(base, si)) for si in SI_BASE_UNITS),
-        factor=1.0 if base is None else float(base.factor),
-        offset=0.0 if base is None else float(base.offset),
-        display_units={display.name: (float(display.factor), float(display.offset)) for display in parsed.displayUnits},
+        factor=1.0 if base is None else _finite(base.factor, f"the factor of {parsed.name!r}", zero=False),
+        offset=0.0 if base is None else _finite(base.offset, f"the offset of {parsed.name!r}"),
+        display_units={
+            display.name: (
+                _finite(display.factor, f"the factor of {display.name!r}", zero=False),
+                _finite(display.offset, f"the offset of {display.name!r}"),
+            )
+            for display in parsed.displayUnits
+        },
     )
 
 
 def _interface(kind: str, parsed: Any, directional: bool) -> Interface:
+    identifier = parsed.modelIdentifier
+    if not identifier or set("/\\:\0") & set(identifier):  # it names the binary: a path would lead to another one
+        raise InputError(f"its modelIdentifier is {identifier!r}, which is no name of a binary in it; export it again")
     return Interface(
         kind=kind,
-        identifier=parsed.modelIdentifier,
+        identifier=identifier,
         needs_execution_tool=bool(parsed.needsExecutionTool),
         once_per_process=bool(parsed.canBeInstantiatedOnlyOncePerProcess),
         get_set_state=bool(parsed.canGetAndSetFMUstate),

@@ -1,17 +1,28 @@
-"""Safe unpacking of archives into the user's cache, by content: FMUs (FMI 2.0.4, section 2.3) and SSPs (SSP 1.0)."""
+"""Unpacking of archives into the user's cache, by content: FMUs (FMI 2.0.4, section 2.3) and SSPs (SSP 1.0).
+
+What is there is later loaded and executed, so that nobody else may write it: folders and files are the user's alone.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 import stat
+import sys
 import tempfile
 import zipfile
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import platformdirs
 
 from fmuid.errors import InputError
+from fmuid.fmi.zipped import Zipped, parts_of
+
+_PRIVATE, _PRIVATE_FILE = 0o700, 0o600
+_BINARY = getattr(os, "O_BINARY", 0)  # of Windows
+# Below these what is used of an FMU must have the size that the archive says; an FMU may write into its other files.
+_SIZED = ("binaries", "modelDescription.xml")
 
 
 def file_digest(path: Path) -> str:
@@ -21,7 +32,9 @@ def file_digest(path: Path) -> str:
 
 
 def unpacked(path: Path, digest: str) -> Path:
-    """Return the folder of an unpacked archive in the user's cache; it is unpacked where it is not there yet.
+    """Return the folder of an unpacked archive in the user's cache.
+
+    It is unpacked where it is not there yet, and files that are missing there, or binaries of another size, again.
 
     Parameters
     ----------
@@ -33,39 +46,103 @@ def unpacked(path: Path, digest: str) -> Path:
     Raises
     ------
     InputError
-        If an entry of the archive would be written outside that folder, or nothing can be written there.
+        If the archive is refused (`Zipped`), the cache is a symbolic link or somebody else's, or nothing can be written
+        there.
     """
-    target = Path(platformdirs.user_cache_dir("fmuid")) / "unpacked" / digest
-    if not target.is_dir():
+    cache = Path(platformdirs.user_cache_dir("fmuid"))
+    shelf = cache / "unpacked"
+    target = shelf / digest
+    with Zipped(path) as archive:
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            _unpack(path, target)
-        except (OSError, zipfile.BadZipFile) as error:
-            raise InputError(f"{path} cannot be unpacked below {target.parent}: {error}") from error
+            for folder in (cache, shelf):
+                _make_private(folder)
+            if not target.is_dir():
+                _unpack(archive, target)
+            else:
+                _make_private(target)
+                _repair(archive, target)
+        except (OSError, UnicodeError) as error:  # the latter of names that the file system cannot write
+            raise InputError(f"{path} cannot be unpacked below {shelf}: {error}") from error
     return target
 
 
-def _unpack(path: Path, target: Path) -> None:
-    """Unpack beside the target and rename, so that an interrupted or parallel run leaves no half archive."""
-    with zipfile.ZipFile(path) as archive:
-        for entry in archive.infolist():
-            _check_entry(path, entry)
-        fresh = Path(tempfile.mkdtemp(dir=target.parent))
-        try:
-            archive.extractall(fresh)
-            try:
-                fresh.rename(target)
-            except OSError:
-                if not target.is_dir():  # else another process was faster with the same content
-                    raise
-        finally:
-            shutil.rmtree(fresh, ignore_errors=True)
-
-
-def _check_entry(path: Path, entry: zipfile.ZipInfo) -> None:
-    name = PurePosixPath(entry.filename)
-    outside = name.is_absolute() or ".." in name.parts or "\\" in entry.orig_filename or ":" in entry.filename
-    if outside or stat.S_ISLNK(entry.external_attr >> 16):
+def _make_private(folder: Path) -> None:
+    """Make a folder that is the user's alone, or check that it is one."""
+    folder.mkdir(_PRIVATE, parents=True, exist_ok=True)
+    said = folder.lstat()
+    remedy = "remove it, or name another place for caches by the environment variable XDG_CACHE_HOME"
+    if not stat.S_ISDIR(said.st_mode):
         raise InputError(
-            f"{path} is refused: its entry {entry.orig_filename!r} would be written outside the archive's folder"
+            f"the cache folder {folder} is a symbolic link, through which others might be written; {remedy}"
         )
+    if sys.platform != "win32":
+        if said.st_uid != os.geteuid():
+            raise InputError(
+                f"the cache folder {folder} belongs to somebody else, who could change FMUs in it; {remedy}"
+            )
+        if stat.S_IMODE(said.st_mode) != _PRIVATE:
+            folder.chmod(_PRIVATE)
+
+
+def _unpack(archive: Zipped, target: Path) -> None:
+    """Unpack beside the target and rename, so that an interrupted or parallel run leaves no half archive."""
+    fresh = Path(tempfile.mkdtemp(dir=target.parent))
+    try:
+        made = {fresh}
+        for entry in archive.entries:
+            place = _place(entry, fresh, made)
+            if not entry.is_dir():
+                place.unlink(missing_ok=True)  # of a file that is packed twice
+                _write(archive, entry, os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, _PRIVATE_FILE))
+        try:
+            fresh.rename(target)
+        except OSError:
+            if not target.is_dir():  # else another process was faster with the same content
+                raise
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _repair(archive: Zipped, target: Path) -> None:
+    """Unpack what is missing, each file in one step, so that whoever uses what was there before keeps it whole."""
+    made = {target}
+    for entry in archive.entries:
+        if _is_missing(target, entry):
+            place = _place(entry, target, made)
+            if entry.is_dir():
+                continue
+            handle, name = tempfile.mkstemp(dir=target.parent)
+            try:
+                _write(archive, entry, handle)
+                Path(name).replace(place)
+            finally:
+                Path(name).unlink(missing_ok=True)
+
+
+def _is_missing(folder: Path, entry: zipfile.ZipInfo) -> bool:
+    parts = parts_of(entry)
+    try:
+        said = folder.joinpath(*parts).lstat()
+    except OSError:
+        return True
+    if entry.is_dir():
+        return False
+    return not stat.S_ISREG(said.st_mode) or (bool(parts) and parts[0] in _SIZED and said.st_size != entry.file_size)
+
+
+def _place(entry: zipfile.ZipInfo, folder: Path, made: set[Path]) -> Path:
+    """Return where an entry goes, all folders on the way made."""
+    parts = parts_of(entry)
+    place = folder.joinpath(*parts)
+    inner = place if entry.is_dir() else place.parent
+    for above in (*reversed(inner.parents), inner) if inner not in made else ():
+        if len(above.parts) > len(folder.parts) and above not in made:
+            above.mkdir(_PRIVATE, exist_ok=True)
+            made.add(above)
+    return place
+
+
+def _write(archive: Zipped, entry: zipfile.ZipInfo, handle: int) -> None:
+    with os.fdopen(handle, "wb") as file:
+        for chunk in archive.chunks(entry):
+            file.write(chunk)
