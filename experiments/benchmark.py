@@ -303,6 +303,24 @@ def compare_systems() -> None:
         print(f"{other / ours:.0f} times as fast (outputs differ by {apart:.0e})")
 
 
+def compare_isolation() -> None:
+    """Print what a process of its own for the FMU costs: a simulation, and a whole identification."""
+    study, isolated = (fmuid.Study.read(STUDY_FILE, isolated=away) for away in (False, True))
+    theta = [parameter.start for parameter in study.parameters.values()]
+    simulators = [each.simulators()[0] for each in (study, isolated)]
+    here, there = alternating(10, *(partial(_often, partial(each, theta), 20) for each in simulators))
+    print(f"FMU in a process of its own: simulation {1e3 * there / 20:.3f} ms, here {1e3 * here / 20:.3f} ms, ", end="")
+    apart = difference(simulators[0](theta), simulators[1](theta))
+    print(f"{there / here:.2f} times as long (outputs differ by {apart:.0e})")
+    here, there = alternating(20, *(partial(fmuid.identify, each.problem()) for each in (study, isolated)))
+    print(f"     identification {1e3 * there:.1f} ms, here {1e3 * here:.1f} ms: {there / here:.2f} times as long")
+
+
+def _often(task: Callable[[], object], times: int) -> None:
+    for _ in range(times):
+        task()
+
+
 def compare_starts() -> None:
     """Print how long the commands take in a process of their own."""
     command = [sys.executable, "-m", "fmuid"]
@@ -327,6 +345,7 @@ def main() -> None:
     compare_model_exchange(linear)
     compare_systems()
     compare_fits(study, held, by_fmpy)
+    compare_isolation()
     compare_starts()
 
 

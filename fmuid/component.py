@@ -54,6 +54,44 @@ class Numerics:
         return Numerics(*(getattr(self if getattr(self, f.name) is not None else others, f.name) for f in fields(self)))
 
 
+@dataclass(frozen=True)
+class Isolation:
+    """How a system's FMUs are run in a process of their own, where they can do no harm to the study.
+
+    A simulation that crashes the process, does not end or takes too much memory fails like any other that fails, and
+    the next one is run by a new process. An FMU is native code all the same: it has the rights of its user.
+
+    Parameters
+    ----------
+    time_limit : float, optional
+        How long one simulation may take, s; default: `SLOWER` times the longest so far, at least `LEAST_LIMIT`, and
+        `FIRST_LIMIT` before there was any.
+    memory : float, optional
+        How much resident memory the process may take, MB; default: an equal share of half the machine's memory for
+        each core. What grows by more than `GROWTH` while simulations come and go is replaced by a new process.
+    recycle : int, optional
+        After how many simulations the process is replaced by a new one; default: only for its memory.
+    threads : int, optional
+        How many simulations run at a time; default: one for each core.
+
+    Raises
+    ------
+    InputError
+        If a number is not positive.
+    """
+
+    time_limit: float | None = None
+    memory: float | None = None
+    recycle: int | None = None
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            given = getattr(self, field.name)
+            if given is not None and not 0 < given < float("inf"):
+                raise InputError(f"{field.name} must be a positive number, not {given:g}")
+
+
 AS_OFFERED = Numerics()
 """Everything chosen by what the FMU offers."""
 

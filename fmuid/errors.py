@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Mapping
 
 
@@ -39,7 +40,7 @@ class SimulationError(FmuidError):
     fmu : str
         The FMU (or the component and its FMU) that failed.
     time : float
-        Simulation time of the failing call, s.
+        Simulation time of the failing call, s; not a number where that is not known.
     parameters : dict of str to float
         The parameter values of the failing simulation.
     call : str
@@ -56,10 +57,14 @@ class SimulationError(FmuidError):
         values = ", ".join(f"{name} = {value:.6g}" for name, value in self.parameters.items())
         said = f'; the FMU says: "{" / ".join(self.messages)}"' if self.messages else ""
         super().__init__(
-            f"simulation of {fmu} failed at t = {time:.6g} s"
+            f"simulation of {fmu} failed"
+            + (f" at t = {time:.6g} s" if math.isfinite(time) else "")
             + (f" with {values}" if values else "")
             + f": {call}{said}"
         )
+
+    def __reduce__(self) -> tuple[type[SimulationError], tuple[object, ...]]:
+        return SimulationError, (self.fmu, self.time, self.parameters, self.call, self.messages)
 
 
 def nearest(name: str, known: Iterable[str], count: int = 3) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 
 from fmuid.component import Component
 from fmuid.experiment import Experiment
-from fmuid.fmi import kernels
+from fmuid.fmi import codes
+from fmuid.fmi.codes import FLOAT64
 from fmuid.fmi.layout import Integration, Operation, Sensitivities
-from fmuid.fmi.native import FLOAT64
 from fmuid.plan import PlannedRun
 from fmuid.roles import Value
 from fmuid.simulator import Simulator
@@ -22,6 +23,8 @@ from fmuid.workers import Workers
 
 Floats = NDArray[np.float64]
 MODEL = "model"  # the last component among its twins
+# The twins of each system, so that simulators of it share their instances.
+_twins: weakref.WeakKeyDictionary[System, dict[tuple[int, tuple[str, ...]], System]] = weakref.WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -85,9 +88,9 @@ class SensitivityRun(PlannedRun):
         reports = np.empty((1, 4), np.intp)
         with workers.lock:
             workers.run(self, theta[None], outputs, reports)
-            if reports[0, 0] == kernels.SENSITIVITIES:
+            if reports[0, 0] == codes.SENSITIVITIES:
                 return Refusal("the FMU gives no directional derivatives of its outputs by parameters")
-            error = workers.first.error(self, outputs[0], reports[0], {})
+            error = workers.failure(self, theta, outputs[0], reports[0], {})
         if error is not None:
             return Refusal(f"from t = {error.time:g} s on, {error.call}")
         found: Floats = outputs[0]
@@ -134,7 +137,7 @@ class DirectionalRun(SensitivityRun):
         size = count * len(found)
         self._signals += [0.0] * size
         self._operations.append(
-            Operation(kernels.SENSITIVITIES, 0, len(self._references), len(found), first, size, FLOAT64)
+            Operation(codes.SENSITIVITIES, 0, len(self._references), len(found), first, size, FLOAT64)
         )
         self._references += [self._system.variables[term].reference for term in found]
         for j in range(count):
@@ -183,6 +186,7 @@ class TwinRun(SensitivityRun):
         system, (model,) = simulator.system, simulator.system.components.values()
         count = len(simulator.targets)
         names = [*(f"twin{j + 1}" for j in range(count)), MODEL]
+        inputs = simulator.experiment.input_names
 
         def inner(name: str) -> str:
             return system.split(name)[1]
@@ -201,13 +205,20 @@ class TwinRun(SensitivityRun):
             steps=np.ones(count),
             twins=tuple(range(count)),
         )
+        known = _twins.setdefault(system, {})
+        twins = known.get((count, inputs))
+        if twins is None:
+            twins = known[count, inputs] = System(
+                components={name: Component(model.fmu, model.numerics) for name in names},
+                connectors={name: ports(name) for name in inputs},
+                values={f"{name}.{inner(v)}": value for name in names for v, value in system.values.items()},
+                isolation=system.isolation,
+            )
+        for component in twins.components.values():
+            component.stiff = model.stiff
         return cls(
             given,
-            System(
-                components={name: Component(model.fmu, model.numerics) for name in names},
-                connectors={name: ports(name) for name in experiment.input_names},
-                values={f"{name}.{inner(v)}": value for name in names for v, value in system.values.items()},
-            ),
+            twins,
             extended_by(
                 experiment, [" + ".join(f"{name}.{term}" for term in some) for name in names for some in terms]
             ),

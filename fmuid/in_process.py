@@ -1,27 +1,25 @@
-"""Instances of a system, kept and reused: one set for each thread, instantiated once, reset between simulations."""
+"""Instances of a system in this process, kept and reused: one set for each thread, reset between simulations."""
 
 from __future__ import annotations
 
-import itertools
 import logging
-import os
 import threading
 import time
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.component import Component
+from fmuid.component import STIFF_INTEGRATOR, Component
 from fmuid.errors import SimulationError
-from fmuid.fmi import kernels
+from fmuid.fmi import codes
 from fmuid.fmi.instance import Instance, describe_failure, status_word, warn
+from fmuid.fmi.layout import Run, shares
 from fmuid.fmi.loop import Loop
-from fmuid.plan import PlannedRun
-from fmuid.system import System
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("fmuid.fmu")
@@ -39,17 +37,34 @@ class Worker:
 
     All calls to an instance, from instantiation to freeing, come from the same thread: some FMUs keep
     thread-local data. The first worker is the caller's own thread, the others have one each.
+
+    Parameters
+    ----------
+    components : mapping of str to Component
+    index : int
+        Its number; 0 is the caller's own thread.
+    resets : bool, optional
+        Whether an instance can be reset to its beginning; default: found out with the first simulation.
+
+    Attributes
+    ----------
+    doing : (1,) array of intp
+        What it is doing now (`codes.IDLE` and so on).
+    longest : float
+        Duration of the longest simulation so far, s.
     """
 
-    def __init__(self, components: Mapping[str, Component], index: int) -> None:
+    def __init__(self, components: Mapping[str, Component], index: int, resets: bool | None = None) -> None:
         self._components, self._index = components, index
         self._executor = ThreadPoolExecutor(1, f"fmuid-{index}") if index else None
         self._instances: list[Instance] = []
-        self._loops: weakref.WeakKeyDictionary[PlannedRun, Loop] = weakref.WeakKeyDictionary()
+        self._loops: weakref.WeakKeyDictionary[Run, Loop] = weakref.WeakKeyDictionary()
         self._used = np.zeros(0, np.intp)
         self._seconds = CALL_SECONDS  # of one simulation, as last measured
-        self._resets: bool | None = None  # whether fmi2Reset brings an instance back to its beginning; not yet known
+        self._resets = resets
         self._told: set[str] = set()
+        self.doing = np.zeros(1, np.intp)
+        self.longest = 0.0
 
     def start(self, task: Callable[..., None], *arguments: Any) -> Future[None] | None:
         """Run a task in this worker's thread: at once, or returning a future."""
@@ -58,7 +73,7 @@ class Worker:
         task(*arguments)
         return None
 
-    def run(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
+    def run(self, run: Run, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
         """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, 4)."""
         done = 0
         while done < len(thetas):
@@ -67,6 +82,9 @@ class Worker:
             began = time.perf_counter()
             self._call(run, thetas[part], outputs[part], reports[part])
             self._seconds = max((time.perf_counter() - began) / share, 1e-6)
+            undone = np.flatnonzero(reports[part, 2] == codes.UNDONE)
+            if undone.size:  # by another instance: the one before them failed fatally
+                part = slice(done, done + int(undone[0]))
             failed = bool((reports[part, 0] >= 0).any())
             if failed and (reports[part, 2][reports[part, 0] >= 0] >= FATAL).any():
                 self.close(fatal=True)
@@ -75,10 +93,14 @@ class Worker:
             done = part.stop
         self._pass_on_warnings(failed=bool((reports[:, 0] >= 0).any()))
 
-    def _try_reset(self, run: PlannedRun, theta: Array, expected: Array) -> None:
+    def _try_reset(self, run: Run, theta: Array, expected: Array) -> None:
         """Repeat the first simulation after a reset: an FMU that keeps something is instantiated anew every time."""
         if not np.isfinite(expected).all():
             return
+        with self._busy(codes.REPEATING):
+            self._judge_reset(run, theta, expected)
+
+    def _judge_reset(self, run: Run, theta: Array, expected: Array) -> None:
         same, fatal = self._repeats(run, theta, expected)
         self._resets = same
         if not same:
@@ -94,7 +116,7 @@ class Worker:
                     ", ".join(self._labels),
                 )
 
-    def _repeats(self, run: PlannedRun, theta: Array, expected: Array) -> tuple[bool, bool]:
+    def _repeats(self, run: Run, theta: Array, expected: Array) -> tuple[bool, bool]:
         """Simulate again; return whether the outputs are the same, and whether the FMU failed fatally."""
         outputs, report = np.empty_like(expected), np.empty((1, 4), np.intp)
         self._simulate(run, theta, outputs, report)
@@ -118,7 +140,13 @@ class Worker:
                 warn(instance, self._told)
             instance.messages.clear()
 
-    def explain(self, run: PlannedRun, theta: Array, parameters: Mapping[str, float]) -> SimulationError | None:
+    @contextmanager
+    def _busy(self, doing: int) -> Iterator[None]:
+        before, self.doing[0] = int(self.doing[0]), doing
+        yield
+        self.doing[0] = before
+
+    def explain(self, run: Run, theta: Array, parameters: Mapping[str, float]) -> SimulationError | None:
         """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
         outputs = np.empty((1, run.grid.times.size, len(run.output_names)))
         reports = np.empty((1, 4), np.intp)
@@ -138,14 +166,16 @@ class Worker:
         return error
 
     def error(
-        self, run: PlannedRun, outputs: Array, report: NDArray[np.intp], parameters: Mapping[str, float]
+        self, run: Run, outputs: Array, report: NDArray[np.intp], parameters: Mapping[str, float]
     ) -> SimulationError | None:
         """Return what a report and the outputs say, as an error; None where the simulation succeeded."""
         function, component, status, sample = (int(word) for word in report)
         if function >= 0:
             at = float(run.grid.times[max(sample, 0)])
-            if function == kernels.LOOP:
-                return SimulationError(", ".join(self._labels), at, parameters, run.describe_loop(component), [])
+            if function == codes.LOOP:
+                loop = run.plan.loops[component]
+                what = f"the loop of direct feed-through through {loop.words} ({len(loop.signals)} unknowns) has no "
+                return SimulationError(", ".join(self._labels), at, parameters, what + "solution that is found", [])
             said = _last_words(self._instances[component]) if self._instances else []
             what = self._describe(run, component, function, status)
             return SimulationError(self._labels[component], at, parameters, what, said)
@@ -157,31 +187,32 @@ class Worker:
             return SimulationError(", ".join(self._labels), float(run.grid.times[row]), parameters, what, said)
         return None
 
-    def _describe(self, run: PlannedRun, component: int, function: int, status: int) -> str:
+    def _describe(self, run: Run, component: int, function: int, status: int) -> str:
         model = list(self._components.values())[component]
         version = model.fmu.description.major_version
-        if function < kernels.STEPPER:
+        if function < codes.STEPPER:
             return describe_failure(version, function, status)
         if model.kind == "co-simulation":
             from fmuid.fmi.co_simulation import describe
 
-            return describe(function - kernels.STEPPER, status_word(version, status))
+            return describe(function - codes.STEPPER, status_word(version, status))
         from fmuid.fmi import integrators
 
         integration, loop = run.plan.integrations[component], self._loops.get(run)
         integrator = integration.integrator if integration else ""
         bad = loop.bad_state(component) if loop is not None else "of the model"
         at, step = loop.whereabouts(component) if loop is not None else (np.nan, np.nan)
-        return integrators.describe(function - kernels.STEPPER, status, version, integrator, bad, at, step)
+        return integrators.describe(function - codes.STEPPER, status, version, integrator, bad, at, step)
 
     def close(self, fatal: bool = False) -> None:
         """Free the instances; after a fatal error they are left alone."""
-        for instance in self._instances:
-            instance.close(fatal)
+        with self._busy(codes.CLOSING):
+            for instance in self._instances:
+                instance.close(fatal)
         self._instances = []
         self._loops.clear()
 
-    def forget(self, run: PlannedRun) -> None:
+    def forget(self, run: Run) -> None:
         """Lay a run out anew before its next simulation."""
         self._loops.pop(run, None)
 
@@ -204,26 +235,31 @@ class Worker:
 
     def _prepare(self) -> None:
         if not self._instances:
-            for component, model in self._components.items():
-                name = f"{component or model.fmu.name}-{self._index}"
-                self._instances.append(Instance(model.fmu, model.kind, name))
+            with self._busy(codes.PREPARING):
+                for component, model in self._components.items():
+                    name = f"{component or model.fmu.name}-{self._index}"
+                    self._instances.append(Instance(model.fmu, model.kind, name))
             self._used = np.zeros(len(self._instances), np.intp)
 
-    def _call(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
+    def _call(self, run: Run, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
         if self._resets is False:
             self.close()
         self._prepare()
         self._simulate(run, thetas, outputs, reports)
-        if self._resets is None and reports[0, 0] == kernels.RESET:  # the simulation before failed: nothing was known
+        if self._resets is None and reports[0, 0] == codes.RESET:  # the simulation before failed: nothing was known
             self._give_up_reset(fatal=reports[0, 2] >= FATAL)
             self._prepare()
             self._simulate(run, thetas, outputs, reports)
 
-    def _simulate(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
+    def _simulate(self, run: Run, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
         loop = self._loops.get(run)
         if loop is None:
-            loop = self._loops[run] = Loop(run.plan, run.grid, self._instances, self._used)
-        loop.run(thetas, outputs, reports)
+            with self._busy(codes.PREPARING):
+                loop = self._loops[run] = Loop(run.plan, run.grid, self._instances, self._used)
+        began = time.perf_counter()
+        with self._busy(max(codes.SIMULATING, int(self.doing[0]))):
+            loop.run(thetas, outputs, reports)
+        self.longest = max(self.longest, (time.perf_counter() - began) / len(thetas))
 
 
 def _last_words(instance: Instance) -> list[str]:
@@ -233,46 +269,69 @@ def _last_words(instance: Instance) -> list[str]:
     return list(dict.fromkeys(words))[-MESSAGES_TOLD:]
 
 
-class Workers:
-    """The workers of one system, shared by all its simulators, as many as the FMUs and the machine allow."""
+class InProcess:
+    """The workers of one system in this process, as many as the FMUs and the machine allow.
 
-    def __init__(self, components: Mapping[str, Component], limit: int) -> None:
+    Parameters
+    ----------
+    components : mapping of str to Component
+    limit : int
+        The largest number of workers.
+    resets : bool, optional
+        Whether instances can be reset; default: found out.
+
+    Attributes
+    ----------
+    lock : RLock
+        Held by who runs simulations and asks for their failures.
+    """
+
+    def __init__(self, components: Mapping[str, Component], limit: int, resets: bool | None = None) -> None:
         self.lock = threading.RLock()
-        self._components, self._limit = components, limit
-        self._workers = [Worker(components, 0)]
+        self._components, self._limit, self._resets = components, limit, resets
+        self._workers = [Worker(components, 0, resets)]
+        self._doing: NDArray[np.intp] | None = None
 
-    def run(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
-        """Simulate all thetas, in equal shares over the workers; a model found stiff is run again as such."""
+    def run(self, run: Run, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
+        """Simulate all thetas, in equal shares over the workers; a model found stiff is run again as such.
+
+        Parameters
+        ----------
+        run : Run
+        thetas : (m, N) array
+        outputs : (m, K, n_outputs) array
+            Filled in.
+        reports : (m, 4) array of intp
+            Filled in (`fmuid.fmi.kernels.simulate`).
+        """
         self._run_shares(run, thetas, outputs, reports)
-        if any(run.plan.integrations) and self._found_stiff(reports):
-            run.integrate_as_now_chosen()
+        if any(run.plan.integrations) and self._found_stiff(run, reports):
             for worker in self._workers:
                 worker.forget(run)
             self._run_shares(run, thetas, outputs, reports)
 
-    def _found_stiff(self, reports: NDArray[np.intp]) -> bool:
+    def _found_stiff(self, run: Run, reports: NDArray[np.intp]) -> bool:
         """Mark the models that the default integrator has found stiff; return whether there are any."""
         from fmuid.fmi.block import STIFF
 
-        stiff = {int(component) for function, component, _, _ in reports if function == kernels.STEPPER + STIFF}
-        models = [list(self._components.values())[component] for component in stiff]
-        undecided = [model for model in models if model.numerics.integrator is None]
-        for model in undecided:
-            model.stiff = True
+        stiff = {int(component) for function, component, _, _ in reports if function == codes.STEPPER + STIFF}
+        models = list(self._components.values())
+        undecided = [component for component in stiff if models[component].numerics.integrator is None]
+        for component in undecided:
+            models[component].stiff = True
+            run.integrate(component, STIFF_INTEGRATOR)
         return bool(undecided)
 
-    def _run_shares(self, run: PlannedRun, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
+    def _run_shares(self, run: Run, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
         count = min(self._limit, len(thetas))
         while len(self._workers) < count:
-            self._workers.append(Worker(self._components, len(self._workers)))
-        edges = [len(thetas) * i // count for i in range(count + 1)]
-        shares = [slice(a, b) for a, b in itertools.pairwise(edges)]
+            self._workers.append(Worker(self._components, len(self._workers), self._resets))
+            self.show_doing(self._doing)
         futures: list[Future[None]] = []
         try:
-            for i in reversed(range(count)):  # the caller's own share last: it is worked off at once
-                future = self._workers[i].start(
-                    self._workers[i].run, run, thetas[shares[i]], outputs[shares[i]], reports[shares[i]]
-                )
+            for worker, share in reversed(list(zip(self._workers, shares(len(thetas), count), strict=False))):
+                # the caller's own share last: it is worked off at once
+                future = worker.start(worker.run, run, thetas[share], outputs[share], reports[share])
                 futures += [future] if future else []
         finally:
             if futures:
@@ -280,26 +339,49 @@ class Workers:
         for future in futures:
             future.result()
 
+    def failure(
+        self,
+        run: Run,
+        theta: Array,
+        outputs: Array,
+        report: NDArray[np.intp],
+        parameters: Mapping[str, float],
+        explain: bool = False,
+    ) -> SimulationError | None:
+        """Return what the outputs (K, n_outputs) and the report (4,) of a simulation say; None where it succeeded.
+
+        Parameters
+        ----------
+        theta : (N,) array
+        parameters : mapping of str to float
+            As the error is to name them.
+        explain : bool
+            Whether to repeat the simulation to hear what the FMU says.
+        """
+        worker = self._workers[0]
+        known = worker.error(run, outputs, report, parameters)
+        return known and ((worker.explain(run, theta, parameters) if explain else None) or known)
+
     @property
-    def first(self) -> Worker:
-        """The worker of the caller's own thread."""
-        return self._workers[0]
+    def longest(self) -> float:
+        """Duration of the longest simulation so far, s."""
+        return max(worker.longest for worker in self._workers)
+
+    def show_doing(self, words: NDArray[np.intp] | None) -> None:
+        """Let the workers write what they are doing into shared words, one for each."""
+        self._doing = words
+        if words is not None:
+            for i, worker in enumerate(self._workers):
+                worker.doing = words[i : i + 1]
+
+    def printed(self) -> str:
+        """Return what the FMUs printed: unknown in this process, whose own output it joins."""
+        return ""
 
     def close(self) -> None:
         """Free all instances; a later simulation makes new ones."""
         with self.lock:
             for worker in self._workers:
                 worker.shut_down()
-            self._workers = [Worker(self._components, 0)]
-
-
-# Workers know the components but not the system, so that an entry goes, and frees its instances, with its system.
-_workers: weakref.WeakKeyDictionary[System, Workers] = weakref.WeakKeyDictionary()
-
-
-def workers_of(system: System) -> Workers:
-    """Return the workers of a system, made at the first call."""
-    if system not in _workers:
-        limit = (os.cpu_count() or 1) if system.can_be_repeated else 1
-        _workers[system] = Workers(system.components, limit)
-    return _workers[system]
+            self._workers = [Worker(self._components, 0, self._resets)]
+            self.show_doing(self._doing)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from ctypes import c_char_p, c_void_p, cast
 from typing import NamedTuple
 
 import numpy as np
@@ -13,9 +12,9 @@ from numpy.typing import NDArray
 from fmuid.component import DEFAULT_TOLERANCE
 from fmuid.errors import InputError
 from fmuid.experiment import Experiment
-from fmuid.fmi import kernels
-from fmuid.fmi.layout import FeedThrough, Grid, Integration, Operation, Plan
-from fmuid.fmi.native import BOOLEAN, INT32, UINT8, WIRES
+from fmuid.fmi import codes
+from fmuid.fmi.codes import BOOLEAN, INT32, UINT8, WIRES
+from fmuid.fmi.layout import FeedThrough, Grid, Integration, Operation, Plan, Run
 from fmuid.roles import Value, check_roles, unit_conversion
 from fmuid.system import Connection, System
 
@@ -35,7 +34,7 @@ class _Target(NamedTuple):
     offset: float
 
 
-class PlannedRun:
+class PlannedRun(Run):
     """The arrays of one system and one experiment, ready for a `Loop`.
 
     Parameters
@@ -75,7 +74,7 @@ class PlannedRun:
         self._signals: list[float] = []
         self._references: list[int] = []
         self._operations: list[Operation] = []
-        self._strings: list[c_char_p] = []
+        self._texts: list[bytes] = []
         self._conversions: list[tuple[float, float]] = []
         self._loops: list[FeedThrough] = []
         self._component_index = {name: i for i, name in enumerate(system.components)}
@@ -104,7 +103,7 @@ class PlannedRun:
             if system.master == "gauss-seidel":
                 self._pass_on_after(component)
             stages.append(len(self._operations))
-        self.plan = Plan(
+        plan = Plan(
             operations=tuple(self._operations),
             stages=np.array(stages, np.intp),
             groups=np.array(groups, np.intp).reshape(-1, 2),
@@ -112,7 +111,7 @@ class PlannedRun:
             references=np.array(self._references, np.uint32),
             signals=np.array(self._signals, np.float64),
             conversions=np.array(self._conversions, np.float64).reshape(-1, 2),
-            strings=np.array([cast(s, c_void_p).value for s in self._strings], np.intp),
+            texts=tuple(self._texts),
             parameter_signals=np.array(parameter_slots, np.intp),
             input_signals=np.array(input_slots, np.intp),
             input_modes=np.array(list(self._modes.values()), np.intp),
@@ -124,7 +123,7 @@ class PlannedRun:
             tolerances=np.array([model.numerics.tolerance or 0.0 for model in system.components.values()]),
             gauss_seidel=system.master == "gauss-seidel",
         )
-        self.grid = self._build_grid()
+        super().__init__(plan, self._build_grid(), self.output_names)
 
     def _input_targets(self) -> dict[str, _Target]:
         """Return the variables that the table feeds, with their columns; a connector of the system may feed several."""
@@ -135,13 +134,6 @@ class PlannedRun:
                     raise InputError(f"{self._experiment.source} feeds {name!r} twice, through {given!r} too; keep one")
                 found[name] = _Target(column, factor, offset)
         return found
-
-    def describe_loop(self, number: int) -> str:
-        """Return in words that a loop of direct feed-through was not solved."""
-        slots = self.plan.loops[number].signals
-        group = [some for some, is_loop in self._system.exchange_order if is_loop][number]
-        names = " -> ".join(self._system.full_name(*connection.target) for connection in group)
-        return f"the loop of direct feed-through through {names} ({len(slots)} unknowns) has no solution that is found"
 
     # --- how each component runs
 
@@ -159,32 +151,28 @@ class PlannedRun:
         model = self._system.components[component]
         description = model.fmu.description
         if held or not description.variables[inner].continuous:
-            return kernels.HELD
+            return codes.HELD
         if model.kind == "model-exchange":  # whose integrators set 64-bit numbers
-            return kernels.BY_STEPPER if description.variables[inner].wire == "Float64" else kernels.BY_MIDPOINT
-        return kernels.BY_DERIVATIVE if description.interfaces[model.kind].interpolates_inputs else kernels.BY_MIDPOINT
+            return codes.BY_STEPPER if description.variables[inner].wire == "Float64" else codes.BY_MIDPOINT
+        return codes.BY_DERIVATIVE if description.interfaces[model.kind].interpolates_inputs else codes.BY_MIDPOINT
 
     def _when(self, name: str, connected: bool) -> int:
-        """Return when a variable may be set once the simulation runs, as bits (`kernels`)."""
+        """Return when a variable may be set once the simulation runs, as bits (`codes`)."""
         component, inner = self._system.split(name)
         model = self._system.components[component]
         description = model.fmu.description
         steps = [step for step in self._steps.values() if step is not None]
-        latched = kernels.LATCHED if steps and (self._steps[component] or 0.0) > min(steps) else kernels.ALWAYS
+        latched = codes.LATCHED if steps and (self._steps[component] or 0.0) > min(steps) else codes.ALWAYS
         exchanging = model.kind == "model-exchange"
         if not exchanging and not description.interfaces[model.kind].event_mode:
             return latched
         if connected and description.variables[inner].continuous:
-            return latched | (kernels.WITH_RESTART if exchanging else kernels.ALWAYS)
-        if exchanging and not connected and self._modes[name] == kernels.BY_MIDPOINT:
-            return latched | kernels.WITH_RESTART
-        if not connected and self._modes[name] != kernels.HELD:
-            return latched | (kernels.AT_STEPS if exchanging else kernels.ALWAYS)
-        return latched | kernels.AS_EVENT
-
-    def integrate_as_now_chosen(self) -> None:
-        """Take over the components' integrators, after one was found stiff."""
-        self.plan = self.plan._replace(integrations=self._integrations())
+            return latched | (codes.WITH_RESTART if exchanging else codes.ALWAYS)
+        if exchanging and not connected and self._modes[name] == codes.BY_MIDPOINT:
+            return latched | codes.WITH_RESTART
+        if not connected and self._modes[name] != codes.HELD:
+            return latched | (codes.AT_STEPS if exchanging else codes.ALWAYS)
+        return latched | codes.AS_EVENT
 
     def _integrations(self) -> tuple[Integration | None, ...]:
         return tuple(self._integration(name) for name in self._system.components)
@@ -212,7 +200,7 @@ class PlannedRun:
         found = []
         for name, mode in self._modes.items():
             component = self._system.split(name)[0]
-            if mode == kernels.BY_STEPPER:
+            if mode == codes.BY_STEPPER:
                 found.append((self._component_index[component], self._polynomial_rows(component).index(name)))
             else:
                 found.append((-1, -1))
@@ -222,7 +210,7 @@ class PlannedRun:
         """Return the inputs of a component that vary continuously, with all elements of the arrays among them."""
         rows: dict[str, None] = {}
         for name, mode in self._modes.items():
-            if mode != kernels.BY_STEPPER or self._system.split(name)[0] != component or name in rows:
+            if mode != codes.BY_STEPPER or self._system.split(name)[0] != component or name in rows:
                 continue
             array = self._system.variables[name].array
             elements = [self._system.full_name(component, element) for element in array] or [name]
@@ -267,7 +255,7 @@ class PlannedRun:
         passed = place if place != BOOLEAN else INT32 if version == 2 else UINT8
         self._operations.append(
             Operation(
-                place if setting else kernels.N_WIRES + place,
+                place if setting else codes.N_WIRES + place,
                 self._component_index[component],
                 len(self._references),
                 len(references),
@@ -286,7 +274,7 @@ class PlannedRun:
         moments = when if when is not None else {name: self._when(name, connected=False) for name in names if setting}
         for name in names:
             wire = self._system.variables[name].wire
-            groups[self._system.split(name)[0], wire, moments.get(name, kernels.ALWAYS)].append(name)
+            groups[self._system.split(name)[0], wire, moments.get(name, codes.ALWAYS)].append(name)
         return groups
 
     def _all_values(self, parameters: Sequence[str], values: Mapping[str, Value]) -> dict[str, Value]:
@@ -308,11 +296,9 @@ class PlannedRun:
             self._signals[slot] = float(values[name])
         for name in values:
             if variables[name].type == "String":
-                self._strings.append(c_char_p(str(values[name]).encode()))
+                self._texts.append(str(values[name]).encode())
                 component, _ = self._system.split(name)
-                self._call(
-                    component, "String", True, [variables[name].reference], len(self._strings) - 1, kernels.ALWAYS
-                )
+                self._call(component, "String", True, [variables[name].reference], len(self._texts) - 1, codes.ALWAYS)
         return slots[len(numbers) :]
 
     def _exchange_operations(self) -> list[tuple[int, int]]:
@@ -323,7 +309,8 @@ class PlannedRun:
             setting, slots = self._pass_on(group)
             if is_loop:
                 groups.append((-1, len(self._loops)))
-                self._loops.append(FeedThrough(first, setting, len(self._operations), tuple(slots)))
+                words = " -> ".join(self._system.full_name(*connection.target) for connection in group)
+                self._loops.append(FeedThrough(first, setting, len(self._operations), tuple(slots), words))
             else:
                 groups.append((first, len(self._operations)))
         return groups
@@ -346,7 +333,7 @@ class PlannedRun:
         slots = self._transfer(targets, setting=True, when={name: self._when(name, connected=True) for name in targets})
         copies = []
         for connection, (source, _), slot in zip(group, pairs, slots, strict=True):
-            copies.append(Operation(kernels.COPY, 0, got[source], len(self._conversions), slot, 1, 0))
+            copies.append(Operation(codes.COPY, 0, got[source], len(self._conversions), slot, 1, 0))
             self._conversions.append((connection.factor, connection.offset))
         self._operations[at:at] = copies
         return at + len(copies), slots
@@ -362,11 +349,11 @@ class PlannedRun:
         unused = len(self._signals)  # where the slopes of the inputs go that are given none
         self._signals.append(0.0)
         slots = dict.fromkeys(self._targets, unused)
-        linear = [name for name, mode in self._modes.items() if mode == kernels.BY_DERIVATIVE]
+        linear = [name for name, mode in self._modes.items() if mode == codes.BY_DERIVATIVE]
         first = len(self._operations)
         found = self._transfer(linear, setting=True, when={})
         for i in range(first, len(self._operations)):
-            self._operations[i] = self._operations[i]._replace(function=kernels.SET_DERIVATIVES)
+            self._operations[i] = self._operations[i]._replace(function=codes.SET_DERIVATIVES)
         slots.update(zip(linear, found, strict=True))
         for slot in found:
             self._signals[slot] = 0.0
@@ -385,7 +372,7 @@ class PlannedRun:
             strides[:] = [max(1, round((step or smallest) / smallest)) for step in self._steps.values()]
         else:
             coarse = any(
-                mode == kernels.BY_MIDPOINT or (mode == kernels.BY_DERIVATIVE and name in curved)
+                mode == codes.BY_MIDPOINT or (mode == codes.BY_DERIVATIVE and name in curved)
                 for name, mode in self._modes.items()
             )
             substeps = np.full(intervals.shape, LINEAR_SUBSTEPS if coarse else 1)

@@ -67,6 +67,8 @@ class Problem:
         None for the plain sum of squares.
     simulations : int
         How many simulations of an experiment were made so far.
+    failures : int
+        How many of the thetas asked for so far could not be simulated.
 
     Raises
     ------
@@ -191,7 +193,8 @@ class Problem:
         self._derivatives = ()
         self._refusal = ""
         self.noise, self.loss = noise, loss_of(loss)
-        self.simulations = 0
+        self.simulations = self.failures = 0
+        self._reasons: dict[int, tuple[Floats, Exception | None]] = {}  # of the last failure, by experiment
         self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
         if not self.output_names:
             raise InputError("no outputs are measured; name at least one output to compare with the simulation")
@@ -245,10 +248,13 @@ class Problem:
         for index, kept in enumerate(self._counted):
             flat = self._outputs(index, thetas).reshape(len(thetas), -1)
             blocks.append(flat if kept.size == flat.shape[1] else flat[:, kept])
+        # what failed is NaN throughout; an experiment may have no sample
+        failed = np.any([np.isnan(block[:, :1]).any(axis=1) for block in blocks], axis=0)
+        self.failures += int(failed.sum())
         if len(blocks) == 1:
             return blocks[0]
         stacked = np.concatenate(blocks, axis=1)
-        stacked[np.isnan(stacked).any(axis=1)] = np.nan
+        stacked[failed] = np.nan
         return stacked
 
     def derivatives(self, theta: Floats) -> Floats:
@@ -309,17 +315,26 @@ class Problem:
         _, columns = self.parameters.for_experiment(index)
         if columns.size == thetas.shape[1] or len(thetas) == 1:
             self.simulations += len(thetas)
-            return self._predictors[index].many(thetas[:, columns]).outputs
+            return self._simulated(index, thetas[:, columns])
         # what only other experiments depend on leaves this one as it is
         own, back = np.unique(thetas[:, columns], axis=0, return_inverse=True)
         self.simulations += len(own)
-        return self._predictors[index].many(own).outputs[back.ravel()]
+        return self._simulated(index, own)[back.ravel()]
+
+    def _simulated(self, index: int, thetas: Floats) -> Floats:
+        found = self._predictors[index].many(thetas)
+        first = next((i for i, error in enumerate(found.errors) if error is not None), None)
+        if first is not None:  # the one whose reason was asked for
+            self._reasons[index] = thetas[first].copy(), found.errors[first]
+        return found.outputs
 
     def failure(self, theta: Floats) -> Exception | None:
         """Return why the simulation at theta (N,) fails, None if it does not."""
         for index, predictor in enumerate(self._predictors):
             _, columns = self.parameters.for_experiment(index)
-            (error,) = predictor.many(theta[None, columns]).errors
+            known, error = self._reasons.get(index, (None, None))
+            if known is None or not np.array_equal(known, theta[columns]):  # what fails may take its time about it
+                (error,) = predictor.many(theta[None, columns]).errors
             if error is not None:
                 return error
         return None

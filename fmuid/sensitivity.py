@@ -139,19 +139,16 @@ def noise_level(
     direction, room = np.where(above >= below, 1.0, -1.0), np.maximum(above, below)
     steps = np.minimum(NOISE_SPACING * magnitudes, room / (NOISE_POINTS - 1))
     shares = (groups[:, None] == np.arange(count)) / np.maximum(np.bincount(groups, minlength=count), 1)
-    base = np.empty(0)
     level = np.full(count, np.inf)
-    simulated = 0
+    base = predict(theta[None])[0]  # by itself: where it fails, the others are not worth a simulation
+    simulated = 1
+    if not usable(base):
+        return np.full_like(base, np.nan), NoiseLevel(level, simulated)
+    rounding = ROUNDING * np.sqrt(base**2 @ shares)
     for _ in range(NOISE_TABLES):
-        points = theta + np.arange(NOISE_POINTS)[:, None] * (steps * direction)
-        table = predict(points[1:] if base.size else points)
-        simulated += len(table)
-        table = np.vstack([base, table]) if base.size else table
-        base = table[0].copy()
-        if not usable(base):
-            base[:] = np.nan
-            break
-        rounding = ROUNDING * np.sqrt(base**2 @ shares)
+        points = theta + np.arange(1, NOISE_POINTS)[:, None] * (steps * direction)
+        table = np.vstack([base, predict(points)])
+        simulated += len(points)
         if usable(table).all():
             deviations = _difference_table(table, shares)
             level = np.maximum(np.minimum(level, deviations.min(axis=0)), rounding)

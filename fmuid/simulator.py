@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmuid.component import Numerics
+from fmuid.component import Isolation, Numerics
 from fmuid.errors import InputError, SimulationError
 from fmuid.experiment import Experiment
 from fmuid.fmi.archive import FMU
@@ -20,7 +20,7 @@ from fmuid.workers import workers_of
 
 
 @dataclass(frozen=True)
-class Batch:
+class Simulations:
     """Simulations of several thetas.
 
     Attributes
@@ -55,6 +55,8 @@ class Simulator:
     step_size : float, optional
         Largest communication step, s, of all components, and largest step of an integrator; default: what the system
         says, else from sample to sample.
+    isolation : Isolation, optional
+        Runs an FMU in a process of its own; default: in this one, which an FMU that crashes takes with it.
 
     Raises
     ------
@@ -79,8 +81,9 @@ class Simulator:
         integrator: str | None = None,
         tolerance: float | None = None,
         step_size: float | None = None,
+        isolation: Isolation | None = None,
     ) -> None:
-        self.system = System.of(model, Numerics(interface, integrator, tolerance))
+        self.system = System.of(model, Numerics(interface, integrator, tolerance), isolation)
         self.experiment = experiment
         self.parameters = tuple(parameters)
         repeated = {name for name in self.parameters if self.parameters.count(name) > 1}
@@ -160,13 +163,13 @@ class Simulator:
             If a simulation fails; it names FMU, time, parameter values, and what the FMU said.
         """
         thetas = np.asarray(theta, dtype=np.float64)
-        batch = self.many(np.atleast_2d(thetas))
-        for error in batch.errors:
+        found = self.many(np.atleast_2d(thetas))
+        for error in found.errors:
             if error is not None:
                 raise error
-        return batch.outputs[0] if thetas.ndim < 2 else batch.outputs
+        return found.outputs[0] if thetas.ndim < 2 else found.outputs
 
-    def many(self, thetas: ArrayLike) -> Batch:
+    def many(self, thetas: ArrayLike) -> Simulations:
         """Simulate several thetas (m, N); a failed one does not end the others.
 
         Raises
@@ -189,7 +192,7 @@ class Simulator:
             errors = self._explain(given, outputs, reports)
         for j, (factor, offset) in self._conversions.items():
             outputs[:, :, j] = factor * outputs[:, :, j] + offset
-        return Batch(outputs, errors)
+        return Simulations(outputs, errors)
 
     def over(self, experiment: Experiment) -> Simulator:
         """Return the simulator of another experiment with the same model, parameters and values."""
@@ -219,12 +222,10 @@ class Simulator:
         errors: list[SimulationError | None] = [None] * len(thetas)
         for i in np.flatnonzero(suspect):
             named = dict(zip(self.parameters, thetas[i].tolist(), strict=True))
-            worker = self._workers.first
-            known = worker.error(self._run, outputs[i], reports[i], named)
-            if known is None:
-                continue
-            # what the FMU says costs another simulation: for the first failure of a batch
-            first = not any(errors)
-            errors[i] = (worker.explain(self._run, self._set(thetas[i : i + 1])[0], named) if first else None) or known
-            outputs[i] = np.nan
+            theta = self._set(thetas[i : i + 1])[0]
+            # what the FMU says costs another simulation: for the first failure
+            explain = not any(errors)
+            errors[i] = self._workers.failure(self._run, theta, outputs[i], reports[i], named, explain)
+            if errors[i] is not None:
+                outputs[i] = np.nan
         return tuple(errors)

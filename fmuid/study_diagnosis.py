@@ -73,7 +73,7 @@ class FaultSettings:
                 )
         try:
             return Fault(
-                self.model.system() if self.model is not None else system,
+                replace(self.model, isolation=model.isolation).system() if self.model is not None else system,
                 self.parameters,
                 self.names,
                 self.angles,

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
-from fmuid.component import AS_OFFERED, Component, Numerics
+from fmuid.component import AS_OFFERED, Component, Isolation, Numerics
 from fmuid.errors import InputError, nearest
 from fmuid.fmi.archive import FMU
 from fmuid.fmi.description import Variable
@@ -53,6 +53,8 @@ class System:
     connectors : mapping of str to sequence of (str, float, float)
         Names of the system's own: an input or parameter with the variables that it sets, each factor times it plus
         offset, or an output with the one variable that, times factor plus offset, it is.
+    isolation : Isolation, optional
+        Runs the FMUs in a process of their own; default: in this one, which an FMU that crashes takes with it.
 
     Attributes
     ----------
@@ -78,13 +80,14 @@ class System:
         master: str = "jacobi",
         values: Mapping[str, float | int | bool | str] | None = None,
         connectors: Mapping[str, Sequence[Port]] | None = None,
+        isolation: Isolation | None = None,
     ) -> None:
         if (fmu is None) == (not components):
             raise InputError("a system needs either one FMU or named components; give exactly one of the two")
         if master not in MASTERS:
             raise InputError(f"master {master!r} is not known{nearest(master, MASTERS)}: give {' or '.join(MASTERS)}")
         given: Mapping[str, Component | FMU | str | Path] = {"": fmu} if fmu is not None else dict(components or {})
-        self.numerics, self.master = numerics, master
+        self.numerics, self.master, self.isolation = numerics, master, isolation
         self.components = {name: self._component(model, numerics) for name, model in given.items()}
         for name in self.components:
             if fmu is None and not name:
@@ -99,7 +102,13 @@ class System:
             self.variable(name)
 
     @classmethod
-    def read_ssp(cls, path: str | Path, numerics: Numerics = AS_OFFERED, master: str = "jacobi") -> System:
+    def read_ssp(
+        cls,
+        path: str | Path,
+        numerics: Numerics = AS_OFFERED,
+        master: str = "jacobi",
+        isolation: Isolation | None = None,
+    ) -> System:
         """Return the system that an ``.ssp`` file describes (System Structure and Parameterization 1.0 and 2.0).
 
         Its own connectors go by their names, all else as ``component.variable``.
@@ -136,6 +145,7 @@ class System:
                 master=master,
                 values=structure.values,
                 connectors=inputs | outputs,
+                isolation=isolation,
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
@@ -147,18 +157,20 @@ class System:
         return Component(model.fmu, model.numerics.over(numerics))
 
     @classmethod
-    def of(cls, model: System | FMU | str | Path, numerics: Numerics = AS_OFFERED) -> System:
+    def of(
+        cls, model: System | FMU | str | Path, numerics: Numerics = AS_OFFERED, isolation: Isolation | None = None
+    ) -> System:
         """Return the model itself where it is a system, else the system of one FMU.
 
         Raises
         ------
         InputError
-            If numerics are given for a system, which says them itself.
+            If numerics or isolation are given for a system, which says them itself.
         """
         if not isinstance(model, System):
-            return cls(model, numerics=numerics)
-        if numerics != AS_OFFERED:
-            raise InputError("a System says interface, integrator and tolerance itself: give them to it")
+            return cls(model, numerics=numerics, isolation=isolation)
+        if numerics != AS_OFFERED or isolation is not None:
+            raise InputError("a System says interface, integrator, tolerance and isolation itself: give them to it")
         return model
 
     def __repr__(self) -> str:

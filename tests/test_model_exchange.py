@@ -286,7 +286,7 @@ def test_a_missing_interface_is_one_sentence(probe: ProbeMaker) -> None:
 def test_numerics_of_a_system_are_its_own() -> None:
     system = System(COIL)
     experiment = Experiment(frame(np.arange(2.0), i=0.0), outputs=["i"])
-    with pytest.raises(InputError, match="a System says interface, integrator and tolerance itself"):
+    with pytest.raises(InputError, match="a System says interface, integrator, tolerance and isolation itself"):
         Simulator(system, experiment, interface="model-exchange")
 
 

@@ -9,8 +9,8 @@ import numba
 import numpy as np
 from numba import types
 
-from fmuid.fmi import kernels as k
-from fmuid.fmi.native import (
+from fmuid.fmi import codes as k
+from fmuid.fmi.codes import (
     FLOAT32,
     INT8,
     INT16,
@@ -19,6 +19,8 @@ from fmuid.fmi.native import (
     UINT8,
     UINT16,
     UINT32,
+)
+from fmuid.fmi.native import (
     load_int32,
     load_real,
     load_word,

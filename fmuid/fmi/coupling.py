@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numba import types
 
-from fmuid.fmi import kernels as k
+from fmuid.fmi import codes as k
 from fmuid.fmi.kernels import fail, perform, polynomial, stepper_of
 from fmuid.fmi.native import load_real, load_word, native_call, store_real, store_word
 

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numba import types
 
-from fmuid.fmi import kernels as k
+from fmuid.fmi import codes as k
 from fmuid.fmi.kernels import address_of, fail
 from fmuid.fmi.native import load_real, load_word, native_call, store_real, store_word
 

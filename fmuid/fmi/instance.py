@@ -24,21 +24,25 @@ from numpy.typing import NDArray
 
 from fmuid.errors import InputError
 from fmuid.fmi.archive import FMU
-from fmuid.fmi.kernels import (
+from fmuid.fmi.codes import (
+    BOOLEAN,
     DISCARD,
     DO_STEP,
     ENDED,
     ENTER_INITIALIZATION,
     EXIT_INITIALIZATION,
+    FLOAT64,
     GET_BOOLEAN_STATUS,
     GET_REAL_STATUS,
+    INT32,
     N_FUNCTIONS,
     N_WIRES,
     RESET,
     SET_DERIVATIVES,
     SETUP,
+    STRING,
+    WIRES,
 )
-from fmuid.fmi.native import BOOLEAN, FLOAT64, INT32, STRING, WIRES
 
 MESSAGES_KEPT = 20  # of one simulation: the first say what went wrong, the rest repeat it
 STATUS_WORDS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
@@ -166,8 +170,8 @@ class Instance:
         Of FMI, 2 or 3.
     event_mode : bool
         Whether the instance was told that events are handled between its steps (FMI 3.0 co-simulation).
-    addresses : (kernels.N_FUNCTIONS,) array of intp
-        The addresses of the FMI functions in the places that `fmuid.fmi.kernels` gives them; 0 where there is none.
+    addresses : (codes.N_FUNCTIONS,) array of intp
+        The addresses of the FMI functions in the places that `fmuid.fmi.codes` gives them; 0 where there is none.
     messages : list of (int, str)
         Status and text of what the FMU logged since the list was last cleared.
 

@@ -17,146 +17,109 @@ import numba
 import numpy as np
 from numba import types
 
-from fmuid.fmi.native import (
-    FLOAT64,
-    STRING,
-    WIRES,
-    call_plain,
-    load_real,
-    load_word,
-    native_call,
-    store_real,
-    store_word,
-)
-
-# Places in a component's row of addresses: a setting function for each way of passing values, then the getting ones,
-# then the rest.
-N_WIRES = len(WIRES)
-(
-    SET_DERIVATIVES,
+from fmuid.fmi.codes import (
+    ADDRESS,
+    ADDRESSES,
+    ADVANCE_STEPPER,
+    AFTER,
+    AFTER_DISCARD,
+    BEFORE_SETTING,
+    BEGIN_STEPPER,
+    BEND,
+    BLOCK,
+    BY_DERIVATIVE,
+    BY_MIDPOINT,
+    CALLS,
+    CHORDS,
+    COLUMNS,
+    COMPONENT,
+    CONVERSIONS,
+    COPY,
+    COUNT,
+    CURVES,
+    DERIVATIVE_SIGNALS,
+    DIRECT_INPUTS,
+    DIRECT_OUTPUTS,
+    DISCARD,
     DO_STEP,
-    RESET,
-    SETUP,
     ENTER_INITIALIZATION,
+    ERROR,
+    EXCHANGE,
     EXIT_INITIALIZATION,
-    GET_REAL_STATUS,
-    GET_BOOLEAN_STATUS,
-) = range(2 * N_WIRES, 2 * N_WIRES + 8)
-N_FUNCTIONS = 2 * N_WIRES + 8
-COPY = N_FUNCTIONS  # not a call: one signal to another
-LOOP = N_FUNCTIONS + 1  # in a report: a loop of direct feed-through that was not solved
-ENDED = N_FUNCTIONS + 3  # in a report: the FMU ended the simulation
-SENSITIVITIES = N_FUNCTIONS + 2  # not a call of the FMU but of its stepper: sensitivities of outputs
-STEPPER = 100  # in a report: this and above, what a stepper calls its failures
-
-HELD, BY_DERIVATIVE, BY_STEPPER, BY_MIDPOINT = range(4)  # what an input does between two samples
-WARNING, DISCARD, ERROR = 1, 2, 3  # the last status that counts as success; the last after which a reset is allowed
-
-# When a value is set (bits): always; only where it changed, then in event mode; the same, but only after a step of the
-# inputs; with a restart of the integrator where it changed; only at the communication points of its component.
-ALWAYS, AS_EVENT, AT_STEPS, WITH_RESTART, LATCHED = 0, 1, 2, 4, 8
+    FLOAT64,
+    FROM,
+    FROM_WIRE,
+    FUNCTION,
+    GAUSS_SEIDEL,
+    GO,
+    HANDLE,
+    HANDLES,
+    HELD,
+    IN_EVENT,
+    IN_EVENTS,
+    INITIALIZING,
+    INPUT_MODES,
+    INPUT_SIGNALS,
+    INPUTS,
+    KIND,
+    LENGTH,
+    MORE,
+    N_COMPONENTS,
+    N_FUNCTIONS,
+    N_INPUTS,
+    N_OUTPUTS,
+    N_PARAMETERS,
+    N_SIGNALS,
+    N_STEPPERS,
+    N_TIMES,
+    N_VALUES,
+    NOW,
+    ORDERS,
+    OTHER,
+    OUTPUT_SIGNALS,
+    OUTPUT_TERMS,
+    OUTPUTS,
+    OWN_TIMES,
+    PARAMETER_SIGNALS,
+    PLAIN,
+    REFERENCES,
+    REPORT,
+    RESET,
+    SETTLE,
+    SETUP,
+    SIGNAL,
+    SIGNALS,
+    SKIP,
+    STAGES,
+    START_SIGNALS,
+    STEPPED,
+    STEPPER_COLUMNS,
+    STEPPERS,
+    STRIDES,
+    STRING,
+    SUBSTEP,
+    SUBSTEPS,
+    TELL_ORIGIN,
+    THETAS,
+    TIMES,
+    TO_WIRE,
+    TOLERANCES,
+    UNDONE,
+    UNTIL,
+    USED,
+    VALUES,
+    VERSION,
+    WARNING,
+    WHEN,
+    WIRE,
+)
+from fmuid.fmi.native import call_plain, load_real, load_word, native_call, store_real, store_word
 
 _call_values = native_call(types.intp, types.intp, types.intp, types.intp)
 _call_more_values = native_call(types.intp, types.intp, types.intp, types.intp, types.intp)
 _call_hook = native_call(types.intp, types.intp)
 _call_step = native_call(types.intp, types.float64, types.float64, types.int32)
 _call_setup = native_call(types.intp, types.int32, types.float64, types.float64, types.int32, types.float64)
-
-# Columns of the table of calls: one row an operation, with the addresses that the operation needs.
-COLUMNS = 15
-(
-    ADDRESS,
-    HANDLE,
-    REFERENCES,
-    COUNT,  # of value references
-    VALUES,
-    N_VALUES,
-    WIRE,
-    MORE,  # 1: the function wants the number of values too (FMI 3.0)
-    ORDERS,
-    FUNCTION,
-    COMPONENT,
-    SIGNAL,
-    WHEN,
-    LAST,
-    KIND,  # of the call, so that the usual ones are told at one glance
-) = range(COLUMNS)
-PLAIN, SLOPES, OTHER = range(3)  # four arguments, at once; with the orders of derivatives, at once; anything else
-
-# Columns of the table of steppers, one row a component; all zero but the version for co-simulation by FMI 2.0.
-STEPPER_COLUMNS = 9
-VERSION, BLOCK, BEGIN, ENTER_EVENTS, LEAVE_EVENTS, ADVANCE, ORIGIN, FRESH, FAILURE = range(STEPPER_COLUMNS)
-
-# Columns of the table of loops of direct feed-through: operations that get and copy, and that set; the unknowns'
-# number, their signals, and work memory.
-LOOP_COLUMNS = 6
-LOOP_GET, LOOP_SET, LOOP_END, LOOP_COUNT, LOOP_SIGNALS, LOOP_WORK = range(LOOP_COLUMNS)
-
-# The memory of one simulation: sizes and addresses of all that the loop touches, in one array whose address is `m`.
-FIELDS = 59
-(
-    N_COMPONENTS,
-    N_INPUTS,
-    N_OUTPUTS,
-    N_TIMES,
-    N_SIGNALS,
-    N_PARAMETERS,
-    N_STEPPERS,
-    STAGES,
-    CALLS,
-    SIGNALS,
-    START_SIGNALS,
-    CONVERSIONS,
-    HANDLES,
-    ADDRESSES,
-    USED,
-    TOLERANCES,
-    TIMES,
-    SUBSTEPS,
-    STRIDES,
-    OWN_TIMES,
-    INPUTS,
-    INPUT_SIGNALS,
-    INPUT_MODES,
-    INPUT_SLOPES,
-    CURVES,
-    DERIVATIVE_SIGNALS,
-    OUTPUT_SIGNALS,
-    OUTPUT_TERMS,
-    OUTPUTS,
-    REPORT,
-    DIRECT_INPUTS,
-    DIRECT_OUTPUTS,
-    THETAS,
-    PARAMETER_SIGNALS,
-    STEPPERS,
-    IN_EVENT,
-    NOW,
-    STEPPED,
-    SUBSTEP,
-    LOOPS,
-    GROUPS,
-    N_GROUPS,
-    GAUSS_SEIDEL,
-    SCRATCH,
-    FROM,  # reals: the component's step that is to be taken, and the substep in the interval between the samples
-    UNTIL,
-    AFTER,
-    LENGTH,
-    BEFORE_SETTING,  # from here on hooks: compiled functions int32(m, row or number); 0 where they have no use
-    TO_WIRE,
-    FROM_WIRE,
-    SETTLE,
-    EXCHANGE,
-    BEGIN_STEPPER,
-    ADVANCE_STEPPER,
-    TELL_ORIGIN,
-    BEND,
-    CHORDS,
-    AFTER_DISCARD,
-) = range(FIELDS)
-RUNNING, IN_EVENTS, INITIALIZING = range(3)  # what IN_EVENT says of a component with a stepper
-GO, SKIP, FAILED = 0, 1, 2  # what a hook returns
 
 
 @numba.njit("boolean(intp, intp, intp, intp)", cache=True, nogil=True, error_model="numpy")
@@ -474,7 +437,8 @@ def simulate(m, count):  # type: ignore[no-untyped-def]
     """Simulate one after the other for `count` thetas on one set of instances.
 
     The memory says where everything is; `fmuid.fmi.loop.Loop` lays it out. For each theta four words are reported:
-    (function, component, status, sample) of the failing call, function -1 where none failed.
+    (function, component, status, sample) of the failing call, function -1 where none failed. After a fatal failure the
+    others are not simulated any more: their status is `UNDONE`.
     """
     n, parameters, slots = load_word(m, N_PARAMETERS), load_word(m, THETAS), load_word(m, PARAMETER_SIGNALS)
     signals, starts = load_word(m, SIGNALS), load_word(m, START_SIGNALS)
@@ -484,11 +448,14 @@ def simulate(m, count):  # type: ignore[no-untyped-def]
         store_word(m, OUTPUTS, outputs + 8 * i * load_word(m, N_TIMES) * load_word(m, N_OUTPUTS))
         for j in range(4):
             store_word(report + 32 * i, j, -1)
+        store_word(report + 32 * i, 2, UNDONE)
         for j in range(load_word(m, N_SIGNALS)):
             store_real(signals, j, load_real(starts, j))
         for j in range(n):
             store_real(signals, load_word(slots, j), load_real(parameters, i * n + j))
-        if not _simulate(m) and load_word(report + 32 * i, 2) > ERROR:
-            for j in range(4 * (i + 1), 4 * count):  # the instance must not be touched again
-                store_word(report, j, load_word(report, j - 4))
+        if _simulate(m):
+            store_word(report + 32 * i, 2, -1)
+        elif load_word(report + 32 * i, 2) > ERROR:
+            for j in range(i + 1, count):  # the instance must not be touched again
+                store_word(report + 32 * j, 2, UNDONE)
             return

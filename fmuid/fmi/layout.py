@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.fmi import kernels as k
+from fmuid.fmi import codes
 
 
 class Operation(NamedTuple):
@@ -23,16 +24,17 @@ class Operation(NamedTuple):
     signal: int
     n_values: int
     wire: int
-    when: int = k.ALWAYS
+    when: int = codes.ALWAYS
 
 
 class FeedThrough(NamedTuple):
-    """A loop of direct feed-through: which operations get and copy, which set, and the signals of its inputs."""
+    """A loop of direct feed-through: which operations get and copy, which set, the signals of its inputs, its name."""
 
     first: int
     setting: int
     last: int
     signals: tuple[int, ...]
+    words: str
 
 
 class Sensitivities(NamedTuple):
@@ -86,7 +88,7 @@ class Plan(NamedTuple):
     references: NDArray[np.uint32]
     signals: NDArray[np.float64]
     conversions: NDArray[np.float64]
-    strings: NDArray[np.intp]
+    texts: tuple[bytes, ...]
     parameter_signals: NDArray[np.intp]
     input_signals: NDArray[np.intp]
     input_modes: NDArray[np.intp]
@@ -111,3 +113,38 @@ class Grid(NamedTuple):
     strides: NDArray[np.intp]
     inputs: NDArray[np.float64]
     slopes: NDArray[np.float64] | None
+
+
+class Run:
+    """What workers simulate: a plan over a grid. It can travel to another process.
+
+    Parameters
+    ----------
+    plan : Plan
+    grid : Grid
+    output_names : tuple of str
+    """
+
+    def __init__(self, plan: Plan, grid: Grid, output_names: tuple[str, ...]) -> None:
+        self.plan, self.grid, self.output_names = plan, grid, output_names
+
+    def __reduce__(self) -> tuple[type[Run], tuple[Plan, Grid, tuple[str, ...]]]:
+        return Run, (self.plan, self.grid, self.output_names)
+
+    def integrate(self, component: int, integrator: str) -> None:
+        """Integrate a component for model exchange by another integrator from now on."""
+        integrations = list(self.plan.integrations)
+        old = integrations[component]
+        integrations[component] = old and old._replace(integrator=integrator)
+        self.plan = self.plan._replace(integrations=tuple(integrations))
+
+    @property
+    def varying(self) -> list[Sensitivities]:
+        """What is filled in anew before each simulation."""
+        return [each.sensitivities for each in self.plan.integrations if each is not None and each.sensitivities]
+
+
+def shares(total: int, count: int) -> list[slice]:
+    """Return the shares of `count` workers in `total` simulations."""
+    edges = [total * i // count for i in range(count + 1)]
+    return [slice(a, b) for a, b in itertools.pairwise(edges)]

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from ctypes import c_char_p, c_void_p, cast
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.fmi import kernels as k
+from fmuid.fmi import codes as k
+from fmuid.fmi.codes import FLOAT64, STRING
 from fmuid.fmi.instance import Instance, function_names
+from fmuid.fmi.kernels import simulate
 from fmuid.fmi.layout import Grid, Operation, Plan
-from fmuid.fmi.native import FLOAT64, STRING
 
 
 class Stepper(Protocol):
@@ -58,6 +60,8 @@ class Loop:
         self._signals = plan.signals.copy()
         self._words = np.zeros(len(plan.signals) + 1, np.uint64)  # values of other types on their way
         self._last = np.zeros(len(plan.signals) + 1)
+        self._texts = [c_char_p(text) for text in plan.texts]
+        self._strings = np.array([cast(text, c_void_p).value for text in self._texts], np.intp)
         self._ones = np.ones(len(plan.references) + 1, np.int32)  # the order of every input derivative
         self._steppers: list[Stepper | None] = []
         for i in range(n):
@@ -117,21 +121,24 @@ class Loop:
 
     def run(self, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]) -> None:
         """Simulate thetas (m, N) into outputs (m, K, n_outputs) and reports (m, 4), see `kernels.simulate`."""
-        for field, array in ((k.THETAS, thetas), (k.OUTPUTS, outputs), (k.REPORT, reports)):
-            if not array.flags.c_contiguous:
-                raise ValueError("the compiled loop needs contiguous arrays")
-            self._memory[field] = array.ctypes.data
-        k.simulate(self._memory.ctypes.data, len(thetas))
+        self._simulate(thetas, outputs, reports)
         discarded = (reports[:, 0] == k.DO_STEP) & (reports[:, 2] == k.DISCARD)
         if discarded.any() and not self._memory[k.AFTER_DISCARD]:
             from fmuid.fmi.discards import HOOKS  # compiled only where an FMU does so
 
             self._memory[k.AFTER_DISCARD] = HOOKS[k.AFTER_DISCARD]
             before = reports.copy()
-            k.simulate(self._memory.ctypes.data, len(thetas))
+            self._simulate(thetas, outputs, reports)
             # what comes not even as far again is an FMU that its end has spoiled: the first end was the true one
             worse = (before[:, 0] >= 0) & (reports[:, 0] >= 0) & (reports[:, 3] < before[:, 3])
             reports[worse] = before[worse]
+
+    def _simulate(self, *arrays: NDArray[Any]) -> None:
+        for field, array in zip((k.THETAS, k.OUTPUTS, k.REPORT), arrays, strict=True):  # the loop moves on in them
+            if not array.flags.c_contiguous:
+                raise ValueError("the compiled loop needs contiguous arrays")
+            self._memory[field] = array.ctypes.data
+        simulate(self._memory.ctypes.data, len(arrays[0]))
 
     def _hooks(self, plan: Plan, grid: Grid) -> dict[int, int]:
         """Return the addresses of the hooks that this run has a use for, compiled only now."""
@@ -189,7 +196,7 @@ class Loop:
             row[k.KIND] = _kind(operation, instance.version)
             row[k.LAST] = self._last.ctypes.data + 8 * operation.signal
             if operation.wire == STRING:
-                row[k.VALUES] = plan.strings.ctypes.data + 8 * operation.signal
+                row[k.VALUES] = self._strings.ctypes.data + 8 * operation.signal
             else:
                 memory = self._signals if operation.wire == FLOAT64 else self._words
                 row[k.VALUES] = memory.ctypes.data + 8 * operation.signal

@@ -87,10 +87,3 @@ load_int32, store_int32 = memory(types.int32)
 
 call_plain = native_call(types.intp)
 """Calls an FMI function that takes the instance alone."""
-
-# How a binary takes the values of a variable. In FMI 2.0 a Real is a Float64, an Integer or enumeration an Int32.
-WIRES = (
-    *("Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"),
-    *("Boolean", "String"),
-)
-FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, BOOLEAN, STRING = range(len(WIRES))

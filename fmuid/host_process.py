@@ -1,0 +1,340 @@
+"""The near side of `fmuid.host`: the server that forks hosts, and one host with its memory, watched while it works."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import fcntl
+import logging
+import mmap
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from fmuid import host as far
+from fmuid.fmi import codes
+
+CRASHED, EXITED, HUNG, GREW, KILLED = range(5)
+"""How a host came to an end: by a signal, by itself, stopped for time, stopped for memory, killed from outside."""
+
+PREPARATION_LIMIT = 120.0  # s; instantiation, and loading code that may first have to be compiled
+CLOSING_LIMIT = 2.0  # s; for freeing instances, after which the process is killed
+LOOK_EVERY = 0.05  # s, whether all is well with a host that works
+DEATH = 2.0  # s that a process which has closed its socket may take to end
+PRINTED_KEPT = 1 << 16  # bytes of what FMUs print that are kept until they are read
+PRINTED_LARGEST = 1 << 20  # bytes that may pile up in the file before it is cut
+SLOW_START = 3.0  # s after which it is said that code is being compiled
+
+_log = logging.getLogger("fmuid")
+
+
+@dataclass(frozen=True)
+class End(Exception):  # noqa: N818  # no error: a report of what became of the process
+    """A host has come to an end while it was to work.
+
+    Attributes
+    ----------
+    kind : int
+        `CRASHED` and so on.
+    number : int
+        The signal, the exit code, the time limit in ms or the memory limit in MB; of the limits only those that were
+        given, since the others depend on the machine and on what ran before, and the same failure is to read the same.
+    """
+
+    kind: int
+    number: int
+
+    def words(self) -> str:
+        """Return the end as a sentence goes on after the simulation."""
+        if self.kind == EXITED:
+            return f"it ended its process with exit code {self.number}"
+        if self.kind == HUNG:
+            limit = f"{self.number / 1e3:.4g} s" if self.number else "the default time limit (isolation.time_limit)"
+            return f"it did not end within {limit} and was stopped"
+        if self.kind == GREW:
+            limit = f"{self.number} MB" if self.number else "the default share of the memory (isolation.memory)"
+            return f"its process took more than {limit} and was stopped"
+        try:
+            name = signal.Signals(self.number).name
+        except ValueError:
+            name = f"signal {self.number}"
+        if self.kind == KILLED:
+            return f"its process was killed again and again with {name}, from outside or for want of memory"
+        return f"its process crashed with {name}"
+
+
+class ForkServer:
+    """The server of this process (`fmuid.host.Server`), started when it is first needed.
+
+    Attributes
+    ----------
+    notify : callable
+        Told in words what takes long.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._channel: socket.socket | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._owner, self._loaded = 0, False
+        self.notify: Callable[[str], None] = _log.info
+
+    def start(self) -> socket.socket:
+        """Start the server where there is none; it loads its code while this process goes on."""
+        with self._lock:
+            if self._channel is not None and self._owner == os.getpid():
+                return self._channel
+            self._owner, self._loaded = os.getpid(), False
+            self._channel, other = socket.socketpair()
+            own = str(Path(__file__).parent.parent)
+            paths = [own, *filter(None, [os.environ.get("PYTHONPATH")])]
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "fmuid.host", str(other.fileno())],
+                stdin=subprocess.DEVNULL,
+                pass_fds=[other.fileno()],
+                start_new_session=True,  # Ctrl-C is for this process alone
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1"},
+            )
+            other.close()
+            return self._channel
+
+    def fork(self, modules: Sequence[str], descriptors: Sequence[int]) -> int:
+        """Return the process id of a new host that has loaded the modules and got the file descriptors."""
+        for _ in range(2):
+            with self._lock:
+                channel = self.start()
+                began, told = time.monotonic(), False
+
+                def waiting(began: float = began) -> None:
+                    nonlocal told
+                    if not told and time.monotonic() - began > SLOW_START:
+                        told = True
+                        self.notify("compiling the loops that run such FMUs: once after installation, some 10 s")
+
+                try:
+                    channel.settimeout(SLOW_START)
+                    socket.send_fds(channel, [pickle.dumps(("fork", list(modules)))], list(descriptors))
+                    pid = int(far.receive(channel, waiting))
+                    self._loaded = True
+                    return pid
+                except (EOFError, OSError):
+                    self.stop()  # somebody has killed it: once more
+        raise RuntimeError(f"{sys.executable} cannot run python -m fmuid.host")
+
+    def status(self, pid: int) -> int | None:
+        """Return the status with which a host ended, None if it has not or nobody knows."""
+        with self._lock:
+            if self._channel is None:
+                return None
+            try:
+                self._channel.settimeout(None)
+                self._channel.sendall(pickle.dumps(("wait", pid, DEATH)))
+                status: int | None = far.receive(self._channel)
+            except (EOFError, OSError):
+                self.stop()
+                return None
+            return status
+
+    def stop(self) -> None:
+        """End the server, and with it all hosts."""
+        with self._lock:
+            if self._channel is not None:
+                self._channel.close()
+            if self._process is not None and self._owner == os.getpid():
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._process.wait(CLOSING_LIMIT if self._loaded else 0.0)
+                if self._process.returncode is None:
+                    self._process.kill()
+                    self._process.wait()
+            self._channel = self._process = None
+
+
+SERVER = ForkServer()
+atexit.register(SERVER.stop)
+
+
+class Host:
+    """One process that runs the FMUs of one system.
+
+    Parameters
+    ----------
+    modules : sequence of str
+        What it needs to have loaded.
+    memory_limit : float
+        How much resident memory it may take, bytes.
+
+    Attributes
+    ----------
+    doing : (`host.DOING`,) array of intp
+        What each of its workers is doing.
+    simulations : int
+        How many it was given.
+    """
+
+    def __init__(self, modules: Sequence[str], memory_limit: float) -> None:
+        self._owner = os.getpid()
+        self._limit = memory_limit
+        self._file, self._printed = _file("memory"), _file("printed")
+        os.set_blocking(self._printed, True)
+        fcntl.fcntl(self._printed, fcntl.F_SETFL, fcntl.fcntl(self._printed, fcntl.F_GETFL) | os.O_APPEND)
+        self._memory, self.doing = self._mapped(8 * far.DOING)
+        self.simulations, self.baseline = 0, 0.0
+        self._channel, other = socket.socketpair()
+        try:
+            self.pid = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
+        finally:
+            other.close()
+        self._channel.settimeout(LOOK_EVERY)
+        self._text = ""
+
+    def _mapped(self, size: int) -> tuple[mmap.mmap, NDArray[np.intp]]:
+        os.ftruncate(self._file, size)
+        memory = mmap.mmap(self._file, size)
+        return memory, np.frombuffer(memory, np.intp, far.DOING)
+
+    def room(self, shape: tuple[int, int, int, int]) -> tuple[far.Arrays, int]:
+        """Return reports, thetas and outputs in shared memory that is large enough, and its size."""
+        needed = far.layout(*shape)[-1]
+        if needed > len(self._memory):
+            self._memory, self.doing = self._mapped(needed)
+        return far.arrays(self._memory, shape), len(self._memory)
+
+    def order(self, name: str, *arguments: Any, limit: float, reports: NDArray[np.intp] | None = None) -> Any:
+        """Give an order and return the answer.
+
+        Parameters
+        ----------
+        limit : float
+            How long it may take, s; with reports, how long until one more of them is done.
+
+        Raises
+        ------
+        End
+            If the host comes to an end over it; it is gone then.
+        """
+        progress: list[Any] = [None, time.monotonic()]
+
+        def look() -> None:
+            state = self.doing.tobytes(), 0 if reports is None else int((reports[:, 2] == codes.UNDONE).sum())
+            now = time.monotonic()
+            if state != progress[0]:
+                progress[:] = state, now
+            condition = self._condition()
+            if condition == psutil.STATUS_ZOMBIE:  # and somebody whom it forked keeps the socket open
+                raise self._ended()
+            preparing = (self.doing == codes.PREPARING).any() and condition != psutil.STATUS_STOPPED
+            allowed = max(limit, PREPARATION_LIMIT) if preparing else limit
+            if now - progress[1] > allowed:
+                raise self._stopped(HUNG, round(1e3 * allowed))
+            if self.private_memory() > self._limit:
+                raise self._stopped(GREW, round(self._limit / 1e6))
+            self._cut_printed()
+
+        try:
+            far.send(self._channel, (name, *arguments))
+            kind, answer, said = far.receive(self._channel, look)
+        except End:
+            raise
+        except KeyboardInterrupt:
+            self._stopped(KILLED, 0)
+            raise
+        except Exception:  # it is gone, or what runs in it wrote where it should not
+            raise self._ended() from None
+        for logger, level, text in said:
+            logging.getLogger(logger).log(level, "%s", text)
+        if kind == "error":
+            raise answer
+        return answer
+
+    def private_memory(self) -> float:
+        """Return the resident memory that it does not share with others, bytes."""
+        try:
+            found = psutil.Process(self.pid).memory_info()
+        except psutil.Error:
+            return 0.0
+        return float(found.rss - getattr(found, "shared", 0))
+
+    def _condition(self) -> str:
+        try:
+            return str(psutil.Process(self.pid).status())
+        except psutil.Error:
+            return psutil.STATUS_ZOMBIE
+
+    def _stopped(self, kind: int, number: int) -> End:
+        self.kill()
+        return End(kind, number)
+
+    def _ended(self) -> End:
+        status = SERVER.status(self.pid)
+        self.kill()
+        if status is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL):
+            return End(KILLED, signal.SIGKILL)
+        return End(CRASHED, os.WTERMSIG(status)) if os.WIFSIGNALED(status) else End(EXITED, os.WEXITSTATUS(status))
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can be given orders: it was made by this process (not by the one it is a fork of) and lives."""
+        return self._owner == os.getpid() and self._channel.fileno() >= 0
+
+    def close(self) -> None:
+        """Let it free its instances and end it."""
+        if self.alive:
+            with contextlib.suppress(Exception):
+                self.order("close", limit=CLOSING_LIMIT)
+            self.kill()
+
+    def kill(self) -> None:
+        """End it at once; what was printed can be read still."""
+        if not self.alive:
+            return
+        for end in (os.kill, os.killpg):  # with whatever it has started itself
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                end(self.pid, signal.SIGKILL)
+        self._channel.close()
+        SERVER.status(self.pid)
+        self._read_printed()
+        os.close(self._file)
+        os.close(self._printed)
+
+    def printed(self) -> str:
+        """Return and forget what was printed."""
+        if self.alive:
+            self._read_printed()
+        text, self._text = self._text, ""
+        return text
+
+    def _read_printed(self) -> None:
+        size = os.fstat(self._printed).st_size
+        if not size:
+            return
+        data = os.pread(self._printed, PRINTED_KEPT, 0)
+        os.ftruncate(self._printed, 0)
+        lost = "" if size <= PRINTED_KEPT else f"\n[{size - PRINTED_KEPT} bytes more]\n"
+        room = max(0, PRINTED_KEPT - len(self._text))
+        self._text += (data.decode("utf-8", errors="replace") + lost)[:room]
+
+    def _cut_printed(self) -> None:
+        if os.fstat(self._printed).st_size > PRINTED_LARGEST:
+            self._read_printed()
+
+
+def _file(name: str) -> int:
+    """Return the descriptor of a file in memory that goes with the processes that hold it."""
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create(f"fmuid-{name}")
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())

@@ -1,0 +1,159 @@
+"""The misbehaving FMU of misbehaving.c: a first-order lag that takes its process down, or ties it up, when told to."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+from collections.abc import Mapping
+from enum import IntEnum
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+from numpy.typing import NDArray
+
+HERE = Path(__file__).parent
+START_VALUES = {"gain": 1.0, "T": 1.0, "mode": 0.0, "at": 0.0, "bad_from": -1e300, "bad_to": 1e300} | {
+    "where": 0.0,
+    "amount": 4.0,
+}
+
+
+class Mode(IntEnum):
+    """What the FMU does where `mode` rounds to it; the C source is compiled with these."""
+
+    SOUND = 0
+    SEGFAULT = 1
+    ABORT = 2
+    ILLEGAL = 3  # instruction
+    DIVISION = 4  # by zero: SIGFPE
+    KILL = 5
+    EXIT_0 = 6
+    EXIT_3 = 7
+    DOUBLE_FREE = 8
+    STACK = 9  # overflows
+    CLOSE = 10  # closes all files of its process
+    LOOP = 11
+    SLEEP = 12
+    STUBBORN = 13  # loops with all signals blocked
+    STOP = 14  # SIGSTOP
+    RUNAWAY = 15  # takes memory without end, within one step
+    RETURN_ERROR = 16
+    RETURN_FATAL = 17
+    RETURN_DISCARD = 18
+    RETURN_NONSENSE = 19
+    NOT_A_NUMBER = 20  # in steps only
+    SLOW = 21  # `amount` ms in every step
+    LEAK = 22  # `amount` MB in every step
+    LEAK_ONCE = 23  # `amount` MB a simulation; this and what follows in one step only
+    SPEAK = 24  # a line on stdout and on stderr
+    MUTTER = 25  # the same without the ends of the lines
+    CHATTER = 26  # `amount` MB on each
+    LATER = 27  # ended by SIGALRM a second later
+    SPAWN = 28  # forks a process that sleeps
+
+
+class Where(IntEnum):
+    """The call in which the FMU misbehaves: the steps from `at` on, or another one."""
+
+    STEP = 0
+    INITIALIZATION = 1
+    RESET = 2
+    FREEING = 3
+    GETTING = 4
+
+
+@cache
+def _library(folder: Path, version: int, at_loading: Mode | None) -> bytes:
+    headers = Path(fmpy.__file__).parent / "c-code"
+    path = folder / f"misbehaving{version}{'' if at_loading is None else at_loading.name}{fmpy.sharedLibraryExtension}"
+    command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", "-fno-sanitize=undefined"]
+    command += [f"-I{headers}", f"-DFMI={version}", "-DMODES=" + ",".join(mode.name for mode in Mode)]
+    command += [] if at_loading is None else [f"-DAT_LOADING={at_loading.name}"]
+    subprocess.run([*command, "-o", str(path), str(HERE / "misbehaving.c")], check=True, capture_output=True)
+    return path.read_bytes()
+
+
+def misbehaving_fmu(
+    folder: Path, *, token: str = "lag", version: int = 2, at_loading: Mode | None = None, **attributes: str
+) -> Path:
+    """Write the FMU into a folder; return its path.
+
+    Parameters
+    ----------
+    folder : Path
+    token : str
+        With ``at-instantiation-<mode>`` it misbehaves when instantiated; with ``shared`` its state is one for all
+        instances.
+    version : int
+        Of FMI, 2 or 3.
+    at_loading : Mode, optional
+        What it does when its library is loaded.
+    attributes : str
+        Further ones of <CoSimulation>.
+    """
+    library = _library(folder, version, at_loading)
+    words = [token, *attributes, *([] if at_loading is None else [at_loading.name])]
+    path = folder / f"misbehaving{version}-{'-'.join(words)}.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", (_description2 if version == 2 else _description3)(token, attributes))
+        system = fmpy.platform if version == 2 else fmpy.platform_tuple
+        archive.writestr(f"binaries/{system}/misbehaving{fmpy.sharedLibraryExtension}", library)
+    return path
+
+
+def lag(times: NDArray[np.float64], u: NDArray[np.float64], gain: float, T: float) -> NDArray[np.float64]:
+    """Return the state of T x' = gain u - x at the times (K,) for an input that is held: its closed form."""
+    x = np.zeros(times.size)
+    for k, h in enumerate(np.diff(times)):
+        x[k + 1] = gain * u[k] + (x[k] - gain * u[k]) * np.exp(-h / T)
+    return x
+
+
+def _description2(token: str, attributes: Mapping[str, Any]) -> str:
+    lines = [
+        f'<ScalarVariable name="{name}" valueReference="{i}" causality="parameter" variability="tunable">'
+        f'<Real start="{start!r}"/></ScalarVariable>'
+        for i, (name, start) in enumerate(START_VALUES.items())
+    ]
+    lines += [
+        '<ScalarVariable name="u" valueReference="8" causality="input" variability="continuous"><Real start="0"/>'
+        "</ScalarVariable>",
+        '<ScalarVariable name="x" valueReference="9" causality="output" variability="continuous" initial="exact">'
+        '<Real start="0"/></ScalarVariable>',
+        '<ScalarVariable name="der(x)" valueReference="10" causality="local" variability="continuous">'
+        '<Real derivative="10"/></ScalarVariable>',
+    ]
+    said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="2.0" modelName="Misbehaving" '
+        f'guid="{token}" numberOfEventIndicators="0"><ModelExchange modelIdentifier="misbehaving"/>'
+        f'<CoSimulation modelIdentifier="misbehaving" canHandleVariableCommunicationStepSize="true" {said}/>'
+        f"<ModelVariables>{''.join(lines)}</ModelVariables><ModelStructure>"
+        '<Outputs><Unknown index="10" dependencies=""/></Outputs><Derivatives><Unknown index="11"/></Derivatives>'
+        "</ModelStructure></fmiModelDescription>"
+    )
+
+
+def _description3(token: str, attributes: Mapping[str, Any]) -> str:
+    lines = [
+        f'<Float64 name="{name}" valueReference="{i}" causality="parameter" variability="tunable" start="{start!r}"/>'
+        for i, (name, start) in enumerate(START_VALUES.items())
+    ]
+    lines += [
+        '<Float64 name="u" valueReference="8" causality="input" start="0"/>',
+        '<Float64 name="x" valueReference="9" causality="output" initial="exact" start="0"/>',
+        '<Float64 name="der(x)" valueReference="10" causality="local" derivative="9"/>',
+    ]
+    said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="3.0" modelName="Misbehaving" '
+        f'instantiationToken="{token}"><ModelExchange modelIdentifier="misbehaving"/>'
+        f'<CoSimulation modelIdentifier="misbehaving" canHandleVariableCommunicationStepSize="true" {said}/>'
+        f"<ModelVariables>{''.join(lines)}</ModelVariables><ModelStructure>"
+        '<Output valueReference="9" dependencies=""/><ContinuousStateDerivative valueReference="10"/>'
+        "</ModelStructure></fmiModelDescription>"
+    )
