@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fmuid.alarms import Rule as Rule
+    from fmuid.batch import Batch as Batch
+    from fmuid.batch import BatchResult as BatchResult
     from fmuid.component import Component as Component
+    from fmuid.component import Isolation as Isolation
     from fmuid.component import Numerics as Numerics
     from fmuid.criterion_map import map_criterion as map_criterion
     from fmuid.detectability import Design as Design
@@ -56,6 +59,8 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Angle": "faults",
+    "Batch": "batch",
+    "BatchResult": "batch",
     "Component": "component",
     "Design": "detectability",
     "Diagnosis": "verdict",
@@ -65,6 +70,7 @@ _HOMES = {
     "FmuidError": "errors",
     "GlobalSearch": "estimators.global_search",
     "InputError": "errors",
+    "Isolation": "component",
     "JointPrior": "parameters",
     "Marquardt": "estimators.marquardt",
     "ModelicaError": "errors",

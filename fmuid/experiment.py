@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
@@ -125,7 +127,7 @@ class Experiment:
             "counted": _counted(source, times, output_values, outputs, self.discard),
             "held": np.array([word == "hold" for word in words], dtype=np.bool_),
             "curved": curved,
-            "input_slopes": _slopes(times, input_values, curved),
+            "input_slopes": _slopes(source, times, input_values, curved),
         }
         for name, value in derived.items():
             if isinstance(value, np.ndarray):
@@ -169,6 +171,39 @@ class Experiment:
             name=path.stem if name is None else name,
             source=str(path),
         )
+
+    def with_outputs(self, values: npt.ArrayLike) -> Self:
+        """Return the same experiment with other measurements; nothing but them is checked again.
+
+        Parameters
+        ----------
+        values : (K, n_outputs) array
+            In the units of the table, NaN where there is no sample.
+
+        Raises
+        ------
+        InputError
+            If the shape is another one, a value is infinite, or an output has no sample that counts.
+        """
+        given = np.array(values, dtype=np.float64, order="C")
+        if given.shape != self.output_values.shape or np.isinf(given).any():
+            shape = self.output_values.shape
+            raise InputError(f"{self.source}: outputs must be finite or NaN, of shape {shape}; theirs is {given.shape}")
+        frame, outputs = self.frame.copy(deep=False), {name: self.columns[name] for name in self.output_names}
+        taken = [self.time, *self.columns.values()]
+        for k, (variable, column) in enumerate(outputs.items()):
+            if taken.count(column) > 1:  # another variable reads this column too, and must go on doing so
+                column = outputs[variable] = f"{column} as {variable}"
+            frame[column] = given[:, k]
+        counted = _counted(self.source, self.times, given, outputs, self.discard)
+        columns = self.columns | outputs
+        other = copy.copy(self)
+        derived = {"frame": frame, "outputs": outputs, "columns": columns, "output_values": given, "counted": counted}
+        for name, value in derived.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(other, name, value)
+        return other
 
 
 def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
@@ -283,17 +318,23 @@ def _interpolation_words(source: str, given: str | Mapping[str, str], inputs: Ma
     return [words.get(variable, "linear") for variable in inputs]
 
 
-def _slopes(times: _Floats, values: _Floats, curved: npt.NDArray[np.bool_]) -> _Floats:
+def _slopes(source: str, times: _Floats, values: _Floats, curved: npt.NDArray[np.bool_]) -> _Floats:
     """Return the slopes of monotone cubic curves through the samples; none goes across a step (a time given twice)."""
     slopes = np.full(values.shape, np.nan)
     if curved.any():
         from scipy.interpolate import PchipInterpolator
 
-        for part in np.split(np.arange(times.size), np.flatnonzero(np.diff(times) == 0) + 1):
-            flat = np.zeros((part.size, int(curved.sum())))
-            at = times[part]
-            slopes[np.ix_(part, curved)] = (
-                PchipInterpolator(at, values[np.ix_(part, curved)]).derivative()(at) if part.size > 1 else flat
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"), suppress(ValueError):  # checked below
+            for part in np.split(np.arange(times.size), np.flatnonzero(np.diff(times) == 0) + 1):
+                flat = np.zeros((part.size, int(curved.sum())))
+                at = times[part]
+                slopes[np.ix_(part, curved)] = (
+                    PchipInterpolator(at, values[np.ix_(part, curved)]).derivative()(at) if part.size > 1 else flat
+                )
+        if not np.isfinite(slopes[:, curved]).all():
+            raise InputError(
+                f'{source}: an input with interpolation = "cubic" changes faster than numbers can say: check its '
+                'values and the times, or write "linear"'
             )
     return slopes
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections.abc import Callable, Sequence
+from datetime import timedelta
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -19,6 +21,7 @@ from rich.text import Text
 from fmuid.console import console
 
 if TYPE_CHECKING:
+    from fmuid.batch import BatchStep
     from fmuid.estimators.global_search import GlobalStep
     from fmuid.estimators.marquardt import Iteration
     from fmuid.uncertainty import Step
@@ -132,3 +135,37 @@ class Work(_Shown):
         )
         text = f"{step.done} of {step.total}, {step.simulations} simulations, best: {values}"
         self(Step(step.phase, text, step.done / step.total))
+
+
+class BatchProgress(_Shown):
+    """Shows how far a batch is; used as a context and called with each `BatchStep`."""
+
+    # Off a terminal, a line so often, s.
+    EVERY = 10.0
+
+    def __init__(self) -> None:
+        self._next = time.monotonic() + self.EVERY
+        super().__init__(lambda: Live(console=console(), refresh_per_second=4, transient=True))
+
+    def __call__(self, step: BatchStep) -> None:
+        """Show how far the batch is."""
+        if self._live is not None:
+            bar = Table.grid(padding=(0, 2))
+            bar.add_row(ProgressBar(step.total, step.done, width=30), self._text(step))
+            words = "Ctrl-C ends it and keeps what there is; the same command goes on"
+            self._live.update(Group(bar, Text(words, style="dim")))
+        elif time.monotonic() >= self._next:
+            self._next = time.monotonic() + self.EVERY
+            print(self._text(step), flush=True)
+
+    @staticmethod
+    def _text(step: BatchStep) -> str:
+        words = [f"{step.done} of {step.total} cases"]
+        words += [f"{step.failed} failed"] if step.failed else []
+        if step.done < step.total:
+            if not step.threads:
+                words.append("waiting for workers")
+            elif math.isfinite(step.left):
+                left = timedelta(seconds=math.ceil(step.left)) if step.left < timedelta.max.total_seconds() else "ages"
+                words.append(f"{step.rate:.3g} a second, {left} left")
+        return ", ".join(words)

@@ -6,12 +6,13 @@ no others.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fmuid import study_file as toml
 from fmuid.errors import InputError
@@ -25,12 +26,13 @@ from fmuid.report import Fit, fit_of
 from fmuid.result import Result
 from fmuid.simulator import Simulator
 from fmuid.study_file import Section
-from fmuid.study_parameters import Knowns, Source, read_parameters
+from fmuid.study_parameters import Source, read_parameters
 from fmuid.study_settings import (
     ExperimentSettings,
     ModelSettings,
     read_estimator,
     read_experiments,
+    read_isolation,
     read_loss,
     read_model,
     read_noise,
@@ -38,16 +40,19 @@ from fmuid.study_settings import (
     read_uncertainty,
 )
 from fmuid.system import System
+from fmuid.tables import read_table
 from fmuid.uncertainty import Step, Uncertainty, UncertaintySettings, explore
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from fmuid.estimators.global_search import GlobalResult, GlobalSearch, GlobalStep
+    from fmuid.study_batch import BatchSettings
     from fmuid.study_diagnosis import DiagnosisSettings
     from fmuid.verdict import Diagnosis
 
-STUDY_KEYS = ("title", "model", "experiments", "parameters", "prior", "noise", "estimator", "uncertainty", "diagnosis")
+STUDY_KEYS: tuple[str, ...] = ("title", "model", "experiments", "parameters", "prior", "noise", "estimator")
+STUDY_KEYS += ("uncertainty", "diagnosis", "batch", "isolation")
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,10 @@ class Study:
         How the derivatives of the outputs by the parameters are found.
     diagnosis : DiagnosisSettings or None
         The faults to look for, and what is known of the healthy machine.
+    batch : BatchSettings or None
+        The many identifications that the study spans.
+    data : mapping
+        The content of the file, with what was put in place of its values: `Study.of(data, path)` is the same study.
     """
 
     path: Path
@@ -93,9 +102,11 @@ class Study:
     uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
     sensitivity: str = "finite-difference"
     diagnosis: DiagnosisSettings | None = None
+    batch: BatchSettings | None = None
+    data: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def read(cls, path: str | Path, overrides: Sequence[str] = ()) -> Study:
+    def read(cls, path: str | Path, overrides: Sequence[str] = (), *, isolated: bool = False) -> Study:
         """Read a study file.
 
         Parameters
@@ -104,6 +115,9 @@ class Study:
             The TOML file. Paths in it are relative to it.
         overrides : sequence of str
             Values to put in place of the file's, each as ``parameters.Rs.start=9`` (`fmuid.study_file.override`).
+        isolated : bool
+            Run the FMUs in a process of their own, as ``[isolation]`` says, which costs little and survives an FMU
+            that crashes, hangs or takes all memory; default: in this process.
 
         Raises
         ------
@@ -115,27 +129,80 @@ class Study:
         data = toml.read_toml(path)
         for setting in overrides:
             toml.override(data, setting, str(path))
-        file = f"{path} with --set" if overrides else str(path)
+        return cls._of(data, path, f"{path} with --set" if overrides else str(path), isolated)
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any], path: str | Path, *, isolated: bool = False) -> Study:
+        """Return the study that the content of a TOML file is.
+
+        Parameters
+        ----------
+        data : mapping
+            As `tomllib` reads it; copied.
+        path, isolated
+            As for `read`; the file need not be there.
+
+        Raises
+        ------
+        InputError
+            As `read`.
+        """
+        return cls._of(copy.deepcopy(dict(data)), Path(path), str(path), isolated)
+
+    @classmethod
+    def _of(cls, data: dict[str, Any], path: Path, file: str, isolated: bool) -> Study:
         top = Section(file, toml.TOP, data, STUDY_KEYS)
-        model, experiments = read_model(top, path.parent), read_experiments(top, path.parent)
+        isolation = read_isolation(top)  # checked also where it is not asked for
+        model = replace(read_model(top, path.parent), isolation=isolation if isolated else None)
+        experiments = read_experiments(top, path.parent)
         known = read_parameters(top, path.parent, [given.name for given in experiments], model.values)
         estimator, asked = read_estimator(top), read_uncertainty(top, known.names)
-        loss = read_loss(top, estimator, asked)
+        loss, noise = read_loss(top, estimator, asked), read_noise(top)
+        diagnosis: DiagnosisSettings | None = None
+        batch: BatchSettings | None = None
+        if "diagnosis" in data:
+            from fmuid.study_diagnosis import read_diagnosis  # and all that decides, only where a study asks for it
+
+            diagnosis = read_diagnosis(top, path.parent, model, loss, known)
+        if "batch" in data:
+            from fmuid.study_batch import read_batch
+
+            batch = read_batch(top, path.parent, known, experiments, noise)
         return cls(
             path,
             top.get("title", toml.text, ""),
             model,
             experiments,
             known.parameters,
-            read_noise(top),
+            noise,
             estimator,
             loss,
             known.joint_prior,
             known.sources,
             asked,
             read_sensitivity(top),
-            _diagnosis(top, path.parent, model, loss, known) if "diagnosis" in data else None,
+            diagnosis,
+            batch,
+            data,
         )
+
+    def files(self) -> tuple[Path, ...]:
+        """Return every file that the study refers to, each once: models, tables, results; those of a batch last.
+
+        Raises
+        ------
+        InputError
+            If the tables of ``[batch]`` match no file.
+        """
+        faults = self.diagnosis.faults.values() if self.diagnosis is not None else ()
+        models = [self.model, *(fault.model for fault in faults if fault.model is not None)]
+        found = [path for model in models for path, _ in model.components.values()]
+        found += [given.table for given in self.experiments] + [source.path for source in self._all_sources]
+        return tuple(dict.fromkeys([*found, *(self.batch.records().values() if self.batch is not None else ())]))
+
+    @property
+    def _all_sources(self) -> tuple[Source, ...]:
+        return self.sources if self.diagnosis is None else (*self.sources, self.diagnosis.source)
 
     @cached_property
     def system(self) -> System:
@@ -157,19 +224,7 @@ class Study:
         InputError
             If a table cannot be read or has not what the study says.
         """
-        return tuple(
-            Experiment.read(
-                given.table,
-                given.inputs,
-                given.outputs,
-                time=given.time,
-                interpolation=given.interpolation,
-                discard=given.discard,
-                units=given.units,
-                name=given.name,
-            )
-            for given in self.experiments
-        )
+        return tuple(each.experiment(read_table(each.table, each.time), str(each.table)) for each in self.experiments)
 
     def problem(self) -> Problem:
         """Return the least-squares problem of the study.
@@ -207,8 +262,7 @@ class Study:
         InputError
             If one of them is a result of another model.
         """
-        sources = (*self.sources, *([self.diagnosis.source] if self.diagnosis is not None else []))
-        return tuple(dict.fromkeys(note for source in sources for note in source.compare(self.system)))
+        return tuple(dict.fromkeys(note for source in self._all_sources for note in source.compare(self.system)))
 
     @property
     def marquardt(self) -> Marquardt:
@@ -343,9 +397,3 @@ class Study:
         """
         starts = [parameter.start for parameter in self.parameters.values()]
         return tuple(fit_of(self.system, each.experiment, each(starts)) for each in self.simulators())
-
-
-def _diagnosis(top: Section, folder: Path, model: ModelSettings, loss: str, known: Knowns) -> DiagnosisSettings:
-    from fmuid.study_diagnosis import read_diagnosis  # and all that decides, only where a study asks for it
-
-    return read_diagnosis(top, folder, model, loss, known)

@@ -8,18 +8,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from fmuid import study_file as toml
-from fmuid.component import INTEGRATORS, Component, Numerics
+from fmuid.component import INTEGRATORS, Component, Isolation, Numerics
 from fmuid.errors import InputError, nearest
 from fmuid.estimators.marquardt import Marquardt
+from fmuid.experiment import Experiment
 from fmuid.fmi.description import KINDS
 from fmuid.losses import LOSSES
 from fmuid.model_sensitivity import SENSITIVITIES
 from fmuid.noise import Noise
+from fmuid.paths import full, is_file
 from fmuid.study_file import Section
 from fmuid.system import MASTERS, System
 from fmuid.uncertainty import LEVEL, UncertaintySettings
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from fmuid.estimators.global_search import GlobalSearch
     from fmuid.posterior import Sampling
 
@@ -28,6 +32,7 @@ Pairs = tuple[tuple[str, str], ...]
 NUMERICS_KEYS = ("interface", "integrator", "tolerance", "step_size")
 MODEL_KEYS = ("fmu", *NUMERICS_KEYS, "master", "values", "components", "connections", "connectors")
 EXPERIMENT_KEYS = ("table", "name", "time", "inputs", "outputs", "interpolation", "discard", "units")
+ISOLATION_KEYS = ("time_limit", "memory", "recycle")
 NOISE_KEYS = ("variance", "start")
 MARQUARDT_KEYS = ("max_iterations", "tolerance", "first_radius")
 GLOBAL_KEYS = ("starts", "search", "seed")
@@ -53,6 +58,8 @@ class ModelSettings:
         The FMU variables held at a value.
     connectors : mapping of str to tuple of str
         Names of the system's own, and the variables that each of them sets.
+    isolation : Isolation or None
+        How the FMUs run in a process of their own; None: in this one.
     """
 
     components: Mapping[str, tuple[Path, Numerics]]
@@ -61,6 +68,7 @@ class ModelSettings:
     master: str = "jacobi"
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     connectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    isolation: Isolation | None = None
 
     def system(self) -> System:
         """Return the model: its FMUs and their connections.
@@ -78,11 +86,12 @@ class ModelSettings:
                 numerics=self.numerics,
                 master=self.master,
                 connectors={name: [(each, 1.0, 0.0) for each in some] for name, some in self.connectors.items()},
+                isolation=self.isolation,
             )
         path, _ = self.components[""]
         if path.suffix.lower() == ".ssp":
-            return System.read_ssp(path, self.numerics, self.master)
-        return System(path, numerics=self.numerics)
+            return System.read_ssp(path, self.numerics, self.master, self.isolation)
+        return System(path, numerics=self.numerics, isolation=self.isolation)
 
 
 @dataclass(frozen=True)
@@ -97,6 +106,26 @@ class ExperimentSettings:
     interpolation: str | Mapping[str, str] = "linear"
     discard: float = 0.0
     units: Mapping[str, str] = field(default_factory=dict)
+
+    def experiment(self, frame: pd.DataFrame, source: str) -> Experiment:
+        """Return the experiment that a table is with these words; messages call the table `source`.
+
+        Raises
+        ------
+        InputError
+            If the table has not what the words say.
+        """
+        return Experiment(
+            frame,
+            self.inputs,
+            self.outputs,
+            time=self.time,
+            interpolation=self.interpolation,
+            discard=self.discard,
+            units=self.units,
+            name=self.name,
+            source=source,
+        )
 
 
 def read_model(top: Section, folder: Path) -> ModelSettings:
@@ -188,6 +217,16 @@ def read_experiments(top: Section, folder: Path) -> tuple[ExperimentSettings, ..
 def _interpolation(value: object) -> str | Mapping[str, str]:
     kind = toml.one_of("linear", "hold", "cubic")
     return toml.named(kind)(value) if isinstance(value, dict) else kind(value)
+
+
+def read_isolation(top: Section) -> Isolation:
+    """Read the table ``[isolation]``: what FMUs in a process of their own may do."""
+    section = top.table("isolation", ISOLATION_KEYS)
+    return Isolation(
+        section.get("time_limit", toml.positive, None),
+        section.get("memory", toml.positive, None),
+        section.get("recycle", toml.count, None),
+    )
 
 
 def read_noise(top: Section) -> Noise:
@@ -316,6 +355,6 @@ def _pairs(value: object) -> Pairs:
 def existing_file(section: Section, key: str, meaning: str, folder: Path) -> Path:
     """Return the path of a file that must be there."""
     path = folder / section.need(key, toml.text, meaning)
-    if not path.is_file():
-        raise section.error(f"{key} = {toml.show(section.data[key])}: there is no file {path.resolve()}")
+    if not is_file(path):
+        raise section.error(f"{key} = {toml.show(section.data[key])}: there is no file {full(path)}")
     return path

@@ -15,7 +15,8 @@ from fmpy.ssp import ssd as fmpy_ssd
 from fmpy.validation import validate_fmu
 
 from fmuid.apply import AppliedValue, apply_result, write_estimates
-from fmuid.cli import DONE, WRONG_INPUT, run
+from fmuid.cli import run
+from fmuid.cli_words import DONE, WRONG_INPUT
 from fmuid.errors import InputError
 from fmuid.experiment import Experiment
 from fmuid.fmi.description import Unit

@@ -16,8 +16,9 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid import cli, progress, study_init
-from fmuid.cli import DONE, NOT_SUCCEEDED, WRONG_INPUT, run
+from fmuid import cli, cli_studies, progress, study_init
+from fmuid.cli import run
+from fmuid.cli_words import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.study import Study
 
 FMUS = Path(__file__).parents[1] / "fmus"
@@ -308,7 +309,7 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
 def test_what_takes_long_says_what_it_does(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cli, "QUICK", 0.0)
+    monkeypatch.setattr(cli_studies, "QUICK", 0.0)
     assert fmuid_("identify", folder / "study.toml") == DONE
     assert capsys.readouterr().err == ""
     prior = "parameters.R.prior={mean = 4.0, std = 0.1}"

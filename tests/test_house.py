@@ -18,10 +18,13 @@ PACKAGE = Path(fmuid.__file__).parent
 # A module imports only from those above it; modules on one line do not import each other.
 ORDER = """
 errors
+paths mat_file toml_text
 tables
 transforms excitation
 experiment
-fmi.unpacking fmi.start_values
+fmi.safe_xml
+fmi.zipped fmi.start_values
+fmi.unpacking
 fmi.description
 fmi.archive
 ssv
@@ -29,7 +32,7 @@ ssd
 ssp_links
 ssp_values
 ssp
-fmi.native
+fmi.codes fmi.native
 fmi.kernels
 fmi.layout fmi.instance fmi.conversions fmi.coupling fmi.discards fmi.co_simulation
 fmi.block
@@ -43,6 +46,10 @@ component
 system
 fmu_facts roles
 plan
+in_process
+host
+host_process
+isolation
 workers
 simulator
 smoke
@@ -81,19 +88,33 @@ verdict
 diagnosis
 study_settings
 study_parameters
-study_diagnosis
+study_diagnosis study_batch
 study
+draws case_problem
+cases
+case_run
+bundle dataset worker_host
+workshop
+cluster
+batch
+batch_statistics
+batch_words
+batch_summary
 study_init alarms belief windows
 window_fit
 monitoring detectability
 study_monitoring
 plots
+figures_panels
+figures_starts
 figures_diagnosis figures_fit figures_map figures_monitoring figures_residuals figures_search figures_uncertainty
-figures_run
+figures_batch figures_run
 export
 apply
 console
-console_result console_diagnosis console_fmu console_monitoring progress
+console_result console_batch console_diagnosis console_fmu console_monitoring progress
+cli_words
+cli_batch cli_models cli_studies
 cli
 __main__
 """
@@ -147,7 +168,7 @@ def test_imports_only_from_above(module: str) -> None:
 
 def test_imports_are_seen() -> None:
     assert {"errors", "study_file", "parameters"} <= imports(PACKAGE / "study.py")
-    assert "console" in imports(PACKAGE / "cli.py")
+    assert "console" in imports(PACKAGE / "cli_studies.py")
 
 
 @pytest.mark.parametrize("module", [name for name in modules() if not name.startswith("export") and name != "__main__"])

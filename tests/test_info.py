@@ -13,7 +13,8 @@ from rich.console import Console
 
 import fmuid
 from fmuid import console_fmu
-from fmuid.cli import DONE, run
+from fmuid.cli import run
+from fmuid.cli_words import DONE
 from fmuid.console import TERMINAL_ROWS
 from fmuid.errors import InputError
 from fmuid.fmi.description import Variable

@@ -14,7 +14,8 @@ import pytest
 
 import fmuid
 from fmuid import smoke, validation
-from fmuid.cli import DONE, NOT_SUCCEEDED, WRONG_INPUT, run
+from fmuid.cli import run
+from fmuid.cli_words import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.smoke import Report
 from fmuid.validation import Check, Validation, validate
 from tests.conftest import FMUS, HERE, ProbeMaker

@@ -1,0 +1,79 @@
+"""The command ``fmuid batch``: parse, call, print."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fmuid.cli_words import DONE, NOT_SUCCEEDED, Overrides, StudyFile
+
+
+def batch(
+    study: StudyFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="The folder of the batch.", show_default=False)
+    ],
+    set_: Overrides = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Dask scheduler, tcp://host:8786; default: workers of this machine."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", help="How many workers of this machine; default: one a core.")
+    ] = None,
+    max_cases: Annotated[int, typer.Option(metavar="N", help="Refuse a study that spans more.")] = 100_000,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume/--no-resume", help="Go on with the finished cases in the folder, or remove them and begin anew."
+        ),
+    ] = True,
+    in_process: Annotated[
+        bool,
+        typer.Option("--in-process", help="Run FMUs in the workers' own processes: an FMU that crashes ends a worker."),
+    ] = False,
+) -> int:
+    """Run the many identifications that a study spans, as its table batch says; the same command resumes them."""
+    from fmuid import console
+    from fmuid.batch import Batch
+    from fmuid.progress import BatchProgress
+    from fmuid.study import Study
+
+    read = Study.read(study, set_ or ())
+    job = Batch(
+        read,
+        output,
+        scheduler=scheduler,
+        workers=workers,
+        max_cases=max_cases,
+        resume=resume,
+        isolated=not in_process,
+    )
+    console.show_notes(read.notes)
+    with BatchProgress() as progress:
+        found = job.run(progress)
+    logs = job.dataset.log_count()
+    said = [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
+    console.show_notes([*found.notes, *said])
+    if len(found.frame):
+        from fmuid import figures_batch, plots
+        from fmuid.batch_summary import summarize
+        from fmuid.console_batch import show_batch
+
+        words = (found.frame, found.truth, found.units)
+        summary = summarize(*words, given_noise=found.given_noise)
+        show_batch(summary)
+        written = summary.write(output)
+        plots.clear(output / "figures")
+        written += plots.save(figures_batch.draw(*words, given_noise=found.given_noise), output / "figures")
+        console.show_files([*job.dataset.files(), *written])
+    if found.interrupted:
+        print(
+            f"interrupted: {len(found.frame)} of {found.total} cases are finished; the same command goes on",
+            file=sys.stderr,
+        )
+        return NOT_SUCCEEDED
+    return DONE

@@ -1,0 +1,33 @@
+"""What the commands have in common: arguments, options, exit codes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+DONE, NOT_SUCCEEDED, WRONG_INPUT = 0, 1, 2
+"""Exit codes: done; it ran but did not succeed; something given is wrong."""
+
+FmuFile = Annotated[Path, typer.Argument(metavar="FMU", help="The FMU file.", show_default=False)]
+StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="The study file (TOML).", show_default=False)]
+Folder = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="DIR", help="Where the files go; default: results/ beside the study."),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Replace a value of the study, as in parameters.Rs.start=9; repeatable."
+    ),
+]
+InProcess = Annotated[
+    bool,
+    typer.Option("--in-process", help="Run FMUs inside this process: one that crashes takes it along."),
+]
+
+
+def folder_of(output: Path | None, study: Path) -> Path:
+    """Return where the files of a study go."""
+    return study.parent / "results" if output is None else output

@@ -1,0 +1,198 @@
+"""The rows of a batch on disk: complete or not there, whatever ends the run, and the same however they came."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from fmuid import dataset as module
+from fmuid.dataset import LOG_BYTES, Dataset, bounded
+from fmuid.errors import FmuidError, InputError
+
+COLUMNS = {
+    "case": "int64",
+    "table": "string",
+    "set.x": "float64",
+    "status": "string",
+    "on": "bool",
+    "finished": "datetime64[us, UTC]",
+}
+
+
+def row(case: int) -> dict[str, Any]:
+    when = datetime(2026, 1, 1, tzinfo=UTC)
+    words = {"table": f"r{case % 3}", "set.x": case / 7 if case % 5 else float("nan"), "status": "converged"}
+    return {"case": case, **words, "on": case % 2 == 0, "finished": when}
+
+
+def filled(folder: Path, cases: list[int], *, each: int) -> Dataset:
+    """Return a dataset with cases in parts of some cases each."""
+    found = Dataset(folder, COLUMNS)
+    with found.locked():
+        for at in range(0, len(cases), each):
+            found.append([row(case) for case in cases[at : at + each]])
+    return found
+
+
+def expected(cases: list[int]) -> pd.DataFrame:
+    frame = pd.DataFrame([row(case) for case in sorted(cases)])
+    return frame.astype({"finished": "datetime64[us, UTC]"})
+
+
+def same(found: pd.DataFrame, other: pd.DataFrame) -> None:
+    pd.testing.assert_frame_equal(found, other, check_exact=True)
+
+
+def full_disk(*_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_rows_come_back_sorted_and_exact(tmp_path: Path) -> None:
+    order = np.random.default_rng(1).permutation(50).tolist()
+    found = filled(tmp_path, order, each=7)
+    assert len(found.parts()) == 8
+    same(found.read(), expected(order))
+    plain = pd.read_parquet(tmp_path / "cases")  # what a user does
+    same(plain.sort_values("case", ignore_index=True), expected(order))
+
+
+def test_an_empty_dataset_has_its_columns(tmp_path: Path) -> None:
+    frame = filled(tmp_path, [], each=1).read()
+    assert list(frame) == list(COLUMNS)
+    assert frame.dtypes.tolist() == expected([1]).dtypes.tolist()
+
+
+def test_finished(tmp_path: Path) -> None:
+    found = filled(tmp_path, [4, 2, 9], each=1)
+    assert np.flatnonzero(found.finished(12)).tolist() == [2, 4, 9]
+
+
+@pytest.mark.parametrize("rows", [10, 100])
+def test_compact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
+    monkeypatch.setattr(module, "PART_ROWS", rows)
+    order = np.random.default_rng(2).permutation(50).tolist()
+    found = filled(tmp_path, order, each=3)
+    found.compact()
+    sizes = [pq.read_metadata(path).num_rows for path in found.parts()]
+    assert sizes == ([10] * 5 if rows == 10 else [50])
+    assert pd.concat([pd.read_parquet(path) for path in found.parts()])["case"].tolist() == list(range(50))
+    same(found.read(), expected(order))
+    before = {path: path.stat().st_mtime_ns for path in found.parts()}
+    found.compact()
+    assert set(found.parts()) == set(before)
+
+
+def test_many_small_parts_are_merged_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "LOOSE_PARTS", 5)
+    found = filled(tmp_path, list(range(40)), each=1)
+    assert len(found.parts()) <= 6
+    same(found.read(), expected(list(range(40))))
+
+
+def test_rows_that_are_there_twice_count_once(tmp_path: Path) -> None:
+    """As after a kill between the writing of merged parts and the end of the old ones."""
+    found = filled(tmp_path, list(range(6)), each=2)
+    found._write(found._together([found._load(path) for path in found.parts()]))
+    assert len(found.parts()) == 4
+    same(found.read(), expected(list(range(6))))
+    found.compact()
+    assert len(found.parts()) == 1
+    same(pd.read_parquet(tmp_path / "cases"), expected(list(range(6))))
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace", "open"])
+def test_full_disk_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    found = filled(tmp_path, [0, 1], each=1)
+    with monkeypatch.context() as full:
+        owner: Any = os if step == "fsync" else Path
+        full.setattr(owner, step, full_disk)
+        with pytest.raises(FmuidError, match=r"cannot be written to: No space left on device; .* are kept") as raised:
+            found.append([row(2)])
+    assert not isinstance(raised.value, InputError)  # exit code 1: nothing given is wrong
+    same(found.read(), expected([0, 1]))
+    assert not list(found.cases.glob(".*"))
+    found.append([row(2)])
+    same(found.read(), expected([0, 1, 2]))
+
+
+@pytest.mark.parametrize("keep", [0, 10, 500])
+def test_a_half_written_part_is_found_and_removed(tmp_path: Path, keep: int) -> None:
+    found = filled(tmp_path, [0, 1, 2], each=1)
+    broken = found.parts()[1]
+    broken.write_bytes(broken.read_bytes()[:keep])
+    with pytest.raises(InputError, match=rf"{broken.name} is damaged .*: give the batch again"):
+        found.read()
+    (lost,) = found.repair()
+    assert broken.name in lost
+    assert np.flatnonzero(found.finished(3)).tolist() == [0, 2]
+
+
+def test_drafts_are_not_read_and_are_removed(tmp_path: Path) -> None:
+    found = filled(tmp_path, [0], each=1)
+    draft = found.cases / ".part-000000001-abc.parquet.77"
+    draft.write_bytes(b"PAR1")
+    same(found.read(), expected([0]))
+    same(pd.read_parquet(tmp_path / "cases"), expected([0]))
+    assert found.repair() == ()
+    assert not draft.exists()
+
+
+def test_two_writers(tmp_path: Path) -> None:
+    first, second = Dataset(tmp_path, COLUMNS), Dataset(tmp_path, COLUMNS)
+    with first.locked(), pytest.raises(InputError, match=rf"written to by another batch \(process {os.getpid()} on"):
+        second.locked().__enter__()
+    with second.locked():
+        pass
+
+
+def test_a_killed_writer_leaves_no_lock(tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from fmuid.dataset import Dataset\n"
+        f"with Dataset(Path({str(tmp_path)!r}), {{'case': 'int64'}}).locked(): print('locked', flush=True); "
+        "sys.stdin.read()"
+    )
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes) as other:  # type: ignore[call-overload]
+        assert other.stdout.readline() == b"locked\n"
+        with pytest.raises(InputError, match=f"process {other.pid} on"):
+            Dataset(tmp_path, COLUMNS).locked().__enter__()
+        other.kill()
+    with Dataset(tmp_path, COLUMNS).locked():
+        pass
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"file.out cannot be written to: .*; choose another folder with --output"):
+        Dataset(tmp_path / "file" / "out", COLUMNS).locked().__enter__()
+
+
+def test_clear_removes_rows_and_logs_and_nothing_else(tmp_path: Path) -> None:
+    found = filled(tmp_path, [0, 1], each=1)
+    found.write_manifest("{}")
+    found.log(1, "said")
+    assert found.log_path(1).name == "case-000001.txt"
+    (tmp_path / "notes.md").write_text("mine")
+    found.clear()
+    assert {path.name for path in tmp_path.iterdir()} == {"cases", ".lock", "notes.md"}
+    assert not list(found.cases.iterdir())
+
+
+def test_logs_are_bounded() -> None:
+    assert bounded("short\n") == "short\n"
+    long = "beginning " + "ä" * LOG_BYTES + " end"
+    cut = bounded(long)
+    assert len(cut.encode()) <= LOG_BYTES
+    assert cut.startswith("beginning ")
+    assert cut.endswith(" end")
+    assert f"{len(long.encode()) - 2 * (LOG_BYTES // 2 - 40)} bytes left out" in cut
