@@ -10,8 +10,8 @@ import io
 import itertools
 import os
 import stat
-import sys
 import struct
+import sys
 import unicodedata
 import zipfile
 import zlib
