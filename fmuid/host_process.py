@@ -28,6 +28,9 @@ from numpy.typing import NDArray
 from fmuid import host as far
 from fmuid.fmi import codes
 
+GROWTH = 256e6
+"""Growth of a process beyond its size after its first simulations at which it is replaced, bytes."""
+
 CRASHED, EXITED, HUNG, GREW, KILLED = range(5)
 """How a host came to an end: by a signal, by itself, stopped for time, stopped for memory, killed from outside."""
 
@@ -37,6 +40,7 @@ LOOK_EVERY = 0.05  # s, whether all is well with a host that works
 DEATH = 2.0  # s that a process which has closed its socket may take to end
 PRINTED_KEPT = 1 << 16  # bytes of what FMUs print that are kept until they are read
 PRINTED_LARGEST = 1 << 20  # bytes that may pile up in the file before it is cut
+MEASURE_EVERY = 0.25  # s, its memory while simulations come and go
 SLOW_START = 3.0  # s after which it is said that code is being compiled
 
 _log = logging.getLogger("fmuid")
@@ -180,7 +184,7 @@ class Host:
     Attributes
     ----------
     doing : (`host.DOING`,) array of intp
-        What each of its workers is doing.
+        What each of its workers is doing, and how often it has begun.
     simulations : int
         How many it was given.
     """
@@ -192,7 +196,7 @@ class Host:
         os.set_blocking(self._printed, True)
         fcntl.fcntl(self._printed, fcntl.F_SETFL, fcntl.fcntl(self._printed, fcntl.F_GETFL) | os.O_APPEND)
         self._memory, self.doing = self._mapped(8 * far.DOING)
-        self.simulations, self.baseline = 0, 0.0
+        self.simulations, self.baseline, self._measured = 0, 0.0, 0.0
         self._channel, other = socket.socketpair()
         try:
             self.pid = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
@@ -206,6 +210,11 @@ class Host:
         memory = mmap.mmap(self._file, size)
         return memory, np.frombuffer(memory, np.intp, far.DOING)
 
+    @property
+    def states(self) -> NDArray[np.intp]:
+        """What each of its workers is doing."""
+        return self.doing[::2]
+
     def room(self, shape: tuple[int, int, int, int]) -> tuple[far.Arrays, int]:
         """Return reports, thetas and outputs in shared memory that is large enough, and its size."""
         needed = far.layout(*shape)[-1]
@@ -213,13 +222,23 @@ class Host:
             self._memory, self.doing = self._mapped(needed)
         return far.arrays(self._memory, shape), len(self._memory)
 
-    def order(self, name: str, *arguments: Any, limit: float, reports: NDArray[np.intp] | None = None) -> Any:
+    def order(
+        self,
+        name: str,
+        *arguments: Any,
+        limit: float,
+        reports: NDArray[np.intp] | None = None,
+        idle_limit: float | None = None,
+    ) -> Any:
         """Give an order and return the answer.
 
         Parameters
         ----------
         limit : float
-            How long it may take, s; with reports, how long until one more of them is done.
+            How long it may take until a worker begins with something else, or one more report is done, s.
+        reports : (m, 4) array, optional
+        idle_limit : float, optional
+            How long it may take while all workers are idle, s; default: `limit`.
 
         Raises
         ------
@@ -236,8 +255,10 @@ class Host:
             condition = self._condition()
             if condition == psutil.STATUS_ZOMBIE:  # and somebody whom it forked keeps the socket open
                 raise self._ended()
-            preparing = (self.doing == codes.PREPARING).any() and condition != psutil.STATUS_STOPPED
+            preparing = (self.states == codes.PREPARING).any() and condition != psutil.STATUS_STOPPED
             allowed = max(limit, PREPARATION_LIMIT) if preparing else limit
+            if idle_limit is not None and not self.states.any():
+                allowed = idle_limit
             if now - progress[1] > allowed:
                 raise self._stopped(HUNG, round(1e3 * allowed))
             if self.private_memory() > self._limit:
@@ -267,6 +288,17 @@ class Host:
         except psutil.Error:
             return 0.0
         return float(found.rss - getattr(found, "shared", 0))
+
+    def outgrown(self, recycle: int | None) -> bool:
+        """Whether it is to be replaced: after so many simulations, or because it has grown since the first of them."""
+        if recycle is not None and self.simulations >= recycle:
+            return True
+        now = time.monotonic()
+        if self.baseline and now - self._measured < MEASURE_EVERY:
+            return False
+        self._measured, size = now, self.private_memory()
+        self.baseline = self.baseline or size
+        return size > self.baseline + GROWTH
 
     def _condition(self) -> str:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 import time
@@ -32,6 +33,19 @@ RESET_TOLERANCE = 1e-6
 MESSAGES_TOLD = 3  # of one failed simulation
 
 
+shared_words: list[NDArray[np.intp]] = []
+"""Where the workers of a process that is watched write what they are doing; empty in any other."""
+
+_slots = itertools.count()
+
+
+def _words() -> NDArray[np.intp]:
+    if not shared_words:
+        return np.zeros(2, np.intp)
+    at = 2 * next(_slots) % len(shared_words[0])
+    return shared_words[0][at : at + 2]
+
+
 class Worker:
     """One instance of every component of a system, used by one thread only.
 
@@ -48,8 +62,8 @@ class Worker:
 
     Attributes
     ----------
-    doing : (1,) array of intp
-        What it is doing now (`codes.IDLE` and so on).
+    doing : (2,) array of intp
+        What it is doing now (`codes.IDLE` and so on), and how often it was told to simulate.
     longest : float
         Duration of the longest simulation so far, s.
     """
@@ -63,7 +77,7 @@ class Worker:
         self._seconds = CALL_SECONDS  # of one simulation, as last measured
         self._resets = resets
         self._told: set[str] = set()
-        self.doing = np.zeros(1, np.intp)
+        self.doing = _words()
         self.longest = 0.0
 
     def start(self, task: Callable[..., None], *arguments: Any) -> Future[None] | None:
@@ -257,6 +271,7 @@ class Worker:
             with self._busy(codes.PREPARING):
                 loop = self._loops[run] = Loop(run.plan, run.grid, self._instances, self._used)
         began = time.perf_counter()
+        self.doing[1] += 1
         with self._busy(max(codes.SIMULATING, int(self.doing[0]))):
             loop.run(thetas, outputs, reports)
         self.longest = max(self.longest, (time.perf_counter() - began) / len(thetas))
@@ -368,11 +383,11 @@ class InProcess:
         return max(worker.longest for worker in self._workers)
 
     def show_doing(self, words: NDArray[np.intp] | None) -> None:
-        """Let the workers write what they are doing into shared words, one for each."""
+        """Let the workers write what they are doing into shared words, two for each."""
         self._doing = words
         if words is not None:
             for i, worker in enumerate(self._workers):
-                worker.doing = words[i : i + 1]
+                worker.doing = words[2 * i : 2 * i + 2]
 
     def printed(self) -> str:
         """Return what the FMUs printed: unknown in this process, whose own output it joins."""

@@ -14,9 +14,8 @@ import logging
 import math
 import os
 import threading
-import time
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ from fmuid.component import STIFF_INTEGRATOR, Component, Isolation
 from fmuid.errors import SimulationError
 from fmuid.fmi import codes
 from fmuid.fmi.layout import Run, shares
-from fmuid.host_process import GREW, HUNG, KILLED, End, Host
+from fmuid.host_process import GREW, HUNG, KILLED, MEASURE_EVERY, End, Host
 
 Array = NDArray[np.float64]
 
@@ -35,12 +34,8 @@ LEAST_LIMIT = 5.0
 """The shortest default time limit, s: machines are busy at times."""
 FIRST_LIMIT = 60.0
 """The default time limit before any simulation has ended, s."""
-GROWTH = 256e6
-"""Growth of a process beyond its size after its first simulations at which it is replaced, bytes."""
-
 LEAST_MEMORY = 1e9  # bytes that a process may take by default even on a small machine
 CHUNK = 1 << 25  # bytes of outputs that are shared at a time
-MEASURE_EVERY = 0.25  # s
 MOST_KILLS = 3  # of the same simulation, from outside; then it is at fault after all
 _log = logging.getLogger("fmuid.fmu")
 _left: list[str] = []  # what FMUs printed whose workers are gone
@@ -67,12 +62,12 @@ class IsolatedWorkers:
         self.lock = threading.RLock()
         self._components, self._settings = dict(components), settings
         self._limit = min(limit, settings.threads or limit)
-        self._memory = 1e6 * settings.memory if settings.memory else _memory_share()
+        self._memory = 1e6 * settings.memory if settings.memory else memory_share()
         self._hosts: list[Host] = []  # the one that there is, in a list that outlives these workers
         self._resets: bool | None = None  # False: a reset crashes the FMU
         self._numbers: weakref.WeakKeyDictionary[Run, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()
-        self._longest, self._measured = 0.0, 0.0
+        self._longest = 0.0
         self._text = ""
         _living.add(self)
         self._closing = weakref.finalize(self, _shut, self._hosts)
@@ -98,7 +93,8 @@ class IsolatedWorkers:
             most = min(largest, self._limit * often, self._settings.recycle or largest)
             part = slice(first, first + most)
             self._run_part(run, thetas[part], outputs[part], reports[part])
-            self._replace_if_grown()
+            if self._host().outgrown(self._settings.recycle):
+                self._replace()
             first = part.stop
 
     def _run_part(self, run: Run, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
@@ -173,8 +169,7 @@ class IsolatedWorkers:
 
     @property
     def _time_limit(self) -> float:
-        derived = max(LEAST_LIMIT, SLOWER * self._longest) if self._longest else FIRST_LIMIT
-        return self._settings.time_limit or derived
+        return self._settings.time_limit or default_limit(self._longest)
 
     def failure(
         self,
@@ -215,7 +210,7 @@ class IsolatedWorkers:
             return self._hosts[0]
         for _, model in self._models:
             model.fmu.directory  # noqa: B018  # unpacked here, where what is wrong with it can be said
-        host = Host(_modules([model for _, model in self._models]), self._memory)
+        host = Host(modules_for(self._components.values()), self._memory)
         self._hosts[:] = [host]
         self._known.clear()
         host.order("start", self._components, self._limit, self._resets, limit=FIRST_LIMIT)
@@ -238,7 +233,7 @@ class IsolatedWorkers:
         """Part with a process that has ended; return what its workers were doing."""
         host = self._hosts.pop()
         self._text += host.printed()
-        return host.doing[: self._limit].copy()
+        return host.states[: self._limit].copy()
 
     def _replace(self) -> None:
         """End the process if it has simulated anything."""
@@ -246,16 +241,6 @@ class IsolatedWorkers:
             host = self._hosts.pop()
             host.close()
             self._text += host.printed()
-
-    def _replace_if_grown(self) -> None:
-        host, now = self._host(), time.monotonic()
-        grown = self._settings.recycle is not None and host.simulations >= self._settings.recycle
-        if not grown and (not host.baseline or now - self._measured > MEASURE_EVERY):
-            self._measured, size = now, host.private_memory()
-            host.baseline = host.baseline or size
-            grown = size > host.baseline + GROWTH
-        if grown:
-            self._replace()
 
     def _write(self, end: End, indices: NDArray[np.intp], reports: NDArray[np.intp]) -> None:
         limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory}
@@ -296,13 +281,19 @@ def _shut(hosts: list[Host]) -> None:
     hosts.clear()
 
 
-def _memory_share() -> float:
+def default_limit(longest: float) -> float:
+    """Return how long a simulation may take where the longest so far took `longest`, both s; 0 before there was any."""
+    return max(LEAST_LIMIT, SLOWER * longest) if longest else FIRST_LIMIT
+
+
+def memory_share() -> float:
+    """Return how much memory a process may take by default, bytes."""
     import psutil
 
     return max(LEAST_MEMORY, psutil.virtual_memory().total / (2 * (os.cpu_count() or 1)))
 
 
-def _modules(models: Sequence[Component]) -> list[str]:
+def modules_for(models: Collection[Component]) -> list[str]:
     """Return what a process is to load before it is forked, beside what all need."""
     found = []
     if any(model.kind == "model-exchange" for model in models):

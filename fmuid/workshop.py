@@ -9,7 +9,7 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,11 @@ from distributed import get_worker
 from distributed.versions import get_package_info
 
 from fmuid.bundle import Parcel
-from fmuid.case_run import CaseRunner
+from fmuid.case_host import IsolatedCases
+from fmuid.case_run import CaseRunner, Outcome
 from fmuid.dataset import bounded
 from fmuid.errors import FmuidError, InputError
+from fmuid.host import AVAILABLE
 
 # What must be the same on both sides, to how many places of the version.
 ALIKE = {"python": 2, "fmuid": 9, "dask": 9, "distributed": 9, "numpy": 1, "pandas": 1}
@@ -124,8 +126,10 @@ class _Bench:
 
     def __init__(self, parcel: Parcel, folder: Path) -> None:
         self.folder = folder
+        self.runner: Callable[[int], Outcome]
         try:
-            self.runner = CaseRunner(parcel.unpack(folder))
+            study = parcel.unpack(folder)
+            self.runner = IsolatedCases(study) if parcel.isolated and AVAILABLE else CaseRunner(study)
         except FmuidError as error:
             raise InputError(parcel.in_users_words(str(error), folder)) from None
 

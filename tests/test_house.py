@@ -93,6 +93,7 @@ study
 draws case_problem
 cases
 case_run
+case_host
 bundle dataset worker_host
 workshop
 cluster
