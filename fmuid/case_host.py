@@ -10,16 +10,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fmuid.case_run import CaseRunner, Outcome
 from fmuid.component import Isolation
-from fmuid.isolation import FIRST_LIMIT, default_limit, memory_share
+from fmuid.host_process import End, Host
+from fmuid.isolation import FIRST_LIMIT, default_limit, memory_share, modules_for
 from fmuid.study import Study
 from fmuid.workers import workers_of
-
-if TYPE_CHECKING:
-    from fmuid.host_process import Host
 
 _runner: list[CaseRunner] = []  # of a process that runs cases
 
@@ -63,34 +61,31 @@ class IsolatedCases:
 
     def __call__(self, index: int) -> Outcome:
         """Run a case; one that fails has a row that says why."""
-        from fmuid.host_process import End
-
-        host, limit = self._ready(), self._settings.time_limit or default_limit(self._longest)
         outcome: Outcome
+        limit, printed = self._settings.time_limit or default_limit(self._longest), ""
         try:
+            host = self._ready()
             outcome, self._longest = host.order(
                 "call", __name__, "run_case", (index,), limit=limit, idle_limit=math.inf
             )
+            host.simulations += int(str(outcome.row["simulations"]))
+            if host.outgrown(self._settings.recycle):
+                self.close()
+            printed = host.printed()
         except End:
+            printed = self._host.printed() if self._host is not None else ""
             self._host = None
             outcome = self._careful(index)
-        host.simulations += int(str(outcome.row["simulations"]))
-        outcome = replace(outcome, log="\n".join(filter(None, [outcome.log, host.printed()])))
-        if self._host is not None and host.outgrown(self._settings.recycle):
-            self.close()
-        return outcome
+        return replace(outcome, log="\n".join(filter(None, [outcome.log, printed])))
 
     def _ready(self) -> Host:
         """Return the process, a new one where there is none."""
         if self._host is not None and self._host.alive:
             return self._host
-        from fmuid.host_process import Host
-        from fmuid.isolation import modules_for
-
-        host = Host(["fmuid.case_host", *modules_for(self._careful.study.system.components.values())], self._memory)
+        models = self._careful.study.system.components.values()
+        host = self._host = Host(["fmuid.case_host", *modules_for(models)], self._memory)
         host.order("watch", limit=FIRST_LIMIT)
         host.order("call", __name__, "open_cases", (self._study.data, self._study.path), limit=FIRST_LIMIT)
-        self._host = host
         return host
 
     def close(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -207,7 +208,8 @@ def _opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path)
     from fmuid.console import show_notes
     from fmuid.host_process import SERVER
 
-    SERVER.notify = lambda text: show_notes([text])
+    if sys.stderr.isatty():
+        SERVER.notify = lambda text: show_notes([text])
     SERVER.start()  # it loads its code while this process loads its own
     from fmuid import isolation
     from fmuid.study import Study

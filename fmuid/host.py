@@ -280,7 +280,8 @@ class Server:
 
     def _fork(self, descriptors: Sequence[int], modules: Sequence[str]) -> int:
         for module in modules:
-            importlib.import_module(module)
+            with contextlib.suppress(ImportError):  # who needs it says so
+                importlib.import_module(module)
         server = os.getpid()
         pid = os.fork()
         if pid == 0:

@@ -308,16 +308,9 @@ class InProcess:
         self._doing: NDArray[np.intp] | None = None
 
     def run(self, run: Run, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
-        """Simulate all thetas, in equal shares over the workers; a model found stiff is run again as such.
+        """Simulate all thetas (m, N), in equal shares over the workers; a model found stiff is run again as such.
 
-        Parameters
-        ----------
-        run : Run
-        thetas : (m, N) array
-        outputs : (m, K, n_outputs) array
-            Filled in.
-        reports : (m, 4) array of intp
-            Filled in (`fmuid.fmi.kernels.simulate`).
+        Outputs (m, K, n_outputs) and reports (m, 4) are filled in (`fmuid.fmi.kernels.simulate`).
         """
         self._run_shares(run, thetas, outputs, reports)
         if any(run.plan.integrations) and self._found_stiff(run, reports):

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.component import STIFF_INTEGRATOR, Component, Isolation
-from fmuid.errors import SimulationError
+from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmi import codes
 from fmuid.fmi.layout import Run, shares
 from fmuid.host_process import GREW, HUNG, KILLED, MEASURE_EVERY, End, Host
@@ -75,16 +75,9 @@ class IsolatedWorkers:
     # --- simulations
 
     def run(self, run: Run, thetas: Array, outputs: Array, reports: NDArray[np.intp]) -> None:
-        """Simulate all thetas; those at which the process comes to an end have a report of `codes.PROCESS`.
+        """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
-        Parameters
-        ----------
-        run : Run
-        thetas : (m, N) array
-        outputs : (m, K, n_outputs) array
-            Filled in.
-        reports : (m, 4) array of intp
-            Filled in.
+        Outputs (m, K, n_outputs) and reports (m, 4) are filled in (`fmuid.fmi.kernels.simulate`).
         """
         first, largest = 0, max(1, CHUNK // max(1, outputs[:1].nbytes))
         while first < len(thetas):
@@ -143,9 +136,10 @@ class IsolatedWorkers:
         try:
             number = self._tell(host, run)
             host.simulations += len(group)
-            stiff, self._longest = host.order(
+            stiff, longest = host.order(
                 "run", number, shape, size, varying, limit=self._time_limit, reports=their_reports
             )
+            self._longest = max(self._longest, longest)
             for component in stiff:
                 list(self._components.values())[component].stiff = True
                 run.integrate(component, STIFF_INTEGRATOR)
@@ -195,10 +189,13 @@ class IsolatedWorkers:
             except End as end:
                 self._bury()
                 kind, number = end.kind, end.number
-        labels = [f"{name} ({model.fmu.path})" if name else str(model.fmu.path) for name, model in self._models]
-        return SimulationError(", ".join(labels), math.nan, parameters, End(kind, number).words())
+        return SimulationError(self._labels, math.nan, parameters, End(kind, number).words())
 
     # --- the process
+
+    @property
+    def _labels(self) -> str:
+        return ", ".join(f"{name} ({model.fmu.path})" if name else str(model.fmu.path) for name, model in self._models)
 
     @property
     def _models(self) -> list[tuple[str, Component]]:
@@ -210,11 +207,16 @@ class IsolatedWorkers:
             return self._hosts[0]
         for _, model in self._models:
             model.fmu.directory  # noqa: B018  # unpacked here, where what is wrong with it can be said
-        host = Host(modules_for(self._components.values()), self._memory)
-        self._hosts[:] = [host]
-        self._known.clear()
-        host.order("start", self._components, self._limit, self._resets, limit=FIRST_LIMIT)
-        return host
+        for _ in range(MOST_KILLS):
+            host = Host(modules_for(self._components.values()), self._memory)
+            try:
+                host.order("start", self._components, self._limit, self._resets, limit=FIRST_LIMIT)
+            except End:
+                continue
+            self._hosts[:] = [host]
+            self._known.clear()
+            return host
+        raise FmuidError(f"the process that is to run {self._labels} ends again and again before it has begun")
 
     def _tell(self, host: Host, run: Run) -> int:
         """Return the number of a run, which the process knows now."""
@@ -248,11 +250,10 @@ class IsolatedWorkers:
 
     def _give_up_reset(self) -> None:
         self._resets = False
-        names = ", ".join(str(model.fmu.path) for _, model in self._models)
         _log.warning(
             "%s: a reset crashes it, so it is instantiated anew for every simulation, which is slow and, for some "
             "FMUs, fails after a thousand times",
-            names,
+            self._labels,
         )
 
     def printed(self) -> str:

@@ -18,11 +18,11 @@ from distributed import get_worker
 from distributed.versions import get_package_info
 
 from fmuid.bundle import Parcel
-from fmuid.case_host import IsolatedCases
 from fmuid.case_run import CaseRunner, Outcome
 from fmuid.dataset import bounded
 from fmuid.errors import FmuidError, InputError
 from fmuid.host import AVAILABLE
+from fmuid.study import Study
 
 # What must be the same on both sides, to how many places of the version.
 ALIKE = {"python": 2, "fmuid": 9, "dask": 9, "distributed": 9, "numpy": 1, "pandas": 1}
@@ -121,6 +121,14 @@ def _check_worker(parcel: Parcel) -> None:
         raise InputError(f"the worker {_address()} {said}")
 
 
+def _runner_of(study: Study, isolated: bool) -> Callable[[int], Outcome]:
+    if not (isolated and AVAILABLE):
+        return CaseRunner(study)
+    from fmuid.case_host import IsolatedCases  # for Linux and macOS only
+
+    return IsolatedCases(study)
+
+
 class _Bench:
     """The study of one thread of a worker, in a folder of its own, and what runs its cases."""
 
@@ -128,8 +136,7 @@ class _Bench:
         self.folder = folder
         self.runner: Callable[[int], Outcome]
         try:
-            study = parcel.unpack(folder)
-            self.runner = IsolatedCases(study) if parcel.isolated and AVAILABLE else CaseRunner(study)
+            self.runner = _runner_of(parcel.unpack(folder), parcel.isolated)
         except FmuidError as error:
             raise InputError(parcel.in_users_words(str(error), folder)) from None
 

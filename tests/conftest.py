@@ -3,6 +3,7 @@
 # ruff: noqa: E501  # the model description of the probe reads best one variable a line
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import zipfile
@@ -15,6 +16,10 @@ import pandas as pd
 import pytest
 
 from experiments.induction_machine import make_table
+
+# Shells start background jobs with Ctrl-C ignored, which the processes of these tests would inherit.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 HERE = Path(__file__).parent
 FMUS = HERE.parent / "fmus"
