@@ -15,6 +15,7 @@ from fmuid.experiment import Experiment
 from fmuid.monitoring import Monitor
 from fmuid.study import Study
 from fmuid.study_diagnosis import DiagnosisSettings
+from fmuid.tables import read_table
 
 KINDS = (".csv", ".parquet", ".mat")
 """The tables that are taken from a folder."""
@@ -104,18 +105,10 @@ def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -
         if path.stem in known:
             continue
         try:
-            record = Experiment.read(
-                path,
-                given.inputs,
-                given.outputs,
-                time=given.time,
-                interpolation=given.interpolation,
-                discard=given.discard,
-                units=given.units,
-            )
+            record = replace(given, name=path.stem).experiment(read_table(path, given.time), str(path))
         except InputError as error:
             raise InputError(f"{error} (inputs and outputs are those of {study.path})") from None
-        yield replace(record, name=path.stem)
+        yield record
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
