@@ -96,9 +96,7 @@ class Worker:
             began = time.perf_counter()
             self._call(run, thetas[part], outputs[part], reports[part])
             self._seconds = max((time.perf_counter() - began) / share, 1e-6)
-            undone = np.flatnonzero(reports[part, 2] == codes.UNDONE)
-            if undone.size:  # by another instance: the one before them failed fatally
-                part = slice(done, done + int(undone[0]))
+            part = self._valid(part, reports)
             failed = bool((reports[part, 0] >= 0).any())
             if failed and (reports[part, 2][reports[part, 0] >= 0] >= FATAL).any():
                 self.close(fatal=True)
@@ -106,6 +104,17 @@ class Worker:
                 self._try_reset(run, thetas[part], outputs[part])
             done = part.stop
         self._pass_on_warnings(failed=bool((reports[:, 0] >= 0).any()))
+
+    def _valid(self, part: slice, reports: NDArray[np.intp]) -> slice:
+        """Return the part of a call that counts; what comes after it is simulated again by another instance."""
+        begun = reports[part]
+        again = begun[:, 2] == codes.UNDONE  # the one before them failed fatally
+        if self._resets and self._can_be_replaced:  # what they were to begin with was spoilt by the one before them
+            stuck = begun[:, 0] == codes.RESET
+            if stuck.any():
+                self.close(fatal=bool((begun[stuck, 2] >= FATAL).any()))
+            again |= stuck
+        return slice(part.start, part.start + int(np.argmax(again)) if again.any() else part.stop)
 
     def _try_reset(self, run: Run, theta: Array, expected: Array) -> None:
         """Repeat the first simulation after a reset: an FMU that keeps something is instantiated anew every time."""
@@ -358,13 +367,7 @@ class InProcess:
     ) -> SimulationError | None:
         """Return what the outputs (K, n_outputs) and the report (4,) of a simulation say; None where it succeeded.
 
-        Parameters
-        ----------
-        theta : (N,) array
-        parameters : mapping of str to float
-            As the error is to name them.
-        explain : bool
-            Whether to repeat the simulation to hear what the FMU says.
+        To `explain` it, the simulation is repeated to hear what the FMU says; the error names the `parameters`.
         """
         worker = self._workers[0]
         known = worker.error(run, outputs, report, parameters)
