@@ -26,6 +26,7 @@ import psutil
 from numpy.typing import NDArray
 
 from fmuid import host as far
+from fmuid.errors import FmuidError
 from fmuid.fmi import codes
 
 GROWTH = 256e6
@@ -37,6 +38,7 @@ CRASHED, EXITED, HUNG, GREW, KILLED = range(5)
 PREPARATION_LIMIT = 120.0  # s; instantiation, and loading code that may first have to be compiled
 CLOSING_LIMIT = 2.0  # s; for freeing instances, after which the process is killed
 LOOK_EVERY = 0.05  # s, whether all is well with a host that works
+MOST_STARTS = 6  # of the server, which may be killed from outside while it loads
 DEATH = 2.0  # s that a process which has closed its socket may take to end
 PRINTED_KEPT = 1 << 16  # bytes of what FMUs print that are kept until they are read
 PRINTED_LARGEST = 1 << 20  # bytes that may pile up in the file before it is cut
@@ -118,7 +120,7 @@ class ForkServer:
 
     def fork(self, modules: Sequence[str], descriptors: Sequence[int]) -> int:
         """Return the process id of a new host that has loaded the modules and got the file descriptors."""
-        for _ in range(2):
+        for _ in range(MOST_STARTS):
             with self._lock:
                 channel = self.start()
                 began, told = time.monotonic(), False
@@ -137,7 +139,10 @@ class ForkServer:
                     return pid
                 except (EOFError, OSError):
                     self.stop()  # somebody has killed it: once more
-        raise RuntimeError(f"{sys.executable} cannot run python -m fmuid.host")
+        raise FmuidError(
+            f"{sys.executable} -m fmuid.host, which starts the processes of FMUs, ends again and again as soon as it "
+            "begins: have FMUs run inside this process"
+        )
 
     def status(self, pid: int) -> int | None:
         """Return the status with which a host ended, None if it has not or nobody knows."""
@@ -200,6 +205,11 @@ class Host:
         self._channel, other = socket.socketpair()
         try:
             self.pid = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
+        except BaseException:
+            self._channel.close()
+            os.close(self._file)
+            os.close(self._printed)
+            raise
         finally:
             other.close()
         self._channel.settimeout(LOOK_EVERY)

@@ -166,8 +166,10 @@ class Worker:
     @contextmanager
     def _busy(self, doing: int) -> Iterator[None]:
         before, self.doing[0] = int(self.doing[0]), doing
-        yield
-        self.doing[0] = before
+        try:
+            yield
+        finally:
+            self.doing[0] = before
 
     def explain(self, run: Run, theta: Array, parameters: Mapping[str, float]) -> SimulationError | None:
         """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""

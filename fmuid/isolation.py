@@ -278,7 +278,7 @@ def printed() -> str:
 def _shut(hosts: list[Host]) -> None:
     for host in hosts:
         host.close()
-        _left.append(host.printed())
+        _left.extend(filter(None, [host.printed()]))
     hosts.clear()
 
 

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -64,6 +64,14 @@ def _probe_library(folder: Path, defines: tuple[str, ...]) -> bytes:
 def clean() -> pd.DataFrame:
     """The induction machine's record without noise, integrated once for all tests."""
     return make_table.simulate()
+
+
+@pytest.fixture
+def nothing_said(capfd: pytest.CaptureFixture[str]) -> Iterator[None]:
+    """Nothing that an FMU prints, and no traceback of its process, comes out of this one."""
+    yield
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "")
 
 
 ProbeMaker = Callable[..., Path]

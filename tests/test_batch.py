@@ -33,24 +33,11 @@ from fmuid.errors import FmuidError, InputError
 from fmuid.progress import BatchProgress
 from fmuid.study import Study
 from fmuid.workshop import GroupResult, run_group, versions
-from tests.test_cli import COIL, coil_table, fmuid_
+from tests.test_cli import STUDY, coil_table, fmuid_
 
 DRAWS = 30
 # Samples of a table whose identification takes long enough to be disturbed.
 LONG, STEP = 6000, 1e-3
-STUDY = f"""
-title = "Coil"
-[model]
-fmu = "{COIL.as_posix()}"
-[[experiments]]
-table = "first.csv"
-inputs = ["u"]
-outputs = ["i"]
-interpolation = "hold"
-[parameters]
-R = {{ start = 6.0, min = 0.0 }}
-L = {{ start = 0.05, min = 1e-3 }}
-"""
 NOISE = "[batch]\nnoise = {{ draws = {draws}, std = 0.02, truth = {{ R = 4.0, L = 0.1 }} }}\n"
 RECORDS = '[batch]\ntables = "records/*.csv"\nstarts = 2\n'
 

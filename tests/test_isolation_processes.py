@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,20 +24,15 @@ from fmuid.system import System
 from tests.isolated import NAMES, RECORD, RECORD_FRAME, TIMES, Floats, U, expected, processes, thetas, wait_until
 from tests.misbehaving import Mode, lag, misbehaving_fmu
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
+    pytest.mark.usefixtures("nothing_said"),
+]
 
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("misbehaving")
-
-
-@pytest.fixture(autouse=True)
-def nothing_said(capfd: pytest.CaptureFixture[str]) -> Iterator[None]:
-    """Nothing that an FMU prints, and no traceback of its process, comes out of this one."""
-    yield
-    said = capfd.readouterr()
-    assert (said.out, said.err) == ("", "")
 
 
 def test_nothing_is_left_of_closed_systems(folder: Path) -> None:
