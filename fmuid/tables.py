@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ def read_table(path: Path | str, time: str = "time") -> pd.DataFrame:
     """Read a table of measurements.
 
     - ``.csv``: comma-separated, decimal points, UTF-8, names in the first line (names with commas in double quotes).
-      Empty cells are missing samples.
+      Empty cells are missing samples; a row with fewer cells than there are names is refused.
     - ``.parquet``: an index named like the time column becomes a column.
     - ``.mat`` of MATLAB (v4 to v7): every numeric vector as long as the time vector becomes a column; the other
       arrays are left out.
@@ -132,22 +133,20 @@ def _first_text(series: pd.Series[Any]) -> tuple[int, str]:
     """Return row (from 1) and text of the first cell that is no number (of the first cell, if all are)."""
     there = [pd.api.types.is_list_like(cell) or not pd.isna(cell) for cell in series]
     cells = [(row, cell) for row, (cell, given) in enumerate(zip(series, there, strict=True), start=1) if given]
-    for row, cell in cells:
-        if isinstance(cell, str | complex):
-            try:
-                float(cell)  # type: ignore[arg-type]  # complex numbers fail here on purpose
-            except (TypeError, ValueError):
-                return row, str(cell)
+    texts = [(row, str(cell)) for row, cell in cells if isinstance(cell, str | complex)]
+    # read as the columns are: Python's float takes 1_000 and full-width digits as well
+    numbers = pd.to_numeric(pd.Series([text for _, text in texts], dtype=object), errors="coerce")
+    for place, number in zip(texts, numbers, strict=True):
+        if math.isnan(number):
+            return place
     return (cells[0][0], str(cells[0][1])) if cells else (1, "")
 
 
 def _read_csv(path: Path, time: str) -> pd.DataFrame:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = (row for row in csv.reader(file, skipinitialspace=True) if row)
-            header = [name.strip() for name in next(rows, [])]
-            first = next(rows, [])
-        _check_csv_header(path, time, header, first)
+        rows = _csv_rows(path)
+        header = [name.strip() for name in next(rows, [])]
+        _check_csv_header(path, time, header, next(rows, []))
         frame = pd.read_csv(
             path,
             header=0,
@@ -157,6 +156,8 @@ def _read_csv(path: Path, time: str) -> pd.DataFrame:
             skipinitialspace=True,
             low_memory=False,
         )
+        if frame[header[-1]].hasnans:  # as it is, too, where a row ends early
+            _check_csv_rows(path, len(header))
     except UnicodeDecodeError:
         raise InputError(f"{path}: the file is no UTF-8 text: save it as a UTF-8 CSV file") from None
     except (csv.Error, pd.errors.ParserError) as error:
@@ -164,6 +165,26 @@ def _read_csv(path: Path, time: str) -> pd.DataFrame:
             f"{path}: the file is no CSV table ({str(error).strip()}): give every row as many cells as the header"
         ) from None
     return frame
+
+
+def _csv_rows(path: Path) -> Iterator[list[str]]:
+    """Yield the cells of each row, the header first; blank lines are no rows."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        yield from (row for row in csv.reader(file, skipinitialspace=True) if len(row) > 1 or "".join(row).strip())
+
+
+def _check_csv_rows(path: Path, names: int) -> None:
+    """Refuse rows with too few cells, which pandas fills up as if samples were missing."""
+    for number, row in enumerate(_csv_rows(path)):
+        if len(row) < names:
+            raise InputError(
+                f"{path}: the header has {names} names but row {number} has {_cells(len(row))}: give every row as many "
+                "cells as the header, empty ones where samples are missing"
+            )
+
+
+def _cells(count: int) -> str:
+    return f"{count} cell{'s' * (count != 1)}"
 
 
 def _check_csv_header(path: Path, time: str, header: list[str], first: list[str]) -> None:

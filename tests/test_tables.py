@@ -10,7 +10,7 @@ import pytest
 from scipy.io import savemat
 
 from fmuid.errors import InputError
-from fmuid.tables import read_table
+from fmuid.tables import numeric_column, read_table
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.25, 0.4])
 SPEED = np.array([1.0, 2.0, 4.0, -4.0, 8.0])
@@ -58,6 +58,12 @@ def test_a_time_column_of_another_name(tmp_path: Path) -> None:
             r"the header has 3 names but row 1 has 2 cells: .* in quotes, such as \"x\[1,2\]\"",
         ),
         ("time,u\n0,1\n1,2,3\n", "no CSV table .*: give every row as many cells as the header"),
+        (
+            "time,u,y\n0,1,2\n\n1,2,\n2,3\n",
+            "the header has 3 names but row 3 has 2 cells: .* empty ones where samples are missing",
+        ),
+        ("time,u,y\n0,1,2\n1", "the header has 3 names but row 2 has 1 cell: give every row"),
+        ('time,u,text\n0,1,"a\nb,"\n1,2\n', "the header has 3 names but row 2 has 2 cells"),
         ("0,1\n1,2\n", "the first line holds numbers: put the names there, 'time' among them"),
         ("Time,u\n0,1\n", r"the time column 'time' is missing \(did you mean 'Time'\?\)"),
         ("This is\nno table\n", r"the time column 'time' is missing \(did you mean 'This is'|there is This is\)"),
@@ -75,6 +81,21 @@ def test_csv_that_is_none(tmp_path: Path, text: str | bytes, sentence: str) -> N
         read_table(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("cell", ["１.５", "1_000", "+nan", "\xa05"])
+def test_a_cell_that_only_python_takes_for_a_number_is_named_with_its_row(tmp_path: Path, cell: str) -> None:
+    rows = [f"{k},{k}.5\n" for k in range(12)]
+    rows[9] = f"9,{cell}\n"
+    table = read_table(written(tmp_path, "time,u\n" + "".join(rows)))
+    with pytest.raises(InputError) as caught:
+        numeric_column(table, "u", "file.csv")
+    assert str(caught.value).startswith(f"file.csv: column 'u' holds {cell!r} in row 10, ")
+
+
+def test_empty_cells_at_the_end_of_rows_are_missing_samples_and_blank_lines_are_no_rows(tmp_path: Path) -> None:
+    table = read_table(written(tmp_path, "time,u,y\n0,1,2\n  \n1,2,\n\n2,,\n"))
+    np.testing.assert_array_equal(table.to_numpy(), [[0, 1, 2], [1, 2, np.nan], [2, np.nan, np.nan]])
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
