@@ -55,8 +55,6 @@ if TYPE_CHECKING:
     from fmuid.validation import validate as validate
     from fmuid.verdict import Diagnosis as Diagnosis
 
-__version__ = "0.1.0"
-
 _HOMES = {
     "Angle": "faults",
     "Batch": "batch",

@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fmuid import ssv
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
+from fmuid.files import exists, is_folder, replacing
 from fmuid.fmi.archive import FMU
 from fmuid.fmi.description import DESCRIPTION_FILE, Description, Unit, Variable
 from fmuid.fmi.start_values import Value, with_starts
 from fmuid.fmi.zipped import Zipped
-from fmuid.paths import exists, is_folder
-from fmuid.report import replacing
 from fmuid.result import Result
 from fmuid.ssv import Quantity, unit_conversion
 from fmuid.system import System
+from fmuid.text import nearest
 
 ESTIMATES_FILE = "parameters.ssv"
 

@@ -23,7 +23,7 @@ from fmuid.cases import Cases, truth_of
 from fmuid.cluster import crew
 from fmuid.dataset import MANIFEST, Dataset
 from fmuid.errors import InputError
-from fmuid.report import parameter_units
+from fmuid.fit import parameter_units
 from fmuid.study import Study
 from fmuid.workshop import GroupResult, versions
 

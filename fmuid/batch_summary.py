@@ -22,7 +22,7 @@ from fmuid.batch_statistics import (
     statistics,
 )
 from fmuid.batch_words import count_words, estimate_words, noted, optima_words, setting_words
-from fmuid.report import write_table
+from fmuid.files import write_table
 
 # A setting with more levels than this is no heading of a group; nor are there more groups than that.
 MAX_LEVELS, MAX_GROUPS = 20, 100

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from fmuid.batch_statistics import LEVEL, Columns
-from fmuid.report import has_unit, rounded
+from fmuid.text import has_unit, rounded
 
 # Probability, over all that is tested, of a word where there is nothing.
 FALSE_WORD = 0.01

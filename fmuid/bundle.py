@@ -14,10 +14,10 @@ from typing import Any
 
 import platformdirs
 
-from fmuid import __version__
 from fmuid.errors import InputError
 from fmuid.fmi.unpacking import file_digest
 from fmuid.study import Study
+from fmuid.version import __version__
 
 # Keys of a study file that name a file.
 FILE_KEYS = ("fmu", "table", "result")

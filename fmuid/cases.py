@@ -15,8 +15,8 @@ from pathlib import Path
 from fmuid.case_problem import check_model, flat_names, truth_values
 from fmuid.draws import StartRanges, design
 from fmuid.errors import InputError
+from fmuid.files import full, is_file
 from fmuid.parameters import ParameterSet
-from fmuid.paths import full, is_file
 from fmuid.study import Study
 from fmuid.study_batch import Sample, Value
 

@@ -12,9 +12,10 @@ from typing import Annotated, Any
 
 import typer
 
-from fmuid import __version__, cli_batch, cli_models, cli_studies
+from fmuid import cli_batch, cli_models, cli_studies
 from fmuid.cli_words import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import FmuidError, InputError
+from fmuid.version import __version__
 
 app = typer.Typer(
     name="fmuid",

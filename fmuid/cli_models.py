@@ -82,7 +82,7 @@ def _show_applied(applied: Sequence[AppliedValue]) -> None:
     from rich.markup import escape
 
     from fmuid import console
-    from fmuid.report import rounded
+    from fmuid.text import rounded
 
     numbers = ("old start", "new start", "std")
     table = console.table_of("Start values", ["variable", *numbers, "unit"], right=numbers)

@@ -29,14 +29,14 @@ def simulate(study: StudyFile, output: Folder = None, set_: Overrides = None, in
     """Simulate a study at the parameters' starts and compare with the measurements."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
-        from fmuid import console, figures_fit, plots, report
+        from fmuid import console, figures_fit, files, plots, report
 
-        report.make_folder(folder)
+        files.make_folder(folder)
         console.warn_unfed(read.simulators())
         fits = read.fits()
         console.show_misfits(fits)
         table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
-        written = [report.write_table(folder / "simulated.csv", table)]
+        written = [files.write_table(folder / "simulated.csv", table)]
         plots.clear(folder / "figures")
         written += plots.save(figures_fit.fits(fits), folder / "figures")
         console.show_files(written)
@@ -60,7 +60,7 @@ def identify(
     with _opened(study, set_, in_process, folder) as read:
         from dataclasses import replace
 
-        from fmuid import console, console_result, figures_run, plots, report
+        from fmuid import console, console_result, figures_run, files, fit, plots, report
         from fmuid.apply import write_estimates
         from fmuid.progress import Work
         from fmuid.reading import read_result
@@ -69,7 +69,7 @@ def identify(
 
         problem = read.problem()
         start = report.resumed_start(folder / "result.json", problem.parameters) if resume else None
-        report.make_folder(folder)
+        files.make_folder(folder)
         console.show_notes(read.notes)
         console.warn_unfed(read.simulators())
         result, search = _search(read, problem, start)
@@ -78,7 +78,7 @@ def identify(
         ended, diagnostics = report.at_minimum(result, search), examine_residuals(problem, result)
         found = report.Findings(
             result,
-            report.parameter_units(read.system, result.names),
+            fit.parameter_units(read.system, result.names),
             report.result_fits(read.system, read.tables, result),
             diagnostics,
             read_result(problem, result, search_data=ended, healthy=read.known_variance, diagnostics=diagnostics),
@@ -124,17 +124,17 @@ def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in
     """Look for the faults that a study names, and write verdict, table and figures; exit code 1 for a fault."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
-        from fmuid import console, figures_diagnosis, plots, report
+        from fmuid import console, figures_diagnosis, files, plots
         from fmuid.console_diagnosis import show_diagnosis
 
         if read.diagnosis is not None:
             console.show_notes(read.notes)
             console.warn_unfed(read.simulators())
-        report.make_folder(folder)
+        files.make_folder(folder)
         with console.console().status("fitting the healthy machine") as status:
             found = read.diagnose(lambda name: status.update(f"fitting {name}"))
         show_diagnosis(found)
-        written = [found.to_json(folder / "diagnosis.json"), report.write_table(folder / "diagnosis.csv", found.table)]
+        written = [found.to_json(folder / "diagnosis.json"), files.write_table(folder / "diagnosis.csv", found.table)]
         written += plots.save(figures_diagnosis.draw(found), folder / "figures")
         console.show_files(written)
         return DONE if found.kind == "healthy" else NOT_SUCCEEDED
@@ -172,7 +172,7 @@ def monitor(
     """Look for the faults that a study names in records, window by window; exit code 1 for an alarm."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
-        from fmuid import console, figures_monitoring, plots, report
+        from fmuid import console, figures_monitoring, files, plots
         from fmuid.console_monitoring import show_monitoring
         from fmuid.study_monitoring import monitor_of, records_of, rule_of
 
@@ -181,7 +181,7 @@ def monitor(
         if append:
             found.resume(folder)
         console.show_notes(read.notes)
-        report.make_folder(folder)
+        files.make_folder(folder)
         with console.console().status("reading") as status:
             try:
                 for record in records_of(read, tables, found.records):

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
 from fmuid.fmi.archive import FMU
 from fmuid.fmi.description import KINDS
+from fmuid.text import nearest
 
 INTEGRATORS = ("rk4", "rk45", "cvode")
 

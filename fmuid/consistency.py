@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from fmuid.covariance import listed
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
 from fmuid.local_model import LocalModel
 from fmuid.problem import Problem
 from fmuid.residuals import Diagnostics
 from fmuid.result import Result
+from fmuid.text import listed, nearest
 
 Floats = NDArray[np.float64]
 

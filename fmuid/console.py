@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from fmuid.report import has_unit, label
+from fmuid.text import has_unit, label
 
 if TYPE_CHECKING:
-    from fmuid.report import Fit
+    from fmuid.fit import Fit
     from fmuid.simulator import Simulator
     from fmuid.study_init import Draft
 

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fmuid.console import TERMINAL_ROWS, console, table_of, unit_text
-from fmuid.report import rounded, with_std
+from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
     from fmuid.batch_summary import Summary

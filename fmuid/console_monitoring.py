@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from fmuid.console import TERMINAL_ROWS, console, table_of, unit_text
-from fmuid.report import rounded, with_std
+from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
     from fmuid.monitoring import Monitor

@@ -12,12 +12,13 @@ from rich.measure import Measurement
 from rich.table import Table
 
 from fmuid.console import TERMINAL_ROWS, console, table_of, unit_text
-from fmuid.report import rounded, with_std
 from fmuid.residuals import WRONG_STD
+from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
     from fmuid.estimators.global_search import GlobalResult
-    from fmuid.report import Findings, Fit
+    from fmuid.fit import Fit
+    from fmuid.report import Findings
     from fmuid.result import Result
     from fmuid.uncertainty import Uncertainty
 

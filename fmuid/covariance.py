@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.estimators.steps import triangle
+from fmuid.text import listed
 
 Floats = NDArray[np.float64]
 
@@ -186,11 +187,6 @@ def _combinations(names: Sequence[str], direction: Floats, main: Sequence[int]) 
 def _times(factor: float, name: str) -> str:
     shown = f"{factor:.{DIGITS}g}"
     return name if shown == "1" else f"{shown} {name}"
-
-
-def listed(words: Sequence[str]) -> str:
-    """Return ``a, b and c``."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def describe_lost(names: Sequence[str], direction: Floats, magnitudes: Floats) -> str:

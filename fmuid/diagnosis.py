@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from scipy import special
 
-from fmuid import __version__
 from fmuid.consistency import SAME_VARIANCE, SIGNIFICANT, VarianceTest
 from fmuid.decision import Reference, at_least_one, orthant_weights, rivals
 from fmuid.errors import InputError
@@ -34,6 +33,7 @@ from fmuid.residuals import WRONG_STD, Diagnostics, examine_residuals
 from fmuid.result import Result, check_level
 from fmuid.system import System
 from fmuid.verdict import Diagnosis, Test
+from fmuid.version import __version__
 
 LEVEL = 0.01
 """Probability of calling a fault where there is none, unless said otherwise."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 
@@ -67,11 +66,5 @@ class SimulationError(FmuidError):
         return SimulationError, (self.fmu, self.time, self.parameters, self.call, self.messages)
 
 
-def nearest(name: str, known: Iterable[str], count: int = 3) -> str:
-    """Return `` (did you mean 'a' or 'b'?)``, or nothing where no known name is near."""
-    names = list(known)
-    found = difflib.get_close_matches(name, names, n=count, cutoff=0.5)
-    if not found:
-        folded = {known_name.lower(): known_name for known_name in names}
-        found = [folded[f] for f in difflib.get_close_matches(name.lower(), folded, n=count, cutoff=0.5)]
-    return f" (did you mean {' or '.join(repr(f) for f in found)}?)" if found else ""
+class RefusedError(FmuidError):
+    """The model cannot give its derivatives here; the text says why."""

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
 from fmuid.tables import missing_column, numeric_column, read_table
+from fmuid.text import nearest
 
 _Floats = npt.NDArray[np.float64]
 

@@ -13,12 +13,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
 from fmuid.experiment import Experiment
 from fmuid.fmi.archive import FMU
 from fmuid.parameters import Normal, Parameter
 from fmuid.result import Result
 from fmuid.system import System
+from fmuid.text import nearest
 
 # The search begins at so many angles, evenly spread over the period: two are enough where the criterion has one
 # minimum a period, more guard against weak ones.

@@ -29,8 +29,9 @@ from fmuid.figures_panels import (
     short,
 )
 from fmuid.figures_starts import over_starts
+from fmuid.files import file_name
 from fmuid.plots import AMBER, BLUE, GREY, RED
-from fmuid.report import file_name, label
+from fmuid.text import label
 
 Array = npt.NDArray[np.float64]
 Line = tuple[str, Any, npt.NDArray[np.int64]]

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from fmuid.hypothesis import Hypothesis
 from fmuid.plots import BLUE, GREY, INK, MAX_OUTPUTS, RED, WIDTH, style, thin
-from fmuid.report import label
+from fmuid.text import label
 from fmuid.verdict import Diagnosis
 
 Array = npt.NDArray[np.float64]

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from fmuid.files import file_name
 from fmuid.plots import (
     AMBER,
     BLUE,
@@ -24,10 +25,10 @@ from fmuid.plots import (
     style,
     thin,
 )
-from fmuid.report import file_name, label
+from fmuid.text import label
 
 if TYPE_CHECKING:
-    from fmuid.report import Fit
+    from fmuid.fit import Fit
 
 Array = npt.NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogFormatterMathtext
 
 from fmuid.plots import AMBER, FAINT, GREY, INK, RED, WIDTH, style
-from fmuid.report import label
+from fmuid.text import label
 
 if TYPE_CHECKING:
     import pandas as pd

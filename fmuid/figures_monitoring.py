@@ -8,9 +8,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fmuid.files import file_name
 from fmuid.monitoring import Monitor
 from fmuid.plots import AMBER, BLUE, GREY, INK, MAX_OUTPUTS, RED, WIDTH, style
-from fmuid.report import file_name, label
+from fmuid.text import label
 from fmuid.window_fit import Extended
 
 Array = npt.NDArray[np.float64]

@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from fmuid.files import file_name
 from fmuid.plots import AMBER, BLUE, GREY, INK, MAX_EXPERIMENTS, MAX_OUTPUTS, RED, WIDTH, style, thin
-from fmuid.report import file_name, label
+from fmuid.text import label
 
 if TYPE_CHECKING:
     from fmuid.residual_series import ResidualSeries

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from fmuid.plots import AMBER, BLUE, INK, MAX_PARAMETERS, RED, WIDTH, style
-from fmuid.report import has_unit, label, with_std
+from fmuid.text import has_unit, label, with_std
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from fmuid.batch_statistics import HALF_WIDTH, Columns, data_sets, misfit, optimum_numbers
 from fmuid.figures_panels import MAX_DOTS, Truth, Units, mark_cases, mark_truth, panels, points, say_outside
 from fmuid.plots import AMBER, BLUE, RED
-from fmuid.report import label
+from fmuid.text import label
 
 Array = npt.NDArray[np.float64]
 

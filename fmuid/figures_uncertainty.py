@@ -18,7 +18,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter
 
 from fmuid.plots import AMBER, BLUE, GREY, INK, MAX_PARAMETERS, RED, WIDTH, style
-from fmuid.report import has_unit, label, with_std
+from fmuid.text import has_unit, label, with_std
 
 if TYPE_CHECKING:
     from fmuid.posterior import Posterior

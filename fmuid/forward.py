@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.component import DEFAULT_TOLERANCE
-from fmuid.errors import InputError
+from fmuid.errors import InputError, RefusedError
 from fmuid.forward_run import DirectionalRun, Refusal, TwinRun, extended_by, initial_run
-from fmuid.model_sensitivity import RefusedError
 from fmuid.simulator import Simulator
 from fmuid.workers import workers_of
 

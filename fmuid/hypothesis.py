@@ -10,11 +10,10 @@ from typing import Any
 from scipy import special
 
 from fmuid.consistency import VarianceTest
-from fmuid.covariance import listed
 from fmuid.decision import Reference
 from fmuid.errors import InputError
-from fmuid.report import has_unit, with_std
 from fmuid.result import Result, check_level
+from fmuid.text import has_unit, listed, with_std
 
 Estimate = tuple[float, float]
 """Value and standard deviation."""

@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmuid import __version__
 from fmuid.covariance import LocalCovariance, local_covariance
 from fmuid.criterion import prepare
 from fmuid.estimators.marquardt import Iteration, Marquardt, State, Status, search
@@ -18,6 +17,7 @@ from fmuid.local_model import LocalModel
 from fmuid.losses import Loss
 from fmuid.problem import Problem
 from fmuid.result import Result
+from fmuid.version import __version__
 
 Floats = NDArray[np.float64]
 Progress = Callable[[Iteration], None]

@@ -26,7 +26,8 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
+from fmuid.text import nearest
 
 Floats = NDArray[np.float64]
 

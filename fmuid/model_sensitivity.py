@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.errors import FmuidError
+from fmuid.errors import RefusedError
 from fmuid.sensitivity import INFLUENCE, LARGEST_STEP, FiniteDifferences
 
 Floats = NDArray[np.float64]
@@ -25,10 +25,6 @@ the sensitivity system (1.24) with the model, or as outputs of the FMU."""
 
 # Share of a derivative that its error is taken to be: what an integrator with the default tolerance leaves.
 RELATIVE_ERROR = 1e-6
-
-
-class RefusedError(FmuidError):
-    """The model cannot give its derivatives here; the text says why."""
 
 
 class Derivatives(Protocol):

@@ -22,20 +22,20 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from fmuid import __version__
 from fmuid.alarms import SOMETHING_ELSE, Alarm, Rule, alarm_rate, alarms
 from fmuid.belief import Belief, forgotten
 from fmuid.consistency import SAME_VARIANCE
-from fmuid.covariance import listed
 from fmuid.decision import at_least_one, rivals
 from fmuid.diagnosis import UNEXPLAINED_SHARE
 from fmuid.errors import InputError, SimulationError
 from fmuid.experiment import Experiment
 from fmuid.faults import Fault, common_mode
+from fmuid.files import replacing, write_table
 from fmuid.parameters import Parameter
-from fmuid.report import has_unit, replacing, with_std, write_table
 from fmuid.result import Result
 from fmuid.simulator import Simulator
+from fmuid.text import has_unit, listed, with_std
+from fmuid.version import __version__
 from fmuid.window_fit import Extended, WindowFit
 from fmuid.windows import cut, end_of, part_of
 

@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
+from fmuid.text import nearest
 
 Floats = NDArray[np.float64]
 

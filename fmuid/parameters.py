@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
+from fmuid.text import nearest
 
 Floats = NDArray[np.float64]
 

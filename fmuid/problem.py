@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
 from fmuid.losses import loss_of, robust_variance
 from fmuid.model_sensitivity import SENSITIVITIES
 from fmuid.noise import Noise as Noise
 from fmuid.parameters import JointPrior, Parameter, ParameterSet
 from fmuid.predictors import FunctionPredictor, Measurements, Predictor, Table
 from fmuid.sensitivity import HUGE
+from fmuid.text import nearest
 
 if TYPE_CHECKING:
     from fmuid.experiment import Experiment

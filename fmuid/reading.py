@@ -26,7 +26,7 @@ from fmuid.consistency import (
     variance_tests,
     variance_words,
 )
-from fmuid.covariance import listed, local_covariance
+from fmuid.covariance import local_covariance
 from fmuid.criterion import Criterion, prepare
 from fmuid.errors import InputError
 from fmuid.estimators.marquardt import Marquardt, State, search
@@ -35,6 +35,7 @@ from fmuid.problem import Problem
 from fmuid.residuals import Diagnostics, examine_residuals
 from fmuid.result import Result
 from fmuid.sensitivity import SensitivityError
+from fmuid.text import listed
 
 Floats = NDArray[np.float64]
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +15,8 @@ import pandas as pd
 
 from fmuid.errors import InputError
 from fmuid.estimators.marquardt import Status
+from fmuid.files import file_name, replacing, write_table
+from fmuid.fit import Fit, fit_of
 from fmuid.parameters import ParameterSet
 from fmuid.result import Result
 from fmuid.uncertainty import LEVEL
@@ -33,53 +32,6 @@ if TYPE_CHECKING:
 
 # Tables that not every run writes: those of an earlier run would be taken for this one's.
 _SOMETIMES = ("reading.csv", "optima.csv", "profiles.csv", "posterior.csv", "map-*.csv")
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """Measured against simulated outputs of one experiment.
-
-    Attributes
-    ----------
-    experiment : str
-        Its name.
-    times : ndarray (K,)
-        Time, s.
-    outputs, units : tuple of str
-        Output variables and the units of what is compared, those of the table.
-    measured, simulated : ndarray (K, n_outputs)
-        NaN where an output was not measured.
-    counted : ndarray of bool (K, n_outputs)
-        The samples that take part in the criterion.
-    """
-
-    experiment: str
-    times: npt.NDArray[np.float64]
-    outputs: tuple[str, ...]
-    units: tuple[str | None, ...]
-    measured: npt.NDArray[np.float64]
-    simulated: npt.NDArray[np.float64]
-    counted: npt.NDArray[np.bool_]
-
-    @property
-    def misfit(self) -> tuple[float, ...]:
-        """‖measured − simulated‖ / ‖measured‖ of each output over the counted samples; NaN without any."""
-        with np.errstate(over="ignore", invalid="ignore"):  # of an unstable simulation: infinite
-            error = np.where(self.counted, self.measured - self.simulated, 0.0)
-            size = np.linalg.norm(np.where(self.counted, self.measured, 0.0), axis=0)
-            ratios = np.linalg.norm(error, axis=0) / np.where(size > 0, size, np.nan)
-        return tuple(float(ratio) for ratio in ratios)
-
-    def simulated_frame(self) -> pd.DataFrame:
-        """Return the columns ``time`` and each output."""
-        return pd.DataFrame({"time": self.times, **dict(zip(self.outputs, self.simulated.T, strict=True))})
-
-
-def fit_of(system: System, experiment: Experiment, simulated: npt.NDArray[np.float64]) -> Fit:
-    """Set the outputs (K, n_outputs) that a system gives in an experiment beside the measured ones."""
-    names = experiment.output_names
-    units = tuple(experiment.units.get(name, system.unit(name)) for name in names)
-    return Fit(experiment.name, experiment.times, names, units, experiment.output_values, simulated, experiment.counted)
 
 
 def result_fits(system: System, experiments: Sequence[Experiment], result: Result) -> tuple[Fit, ...]:
@@ -111,22 +63,6 @@ def resumed_start(path: Path, parameters: ParameterSet) -> npt.NDArray[np.float6
     return start
 
 
-def make_folder(folder: Path) -> None:
-    """Make the output folder, so that what is wrong with it shows before the work and not after.
-
-    Raises
-    ------
-    InputError
-        If it cannot be made or written to.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder} cannot be made a folder: {error.strerror}; choose another with --output") from None
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"{folder} cannot be written to; choose another folder with --output")
-
-
 def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """Return the experiments' frames below each other, after a column ``experiment`` where there are several."""
     if len(frames) == 1:
@@ -144,42 +80,6 @@ def estimates_frame(result: Result, units: Sequence[str | None], level: float = 
     frame.insert(4, "upper", intervals["upper"].to_numpy())
     frame["unit"] = [unit or "" for unit in units]
     return frame
-
-
-def parameter_units(system: System, names: Sequence[str]) -> tuple[str | None, ...]:
-    """Return the unit of each parameter; one per experiment is named ``variable[experiment]``."""
-    variables = system.variables
-    return tuple(variables[name if name in variables else name.rpartition("[")[0]].unit for name in names)
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Give a path beside `path` to write to, and put it in place of `path` when all of it is written.
-
-    Raises
-    ------
-    InputError
-        If nothing can be written there.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            yield draft
-            draft.replace(path)
-        finally:
-            draft.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be written: {error.strerror or error}; choose another folder with --output"
-        ) from None
-
-
-def write_table(path: Path, frame: pd.DataFrame) -> Path:
-    """Write a CSV table whose numbers read back exactly, and return its path."""
-    with replacing(path) as draft:
-        frame.to_csv(draft, index=False)
-    return path
 
 
 def at_minimum(result: Result, search: GlobalResult | None) -> bool:
@@ -308,36 +208,3 @@ class Findings:
             if old not in written:
                 old.unlink()
         return written
-
-
-def file_name(text: str) -> str:
-    """Return a name as it can be part of a file's."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "_", text)
-
-
-def rounded(value: float, std: float) -> str:
-    """Return `value` to the second significant digit of its standard deviation, to six digits where it has none."""
-    if not (math.isfinite(std) and std > 0 and math.isfinite(value)):
-        return f"{value:.6g}"
-    decimals = 1 - math.floor(math.log10(std))
-    if -3 < decimals < 10:
-        return f"{value:.{max(0, decimals)}f}"
-    size = max(abs(value), std)  # else too many zeros to read
-    kept = round(value, decimals)
-    return f"{kept:.{max(1, math.floor(math.log10(size)) + decimals)}e}" if kept else "0"
-
-
-def with_std(value: float, std: float) -> str:
-    """Return ``value ± std`` with two significant digits of the latter, `value` alone where there is none."""
-    shown = rounded(value, std)
-    return f"{shown} ± {rounded(std, std)}" if math.isfinite(std) and std > 0 else shown
-
-
-def has_unit(unit: str | None) -> bool:
-    """Return whether a unit is worth writing: neither missing nor FMI's "1" of what has none."""
-    return unit not in (None, "", "1")
-
-
-def label(name: str, unit: str | None) -> str:
-    """Return the text of an axis or a table's head: name and unit."""
-    return f"{name} ({unit})" if has_unit(unit) else name

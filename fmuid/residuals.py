@@ -28,12 +28,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from fmuid.covariance import listed
 from fmuid.errors import InputError
 from fmuid.problem import Problem
 from fmuid.residual_series import OUTLYING, InputCorrelation, ResidualSeries, examine_output
 from fmuid.result import Result
 from fmuid.series import coloured_gram
+from fmuid.text import listed
 
 Floats = NDArray[np.float64]
 

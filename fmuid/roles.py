@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
 from fmuid.experiment import Experiment
 from fmuid.fmi.description import Variable
 from fmuid.system import System
+from fmuid.text import nearest
 
 Value = float | int | bool | str
 

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
 from fmuid.ssv import Element, children, local, transformation, truth
+from fmuid.text import nearest
 
 Path = tuple[str, ...]
 """The names of nested elements, from the outermost inwards; the top system is ``()``."""

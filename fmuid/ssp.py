@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fmuid.errors import InputError
+from fmuid.files import is_file
 from fmuid.fmi.unpacking import file_digest, unpacked
-from fmuid.paths import is_file
 from fmuid.ssp_links import ComponentEntry, Link, Package, Port
 from fmuid.ssp_values import Bindings
 from fmuid.ssv import Value, children, number, read_xml

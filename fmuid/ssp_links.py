@@ -8,13 +8,14 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from urllib.parse import unquote
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
+from fmuid.files import is_file
 from fmuid.fmi import safe_xml
 from fmuid.fmi.description import DESCRIPTION_FILE, Description, Unit, Variable, read_description, read_text
-from fmuid.paths import is_file
 from fmuid.ssd import Edge, Node, Tree, read_tree
 from fmuid.ssd import Path as ElementPath
 from fmuid.ssv import Element, enumerations_of, unit_conversion, units_of
+from fmuid.text import nearest
 
 
 @dataclass(frozen=True)

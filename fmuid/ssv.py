@@ -14,10 +14,10 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
-from fmuid import __version__
 from fmuid.errors import InputError
 from fmuid.fmi import safe_xml
 from fmuid.fmi.description import SI_BASE_UNITS, Unit
+from fmuid.version import __version__
 
 Value = float | int | bool | str
 Element = ElementTree.Element

@@ -18,11 +18,11 @@ from fmuid import study_file as toml
 from fmuid.errors import InputError
 from fmuid.estimators.marquardt import Iteration, Marquardt
 from fmuid.experiment import Experiment
+from fmuid.fit import Fit, fit_of
 from fmuid.identification import identify
 from fmuid.noise import Noise
 from fmuid.parameters import JointPrior, Parameter
 from fmuid.problem import Problem
-from fmuid.report import Fit, fit_of
 from fmuid.result import Result
 from fmuid.simulator import Simulator
 from fmuid.study_file import Section

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from fmuid import study_file as toml
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
+from fmuid.files import full, is_file
 from fmuid.noise import Noise
 from fmuid.parameters import Parameter
-from fmuid.paths import full, is_file
 from fmuid.study_file import Section
 from fmuid.study_parameters import Knowns
 from fmuid.study_settings import ExperimentSettings
+from fmuid.text import nearest
 
 Value = float | int | bool | str
 

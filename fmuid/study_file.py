@@ -14,7 +14,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
+from fmuid.text import nearest
 from fmuid.toml_text import UnreadableError, float_of, parsed
 
 T = TypeVar("T")

@@ -12,7 +12,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
-from fmuid.paths import exists
+from fmuid.files import exists
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from fmuid import study_file as toml
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
 from fmuid.parameters import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.result import Result
 from fmuid.study_file import Section
 from fmuid.study_settings import existing_file
 from fmuid.system import System
+from fmuid.text import nearest
 
 PARAMETER_KEYS = ("start", "min", "max", "nominal", "prior", "per_experiment")
 GIVEN_KEYS, RESULT_KEYS = ("mean", "std"), ("result", "inflate")

@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from fmuid import study_file as toml
 from fmuid.component import INTEGRATORS, Component, Isolation, Numerics
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
 from fmuid.estimators.marquardt import Marquardt
 from fmuid.experiment import Experiment
+from fmuid.files import full, is_file
 from fmuid.fmi.description import KINDS
 from fmuid.losses import LOSSES
 from fmuid.model_sensitivity import SENSITIVITIES
 from fmuid.noise import Noise
-from fmuid.paths import full, is_file
 from fmuid.study_file import Section
 from fmuid.system import MASTERS, System
+from fmuid.text import nearest
 from fmuid.uncertainty import LEVEL, UncertaintySettings
 
 if TYPE_CHECKING:

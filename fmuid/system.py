@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fmuid.component import AS_OFFERED, Component, Isolation, Numerics
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
 from fmuid.fmi.archive import FMU
 from fmuid.fmi.description import Variable
+from fmuid.text import nearest
 
 MASTERS = ("jacobi", "gauss-seidel")
 

@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.errors import InputError, nearest
+from fmuid.errors import InputError
+from fmuid.files import is_file, is_folder
 from fmuid.mat_file import check_mat
-from fmuid.paths import is_file, is_folder
+from fmuid.text import nearest
 
 _LISTED_NAMES = 12
 """Names listed in a message: enough to recognise the table, short enough for one sentence."""

@@ -11,11 +11,11 @@ from typing import Any
 
 import pandas as pd
 
-from fmuid.covariance import listed
 from fmuid.errors import InputError
+from fmuid.files import replacing
 from fmuid.hypothesis import Estimate, Hypothesis, estimates_of
-from fmuid.report import replacing
 from fmuid.result import Result
+from fmuid.text import listed
 
 # A fault whose model explains less than this share of what exceeds the noise is not what is wrong.
 MOSTLY = 0.5

@@ -15,11 +15,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats
 
-from fmuid import criterion_map, figures_map
+from fmuid import figures_map, misfit
 from fmuid.criterion import prepare
-from fmuid.criterion_map import CriterionMap, map_criterion, misfits, variances
+from fmuid.criterion_map import CriterionMap, map_criterion
 from fmuid.errors import InputError
 from fmuid.identification import identify
+from fmuid.misfit import misfits, variances
 from fmuid.noise import Noise
 from fmuid.parameters import Normal, Parameter
 from fmuid.problem import Problem
@@ -90,8 +91,8 @@ def test_batches_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = linear()
     thetas = np.random.default_rng(0).normal(size=(50, 3))
     whole = misfits(problem, thetas).squares
-    monkeypatch.setattr(criterion_map, "CHUNK", 0)
-    monkeypatch.setattr(criterion_map, "LEAST_BATCH", 7)
+    monkeypatch.setattr(misfit, "CHUNK", 0)
+    monkeypatch.setattr(misfit, "LEAST_BATCH", 7)
     np.testing.assert_allclose(misfits(problem, thetas).squares, whole, rtol=1e-14)
 
 

@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 import fmuid
 from fmuid.component import Numerics
-from fmuid.errors import InputError
+from fmuid.errors import InputError, RefusedError
 from fmuid.experiment import Experiment
 from fmuid.forward import ForwardSensitivities, derivatives_of
-from fmuid.model_sensitivity import RefusedError
 from fmuid.parameters import Parameter
 from fmuid.problem import Problem
 from fmuid.simulator import Simulator

@@ -10,13 +10,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from fmuid.criterion_map import misfits
 from fmuid.errors import InputError
 from fmuid.estimators import global_search
 from fmuid.estimators.box import Box
 from fmuid.estimators.global_search import GlobalResult, GlobalSearch, GlobalStep, Method, search_globally
 from fmuid.estimators.marquardt import Marquardt
 from fmuid.identification import identify
+from fmuid.misfit import misfits
 from fmuid.noise import Noise
 from fmuid.parameters import Normal, Parameter, ParameterSet
 from fmuid.problem import Problem

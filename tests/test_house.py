@@ -17,8 +17,8 @@ PACKAGE = Path(fmuid.__file__).parent
 
 # A module imports only from those above it; modules on one line do not import each other.
 ORDER = """
-errors
-paths mat_file toml_text
+errors text version
+files mat_file toml_text
 tables
 transforms excitation
 experiment
@@ -69,6 +69,7 @@ estimators.marquardt
 covariance
 local_model history
 result
+misfit
 identification
 criterion_map conditional chains
 profile
@@ -80,7 +81,7 @@ consistency
 reading
 estimators.global_search
 uncertainty
-study_file
+study_file fit
 report
 decision faults
 hypothesis

@@ -10,8 +10,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from fmuid import figures_fit, figures_search, figures_uncertainty, plots
+from fmuid.fit import Fit
 from fmuid.profile import Profile
-from fmuid.report import Fit
 
 Array = npt.NDArray[np.float64]
 

@@ -9,10 +9,12 @@ import pytest
 
 from fmuid import console_result
 from fmuid.estimators.marquardt import Marquardt, Status
+from fmuid.files import file_name
 from fmuid.identification import identify
 from fmuid.parameters import Parameter
 from fmuid.problem import Problem
-from fmuid.report import at_minimum, file_name, rounded, with_std
+from fmuid.report import at_minimum
+from fmuid.text import rounded, with_std
 
 
 @pytest.mark.parametrize(

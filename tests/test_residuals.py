@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.covariance import listed
 from fmuid.errors import InputError
 from fmuid.experiment import Experiment
 from fmuid.figures_residuals import residuals
@@ -22,6 +21,7 @@ from fmuid.problem import Problem
 from fmuid.residual_series import ResidualSeries
 from fmuid.residuals import Diagnostics, examine_residuals
 from fmuid.result import Result
+from fmuid.text import listed
 from tests.test_series import ar1
 
 Floats = NDArray[np.float64]

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 import fmuid
 from experiments.induction_machine import make_table
 from fmuid.plots import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
-from fmuid.report import with_std
+from fmuid.text import with_std
 
 Floats = NDArray[np.float64]
 

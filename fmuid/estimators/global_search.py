@@ -40,13 +40,14 @@ from scipy.optimize import Bounds, OptimizeResult, differential_evolution
 from scipy.spatial import KDTree
 from scipy.stats import qmc
 
-from fmuid.criterion_map import misfits, refuse_loss, variances
-from fmuid.errors import FmuidError, InputError, SimulationError, nearest
+from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimators.box import Box
 from fmuid.estimators.marquardt import Marquardt, Status
 from fmuid.identification import identify
+from fmuid.misfit import misfits, refuse_loss, variances
 from fmuid.problem import Problem
 from fmuid.result import Result
+from fmuid.text import nearest
 
 Floats = NDArray[np.float64]
 Method = Literal["evolution", "multistart"]

@@ -18,8 +18,9 @@ from typing import Any
 
 import casadi as ca
 
-from fmuid.errors import ModelicaError, nearest
+from fmuid.errors import ModelicaError
 from fmuid.export.syntax import Declaration, Equation, Model, Node
+from fmuid.text import nearest
 
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "+": lambda a, b: a + b,

@@ -14,8 +14,9 @@ from antlr4.error.ErrorListener import ErrorListener
 from pymoca.generated.ModelicaLexer import ModelicaLexer
 from pymoca.generated.ModelicaParser import ModelicaParser as Rules
 
-from fmuid.errors import InputError, ModelicaError, nearest
+from fmuid.errors import InputError, ModelicaError
 from fmuid.export.syntax import FUNCTIONS, MODIFIERS, Declaration, Equation, Model, Node
+from fmuid.text import nearest
 
 _FLAT = "write one flat model"
 _SCALARS = "declare and write scalars"

@@ -13,9 +13,10 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from fmuid.errors import InputError, ModelicaError, nearest
+from fmuid.errors import InputError, ModelicaError
 from fmuid.export.equations import System, column
 from fmuid.export.syntax import Declaration
+from fmuid.text import nearest
 
 
 def with_sensitivities(system: System, parameters: Sequence[str] | Literal["all"]) -> System:

@@ -10,9 +10,10 @@ from xml.sax.saxutils import quoteattr
 
 import casadi as ca
 
-from fmuid.errors import ModelicaError, nearest
+from fmuid.errors import ModelicaError
 from fmuid.export.equations import System
 from fmuid.export.syntax import Declaration
+from fmuid.text import nearest
 
 _BASE_UNITS = ("kg", "m", "s", "A", "rad")
 _DERIVED_UNITS = {

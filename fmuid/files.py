@@ -1,0 +1,102 @@
+"""Questions about files whose names come from study files and command lines, and files written whole or not at all.
+
+`pathlib` raises an error where a name is none that a file can have (too long, with a NUL in it); here the file is just
+not there.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fmuid.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Whether there is such a folder."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def exists(path: Path) -> bool:
+    """Whether there is a file or folder of this name."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def full(path: Path) -> str:
+    """Return the whole path of a file, as messages show it."""
+    try:
+        return str(path.resolve())
+    except (OSError, ValueError, RuntimeError):  # the last of links that go round in circles
+        return repr(str(path.absolute()))
+
+
+def make_folder(folder: Path) -> None:
+    """Make the output folder, so that what is wrong with it shows before the work and not after.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made or written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder} cannot be made a folder: {error.strerror}; choose another with --output") from None
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{folder} cannot be written to; choose another folder with --output")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a path beside `path` to write to, and put it in place of `path` when all of it is written.
+
+    Raises
+    ------
+    InputError
+        If nothing can be written there.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            yield draft
+            draft.replace(path)
+        finally:
+            draft.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be written: {error.strerror or error}; choose another folder with --output"
+        ) from None
+
+
+def write_table(path: Path, frame: pd.DataFrame) -> Path:
+    """Write a CSV table whose numbers read back exactly, and return its path."""
+    with replacing(path) as draft:
+        frame.to_csv(draft, index=False)
+    return path
+
+
+def file_name(text: str) -> str:
+    """Return a name as it can be part of a file's."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", text)
