@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from fmuid.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from fmuid.alarms import Rule as Rule
     from fmuid.batch import Batch as Batch
