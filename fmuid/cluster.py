@@ -8,7 +8,6 @@ import os
 import queue
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 import warnings
@@ -24,9 +23,9 @@ import numpy as np
 from dask.system import CPU_COUNT
 from numpy.typing import NDArray
 
-import fmuid
 from fmuid.bundle import Parcel
 from fmuid.errors import FmuidError, InputError
+from fmuid.processes import python_command
 from fmuid.workshop import SINGLE_THREADED, GroupResult, difference, forget, run_group, versions
 
 # How long a scheduler may take to answer, and to name its first worker, s.
@@ -204,16 +203,14 @@ class _Host:
     def _start(self) -> None:
         self._folder.mkdir(mode=0o700, exist_ok=True)
         self._starts, self._started = self._starts + 1, time.monotonic()
-        here = str(Path(fmuid.__file__).parents[1])
-        paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
         with self._log.open("ab") as log:
             # A session of its own: Ctrl-C is for the process that runs the batch.
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "fmuid.worker_host", self._address, str(self._count), str(self._folder)],
+                python_command("fmuid.worker_host", self._address, str(self._count), str(self._folder)),
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env=os.environ | dict.fromkeys(SINGLE_THREADED, "1") | {"PYTHONPATH": paths},
+                env=os.environ | dict.fromkeys(SINGLE_THREADED, "1"),
                 start_new_session=True,
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )

@@ -18,7 +18,6 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 from fmuid import host as far
 from fmuid.errors import FmuidError
 from fmuid.fmi import codes
+from fmuid.processes import python_command
 
 GROWTH = 256e6
 """Growth of a process beyond its size after its first simulations at which it is replaced, bytes."""
@@ -106,14 +106,12 @@ class ForkServer:
                 return self._channel
             self._owner, self._loaded = os.getpid(), False
             self._channel, other = socket.socketpair()
-            own = str(Path(__file__).parent.parent)
-            paths = [own, *filter(None, [os.environ.get("PYTHONPATH")])]
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "fmuid.host", str(other.fileno())],
+                python_command("fmuid.host", str(other.fileno())),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[other.fileno()],
                 start_new_session=True,  # Ctrl-C is for this process alone
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1"},
+                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
             )
             other.close()
             return self._channel

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import signal
 import subprocess
-import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from fmuid.fmi import safe_xml
 from fmuid.fmi.archive import FMU
 from fmuid.fmi.description import DESCRIPTION_FILE
 from fmuid.fmi.zipped import Zipped, archive_of
+from fmuid.processes import python_command
 from fmuid.smoke import Report
 
 BUILD_FILE = "sources/buildDescription.xml"
@@ -208,7 +208,7 @@ def _try(fmu: FMU, kind: str, share: float) -> _Try:
         try:
             with printed.open("wb") as output:  # a file, since who still holds a pipe would keep us waiting
                 code = subprocess.run(
-                    [sys.executable, "-m", "fmuid.smoke", *arguments],
+                    python_command("fmuid.smoke", *arguments),
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,

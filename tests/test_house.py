@@ -18,7 +18,7 @@ PACKAGE = Path(fmuid.__file__).parent
 # A module imports only from those above it; modules on one line do not import each other.
 ORDER = """
 errors text version
-files mat_file toml_text
+files mat_file toml_text processes
 tables
 transforms excitation
 experiment

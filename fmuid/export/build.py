@@ -8,7 +8,6 @@ import io
 import os
 import struct
 import subprocess
-import sys
 import tempfile
 import uuid
 import zipfile
@@ -22,6 +21,7 @@ from fmuid.errors import FmuidError
 from fmuid.export.codegen import header
 from fmuid.export.description import build_description, description
 from fmuid.export.equations import System
+from fmuid.processes import python_command
 
 _LINUX, _WINDOWS, _INTEL, _APPLE = "x86_64-linux-gnu.2.17", "x86_64-windows-gnu", "x86_64-macos", "aarch64-macos"
 PLATFORMS: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
@@ -102,7 +102,7 @@ def _compile(directory: Path, source: str, target: str, file: str) -> bytes:
     """Compile for one target. All paths are relative, so that none of this machine gets into the binary."""
     folder = directory / target
     folder.mkdir()
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target, *_FLAGS, f"../sources/{source}", "-o", file]
+    command = python_command("ziglang", "cc", "-target", target, *_FLAGS, f"../sources/{source}", "-o", file)
     if "linux" in target:
         command.append("-lm")
     if "macos" in target:

@@ -1,0 +1,108 @@
+"""Processes of ours import what this one would, whatever lies in the current folder and in the environment."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import fmuid
+from fmuid.processes import python_command, search_path
+from tests.test_cli import COIL, STUDY, coil_table
+
+SPOILT = 'from pathlib import Path\nPath(__file__).with_name("marker").touch()\nraise ImportError("a stranger")\n'
+NAMES = ("bisect.py", "random.py", "numpy.py", "logging.py", "distributed.py")
+BATCH = "[batch]\nnoise = { draws = 3, std = 0.02, truth = { R = 4.0, L = 0.1 } }\n"
+
+
+@pytest.fixture
+def spoilt(tmp_path: Path) -> Path:
+    """A study with modules beside it that must not be imported."""
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    (tmp_path / "study.toml").write_text(STUDY + BATCH, encoding="utf-8")
+    for name in NAMES:
+        (tmp_path / name).write_text(SPOILT)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("batch", "study.toml", "-o", "out", "--workers", "1"),
+        ("identify", "study.toml", "-o", "out"),
+        ("validate", str(COIL)),
+    ],
+    ids=lambda words: words[0],
+)
+def test_modules_beside_the_study(spoilt: Path, words: tuple[str, ...]) -> None:
+    line = [sys.executable, "-P", "-m", "fmuid", *words]
+    done = subprocess.run(line, cwd=spoilt, capture_output=True, text=True, timeout=120, check=False)
+    assert not (spoilt / "marker").exists()
+    assert done.returncode == 0, done.stderr
+
+
+def output_of(module: str, folder: Path, environment: dict[str, str]) -> str:
+    """Return what a module prints that is started as our processes are, by a process in a folder."""
+    code = (
+        "import subprocess, sys; from fmuid.processes import python_command; "
+        f"sys.exit(subprocess.run(python_command({module!r}, 'a', 'b c')).returncode)"
+    )
+    line = [sys.executable, "-P", "-c", code]
+    done = subprocess.run(
+        line, cwd=folder, env=os.environ | environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_what_a_process_finds(tmp_path: Path) -> None:
+    """Where PYTHONPATH named a folder to the process that starts it; arguments arrive as they are."""
+    (tmp_path / "library").mkdir()
+    (tmp_path / "library" / "extra.py").write_text("import sys\nprint(__name__, sys.argv[1:])\n")
+    found = output_of("extra", tmp_path, {"PYTHONPATH": str(tmp_path / "library")})
+    assert found == "__main__ ['a', 'b c']"
+
+
+def test_what_gets_in(tmp_path: Path) -> None:
+    """Not the current folder, whatever the environment calls it; into processes of processes neither."""
+    (tmp_path / "stranger.py").write_text("")
+    (tmp_path / "library").mkdir()
+    (tmp_path / "library" / "seen.py").write_text(
+        "import importlib.util, multiprocessing\n"
+        "def seen(channel=None):\n"
+        "    found = [name for name in ('stranger', 'fmuid') if importlib.util.find_spec(name)]\n"
+        "    channel.put(found) if channel else print(found)\n"
+        "if __name__ == '__main__':\n"
+        "    seen()\n"
+        "    context = multiprocessing.get_context('spawn')\n"
+        "    channel = context.Queue()\n"
+        "    below = context.Process(target=seen, args=[channel])\n"
+        "    below.start()\n"
+        "    print(channel.get(timeout=60))\n"
+        "    below.join()\n"
+    )
+    path = os.pathsep.join([str(tmp_path / "library"), "", "."])
+    found = output_of("seen", tmp_path, {"PYTHONPATH": path, "PYTHONHOME": ""})
+    assert found.splitlines() == ["['fmuid']"] * 2
+
+
+def test_search_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is left out, and that fmuid is found last where nothing else says where it is."""
+    own = str(Path(fmuid.__file__).parents[1])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys.modules["__main__"], "__file__", str(tmp_path / "scripts" / "run.py"), raising=False)
+    around = ["", ".", "lib", str(tmp_path), str(tmp_path / "scripts" / ".." / "scripts")]
+    monkeypatch.setattr(sys, "path", [*around, str(tmp_path / "lib")])
+    assert search_path() == [str(tmp_path / "lib"), own]
+    monkeypatch.setattr(sys, "path", [*around, own, str(tmp_path / "lib")])
+    assert search_path() == [own, str(tmp_path / "lib")]
+
+
+def test_a_folder_that_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert python_command("fmuid.smoke")[0] == sys.executable
