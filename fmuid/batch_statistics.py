@@ -76,9 +76,9 @@ def converged(frame: pd.DataFrame) -> pd.DataFrame:
 def misfit(frame: pd.DataFrame, *, given_noise: bool) -> Floats:
     """Return how badly each case fits (n,), to rank cases of the same data; infinite where that is not known.
 
-    The criterion (1.36) where all noise variances are given. Where they are estimated, each case weighs its residual by
+    The criterion (1.37) where all noise variances are given. Where they are estimated, each case weighs its residual by
     variances of its own and criteria do not compare: Σ ln σ̂² over the outputs is the likelihood's measure then
-    (method.md §7), up to a factor and to what a prior adds.
+    (docs/method.md section 7), up to a factor and to what a prior adds.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is known of the parameters from window to window: a parabola of the compound criterion (1.36), handed on."""
+"""What is known of the parameters from window to window: a parabola of the compound criterion (1.57), handed on."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def problem_of(
 def _given(prior: JointPrior, known: Mapping[str, float]) -> JointPrior | None:
     """Return a joint prior of what is left where some parameters are known: the conditional normal distribution.
 
-    That is what the prior's part of the compound criterion (1.36) is as a function of the others.
+    That is what the prior's part of the compound criterion (1.37) is as a function of the others.
     """
     there = np.array([name in known for name in prior.names])
     if not there.any():

@@ -39,7 +39,7 @@ class Point:
 
     @property
     def criterion(self) -> float:
-        """The sum of squares J_C (1.36)."""
+        """The sum of squares J_C (1.37)."""
         return float(self.residual @ self.residual)
 
 

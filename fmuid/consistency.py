@@ -1,4 +1,4 @@
-"""Whether prior, data and the known noise agree (method.md §7).
+"""Whether prior, data and the known noise agree (docs/method.md section 7).
 
 A wrong prior biases irremediably, so two tests ask whether the data contradict it:
 

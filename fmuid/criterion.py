@@ -1,4 +1,4 @@
-"""The compound criterion (1.36) as a sum of squares: whitened residuals of all experiments, and the prior's rows."""
+"""The compound criterion (1.37) as a sum of squares: whitened residuals of all experiments, and the prior's rows."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Evaluation:
     Attributes
     ----------
     residual : (n_rows,) array
-        Whitened (measured − simulated)/σ of all counted samples, then the prior rows W(θ₀ − θ) of (1.36).
+        Whitened (measured − simulated)/σ of all counted samples, then the prior rows W(θ₀ − θ) of (1.37).
     jacobian : (n_rows, N) array
         Its derivative by theta.
     """
@@ -37,7 +37,7 @@ class Evaluation:
 
 
 class Criterion:
-    """The compound criterion J_C (1.36) of a problem with noise variances chosen, as a sum of squares of theta.
+    """The compound criterion J_C (1.37) of a problem with noise variances chosen, as a sum of squares of theta.
 
     With a robust loss the rows of the data are the roots ±√ρ(f²) of the whitened residuals f (`fmuid.losses`).
 

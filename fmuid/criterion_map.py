@@ -46,7 +46,7 @@ class CriterionMap:
     ----------
     names : tuple of two str
     table : DataFrame
-        One row a point: the two parameters and ``criterion``, J_C (1.36), NaN where the simulation failed. The second
+        One row a point: the two parameters and ``criterion``, J_C (1.37), NaN where the simulation failed. The second
         parameter changes first.
     shape : tuple of two int
         Points along the first and the second parameter.

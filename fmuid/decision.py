@@ -1,6 +1,6 @@
 """Whether a fault is there: the reference distributions of likelihood ratios, and the choice between hypotheses.
 
-Between a healthy machine and one with a fault the compound criterion (1.36) falls by D = J_C(no fault) − J_C(fault).
+Between a healthy machine and one with a fault the compound criterion (1.68) falls by D = J_C(no fault) − J_C(fault).
 Without a fault D is distributed as
 
 - χ²_k, where the k fault parameters may take either sign;

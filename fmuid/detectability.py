@@ -1,6 +1,6 @@
 """Design of the test: the smallest fault that an excitation shows, and which excitation shows the smallest.
 
-From the sensitivities of the healthy model (1.46) follows the covariance of the fault parameters beside the common
+From the sensitivities of the healthy model follows the covariance (1.47) of the fault parameters beside the common
 mode before anything is measured. A fault f makes D noncentral χ² with noncentrality (f/σ_f)²; for one parameter of
 either sign it is found with probability 1 − β at f = (z_{1−α/2} + z_{1−β}) σ_f, and with z_{1−α} where it has one
 sign only (S. M. Kay, "Fundamentals of Statistical Signal Processing, volume II: Detection Theory", 1998, chapter 6).

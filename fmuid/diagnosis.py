@@ -1,10 +1,10 @@
 """Diagnosis by fault models (1.63–1.68): is something wrong, what, how much, and how sure is that.
 
 Each hypothesis is a model with nominal parameters, which the healthy machine's estimates hold like springs, and fault
-parameters, which are free. It is fitted twice, without and with its fault, by the compound criterion (1.36) with the
+parameters, which are free. It is fitted twice, without and with its fault, by the compound criterion (1.68) with the
 noise of the healthy machine. By how much the criterion falls, D, decides (`fmuid.decision`); the fault parameters say
 how large the fault is; information criteria say which of several faults it is; and a residual that stays larger than
-the noise with all of them says that it is something else (method.md §7).
+the noise with all of them says that it is something else (docs/method.md section 7).
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def diagnose(
     nominal_model : System, FMU or path
         The healthy machine.
     inflate : float or mapping of str to float
-        Factor on the standard deviations of the healthy estimates for variations that are no fault (method.md §7);
+        Factor on the standard deviations of the healthy estimates for variations that are no fault (1.67);
         infinite for parameters that may be anything.
     level : float
         Probability of an alarm where nothing is wrong, whatever the number of hypotheses.

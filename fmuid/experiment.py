@@ -44,10 +44,10 @@ class Experiment:
     time : str
         The time column, s: finite, never decreasing. A time given twice is a step of the inputs.
     interpolation : str or mapping of str to str
-        ``"linear"``, ``"hold"`` or ``"cubic"`` (method.md section 5), for all inputs or for each input named; the
+        ``"linear"``, ``"hold"`` or ``"cubic"`` (docs/method.md section 5), for all inputs or for each input named; the
         others are linear.
     discard : float
-        Duration from the first time on that is simulated but not counted, s (method.md section 5: initial conditions).
+        Duration from the first time on that is simulated but not counted, s (1.32).
     units : mapping of str to str
         FMU variable to the unit of its column, where that is not the unit of the FMU.
     name : str

@@ -1,4 +1,4 @@
-"""Fault models: what is common to healthy and faulty machine, and what a fault adds (1.63–1.65).
+"""Fault models: what is common to healthy and faulty machine, and what a fault adds (1.63–1.67).
 
 The extended vector θ_e = [θ_n; θ_f] has the nominal parameters, whose prior is what the healthy machine showed, with
 its standard deviations inflated for variations that are no fault (temperature), and the fault's own, which are zero
@@ -227,7 +227,7 @@ def common_mode(
     parameters: Mapping[str, Parameter] | None = None,
     held: Iterable[str] = (),
 ) -> dict[str, Parameter]:
-    """Return the nominal parameters with what the healthy machine showed as their prior (method.md §9).
+    """Return the nominal parameters with what the healthy machine showed as their prior (docs/method.md section 9).
 
     Parameters
     ----------

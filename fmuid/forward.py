@@ -1,4 +1,4 @@
-"""Sensitivities of a simulator's outputs that the model gives (method.md section 3): forward, or outputs of the FMU."""
+"""Sensitivities of a simulator's outputs by the model (docs/method.md section 3): forward, or its own outputs."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ TWIN_TOLERANCE = 1e-7  # the differences' rounding, which must not make an integ
 
 
 class ForwardSensitivities:
-    """Sensitivities integrated with a model-exchange FMU, (1.24).
+    """Sensitivities integrated with a model-exchange FMU (1.26, 1.27).
 
     The right-hand sides of the sensitivities are the FMU's directional derivatives along states and parameter, if it
     has such; else differences between the model and twins of it, one a parameter, that are kept in step with it. The

@@ -1,4 +1,4 @@
-"""Simulations that carry the sensitivities of the states to the parameters with them (method.md section 3)."""
+"""Simulations that carry the sensitivities of the states to the parameters with them (docs/method.md section 3)."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ class Hypothesis:
     common : dict of str to (value, std)
         The nominal parameters beside the fault.
     statistic : float
-        D, by how much the fault lowers the compound criterion (1.36), divided by the square of `colour`.
+        D, by how much the fault lowers the compound criterion (1.68), divided by the square of `colour`.
     reference : Reference
         The distribution of D without a fault.
     probability : float

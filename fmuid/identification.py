@@ -25,7 +25,7 @@ Progress = Callable[[Iteration], None]
 # The search is repeated with new noise variances where one of them, against the others or against a prior, moved by
 # more than this share; it changes the estimates by far less than their standard deviations.
 MOVED = 0.02
-# The repetition converges at once in practice (method.md §8: one repetition); more than this is a fault of the model.
+# The repetition converges at once in practice (one repetition in the chapter); more than this is a fault of the model.
 MAX_ROUNDS = 10
 # Where outliers outweigh everything else the mean ψ′ of a robust loss may vanish or be negative, and says nothing of
 # the covariance; it is taken to be this much at least.

@@ -1,4 +1,4 @@
-"""The problem made linear at one point: the paraboloids of data and prior, and what follows when they are added (§7).
+"""The problem made linear at one point: the paraboloids of data and prior, and what follows from their sum (1.54).
 
 Near the point the whitened residual of the data is r + J p for a step p, that of the prior w + W p. Both sums of
 squares are paraboloids, J_data(p) = ‖r + J p‖² and J_prior(p) = ‖w + W p‖², and everything that is read from them is
@@ -26,7 +26,7 @@ class Combination:
     Attributes
     ----------
     step : (N,) array
-        From the point to the barycentre of method.md §7; NaN for parameters that neither determines.
+        From the point to the barycentre of docs/method.md section 7; NaN for parameters that neither determines.
     disagreement : float
         By how much both sums of squares together exceed their own least values there. Where data and prior both
         determine every parameter it is (θ_opt − θ₀)ᵀ (M₀ + P_opt)⁻¹ (θ_opt − θ₀).
@@ -41,7 +41,7 @@ class Combination:
 
 @dataclass(frozen=True, eq=False)
 class LocalModel:
-    """The rows of the compound criterion (1.36) and their derivatives at one point.
+    """The rows of the compound criterion (1.37) and their derivatives at one point.
 
     Attributes
     ----------

@@ -31,14 +31,14 @@ class Misfits:
     squares : (m, n_outputs) array
         Σ ε² of each output, NaN where the simulation failed.
     prior : (m,) array
-        ‖W(θ₀ − θ)‖², the prior's part of (1.36).
+        ‖W(θ₀ − θ)‖², the prior's part of (1.37).
     """
 
     squares: Floats
     prior: Floats
 
     def compound(self, variance: Floats) -> Floats:
-        """Return J_C (1.36) with noise variances (n_outputs,), (m,)."""
+        """Return J_C (1.37) with noise variances (n_outputs,), (m,)."""
         with np.errstate(over="ignore"):  # where simulations explode without failing
             return np.asarray((self.squares / variance).sum(axis=1) + self.prior, dtype=np.float64)
 

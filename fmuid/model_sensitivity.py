@@ -1,4 +1,4 @@
-"""Derivatives of whole simulations that the model itself gives (method.md section 3), in place of finite differences.
+"""Derivatives of whole simulations that the model gives (docs/method.md section 3), in place of finite differences.
 
 `ModelSensitivities` stands where `fmuid.sensitivity.FiniteDifferences` does. Where a model cannot give them at some
 point (an event that the sensitivities cannot be carried through), differences serve from there on.
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 SENSITIVITIES = ("finite-difference", "forward", "fmu")
 """How the derivatives of the outputs by the parameters are found: by differences of whole simulations, by integrating
-the sensitivity system (1.24) with the model, or as outputs of the FMU."""
+the sensitivity system (1.26) with the model, or as outputs of the FMU."""
 
 # Share of a derivative that its error is taken to be: what an integrator with the default tolerance leaves.
 RELATIVE_ERROR = 1e-6

@@ -6,7 +6,7 @@ significant where D exceeds its threshold at the chosen level (`fmuid.decision`)
 a fault: an alarm takes several of the last few.
 
 Each window is simulated from a little earlier on, longer than a transient, so that its unknown initial state is
-forgotten and no sample is lost (method.md §5).
+forgotten and no sample is lost (docs/method.md section 5).
 """
 
 from __future__ import annotations

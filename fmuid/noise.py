@@ -22,13 +22,13 @@ LARGEST_VARIANCE = 1e100
 
 @dataclass(frozen=True)
 class Noise:
-    """The variance of the measurement noise of each output, R_b of (1.36).
+    """The variance of the measurement noise of each output, R_b of (1.37).
 
     Parameters
     ----------
     variance : "estimate", float, or mapping of output to float
         A number holds for every output. What is not given is estimated from the residual, and the search repeated
-        until it settles (method.md §7). With a robust loss that estimate is robust too: Huber's proposal 2
+        until it settles (docs/method.md section 7). With a robust loss that estimate is robust too: Huber's proposal 2
         (`fmuid.losses.robust_variance`), because the loss is measured in standard deviations of the noise proper.
     start : float or mapping of output to float, optional
         Where the repetition starts; default: the residual's own variance at the start of the search.

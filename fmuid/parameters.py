@@ -35,7 +35,7 @@ def _number(value: object, what: str, *, infinite: bool = False) -> float:
 
 @dataclass(frozen=True)
 class Normal:
-    """A Gaussian prior of one parameter (1.35), in its own unit.
+    """A Gaussian prior of one parameter (1.36), in its own unit.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ class ParameterSet:
     prior_mean, prior_std : (N,) arrays
         NaN where there is no prior.
     prior_whitening : (q, N) array
-        W of the prior rows W(θ₀ − θ) of (1.36), q = 0 without priors.
+        W of the prior rows W(θ₀ − θ) of (1.37), q = 0 without priors.
 
     Raises
     ------
@@ -314,7 +314,7 @@ class ParameterSet:
         self.prior_whitening = _frozen(np.array(rows).reshape(-1, count))
 
     def prior_residual(self, thetas: Floats) -> Floats:
-        """Return the prior rows W(θ₀ − θ) of (1.36), (m, q) for thetas (m, N)."""
+        """Return the prior rows W(θ₀ − θ) of (1.37), (m, q) for thetas (m, N)."""
         away = np.where(np.isnan(self.prior_mean), 0.0, self.prior_mean - thetas)
         return np.asarray(away @ self.prior_whitening.T, dtype=np.float64)
 

@@ -4,7 +4,7 @@ With J_j(θ) the sum of squared residuals of output j and K_j its samples, the l
 
     ln p(θ | y*) = −½ [ (θ−θ₀)ᵀ M₀⁻¹ (θ−θ₀) + Σ_given J_j(θ)/σ_j² + Σ_estimated K_j ln J_j(θ) ] + const,
 
-that is −J_C/2 of (1.36) for outputs whose noise variance is given. A variance that is estimated is as unknown as the
+that is −J_C/2 of (1.37) for outputs whose noise variance is given. A variance that is estimated is as unknown as the
 parameters: with the density 1/σ_j², uniform in ln σ_j, it is integrated out, ∫ σ^(−K) exp(−J/(2σ²)) dσ²/σ² ∝ J^(−K/2).
 For one output, a model linear in its parameters and no prior this is Student's t around the estimate with K − N degrees
 of freedom and the local covariance (1.31) as its scale, so that the posterior's intervals are the local ones.

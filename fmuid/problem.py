@@ -348,7 +348,7 @@ class Problem:
         residual : (n,) array
             Measured − simulated, in the outputs' units.
         shares : (n_outputs,) array, optional
-            How many of the estimated parameters each output pays for; default none, as J(θ)/K of method.md §7.
+            How many of the estimated parameters each output pays for; default none, as J(θ)/K of (1.51).
         """
         sums = np.bincount(self.groups, weights=residual**2, minlength=self.counts.size)
         free = self.counts - (0.0 if shares is None else shares)

@@ -1,6 +1,6 @@
 """Profile likelihood: how far one parameter can go before even the best choice of all others no longer fits.
 
-The profile of a parameter ψ is J_p(ψ) = min J_C over all the others (1.36), the prior's rows included. Its confidence
+The profile of a parameter ψ is J_p(ψ) = min J_C over all the others (1.37), the prior's rows included. Its confidence
 interval holds every ψ whose criterion exceeds the least one by no more than the quantile: with known variances
 χ²₁ = z²; with estimated ones t² of their degrees of freedom, F(1, ν), so that for models linear in their parameters,
 where J_p is the parabola J_min + ((ψ − ψ̂)/std)², the interval is the local one, ψ̂ ± t std.

@@ -1,4 +1,4 @@
-"""Reading a result: prior, data and their combination side by side, and whether they agree (method.md §7).
+"""Reading a result: prior, data and their combination side by side, and whether they agree (docs/method.md section 7).
 
 The estimate θ_C is the barycentre of the prior θ₀ and the optimum of the data alone θ_opt, each weighed by its inverse
 covariance: the prior is an elastic return force. Shown are all three with their standard deviations, how far the prior

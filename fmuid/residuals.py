@@ -1,6 +1,6 @@
 """What the residuals say of the model and of the stated uncertainty: whiteness, inputs, distribution, in words.
 
-Output errors are unbiased whatever the colour of the noise (method.md §4), but their covariance (1.31) takes the
+Output errors are unbiased whatever the colour of the noise (1.29), but their covariance (1.31) takes the
 samples for independent. Where the residual is correlated over time with ρ(τ), the estimates scatter as
 (JᵀJ)⁻¹ JᵀΓJ (JᵀJ)⁻¹, Γ_kl = ρ(k − l) (Morelli and Klein): what counts is the residual's colour as the sensitivities see
 it, parameter by parameter, and not its correlation time alone. `Diagnostics.inflation` is the ratio of both standard

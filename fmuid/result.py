@@ -57,9 +57,9 @@ class Result:
     noise_variance : dict of str to float
         The estimated variance σ̂² of each output's residual, J_j/(K_j − share of N) (1.12).
     given_variance : dict of str to float
-        The variances of the outputs for which one was given, for the consistency check of method.md §7.
+        The variances of the outputs for which one was given, for the consistency check of docs/method.md section 7.
     criterion : float
-        The compound criterion (1.36) at the estimate with the variances that the last search used.
+        The compound criterion (1.37) at the estimate with the variances that the last search used.
     degrees_of_freedom : float
         Of the variances behind `covariance`: K − N where they are estimated, infinite where all are given.
     iterations, simulations : int
@@ -119,7 +119,7 @@ class Result:
 
     @cached_property
     def rounds(self) -> pd.DataFrame:
-        """One row a repetition of method.md §7.
+        """One row a repetition of docs/method.md section 7.
 
         Columns round, iterations, criterion, and for each output the variance used (``used.<output>``) and the one
         estimated from the residual (``estimated.<output>``).
@@ -215,7 +215,7 @@ class Result:
         names : sequence of str, optional
             Which parameters; default all.
         inflate : float
-            Factor on the standard deviations, for variations to be expected (method.md §7).
+            Factor on the standard deviations, for variations to be expected (docs/method.md section 7).
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Concordia and Park transforms between columns of frames (method.md section 8).
+"""Concordia and Park transforms between columns of frames (docs/method.md section 8).
 
 The Concordia matrix is the power-invariant one: the instantaneous power of three phases is the same in two axes, and
 a balanced set of peak value X becomes a vector of length sqrt(3/2) X. Every function returns a copy of the frame with
@@ -24,7 +24,7 @@ T23.setflags(write=False)
 
 
 def concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
-    """Add the two axes of three phases: x_αβ = T₂₃ x_abc (method.md section 8).
+    """Add the two axes of three phases: x_αβ = T₂₃ x_abc (docs/method.md section 8).
 
     The zero sequence (a + b + c)/√3 is lost; phases without a neutral wire have none.
 
@@ -51,7 +51,7 @@ def concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str])
 
 
 def inverse_concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
-    """Add the three phases of two axes, without zero sequence: x_abc = T₂₃ᵀ x_αβ (method.md section 8).
+    """Add the three phases of two axes, without zero sequence: x_abc = T₂₃ᵀ x_αβ (docs/method.md section 8).
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def inverse_concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequen
 
 
 def park(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], theta: str = "theta") -> pd.DataFrame:
-    """Add the two axes, turning with `theta`, of three phases: x_dq = P(−θ) T₂₃ x_abc (method.md section 8).
+    """Add the two axes, turning with `theta`, of three phases: x_dq = P(−θ) T₂₃ x_abc (docs/method.md section 8).
 
     With the electrical angle of the rotor these are Park's axes linked to the rotor. The zero sequence is lost.
 
@@ -108,7 +108,7 @@ def park(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], thet
 def inverse_park(
     frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], theta: str = "theta"
 ) -> pd.DataFrame:
-    """Add the three phases of two axes turning with `theta`: x_abc = T₂₃ᵀ P(θ) x_dq (method.md section 8).
+    """Add the three phases of two axes turning with `theta`: x_abc = T₂₃ᵀ P(θ) x_dq (docs/method.md section 8).
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """A fault model beside the common mode, fitted to one window of a record by a few Gauss-Newton steps.
 
-The extended vector θ_e = [θ_n; θ_f] (1.63–1.65) minimises the compound criterion (1.36). Close to its minimum the
-criterion is a parabola with the information matrix Λ = M₀⁻¹ + SᵀS/σ² (1.46), and all that a window says is Λ and the
+The extended vector θ_e = [θ_n; θ_f] (1.64) minimises the compound criterion (1.68). Close to its minimum the
+criterion is a parabola with the information matrix Λ = M₀⁻¹ + SᵀS/σ² (1.47), and all that a window says is Λ and the
 minimum. A fault that an angle locates is searched as a vector of the plane, size times cosine and sine, which is
 smooth where the size is zero.
 """

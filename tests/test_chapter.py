@@ -1,4 +1,4 @@
-"""What the chapter's estimates of the induction machine show (method.md sections 6 to 8), and that the page says so."""
+"""What the chapter's estimates of the induction machine show (docs/method.md section 8), and that the page says so."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_prior_study_gives_the_same_estimates(pair: dict[str, fmuid.Result])
 
 
 def test_the_prior_sharpens_every_estimate_as_the_barycentre_says(pair: dict[str, fmuid.Result]) -> None:
-    """(1.51): the data-only paraboloid and the prior's add up, in curvature and in what they pull towards."""
+    """(1.54–1.56): the data-only paraboloid and the prior's add up, in curvature and in what they pull towards."""
     alone, both = pair["without prior"], pair["with prior"]
     data, prior = np.linalg.inv(alone.covariance), np.diag(chapter.PRIOR_STD**-2)
     covariance = np.linalg.inv(data + prior)

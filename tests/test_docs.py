@@ -1,10 +1,15 @@
-"""The pages in docs: what they show can be read, and what they point at is there."""
+"""The pages in docs: what they show can be read, what they point at is there, and what points at them is right."""
 
 from __future__ import annotations
 
+import ast
+import io
 import re
 import shutil
+import tokenize
 import tomllib
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -14,7 +19,10 @@ from fmuid.isolation import FIRST_LIMIT, LEAST_LIMIT, SLOWER
 from fmuid.study import Study
 
 ROOT = Path(__file__).parents[1]
-PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "experiments" / "batches" / "README.md"]
+FOLDERS = ("docs", "experiments", "fmuid", "fmus", "tests")
+PAGES = [ROOT / "README.md", *sorted(page for folder in FOLDERS for page in (ROOT / folder).rglob("*.md"))]
+SOURCES = sorted(source for folder in FOLDERS for source in (ROOT / folder).rglob("*.py"))
+METHOD = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
 MACHINE = ROOT / "experiments" / "induction_machine"
 
 
@@ -58,9 +66,92 @@ def test_scripts_are_python(code: str) -> None:
     compile(code, "page", "exec")
 
 
+def anchors(page: Path) -> set[str]:
+    """Return the anchors that GitHub gives the headings of a page."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
-    targets = re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8"))
-    assert targets
-    inside = [target for target in targets if not target.startswith("https://")]
-    assert not [target for target in inside if not (page.parent / target.partition("#")[0]).exists()]
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    for target in re.findall(r"\]\(([^)]+)\)", text):
+        if not target.startswith("https://"):
+            path, _, anchor = target.partition("#")
+            there = page.parent / path if path else page
+            assert there.exists(), target
+            assert not anchor or anchor in anchors(there), target
+
+
+# --- what is cited -----------------------------------------------------------------------
+
+NUMBER = r"1\.\d{1,2}(?!\d)"
+CITATION = re.compile(rf"\(({NUMBER}(?:(?:–|, ){NUMBER})*)\)")
+# What a number in parentheses after these words has to be, of the chapter's.
+NAMED = {
+    r"[Cc]ompound criterion(?: J_C)?": {"1.37", "1.38", "1.57", "1.68"},
+    r"prior rows W\(θ₀ − θ\) of": {"1.37"},
+    r"sensitivity system": {"1.26"},
+    r"Marquardt's (?:search for the least sum of squares|steps)": {"1.16"},
+    r"linear algebra": {"1.16"},
+    r"local (?:covariance|standard deviation)": {"1.31"},
+    r"natural equations": {"1.58"},
+}
+
+
+def prose(source: Path) -> Iterator[str]:
+    """Yield the docstrings and comments of a file, each in one line."""
+    text = source.read_text(encoding="utf-8")
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield " ".join(node.value.value.split())
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.string
+
+
+@cache
+def cited() -> tuple[tuple[Path, str], ...]:
+    """Return the texts that may cite, each with its file."""
+    found = [(source, text) for source in SOURCES for text in prose(source)]
+    return *found, *((page, " ".join(page.read_text(encoding="utf-8").split())) for page in PAGES)
+
+
+def expanded(citation: str) -> set[str]:
+    """Return the numbers of ``1.26, 1.27`` or ``1.63–1.65``."""
+    found = set()
+    for part in re.split("[,;]", citation):
+        first, _, last = part.strip().partition("–")
+        found |= {f"1.{k}" for k in range(int(first[2:]), int((last or first)[2:]) + 1)}
+    return found
+
+
+def test_equations_that_are_cited_are_explained() -> None:
+    index = METHOD[METHOD.index("## 17 ") :]
+    known = {number for row in re.findall(rf"{NUMBER}(?:–{NUMBER})?", index) for number in expanded(row)}
+    assert known == {f"1.{k}" for k in range(1, 81)}
+    body = {number for each in CITATION.findall(METHOD) for number in expanded(each)}
+    body |= set(re.findall(rf"\\tag{{({NUMBER})}}", METHOD))
+    assert known - body == set()
+    numbers = {(file, number) for file, text in cited() for each in CITATION.findall(text) for number in expanded(each)}
+    assert len(numbers) > 50
+    assert sorted((file, number) for file, number in numbers if number not in known) == []
+
+
+@pytest.mark.parametrize("words", NAMED)
+def test_equations_are_what_they_are_cited_for(words: str) -> None:
+    found = [(file, each) for file, text in cited() for each in re.findall(rf"{words} {CITATION.pattern}", text)]
+    assert found
+    assert [(file, each) for file, each in found if not expanded(each) <= NAMED[words]] == []
+
+
+def test_pages_that_are_cited_are_there() -> None:
+    missing, sections = [], set(re.findall(r"^## (\d+) ", METHOD, re.MULTILINE))
+    for file, text in cited():
+        for page in re.findall(r"[\w./-]+\.md\b", text):
+            if not any((folder / page).exists() for folder in (ROOT, file.parent)):
+                missing.append((file, page))
+        for number in re.findall(r"docs/method\.md,? sections? (\d+)", text):
+            if number not in sections:
+                missing.append((file, number))
+    assert missing == []

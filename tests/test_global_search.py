@@ -114,7 +114,7 @@ def test_the_start_takes_part() -> None:
 
 
 def test_prior_decides_between_equal_optima() -> None:
-    """Y = θ² t has the optima ±θ̂; a prior around one of them makes them differ by its own rows only (1.36)."""
+    """Y = θ² t has the optima ±θ̂; a prior around one of them makes them differ by its own rows only (1.37)."""
     measured = 4.0 * TIMES + 0.1 * np.random.default_rng(1).normal(size=TIMES.size)
     parameter = Parameter(-1.0, min=-5.0, max=5.0, prior=Normal(2.5, 1.0))
     problem = Problem.from_function(lambda theta: theta**2 * TIMES, measured, {"a": parameter}, noise=Noise(0.01))

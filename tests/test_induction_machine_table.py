@@ -106,7 +106,7 @@ def test_the_inverter_gives_the_mean_of_its_voltage(steps: pd.DataFrame) -> None
 
 
 def test_the_park_machine_under_the_table_s_straight_lines(frame: pd.DataFrame) -> None:
-    """Park's equations (method.md section 8) with voltages and speed linear between samples: some mA are left."""
+    """Park's equations (docs/method.md section 8) with voltages and speed linear between samples: some mA are left."""
     Rs, Rr, Lm, Lf = TRUTH.values()
     times, inputs = frame["time"].to_numpy(), frame[["uds", "uqs", "w"]].to_numpy()
 

@@ -96,7 +96,7 @@ def test_triangle_keeps_every_norm() -> None:
 
 @pytest.mark.parametrize("radius", [0.1, 1.0, 3.0])
 def test_a_damped_step_solves_marquardt_s_equation(radius: float) -> None:
-    """[JᵀJ + λD²] p = −Jᵀr with the λ that is reported, and ‖D p‖ near the radius (1.14)."""
+    """[JᵀJ + λD²] p = −Jᵀr with the λ that is reported, and ‖D p‖ near the radius (1.16)."""
     rng = np.random.default_rng(5)
     jacobian, residual = rng.standard_normal((30, 4)) * [1.0, 10.0, 0.1, 1.0], 20.0 * rng.standard_normal(30)
     lengths = np.linalg.norm(jacobian, axis=0)

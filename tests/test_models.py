@@ -1,6 +1,6 @@
 """The exported machine models against their equations, written here anew and integrated by scipy.
 
-`Reference` knows nothing of the FMUs: plain formulas of method.md section 8 and of the models' README files. The
+`Reference` knows nothing of the FMUs: plain formulas of docs/method.md section 8 and of the models' README files. The
 FMUs run through FMPy's low-level calls (its `simulate_fmu` does not apply inputs inside an integrator).
 """
 
@@ -79,7 +79,7 @@ def coil(x: Any, u: Any, p: Any) -> Any:
 
 
 def park_machine(x: Any, u: Any, p: Any) -> Any:
-    """method.md section 8, the state equations in Park axes linked to the rotor."""
+    """docs/method.md section 8, the state equations in Park axes linked to the rotor."""
     ids, iqs, phidr, phiqr = x
     uds, uqs, w = u
     Rs, Rr, Lm, Lf = p["Rs"], p["Rr"], p["Lm"], p["Lf"]
@@ -100,13 +100,13 @@ def faulty_coil(x: Any, u: Any, p: Any) -> Any:
 
 
 def towards(angle: Any) -> Any:
-    """Q of method.md section 11."""
+    """Q of docs/method.md section 11."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c**2, c * s], [c * s, s**2]])
 
 
 def short_circuit(_: Any, u: Any, p: Any) -> Any:
-    """The sum over phases as it stands in method.md section 11."""
+    """The sum over phases as it stands in docs/method.md section 11."""
     there, back = rotation(u[2]), rotation(-u[2])
     ratios = zip("abc", (0, 2 * np.pi / 3, 4 * np.pi / 3), strict=True)
     return sum(2 / 3 * p[f"eta_{phase}"] / p["Rs"] * back @ towards(angle) @ there @ u[:2] for phase, angle in ratios)

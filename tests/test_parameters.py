@@ -60,7 +60,7 @@ def test_no_parameters() -> None:
 
 
 def test_prior_rows_are_the_compound_criterion() -> None:
-    """‖W(θ₀ − θ)‖² = (θ−θ₀)ᵀ M₀⁻¹ (θ−θ₀), equation (1.36), with single and joint priors together."""
+    """‖W(θ₀ − θ)‖² = (θ−θ₀)ᵀ M₀⁻¹ (θ−θ₀), J_0 of (1.37), with single and joint priors together."""
     covariance = np.array([[4e-4, 1e-7], [1e-7, 1e-10]])
     parameters = ParameterSet(
         {

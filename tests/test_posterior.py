@@ -62,7 +62,7 @@ def quantile_error(probability: float, density: float, size: float) -> float:
 
 
 def test_density_of_given_variances() -> None:
-    """Differences of the log density are those of −J_C/2 (1.36)."""
+    """Differences of the log density are those of −J_C/2 (1.37)."""
     joint = JointPrior(["a", "b"], [1.8, 0.0], [[0.04, 0.01], [0.01, 0.09]])
     problem, phi = linear(noise=Noise(variance=0.5), joint_prior=joint)
     thetas = np.array([[2.0, -0.3], [1.0, 0.5], [2.5, -2.0]])

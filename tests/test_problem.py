@@ -102,7 +102,7 @@ def test_an_experiment_is_not_simulated_again_for_the_parameters_of_others() -> 
 
 
 def test_prior_rows_follow_the_data() -> None:
-    """The compound criterion (1.36), and its rows' derivative −W."""
+    """The compound criterion (1.37), and its rows' derivative −W."""
     parameters = {"k": Parameter(1.0, prior=Normal(1.4, 0.1)), "gain": Parameter(3.0)}
     problem = Problem.from_predictors([Fake()], [table()], parameters, noise=Noise(1.0))
     evaluation = prepare(problem).criterion.evaluate([1.2, 2.0])

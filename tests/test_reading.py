@@ -70,7 +70,7 @@ def white_reading(problem: Problem, result: Result, **words: Any) -> Reading:
 
 @pytest.mark.parametrize("search", [False, True])
 def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
-    """Closed forms: θ_opt by least squares, the barycentre and the distance of method.md §7."""
+    """Closed forms: θ_opt by least squares, the barycentre and the distance of docs/method.md section 7."""
     y = noisy(np.random.default_rng(1))
     problem, result = linear(y, joint())
     reading = white_reading(problem, result, search_data=search)
@@ -97,7 +97,7 @@ def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
 
 
 def kalman(problem: Problem, theta: Floats) -> Floats:
-    """One Newton step from θ₀ in the form of method.md §6: θ₀ + K (Y* − Ŷ(θ₀)), K = P_C Sᵀ/σ_b²."""
+    """One Newton step from θ₀ in the form of (1.49): θ₀ + K (Y* − Ŷ(θ₀)), K = P_C Sᵀ/σ_b²."""
     criterion = prepare(problem, theta).criterion
     at = criterion.evaluate(theta)
     data = problem.measured.size

@@ -1,4 +1,4 @@
-"""The bias of an output-error estimate from a closed loop, against the signal-to-noise ratio (method.md section 4).
+"""The bias of an output-error estimate from a closed loop, against signal-to-noise ratio (docs/method.md section 4).
 
     python -m experiments.closed_loop_bias.study
 
@@ -6,7 +6,7 @@ Run from the project's folder; it rewrites bias.csv and bias.png beside it and t
 
 A coil under a sampled PI control of its current: three coupled FMUs. The noise of the current's sensor is an input of
 the simulation, so that the controller sees it. R and L are identified from the controller's voltage, which is known
-exactly, and the measured current. Beside it: the predicted bias (1.30), the same noise in open loop, and the loop
+exactly, and the measured current. Beside it: the predicted bias (1.29), the same noise in open loop, and the loop
 identified as a whole, from its reference.
 """
 
@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 HERE = Path(__file__).parent
 FMUS = HERE.parents[1] / "fmus"
 
-R, L = 4.0, 0.1  # Ω, H: the coil of method.md section 10
+R, L = 4.0, 0.1  # Ω, H: the coil of docs/method.md section 10
 NAMES, TRUTH = ("R", "L"), np.array([R, L])
 STEP, SAMPLES, BIT = 1e-3, 1200, 15  # s; samples of the record and of a bit of the reference, as there
 AMPLITUDE = 0.25  # A, of the reference
@@ -209,7 +209,7 @@ def moments(correlation: float) -> tuple[Floats, Floats]:
 
 
 def predicted(kind: Kind, ratio: float) -> Floats:
-    """Return the bias of R and L to first order, E[Σ σσᵀ]⁻¹ E[Σ σ b] (1.30), with σ at the truth, Ω and H (2,).
+    """Return the bias of R and L to first order, E[Σ σσᵀ]⁻¹ E[Σ σ b] (1.29), with σ at the truth, Ω and H (2,).
 
     It is zero where the inputs know nothing of the noise.
     """

@@ -1,4 +1,4 @@
-"""Diagnosis of a coil (method.md section 10, table 1.1): turns lost or gained, told from a warm winding.
+"""Diagnosis of a coil (docs/method.md section 10, table 1.1): turns lost or gained, told from a warm winding.
 
     python -m experiments.coil.study
 
@@ -200,7 +200,7 @@ class Theory(NamedTuple):
 def theory(resistance: float, fault: float) -> Theory:
     """Return what to expect, from the sensitivities at the truth.
 
-    The estimate is θ + C [Sᵀb/σ² + M₀⁻¹ (θ₀ − θ)] with C = (M₀⁻¹ + SᵀS/σ²)⁻¹ (1.46); the healthy estimate is the prior
+    The estimate is θ + C [Sᵀb/σ² + M₀⁻¹ (θ₀ − θ)] with C = (M₀⁻¹ + SᵀS/σ²)⁻¹ (1.47); the healthy estimate is the prior
     mean θ₀ of R and L, and gives the time constant of the fault model.
     """
     own = sensitivities(R, L)

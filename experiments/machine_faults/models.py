@@ -59,7 +59,7 @@ def healthy(record: pd.DataFrame) -> fmuid.Result:
 
 
 def common(known: fmuid.Result) -> dict[str, fmuid.Parameter]:
-    """Return the nominal parameters with the inflated prior of the healthy estimate (1.65)."""
+    """Return the nominal parameters with the inflated prior of the healthy estimate (1.66, 1.67)."""
     found = zip(known.names, known.values.tolist(), known.std.tolist(), strict=True)
     return {
         name: fmuid.Parameter(value, prior=fmuid.Normal(value, INFLATION[name] * std)) for name, value, std in found

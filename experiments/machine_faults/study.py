@@ -47,7 +47,7 @@ class Finding:
 
     @property
     def gains(self) -> tuple[float, float]:
-        """By how much a fault of the stator and one of the rotor lower the compound criterion (1.43)."""
+        """By how much a fault of the stator and one of the rotor lower the compound criterion (1.68)."""
         rotor = self.rotor.criterion if self.rotor else self.plain.criterion
         return self.plain.criterion - self.stator.criterion, self.plain.criterion - rotor
 

@@ -1,4 +1,4 @@
-"""Search of a whole box before Marquardt's search, for criteria with secondary optima (method.md §4).
+"""Search of a whole box before Marquardt's search, for criteria with secondary optima (docs/method.md section 4).
 
 Two ways to spread over the box, both ending in Marquardt's search from several points:
 
@@ -12,9 +12,9 @@ Two ways to spread over the box, both ending in Marquardt's search from several 
 The fits run one after the other: each simulates the columns of its Jacobian as a batch already, and the single
 simulations of its steps are too small a share for fits in lockstep to gain more than a tenth.
 
-What is compared: with all noise variances given, the compound criterion J_C (1.36). Where they are estimated, J_C means
+What is compared: with all noise variances given, the compound criterion J_C (1.37). Where they are estimated, J_C means
 nothing until they are, so the estimates σ̂_j² = J_j/K_j that any theta implies are put into the likelihood, which gives
-the concentrated criterion Σ K_j ln σ̂_j² + prior rows. Its least value is where the repetition of §7 settles.
+the concentrated criterion Σ K_j ln σ̂_j² + prior rows. Its least value is where the repetition on them settles.
 
 References
 ----------
@@ -123,7 +123,7 @@ class Optimum:
     ----------
     theta : (N,) array
     criterion : float
-        J_C (1.36) there; where noise variances are estimated, with those of the best optimum.
+        J_C (1.37) there; where noise variances are estimated, with those of the best optimum.
     converged : bool
         Whether it is a minimum with every parameter determined.
     hits : int

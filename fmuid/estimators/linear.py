@@ -20,7 +20,7 @@ class LinearFit:
     Attributes
     ----------
     theta : (N,) array
-        The estimate (1.8).
+        The estimate (1.6).
     covariance : (N, N) array
         σ̂² (ΦᵀΦ)⁻¹ (1.11).
     noise_variance : float

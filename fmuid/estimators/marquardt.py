@@ -1,4 +1,4 @@
-"""Marquardt's search for the least sum of squares (1.13–1.16), with bounds, for functions that are simulations.
+"""Marquardt's search for the least sum of squares (1.16), with bounds, for functions that are simulations.
 
 Each step is solved as `fmuid.estimators.steps` says, and its length limited as `fmuid.estimators.radius` says. What is
 particular to simulations: derivatives cost simulations, so that forward differences serve on the way, and central ones

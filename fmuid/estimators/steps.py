@@ -1,4 +1,4 @@
-"""One step of Marquardt's search: the linear algebra (1.14), within bounds.
+"""One step of Marquardt's search: the linear algebra (1.16), within bounds.
 
 Near a point θ the residual is nearly r + J p for a step p. Minimising ‖r + J p‖² + λ ‖D p‖² is the chapter's
 θ − [J″ + λI]⁻¹ J′ with J″ ≈ 2 JᵀJ, only that each parameter is measured by its column's length D, so that λ has no unit

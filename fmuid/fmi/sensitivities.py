@@ -1,4 +1,4 @@
-"""Sensitivities of a model-exchange FMU's states to parameters, integrated with them (method.md section 3, (1.24)).
+"""Sensitivities of a model-exchange FMU's states to parameters, integrated with them (1.26).
 
 The integrated vector is [x, s_1, ..., s_N], s_j = dx/dp_j, with s_j' = (dg/dx) s_j + dg/dp_j. The right-hand sides are
 directional derivatives that the FMU gives, or differences to *twins*: instances with p_j + d_j, put beside the model at
