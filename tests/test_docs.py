@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
@@ -154,4 +155,16 @@ def test_pages_that_are_cited_are_there() -> None:
         for number in re.findall(r"docs/method\.md,? sections? (\d+)", text):
             if number not in sections:
                 missing.append((file, number))
+    assert missing == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_what_is_named_in_python_is_there(page: Path) -> None:
+    names = set(re.findall(r"`(fmuid(?:\.\w+)+)[`(]", page.read_text(encoding="utf-8")))
+    missing = []
+    for name in sorted(names):
+        try:
+            resolve_name(name)
+        except (ImportError, AttributeError):
+            missing.append(name)
     assert missing == []
