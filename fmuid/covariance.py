@@ -42,6 +42,9 @@ JACOBIAN_ERRORS = 5.0
 WORTH_NAMING = 0.05
 # ... and are no longer considered part of an undetermined direction below this share.
 INVOLVED = 1e-3
+# Steps along a direction are told in percent of values, but of magnitudes where values are below this share of them.
+# The largest is 1 %, which is small enough for the linear model: that of the first parameter within this share of it.
+NEAR_ZERO, AS_LARGE = 0.5, 0.99
 # Of all coefficients in words, so many digits are shown.
 DIGITS = 3
 
@@ -83,6 +86,7 @@ def local_covariance(
     jacobian_error: Floats,
     prior_rows: int = 0,
     *,
+    theta: Floats | None = None,
     scale: Floats | None = None,
     spread: Floats | None = None,
 ) -> LocalCovariance:
@@ -100,6 +104,8 @@ def local_covariance(
     prior_rows : int
         How many of the last rows are the prior's; they have no error, and what they say of a direction counts even
         where it is less than the errors of the others.
+    theta : (N,) array, optional
+        The parameters, for words. Default: the magnitudes.
     scale : (N,) array, optional
         How large each parameter was thought to be at the start: an estimate that happens to lie near zero is not
         undetermined for that. Default: the magnitudes.
@@ -123,7 +129,8 @@ def local_covariance(
     lost = (np.abs(null) > INVOLVED).any(axis=0) if zero.any() else np.zeros(len(names), dtype=np.bool_)
     covariance[lost, :] = covariance[:, lost] = np.nan
     covariance[lost, lost] = np.inf
-    undetermined = [describe_lost(names, row * magnitudes, magnitudes) for row in _sparse(null)]
+    at = magnitudes if theta is None else theta
+    undetermined = [describe_lost(names, row * magnitudes, magnitudes, at) for row in _sparse(null)]
     weak = []
     for direction, std in zip(directions[~zero], 1.0 / values[~zero], strict=True):
         if _lost_in_effect(np.abs(direction) * std * magnitudes, magnitudes, magnitudes if scale is None else scale):
@@ -189,7 +196,7 @@ def _times(factor: float, name: str) -> str:
     return name if shown == "1" else f"{shown} {name}"
 
 
-def describe_lost(names: Sequence[str], direction: Floats, magnitudes: Floats) -> str:
+def describe_lost(names: Sequence[str], direction: Floats, magnitudes: Floats, theta: Floats) -> str:
     """Say in words that moving the parameters along a direction changes no output.
 
     Parameters
@@ -198,6 +205,8 @@ def describe_lost(names: Sequence[str], direction: Floats, magnitudes: Floats) -
     direction : (N,) array
         In the parameters' units.
     magnitudes : (N,) array
+    theta : (N,) array
+        The parameters.
     """
     main = _main(direction, magnitudes)
     who = listed([names[i] for i in main])
@@ -206,11 +215,21 @@ def describe_lost(names: Sequence[str], direction: Floats, magnitudes: Floats) -
     only = _combinations(names, direction, main)
     if len(main) == 2:
         return f"{who} cannot be told apart: only {only} is determined"
-    scaled = direction / direction[main[0]]
-    moves = [f"{names[i]} {'rises' if scaled[i] > 0 else 'falls'} by {abs(scaled[i]):.{DIGITS}g}" for i in main[1:]]
+    sizes = np.where(np.abs(theta) > NEAR_ZERO * magnitudes, np.abs(theta), magnitudes)
+    shares = direction / sizes
+    largest = np.abs(shares[main]).max()
+    first = next(i for i in main if abs(shares[i]) >= AS_LARGE * largest)
+    shares /= shares[first]
+    steps = [f"{abs(share):.{DIGITS}g} %" for share in shares]
+    # a percentage of what is negative or near zero would mislead
+    steps = [
+        step if value >= size else f"{step} of its magnitude {size:.{DIGITS}g}"
+        for step, value, size in zip(steps, theta, sizes, strict=True)
+    ]
+    moves = [f"{names[i]} {'rises' if shares[i] > 0 else 'falls'} by {steps[i]}" for i in main if i != first]
     return (
-        f"{who} cannot be told apart: raising {names[main[0]]} by 1 while {listed(moves)} changes no output; "
-        f"only {only} are determined"
+        f"{who} cannot be told apart: raising {names[first]} by {steps[first]} while {listed(moves)} changes no "
+        f"output; only {only} are determined"
     )
 
 

@@ -166,6 +166,7 @@ class _Identification:
             parameters.magnitudes(theta),
             self.criterion.jacobian_error(theta, self.state.residual, central=self.state.central),
             len(jacobian) - self.problem.measured.size,
+            theta=theta,
             scale=parameters.scale,
             spread=spread,
         )

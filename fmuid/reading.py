@@ -331,7 +331,7 @@ def _search_data(problem: Problem, result: Result, local: LocalModel) -> tuple[F
         return f"The data alone would push {listed(held)} to a bound, so their optimum is extrapolated"
     magnitudes = alone.magnitudes(state.theta)
     error = alone.jacobian_error(state.theta, state.residual, central=state.central)
-    data = local_covariance(result.names, state.jacobian, magnitudes, jacobian_error=error)
+    data = local_covariance(result.names, state.jacobian, magnitudes, error, theta=state.theta)
     if data.rank < len(result.names):
         return f"At the optimum of the data alone {listed(data.undetermined)}, so it is extrapolated"
     prior = problem.parameters.prior_residual(state.theta[None])[0]

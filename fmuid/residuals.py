@@ -7,8 +7,9 @@ it, parameter by parameter, and not its correlation time alone. `Diagnostics.inf
 deviations. Each output's residual in each experiment is taken as a stationary series unrelated to the others; where it
 is an error of the model that comes back with every cycle of the experiment, the ratio is rather a lower limit.
 
-With thousands of samples the slightest imperfection is significant. What is said in words must be unlikely by chance
-and large enough to matter.
+With thousands of samples the slightest imperfection is significant: words tell what is unlikely by chance and large
+enough to matter from what is significant but slight. Where nothing is, they say what was tested: an error of the model
+that its parameters make up for leaves a residual in which no test finds anything.
 
 References
 ----------
@@ -73,7 +74,9 @@ class Diagnostics:
         said: list[str] = []
         for each, name in zip(self.series, names, strict=True):
             said += [text for text in (_whiteness(each, name, len(self.series)),) if text]
-        said += _uncertainty(self.inflation) if said else []
+        level = SIGNIFICANT / max(len(self.series), 1)
+        coloured = any(each.whiteness_probability <= level for each in self.series)
+        said += _uncertainty(self.inflation) if said else _doubt(self.inflation, coloured=coloured)
         for each, name in zip(self.series, names, strict=True):
             said += _offset(each, name, len(self.series)) + _inputs(each, name, self.series)
             said += _distribution(each, name, len(self.series))
@@ -163,29 +166,31 @@ def examine_residuals(problem: Problem, result: Result) -> Diagnostics:
 
 def _whiteness(series: ResidualSeries, name: str, tests: int) -> str:
     """Return a sentence on a residual that is not white, "" of one that is or nearly is."""
-    tested = np.nan_to_num(series.autocorrelation[: series.tested_lags + 1])
-    if not series.examined or series.whiteness_probability > SIGNIFICANT / tests:
+    if not series.whiteness_probability <= SIGNIFICANT / tests:
         return ""
-    lag = 1 + int(np.argmax(np.abs(tested[1:])))
-    if abs(tested[lag]) < COLOURED:
+    lag, largest = _largest_autocorrelation(series)
+    if abs(largest) < COLOURED:
         return ""
-    far = "far from white" if abs(tested[lag]) >= FAR_FROM_WHITE else "not white"
+    far = "far from white" if abs(largest) >= FAR_FROM_WHITE else "not white"
     return (
-        f"The residual of {name} is {far} (autocorrelation {tested[lag]:.2f} at a lag of {_count(lag, 'sample')}): "
+        f"The residual of {name} is {far} (autocorrelation {largest:.2f} at a lag of {_count(lag, 'sample')}): "
         "the model or the noise has dynamics of its own"
     )
+
+
+def _largest_autocorrelation(series: ResidualSeries) -> tuple[int, float]:
+    """Return the lag, in samples, at which the autocorrelation is largest, and its value there."""
+    tested = np.nan_to_num(series.autocorrelation[: series.tested_lags + 1])
+    lag = 1 + int(np.argmax(np.abs(tested[1:])))
+    return lag, float(tested[lag])
 
 
 def _uncertainty(inflation: dict[str, float]) -> list[str]:
     """Say by how much the stated standard deviations are wrong, where the residuals are not white."""
     known = {name: factor for name, factor in inflation.items() if math.isfinite(factor)}
-    small = {name: factor for name, factor in known.items() if factor >= WRONG_STD}
-    if small:
-        low, high = min(small, key=small.__getitem__), max(small, key=small.__getitem__)
-        about = f"about {small[high]:.2g}"
-        if small[high] > WRONG_STD * small[low]:
-            about = f"{small[low]:.2g} ({low}) to {small[high]:.2g} ({high})"
-        of = "" if len(small) == len(known) else f" of {listed(tuple(small))}"
+    too_small = _too_small(known)
+    if too_small:
+        of, about = too_small
         return [
             f"Since neighbouring samples are not independent, the stated standard deviations{of} are too small, "
             f"by a factor of {about}"
@@ -196,6 +201,33 @@ def _uncertainty(inflation: dict[str, float]) -> list[str]:
             f"by a factor of {1.0 / max(known.values()):.2g} or more"
         ]
     return ["For the estimates this makes little difference: the stated standard deviations hold"]
+
+
+def _doubt(inflation: dict[str, float], *, coloured: bool) -> list[str]:
+    """Say what is wrong with the stated standard deviations where no autocorrelation is large enough to be said.
+
+    Small ones over many lags matter too; they may be chance unless the residuals are significantly `coloured`.
+    """
+    too_small = _too_small({name: factor for name, factor in inflation.items() if math.isfinite(factor)})
+    if too_small is None or coloured:
+        return _uncertainty(inflation) if too_small else []
+    of, about = too_small
+    return [
+        "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: the stated "
+        f"standard deviations{of} may be too small, by a factor of {about}"
+    ]
+
+
+def _too_small(known: dict[str, float]) -> tuple[str, str] | None:
+    """Return which standard deviations are too small, and by what factor; None where none are."""
+    small = {name: factor for name, factor in known.items() if factor >= WRONG_STD}
+    if not small:
+        return None
+    low, high = min(small, key=small.__getitem__), max(small, key=small.__getitem__)
+    about = f"about {small[high]:.2g}"
+    if small[high] > WRONG_STD * small[low]:
+        about = f"{small[low]:.2g} ({low}) to {small[high]:.2g} ({high})"
+    return "" if len(small) == len(known) else f" of {listed(tuple(small))}", about
 
 
 def _offset(series: ResidualSeries, name: str, tests: int) -> list[str]:
@@ -241,17 +273,54 @@ def _tails(series: ResidualSeries) -> str:
 
 
 def _summary(series: tuple[ResidualSeries, ...], names: list[str], said: list[str]) -> list[str]:
-    """Say where there was nothing to examine and, where nothing else is to be said, that all is well."""
+    """Say where there was nothing to examine and, where nothing else is to be said, what was tested."""
     idle = [name for each, name in zip(series, names, strict=True) if not each.examined]
     lines = [f"The residual of {listed(idle)} is too short, or nothing but rounding, to be examined"] if idle else []
-    if not said and len(idle) < len(series):
-        well = [name for each, name in zip(series, names, strict=True) if each.examined]
-        which = f"residual of {well[0]} looks" if len(well) == 1 else f"residuals of {listed(well)} look"
-        lines.append(
-            f"The {which} like white normal noise that has nothing to do with the inputs: "
-            "nothing there to doubt the model or the standard deviations"
-        )
-    return lines
+    quiet = [(each, name) for each, name in zip(series, names, strict=True) if each.examined]
+    if said or not quiet:
+        return lines
+    slight = [(name, found) for each, name in quiet if (found := _slight(each, series))]
+    lines += [f"The residual of {name} has {listed(found)}: significant, but slight" for name, found in slight]
+    which = f"residual of {quiet[0][1]} looks"
+    if len(quiet) > 1:
+        which = f"residuals of {listed([name for _, name in quiet])} look"
+    like = "otherwise like" if slight else "like"
+    return [
+        *lines,
+        f"The {which} {like} white normal noise that has nothing to do with the inputs, as far as was tested: "
+        f"{_tested([each for each, _ in quiet])}; nothing more was tested, and an error of the model that the "
+        "parameters make up for does not show there",
+    ]
+
+
+def _slight(series: ResidualSeries, all_series: tuple[ResidualSeries, ...]) -> list[str]:
+    """Return what is significant in a residual of which nothing is large enough to be said by itself."""
+    level = SIGNIFICANT / len(all_series)
+    found = []
+    if series.whiteness_probability <= level:
+        lag, largest = _largest_autocorrelation(series)
+        found.append(f"an autocorrelation of {largest:.2g} at a lag of {_count(lag, 'sample')}")
+    if series.mean_probability < level:
+        found.append(f"a mean of {series.mean / series.std:.2g} standard deviations")
+    tests = sum(len(each.inputs) for each in all_series)
+    related = [one for one in series.inputs if one.probability < SIGNIFICANT / tests]
+    found += [f"a correlation of {one.correlation:+.2g} with the input {one.input}" for one in related]
+    if series.normality_probability < level:
+        found.append(f"a skewness of {series.skewness:.2g} and an excess kurtosis of {series.kurtosis:.2g}")
+    return found
+
+
+def _tested(series: list[ResidualSeries]) -> str:
+    """Return in words what `examine_output` tests, of how many samples and at what level."""
+    inputs = list(dict.fromkeys(one.input for each in series for one in each.inputs))
+    lags, samples = _range([each.tested_lags for each in series]), _range([each.samples for each in series])
+    crossed = [f"correlation with {listed(inputs)}"] if inputs else []
+    tests = listed([f"whiteness (Ljung–Box over {lags} lags)", "mean", *crossed, "normality (Jarque–Bera)"])
+    return f"{tests}, each at a level of {100 * SIGNIFICANT:g} %, with {samples} samples"
+
+
+def _range(numbers: list[int]) -> str:
+    return f"{min(numbers)}" if min(numbers) == max(numbers) else f"{min(numbers)} to {max(numbers)}"
 
 
 def _count(number: int, what: str) -> str:

@@ -57,10 +57,15 @@ def only(found: Diagnostics) -> ResidualSeries:
     return series
 
 
-def test_white_noise_gives_no_reason_to_doubt() -> None:
+def test_of_white_noise_words_say_what_was_tested() -> None:
     found = examined(white(1))
     (sentence,) = found.words
-    assert sentence.startswith("The residual of y looks like white normal noise")
+    assert sentence == (
+        "The residual of y looks like white normal noise that has nothing to do with the inputs, as far as was tested: "
+        "whiteness (Ljung–Box over 25 lags), mean, correlation with u and normality (Jarque–Bera), each at a level of "
+        "1 %, with 1000 samples; nothing more was tested, and an error of the model that the parameters make up for "
+        "does not show there"
+    )
     assert found.inflation == {name: pytest.approx(1.0, abs=0.15) for name in ("level", "slow", "fast")}
     series = only(found)
     assert series.samples == COUNT
@@ -70,7 +75,8 @@ def test_white_noise_gives_no_reason_to_doubt() -> None:
 
 def test_words_are_rarely_wrong() -> None:
     """Of 100 draws of white normal noise, hardly any is called anything else."""
-    wrong = [words for seed in range(100) if not (words := examined(white(seed)).words)[0].endswith("deviations")]
+    quiet = "The residual of y looks like white normal noise"
+    wrong = [words for seed in range(100) if not (words := examined(white(seed)).words)[0].startswith(quiet)]
     assert len(wrong) <= 2
 
 
@@ -108,6 +114,37 @@ def test_slightly_coloured_noise_is_no_matter() -> None:
     assert only(found).whiteness_probability < 0.01
     assert found.words[0].startswith("The residual of y is not white (autocorrelation 0.1")
     assert found.words[1] == "For the estimates this makes little difference: the stated standard deviations hold"
+
+
+def test_what_is_significant_but_slight_is_not_called_white() -> None:
+    """Of 20 000 samples, an autocorrelation of 0.07 and a correlation of 0.05 with the input."""
+    series = only(examined(white(1)))
+    u = dataclasses.replace(series.inputs[0], correlation=0.05, probability=1e-9)
+    correlations = np.concatenate([[1.0, 0.07], np.zeros(24)])
+    slight = dataclasses.replace(
+        series, samples=20_000, autocorrelation=correlations, whiteness_probability=1e-9, inputs=(u,)
+    )
+    first, second = Diagnostics((slight,), {"level": 1.0}).words
+    assert first == (
+        "The residual of y has an autocorrelation of 0.07 at a lag of 1 sample and a correlation of +0.05 with the "
+        "input u: significant, but slight"
+    )
+    assert second.startswith("The residual of y looks otherwise like white normal noise")
+
+
+@pytest.mark.parametrize(
+    ("probability", "sentence"),
+    [
+        (1e-9, "Since neighbouring samples are not independent, the stated standard deviations of level are too small"),
+        (0.02, "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: "),
+    ],
+)
+def test_no_residual_is_called_white_where_standard_deviations_are_too_small(probability: float, sentence: str) -> None:
+    """Small autocorrelations over many lags, none of them worth a sentence, add up where sensitivities are slow."""
+    series = dataclasses.replace(only(examined(white(1))), whiteness_probability=probability)
+    (said,) = Diagnostics((series,), {"level": 1.3, "slow": 1.0}).words
+    assert said.startswith(sentence)
+    assert said.endswith(" too small, by a factor of about 1.3")
 
 
 def test_standard_deviations_that_are_too_large() -> None:

@@ -191,6 +191,20 @@ def test_singular_and_weak_directions_together() -> None:
     assert found.leverage(jacobian).sum() == pytest.approx(3.0)
 
 
+def test_directions_are_told_relative_to_the_values() -> None:
+    """Whatever the units are, no step is larger than one in a hundred."""
+    theta, magnitudes = np.array([0.047, -3.0, 0.0, 21.5]), np.array([0.047, 3.0, 5.0, 21.5])
+    null = np.array([0.5, 0.25, -0.125, 1.0])  # per cent of the magnitudes
+    others = np.linalg.svd(null[None])[2][1:]
+    jacobian = np.random.default_rng(8).standard_normal((50, 3)) @ others / magnitudes
+    found = local_covariance(["k", "y", "z", "x"], jacobian, magnitudes, np.zeros(4), theta=theta)
+    (said,) = found.undetermined
+    assert said.startswith(
+        "k, y, z and x cannot be told apart: raising x by 1 % while k rises by 0.5 %, "
+        "y rises by 0.25 % of its magnitude 3 and z falls by 0.125 % of its magnitude 5 changes no output; only "
+    )
+
+
 # --- a prior and no data, data and no prior ---------------------------------------------
 
 
