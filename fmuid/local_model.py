@@ -26,7 +26,7 @@ class Combination:
     Attributes
     ----------
     step : (N,) array
-        From the point to the barycentre of docs/method.md section 7; NaN for parameters that neither determines.
+        From the point to the barycentre (1.55); NaN for parameters that neither determines.
     disagreement : float
         By how much both sums of squares together exceed their own least values there. Where data and prior both
         determine every parameter it is (θ_opt − θ₀)ᵀ (M₀ + P_opt)⁻¹ (θ_opt − θ₀).

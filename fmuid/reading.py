@@ -1,9 +1,9 @@
 """Reading a result: prior, data and their combination side by side, and whether they agree (docs/method.md section 7).
 
 The estimate θ_C is the barycentre of the prior θ₀ and the optimum of the data alone θ_opt, each weighed by its inverse
-covariance: the prior is an elastic return force. Shown are all three with their standard deviations, how far the prior
-has moved each estimate and whose prior it was. A wrong prior biases irremediably: `fmuid.consistency` tests whether the
-data contradict it.
+covariance (1.55): the prior is an elastic return force. Shown are all three with their standard deviations, how far
+the prior has moved each estimate and whose prior it was. A wrong prior biases irremediably: `fmuid.consistency` tests
+whether the data contradict it.
 """
 
 from __future__ import annotations

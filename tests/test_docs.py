@@ -75,13 +75,24 @@ def anchors(page: Path) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
-    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"^ *```.*?^ *```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
     for target in re.findall(r"\]\(([^)]+)\)", text):
         if not target.startswith("https://"):
             path, _, anchor = target.partition("#")
             there = page.parent / path if path else page
             assert there.exists(), target
             assert not anchor or anchor in anchors(there), target
+
+
+def test_formulas_can_be_shown() -> None:
+    """GitHub reads Markdown in formulas between dollars first: escapes, emphasis, words right after the last dollar."""
+    outside = re.sub(r"^ *```.*?^ *```", "", METHOD, flags=re.DOTALL | re.MULTILINE)
+    assert not re.search(r"\$\$|\\operatorname", METHOD)
+    for line in re.sub(r"`[^`]*`", "", outside).splitlines():
+        assert line.count("$") % 2 == 0, line
+        for formula, after in re.findall(r"\$([^$]*)\$(.?)", line):
+            assert not re.search(r"\\[^A-Za-z]|\}_|\*|^ | $", formula), formula
+            assert not re.match(r"\w", after), line
 
 
 # --- what is cited -----------------------------------------------------------------------
