@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import io
+import math
 import re
 import shutil
 import tokenize
@@ -16,7 +17,17 @@ from pkgutil import resolve_name
 import pytest
 
 from fmuid.cases import Cases
+from fmuid.component import DEFAULT_TOLERANCE
+from fmuid.consistency import SAME_VARIANCE
+from fmuid.covariance import UNDETERMINED_STD, WEAK_STD
+from fmuid.decision import STRONG
+from fmuid.diagnosis import UNEXPLAINED_SHARE
+from fmuid.estimators.marquardt import OFFSET_TOLERANCE
+from fmuid.identification import MOVED
 from fmuid.isolation import FIRST_LIMIT, LEAST_LIMIT, SLOWER
+from fmuid.plan import LINEAR_SUBSTEPS
+from fmuid.residual_series import LAGS
+from fmuid.sensitivity import NOISE_POINTS
 from fmuid.study import Study
 
 ROOT = Path(__file__).parents[1]
@@ -82,6 +93,25 @@ def test_links_lead_somewhere(page: Path) -> None:
             there = page.parent / path if path else page
             assert there.exists(), target
             assert not anchor or anchor in anchors(there), target
+
+
+def test_the_numbers_of_the_method() -> None:
+    text = " ".join(METHOD.split())
+    for words in (
+        f"still gain is less than $10^{{{math.log10(OFFSET_TOLERANCE):.0f}}}$ of the parameters' standard deviations",
+        f"a table of differences at {('six', 'seven', 'eight')[NOISE_POINTS - 6]} neighbouring points",
+        f"Beyond {WEAK_STD:.0%} the direction is called weak".replace("%", " %"),
+        f"beyond {UNDETERMINED_STD:.0%} not determined in effect".replace("%", " %"),
+        f"relative tolerance $10^{{{math.log10(DEFAULT_TOLERANCE):.0f}}}$",
+        f"until none moves by more than {MOVED:.0%}".replace("%", " %"),
+        f"a difference of less than {SAME_VARIANCE - 1.0:.0%} is not called one".replace("%", " %"),
+        f"those within {STRONG:g} of it",
+        f"over up to {LAGS} lags",
+        "divided in ten" if LINEAR_SUBSTEPS == 10 else "",
+        "tested at a tenth of the level" if UNEXPLAINED_SHARE == 0.1 else "",
+    ):
+        assert words
+        assert words in text
 
 
 def test_formulas_can_be_shown() -> None:
