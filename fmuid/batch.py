@@ -225,7 +225,7 @@ class Batch:
         writer = _Writer(self.dataset)
         counter = _Counter(len(self.cases), self.dataset.read()["status"])
         try:
-            with contextlib.closing(writer), crew(self._scheduler, self._workers) as there:
+            with crew(self._scheduler, self._workers) as there, contextlib.closing(writer):
                 results = there.run(bundle.parcel, pending, lambda case: record(self.cases.table_of(case)))
                 with contextlib.closing(results):
                     for result in results:

@@ -15,6 +15,7 @@ import typer
 from fmuid import cli_batch, cli_models, cli_studies
 from fmuid.cli_words import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import FmuidError, InputError
+from fmuid.interruption import handled
 from fmuid.version import __version__
 
 app = typer.Typer(
@@ -59,7 +60,9 @@ for command in (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code; whatever is wrong with the input is one sentence on stderr."""
-    sys.exit(run(arguments))
+    with handled():
+        code = run(arguments)
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

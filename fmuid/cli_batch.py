@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fmuid.cli_words import DONE, NOT_SUCCEEDED, Overrides, StudyFile
+from fmuid.interruption import answering
+
+if TYPE_CHECKING:
+    from fmuid.batch import Batch, BatchResult
 
 
 def batch(
@@ -53,8 +57,16 @@ def batch(
         isolated=not in_process,
     )
     console.show_notes(read.notes)
-    with BatchProgress() as progress:
-        found = job.run(progress)
+    with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):
+        with BatchProgress() as progress:
+            found = job.run(progress)
+        return _show(job, found)
+
+
+def _show(job: Batch, found: BatchResult) -> int:
+    """Show and write what a batch has found so far."""
+    from fmuid import console
+
     logs = job.dataset.log_count()
     said = [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
     console.show_notes([*found.notes, *said])
@@ -66,9 +78,9 @@ def batch(
         words = (found.frame, found.truth, found.units)
         summary = summarize(*words, given_noise=found.given_noise)
         show_batch(summary)
-        written = summary.write(output)
-        plots.clear(output / "figures")
-        written += plots.save(figures_batch.draw(*words, given_noise=found.given_noise), output / "figures")
+        written = summary.write(job.folder)
+        plots.clear(job.folder / "figures")
+        written += plots.save(figures_batch.draw(*words, given_noise=found.given_noise), job.folder / "figures")
         console.show_files([*job.dataset.files(), *written])
     if found.interrupted:
         print(

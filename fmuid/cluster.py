@@ -6,9 +6,7 @@ import contextlib
 import logging
 import os
 import queue
-import shutil
 import subprocess
-import tempfile
 import time
 import warnings
 from collections import deque
@@ -26,6 +24,7 @@ from numpy.typing import NDArray
 from fmuid.bundle import Parcel
 from fmuid.errors import FmuidError, InputError
 from fmuid.processes import python_command
+from fmuid.scratch import scratch_folder
 from fmuid.workshop import SINGLE_THREADED, GroupResult, difference, forget, run_group, versions
 
 # How long a scheduler may take to answer, and to name its first worker, s.
@@ -194,8 +193,8 @@ class Crew:
 class _Host:
     """Keeps the process that keeps workers of this machine."""
 
-    def __init__(self, address: str, count: int, folder: Path) -> None:
-        self._address, self._count, self._folder = address, count, folder
+    def __init__(self, address: str, count: int, folder: Path, locks: Sequence[int] = ()) -> None:
+        self._address, self._count, self._folder, self._locks = address, count, folder, locks
         self._log = folder / "log.txt"
         self._starts = 0
         self._start()
@@ -211,6 +210,7 @@ class _Host:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=os.environ | dict.fromkeys(SINGLE_THREADED, "1"),
+                pass_fds=self._locks,  # the folder is in use as long as this process or that one lives
                 start_new_session=True,
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
@@ -261,16 +261,16 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[C
             _check(client, scheduler)
             yield Crew(client, scheduler, None)
             return
-        folder = Path(tempfile.mkdtemp(prefix="fmuid-batch-"))
-        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        folder, locks = stack.enter_context(scratch_folder())
         stack.enter_context(dask.config.set({"temporary-directory": str(folder)}))
         options = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"}
         options["allowed_failures"] = WORKER_ENDS
         cluster = stack.enter_context(
             DASK.SpecCluster(workers={}, scheduler={"cls": DASK.Scheduler, "options": options})
         )
+        _quieten(cluster)
         client = stack.enter_context(_client(cluster.scheduler_address))
-        host = _Host(cluster.scheduler_address, workers or CPU_COUNT, folder)
+        host = _Host(cluster.scheduler_address, workers or CPU_COUNT, folder, locks)
         stack.callback(host.close)
         yield Crew(client, cluster.scheduler_address, host)
 
@@ -284,6 +284,7 @@ def _client(address: str) -> Iterator[Client]:
             f"there is no Dask scheduler at {address} ({(str(error).splitlines() or ['no answer'])[0]}): check the "
             "address, as in tcp://host:8786, and that it runs"
         ) from None
+    _quieten(client)
     try:
         yield client
     finally:
@@ -319,6 +320,11 @@ def _quiet() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
+
+
+def _quieten(part: Any) -> None:
+    """Keep off the terminal what asyncio says of tasks of Dask's loop, now or when they are collected at the end."""
+    part.loop.asyncio_loop.set_exception_handler(lambda _loop, _context: None)
 
 
 def _gather(cases: Sequence[int], record_of: RecordOf) -> tuple[list[int], dict[str, bytes]]:

@@ -561,8 +561,8 @@ def wait_for_part(process: subprocess.Popen[str], folder: Path, known: int = 0) 
 
 
 def test_kills(folder: Path) -> None:
-    """Of a worker, of the driver at a drawn moment, and Ctrl-C: no row is lost or run again, no process is left."""
-    draws, rng = 150, np.random.default_rng(5)
+    """Of a worker and, at a drawn moment, of the driver; Ctrl-C, SIGTERM: no row lost or run again, no process left."""
+    draws, rng = 200, np.random.default_rng(5)
     times = STEP * np.arange(LONG)
     pd.DataFrame({"time": times, "u": np.sign(np.sin(300 * times))}).to_csv(folder / "first.csv", index=False)
     write(folder, NOISE.format(draws=draws))
@@ -580,24 +580,28 @@ def test_kills(folder: Path) -> None:
     kept = pd.read_parquet(folder / "out" / "cases")
     assert 0 < len(kept) < draws
 
-    process = started(folder, 2)
-    wait_for_part(process, folder, len(list((folder / "out" / "cases").glob("part-*.parquet"))))
-    everybody = family(process.pid)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert not left_over(everybody)
-    assert not list((folder / "scratch").glob("fmuid-*"))
-    assert process.returncode == 1
-    more = pd.read_parquet(folder / "out" / "cases")
-    assert len(kept) < len(more) < draws
-    assert said == f"interrupted: {len(more)} of {draws} cases are finished; the same command goes on\n"
+    partial = [kept]
+    for number in (signal.SIGINT, signal.SIGTERM):
+        process = started(folder, 2)
+        wait_for_part(process, folder, len(list((folder / "out" / "cases").glob("part-*.parquet"))))
+        everybody = family(process.pid)
+        process.send_signal(number)
+        _, said = process.communicate(timeout=60)
+        assert not left_over(everybody)
+        assert not list((folder / "scratch").glob("fmuid-*"))
+        assert process.returncode == 1
+        partial.append(pd.read_parquet(folder / "out" / "cases"))
+        assert len(partial[-2]) < len(partial[-1]) < draws
+        answer, last = said.splitlines()
+        assert answer.startswith("interrupted: saving the finished cases, then ending the workers")
+        assert last == f"interrupted: {len(partial[-1])} of {draws} cases are finished; the same command goes on"
 
     process = started(folder, 1)
     _, said = process.communicate(timeout=100)
     assert (process.returncode, said) == (0, "")
     found = pd.read_parquet(folder / "out" / "cases")
     assert found["case"].tolist() == list(range(draws))
-    for before in (kept, more):
+    for before in partial:
         assert before.merge(found[["case", *VOLATILE]]).shape[0] == len(before)
     runner = CaseRunner(Study.read(folder / "study.toml"))
     for case in rng.choice(draws, 20, replace=False).tolist():

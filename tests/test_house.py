@@ -95,7 +95,7 @@ draws case_problem
 cases
 case_run
 case_host
-bundle dataset worker_host
+bundle dataset scratch worker_host
 workshop
 cluster
 batch
@@ -115,7 +115,7 @@ export
 apply
 console
 console_result console_batch console_diagnosis console_fmu console_monitoring progress
-cli_words
+cli_words interruption
 cli_batch cli_models cli_studies
 cli
 __main__
