@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -110,8 +111,13 @@ def export(
 ) -> int:
     """Export a Modelica model as an FMU (needs the extra 'export' of the package)."""
     from fmuid import console
+    from fmuid.errors import ModelicaWarning
     from fmuid.export import export_fmu
 
     names = [name.strip() for name in sensitivities.split(",")] if sensitivities else []
-    console.show_files([export_fmu(model, output, fmi=fmi, sensitivities="all" if names == ["all"] else names)])
+    with warnings.catch_warnings(record=True) as remarks:
+        warnings.simplefilter("always", ModelicaWarning)
+        fmu = export_fmu(model, output, fmi=fmi, sensitivities="all" if names == ["all"] else names)
+    console.show_remarks(str(each.message) for each in remarks)
+    console.show_files([fmu])
     return DONE

@@ -38,6 +38,12 @@ def show_files(paths: Iterable[Path]) -> None:
         console().print(f"Written to [bold]{escape(str(folder))}/[/]: {escape(', '.join(names))}", soft_wrap=True)
 
 
+def show_remarks(sentences: Iterable[str]) -> None:
+    """Print sentences that are no result and no error, one a line."""
+    for sentence in sentences:
+        console().print(f"[yellow]note:[/] {escape(sentence)}", soft_wrap=True)
+
+
 def unit_text(unit: str | None) -> str:
     """Return the unit as a cell of a table: nothing where there is none."""
     return unit if unit is not None and has_unit(unit) else ""

@@ -31,6 +31,20 @@ class ModelicaError(InputError):
         self.file, self.line, self.construct = file, line, construct
 
 
+class ModelicaWarning(UserWarning):
+    """Something in a Modelica model that is probably not meant; it is exported all the same.
+
+    Attributes
+    ----------
+    file, line, remark
+        Where it stands and what it is.
+    """
+
+    def __init__(self, file: str, line: int, remark: str) -> None:
+        super().__init__(f"{file}:{line}: {remark}")
+        self.file, self.line, self.remark = file, line, remark
+
+
 class SimulationError(FmuidError):
     """A simulation did not succeed (exit code 1 on the command line).
 

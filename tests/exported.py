@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,7 @@ import fmpy.fmi2
 import fmpy.fmi3
 import pytest
 
+from fmuid.errors import ModelicaWarning
 from fmuid.export import build, export_fmu
 
 HERE = {"2.0": fmpy.platform, "3.0": fmpy.platform_tuple}
@@ -22,11 +24,18 @@ def export_text(folder: Path, text: str, **options: Any) -> Path:
     """Export the model in a text for this machine's platform."""
     name = text.split()[1]
     (folder / f"{name}.mo").write_text(text, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        version = options.get("fmi", "2.0")
-        only = {version: {HERE[version]: build.PLATFORMS[version][HERE[version]]}}
-        patch.setattr(build, "PLATFORMS", only)
+    with here_only(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ModelicaWarning)  # models of tests may have parameters without a use
         return export_fmu(folder / f"{name}.mo", **options)
+
+
+@contextmanager
+def here_only() -> Iterator[None]:
+    """Let exports compile for this machine's platform alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        only = {fmi: {name: build.PLATFORMS[fmi][name]} for fmi, name in HERE.items()}
+        patch.setattr(build, "PLATFORMS", only)
+        yield
 
 
 class Running:

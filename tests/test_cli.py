@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tomllib
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import fmuid
 from fmuid import cli, cli_studies, progress, study_init
 from fmuid.cli import run
 from fmuid.cli_words import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.errors import ModelicaWarning
 from fmuid.study import Study
 
 FMUS = Path(__file__).parents[1] / "fmus"
@@ -586,6 +588,7 @@ def test_export(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: p
 
     def fake(source: Path, output: Path | None = None, **options: object) -> Path:
         calls.append((source, output, options))
+        warnings.warn(ModelicaWarning("Coil.mo", 7, "parameter 'a' is used nowhere"), stacklevel=2)
         return folder / "Coil.fmu"
 
     monkeypatch.setattr(fmuid.export, "export_fmu", fake)
@@ -599,7 +602,9 @@ def test_export(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: p
         (Path("Coil.mo"), None, {"fmi": "3.0", "sensitivities": ["R", "L"]}),
         (Path("Coil.mo"), None, {"fmi": "2.0", "sensitivities": "all"}),
     ]
-    assert "Coil.fmu" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "Coil.fmu" in out
+    assert out.count("note: Coil.mo:7: parameter 'a' is used nowhere\n") == 4
 
 
 def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:

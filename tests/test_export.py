@@ -8,6 +8,7 @@ import shutil
 import struct
 import subprocess
 import sys
+import warnings
 import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
@@ -19,8 +20,9 @@ import pytest
 from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
-from fmuid.errors import InputError, ModelicaError
+from fmuid.errors import InputError, ModelicaError, ModelicaWarning
 from fmuid.export import export_fmu
+from tests.exported import here_only
 
 FMUS = Path(__file__).parents[1] / "fmus"
 MODELS = sorted(path.name for path in FMUS.iterdir() if path.is_dir())
@@ -113,7 +115,11 @@ EQUATIONS = [
     ("y = noEvent(x, u);", "noEvent takes one expression"),
     ("y = der(time);", "unknown variable 'der(time)'"),
     ("y = smooth(1, x);", "function smooth() is outside the exported subset: sin, cos"),
-    ("y = x^2;", "power is outside the exported subset: write the product out"),
+    ("y = x.^2;", "operator '.^' is outside"),
+    ("y = y^2;", "equation not linear in its unknown y is outside"),
+    ("y = u^y;", "equation not linear in its unknown y is outside"),
+    ("y = (-1)^0.5;", "'^' gives no finite number here"),
+    ("y = x^2^2;", "syntax error"),
     ("y = not x;", "'not' is outside"),
     ("y = x and x;", "'and' is outside"),
     ("y = true;", "Boolean in an expression is outside"),
@@ -183,7 +189,13 @@ def test_refused_equations(tmp_path: Path, equation: str, text: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line", "text"),
     [
-        ("equation\n", "equation\n  y = z - x; z = u - y;\n", 7, "algebraic loop between y, z is outside"),
+        ("equation\n", "equation\n  y = z - x; z = u - y*y;\n", 7,
+         "algebraic loop between y, z, which is not linear in y, is outside the exported subset: solve it by hand"),
+        ("u - x;", "u - sin(y)*z; y = z - x;\n z = der(x)*y;", 7, "der(x), y, z, which is not linear in der(x), y, z,"),
+        ("equation\n", "equation\n  y = z; z = if y > 0 then u else y;\n", 7, "which is not linear in y, is outside"),
+        ("equation\n", "equation\n  y = z - x;\n 2*z = u + 2*y;\n", 7,
+         "loop between y, z has no unique solution, the equations of lines 7, 8 follow from each other or are in"),
+        ("equation\n", "equation\n  y*sin(x) = z*cos(u);\n y*sin(x)*L = z*cos(u)*L;\n", 7, "has no unique solution"),
         ("u - x;", "u - x + z; y = u; y = x;", 7, "this equation has no unknown left"),
         ("equation\n", "equation\n", 9, "1 equations for 3 unknowns (der(x), y, z); no equation has y, z"),
         ("equation\n", "equation\n y = u; z = u; y = x;\n", 10, "unbalanced model: 4 equations for 3 unknowns"),
@@ -197,8 +209,7 @@ def test_refused_equations(tmp_path: Path, equation: str, text: str) -> None:
         ("model Base", "within A; model Base", 1, "several classes or none is outside"),
         ("end Base;", "end Base; model B end B;", 1, "several classes or none is outside"),
         ("model Base", "Base", 1, "syntax error: expected 'model'"),
-        ("annotation(experiment(StopTime=1, Interval=1e-3));", "", 9, "missing annotation(experiment("),
-        (", Interval=1e-3", "", 8, "experiment without StopTime or Interval"),
+        ("Interval=1e-3", "Interval=0", 8, "experiment(Interval=0) is outside"),
         ("StopTime=1", "StopTime=-1", 8, "experiment(StopTime=-1) is outside"),
         ("StopTime=1", "Tolerance=1", 8, "experiment(Tolerance=1) is outside"),
         ("experiment(", "Icon(", 8, "annotation is outside the exported subset"),
@@ -213,6 +224,13 @@ def test_refused_models(tmp_path: Path, old: str, new: str, line: int, text: str
     found = refusal(tmp_path, base.replace(old, new))
     assert text in found.construct
     assert found.line == line
+
+
+def test_equations_that_determine_too_little(tmp_path: Path) -> None:
+    """y and z stand in one equation alone, the others have more than enough for v and w."""
+    declarations, equations = "Real y, z, v, w;", "v = w + u; v = 2*w; v = 3*w - x; y + z = v;"
+    found = refusal(tmp_path, BASE.format(declaration=declarations, equation=equations))
+    assert found.construct.startswith("the equations left for y, z, v, w do not determine all of them: correct these")
 
 
 def test_unreadable_source(tmp_path: Path) -> None:
@@ -359,6 +377,50 @@ def test_attributes_of_variables(tmp_path: Path) -> None:
     with simulated(fmu) as slave:
         x, y, rate = slave.getReal([0, 5, 4])
         assert (x, y, rate) == (16.0, -24.0, 40.0)
+
+
+@pytest.mark.parametrize(
+    ("annotation", "stop", "step"),
+    [
+        ("", None, "0.002"),
+        ("annotation(experiment());", None, "0.002"),
+        ("annotation(experiment(StopTime=10));", "10.0", "0.02"),
+        ("annotation(experiment(Interval=0.5));", None, "0.5"),
+        ("annotation(experiment(StopTime=10, Interval=0.5));", "10.0", "0.5"),
+    ],
+)
+def test_experiment_is_optional(tmp_path: Path, annotation: str, stop: str | None, step: str) -> None:
+    """Without an Interval the steps are a 500th of the experiment, as in Modelica tools, and a warning says so."""
+    text = BASE.format(declaration="output Real y;", equation="y = x;").replace(
+        "annotation(experiment(StopTime=1, Interval=1e-3));", annotation
+    )
+    (tmp_path / "Base.mo").write_text(text, encoding="utf-8")
+    with here_only(), warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        fmu = export_fmu(tmp_path / "Base.mo")
+    (experiment,) = description(fmu).iter("DefaultExperiment")
+    assert (experiment.get("stopTime"), experiment.get("stepSize")) == (stop, step)
+    assert validate_fmu(str(fmu)) == []
+    assert f"MODEL_STEP {step} /*" in members(fmu)["sources/model.h"].decode()
+    text = f"Base.mo:10: experiment without Interval: co-simulation takes steps of {step} s, without error control"
+    assert [str(each.message).partition(";")[0] for each in found] == [text] * ("Interval" not in annotation)
+
+
+def test_parameters_without_a_use_are_named(tmp_path: Path) -> None:
+    """Used is what the equations or a start depend on, not what they mention."""
+    declaration = (
+        "parameter Real a = 1, b = 2;\n parameter Real c = 3, d = 4, e = 5; Real y(start=d, fixed=true); Real z;"
+    )
+    text = BASE.format(declaration=declaration, equation="der(y) = u*(c - c + e^2); z = if b > 1 then x else u;")
+    (tmp_path / "Base.mo").write_text(text, encoding="utf-8")
+    with here_only(), warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        export_fmu(tmp_path / "Base.mo", sensitivities=["a", "L"])
+    assert [str(each.message) for each in found] == [
+        "Base.mo:5: parameter 'a' is used nowhere: use or remove it",
+        "Base.mo:6: parameter 'c' is used nowhere: use or remove it",
+    ]
+    assert all(each.category is ModelicaWarning and each.filename == __file__ for each in found)
 
 
 def test_functions_and_their_derivatives(tmp_path: Path) -> None:

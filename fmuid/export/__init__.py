@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -44,6 +45,11 @@ def export_fmu(
         of FMI or an unknown parameter.
     ModelicaError
         For a syntax error or a construct outside the subset, or one that has no sensitivities, with its line.
+
+    Warns
+    -----
+    ModelicaWarning
+        For a parameter that is used nowhere, and where the experiment annotation gives no Interval.
     """
     if fmi not in VERSIONS:
         raise InputError(f"there is no export to FMI '{fmi}': give one of {', '.join(VERSIONS)}")
@@ -51,15 +57,19 @@ def export_fmu(
         from fmuid.export.build import build
         from fmuid.export.equations import analyse
         from fmuid.export.parse import parse
+        from fmuid.export.remarks import remarks
         from fmuid.export.sensitivities import with_sensitivities
     except ImportError as error:
         raise InputError(f"exporting needs '{error.name}': pip install 'fmuid[export]'") from None
     source = Path(source)
-    system = with_sensitivities(analyse(parse(source)), sensitivities)
+    plain = analyse(parse(source))
+    system = with_sensitivities(plain, sensitivities)
     target = source.with_name(f"{system.model.name}.fmu") if output is None else Path(output)
     data = build(system, fmi)
     try:
         target.write_bytes(data)
     except OSError as error:
         raise InputError(f"cannot write {target}: {error.strerror}; name another output") from None
+    for remark in remarks(plain):
+        warnings.warn(remark, stacklevel=2)
     return target

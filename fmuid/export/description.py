@@ -61,9 +61,10 @@ def _fmi2(system: System, guid: str) -> list[str]:
 
 def _common(system: System) -> list[str]:
     model = system.model
+    stop = attribute("stopTime", model.stop_time)
     return [
         '<LogCategories><Category name="logStatusError" description="why a call failed"/></LogCategories>',
-        f'<DefaultExperiment startTime="0.0" stopTime="{model.stop_time!r}" stepSize="{model.interval!r}"/>',
+        f'<DefaultExperiment startTime="0.0"{stop} stepSize="{model.step!r}"/>',
     ]
 
 

@@ -1,8 +1,8 @@
 """Gives a parsed model its meaning: names, balance, causality -> explicit CasADi expressions.
 
 The unknowns (derivatives of the states, algebraic variables) are solved one equation at a time, each linear in
-its unknown: an equation is taken as soon as all its other variables are known. What is left over is an
-algebraic loop, and refused.
+its unknown: an equation is taken as soon as all its other variables are known. Where there is none, the smallest set
+of equations that determines its own unknowns is an algebraic loop: solved together if linear in all of them.
 
 A relation in an if-expression becomes a symbol, 0 or 1, that only an event changes, and an event indicator, which is
 positive where the symbol should be 1: ``a > b`` is 1 where a - b > 0, ``a >= b`` where not b - a > 0. Each indicator
@@ -12,13 +12,14 @@ depends on relations of equations taken earlier, hence never on its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
 from fmuid.errors import ModelicaError
+from fmuid.export.loops import always_singular, first_loop, solve_linear
 from fmuid.export.syntax import Declaration, Equation, Model, Node
 from fmuid.text import nearest
 
@@ -27,6 +28,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "-": lambda a, b: a - b,
     "*": lambda a, b: a * b,
     "/": lambda a, b: a / b,
+    "^": lambda a, b: a**b,
     "neg": lambda a: -a,
     "sin": ca.sin,
     "cos": ca.cos,
@@ -89,8 +91,12 @@ class System:
 
     def plain(self, expression: Any) -> Any:
         """Return the expression with its reciprocals written out."""
-        symbols, values = (column(each[k] for each in self.reciprocals) for k in (0, 1))
-        return ca.substitute(expression, symbols, values)
+        return _plain(expression, self.reciprocals)
+
+
+def _plain(expression: Any, reciprocals: Collection[tuple[Any, Any]]) -> Any:
+    symbols, values = (column(each[k] for each in reciprocals) for k in (0, 1))
+    return ca.substitute(expression, symbols, values)
 
 
 def _choice(args: list[Any]) -> Any:
@@ -294,20 +300,22 @@ class _Analysis:
                 f"({', '.join(unknowns)}){detail}: give one equation for each",
             )
         while waiting:
-            ready = next((each for each in waiting if len(each[1] - self.known.keys()) <= 1), None)
-            if ready is None:
-                loop = sorted({*unknowns} - self.known.keys())
-                raise self.error(
-                    waiting[0][0].line,
-                    f"algebraic loop between {', '.join(loop)} is outside the exported subset: solve by hand, "
-                    "so that each equation has one unknown more than those before it need",
-                )
-            waiting.remove(ready)
-            equation, names = ready[0], ready[1] - self.known.keys()
+            left = [names - self.known.keys() for _, names in waiting]
+            loop = next(([k] for k, names in enumerate(left) if len(names) <= 1), None) or first_loop(left)
+            if not loop:
+                names = [name for name in unknowns if name not in self.known]
+                text = f"the equations left for {', '.join(names)} do not determine all of them: correct these"
+                raise self.error(waiting[0][0].line, text)
+            equations, sets = [waiting[k][0] for k in loop], [left[k] for k in loop]
+            waiting = [each for k, each in enumerate(waiting) if k not in loop]
+            names = [name for name in unknowns if name in set().union(*sets)]
             if not names:
                 text = "this equation has no unknown left, others give all its variables: correct or remove it"
-                raise self.error(equation.line, text)
-            self.solve_one(equation, names.pop())
+                raise self.error(equations[0].line, text)
+            if len(names) == 1:
+                self.solve_one(equations[0], names[0])
+            else:
+                self.solve_loop(equations, names)
 
     def solve_one(self, equation: Equation, name: str) -> None:
         symbol = self.known[name] = ca.SX.sym(name)
@@ -327,3 +335,24 @@ class _Analysis:
             self.known[name] = rest * self.reciprocals[key][0]
         else:
             self.known[name] = rest / coefficient
+
+    def solve_loop(self, equations: list[Equation], names: list[str]) -> None:
+        """Make the unknowns of an algebraic loop known."""
+        symbols = column(ca.SX.sym(name) for name in names)
+        self.known |= dict(zip(names, ca.vertsplit(symbols), strict=True))
+        self.tested.clear()
+        residuals = column(self.expression(each.left, "") - self.expression(each.right, "") for each in equations)
+        matrix = ca.jacobian(residuals, symbols)
+        found = {each.name() for each in ca.symvar(ca.vertcat(ca.vec(matrix), *self.tested))}
+        nonlinear = [name for name in names if name in found]
+        where = f"algebraic loop between {', '.join(names)}"
+        if nonlinear:
+            text = f"{where}, which is not linear in {', '.join(nonlinear)}, is outside the exported subset"
+            raise self.error(equations[0].line, f"{text}: solve it by hand, so that each equation gives one unknown")
+        values = {name: self.numbers[name, "value"] for name in self.parameters}
+        if always_singular(_plain(matrix, self.reciprocals.values()), values):
+            lines = ", ".join(str(each.line) for each in equations)
+            text = f"the equations of lines {lines} follow from each other or are in contradiction: correct them"
+            raise self.error(equations[0].line, f"{where} has no unique solution, {text}")
+        solution = solve_linear(matrix, ca.substitute(-residuals, symbols, ca.SX(symbols.sparsity(), 0)))
+        self.known |= dict(zip(names, solution, strict=True))

@@ -33,7 +33,6 @@ _REFUSED = {
     Rules.Equation_functionContext: ("call as an equation", "only equations 'a = b' are supported"),
     Rules.Algorithm_sectionContext: ("algorithm section", "write equations"),
     Rules.Expr_relContext: ("relation", _CONDITION),
-    Rules.Expr_expContext: ("power", "write the product out"),
     Rules.Expr_notContext: ("'not'", _REAL),
     Rules.Expr_andContext: ("'and'", _REAL),
     Rules.Expr_orContext: ("'or'", _REAL),
@@ -127,7 +126,7 @@ class _Walk:
             raise ModelicaError(self.file, last, f"'end {end}' closes 'model {name}': make the names the same")
         declarations: list[Declaration] = []
         equations: list[Equation] = []
-        experiment = None
+        experiment: tuple[float | None, float | None] = None, None
         for part in specifier.composition().getChildren():
             if isinstance(part, Rules.Element_listContext):
                 declarations += [each for element in part.element() for each in self.element(element)]
@@ -139,15 +138,11 @@ class _Walk:
                 experiment = self.experiment(part)
             elif part.getText() != ";":
                 raise self.unknown(part)
-        if experiment is None:
-            remedy = "Interval is the largest internal step of the co-simulation"
-            text = f"missing annotation(experiment(StopTime=..., Interval=...)): {remedy}"
-            raise ModelicaError(self.file, last, text)
         description = _comment(specifier.string_comment())
         return Model(self.file, name, description, tuple(declarations), tuple(equations), *experiment, last)
 
-    def experiment(self, rule: Any) -> tuple[float, float]:
-        """Return StopTime and Interval of ``annotation(experiment(StopTime=..., Interval=...))``."""
+    def experiment(self, rule: Any) -> tuple[float | None, float | None]:
+        """Return StopTime and Interval of ``annotation(experiment(StopTime=..., Interval=...))``, each optional."""
         arguments = self.arguments(rule.class_modification())
         inner = arguments.get("experiment")
         if len(arguments) != 1 or not isinstance(inner, Rules.Modification_classContext):
@@ -158,9 +153,7 @@ class _Walk:
             if key not in ("StopTime", "Interval") or number.op != "number" or number.args[0] <= 0:
                 raise self.error(given, f"experiment({key}{_text(given)})", "give StopTime and Interval, in s")
             values[key] = number.args[0]
-        if len(values) != 2:
-            raise self.error(rule, "an experiment without StopTime or Interval", "give both, in s")
-        return values["StopTime"], values["Interval"]
+        return values.get("StopTime"), values.get("Interval")
 
     # ---- declarations
 
@@ -292,9 +285,11 @@ class _Walk:
         if isinstance(rule, Rules.Expr_signedContext):
             inner = self.operation(rule.expr())
             return Node(rule.start.line, "neg", (inner,)) if rule.op.text == "-" else inner
-        if isinstance(rule, Rules.Expr_addContext | Rules.Expr_mulContext):
+        if isinstance(rule, Rules.Expr_addContext | Rules.Expr_mulContext | Rules.Expr_expContext):
             if rule.op.text.startswith("."):
                 raise self.error(rule, f"operator '{rule.op.text}'", _SCALARS)
+            if isinstance(rule, Rules.Expr_expContext):
+                return Node(rule.start.line, "^", tuple(self.primary(each) for each in rule.primary()))
             return Node(rule.start.line, rule.op.text, tuple(self.operation(each) for each in rule.expr()))
         if isinstance(rule, Rules.Expr_primaryContext):
             return self.primary(rule.primary())

@@ -23,9 +23,9 @@ MODIFIERS = {
 class Node:
     """An expression.
 
-    `op` is "number", "name", "der", an operator + - * /, "neg", a function's name, "noEvent", or "if", whose arguments
-    are conditions and values by turns and then the last value. In conditions it is a relation < <= > >=, "and", "or",
-    "not". `text` is the source of a relation.
+    `op` is "number", "name", "der", an operator + - * / ^, "neg", a function's name, "noEvent", or "if", whose
+    arguments are conditions and values by turns and then the last value. In conditions it is a relation < <= > >=,
+    "and", "or", "not". `text` is the source of a relation.
     """
 
     line: int
@@ -72,13 +72,18 @@ class Equation:
 
 @dataclass(frozen=True)
 class Model:
-    """A parsed model; `stop_time` and `interval` (s) are those of its experiment annotation."""
+    """A parsed model; `stop_time` and `interval` (s) are those of its experiment annotation, None where not given."""
 
     file: str
     name: str
     description: str
     declarations: tuple[Declaration, ...]
     equations: tuple[Equation, ...]
-    stop_time: float
-    interval: float
+    stop_time: float | None
+    interval: float | None
     last_line: int
+
+    @property
+    def step(self) -> float:
+        """Largest internal step of co-simulation, s: Interval, by default 1/500 of StopTime, by default 1 s."""
+        return self.interval or (self.stop_time or 1.0) / 500
