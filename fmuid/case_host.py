@@ -14,7 +14,8 @@ from typing import Any
 
 from fmuid.case_run import CaseRunner, Outcome
 from fmuid.component import Isolation
-from fmuid.host_process import End, Host
+from fmuid.ends import End
+from fmuid.host_process import Host
 from fmuid.isolation import FIRST_LIMIT, default_limit, memory_share, modules_for
 from fmuid.study import Study
 from fmuid.workers import workers_of

@@ -15,12 +15,14 @@ import os
 import pickle
 import signal
 import socket
-import struct
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+import traceback
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
+
+from fmuid.channel import Channel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,54 +33,12 @@ if TYPE_CHECKING:
 AVAILABLE = hasattr(os, "fork") and hasattr(socket, "send_fds")
 """Whether this platform can fork processes and pass files to them: Linux and macOS can."""
 
-HEADER = struct.Struct("<q")
-"""Length of the pickled message that follows."""
-
 DOING = 512
 """Words at the beginning of the shared memory: two for each worker, what it is doing and how often it has begun."""
 
 ORDER_BYTES = 4096  # of an order to the server
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 _IOLBF = 1  # of setvbuf: lines are written when they are complete
-
-
-def send(channel: socket.socket, message: object) -> None:
-    """Send a message."""
-    data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
-    channel.sendall(HEADER.pack(len(data)) + data)
-
-
-def receive(channel: socket.socket, waiting: Callable[[], None] | None = None) -> Any:
-    """Return the next message.
-
-    Parameters
-    ----------
-    channel : socket
-    waiting : callable, optional
-        Called whenever the time limit of the socket passes.
-
-    Raises
-    ------
-    EOFError
-        If the other side is gone.
-    """
-    data = b""
-    wanted = HEADER.size
-    while len(data) < wanted:
-        try:
-            part = channel.recv(max(wanted - len(data), 1 << 16))
-        except TimeoutError:
-            if waiting is not None:
-                waiting()
-            continue
-        except OSError:
-            part = b""
-        if not part:
-            raise EOFError
-        data += part
-        if len(data) >= HEADER.size:
-            wanted = HEADER.size + HEADER.unpack_from(data)[0]
-    return pickle.loads(data[HEADER.size :])
 
 
 def layout(m: int, n_theta: int, n_times: int, n_outputs: int) -> tuple[int, int, int, int]:
@@ -119,12 +79,12 @@ class Host:
 
     Parameters
     ----------
-    channel : socket
+    channel : Channel
     memory : int
         File descriptor of the shared memory.
     """
 
-    def __init__(self, channel: socket.socket, memory: int) -> None:
+    def __init__(self, channel: Channel, memory: int) -> None:
         self._channel, self._file = channel, memory
         self._memory = mmap.mmap(-1, mmap.PAGESIZE)
         self._runs: dict[int, Run] = {}
@@ -148,7 +108,7 @@ class Host:
         }
         while True:
             try:
-                name, *arguments = receive(self._channel)
+                name, *arguments = self._channel.receive()
             except EOFError:
                 return
             try:
@@ -157,8 +117,10 @@ class Host:
                 reply = "error", error
             self._libc.fflush(None)
             said, self._messages.found = self._messages.found, []
-            with contextlib.suppress(OSError):
-                send(self._channel, (*reply, said))
+            try:
+                self._channel.send((*reply, said))
+            except EOFError:
+                return
 
     def _start(self, components: dict[str, Any], limit: int, resets: bool | None) -> None:
         from fmuid.in_process import InProcess
@@ -234,7 +196,19 @@ def _become_host(descriptors: Sequence[int], parent: int) -> None:
     for source, target in ((nothing, 0), (printed, 1), (printed, 2)):
         os.dup2(source, target)
     _write_lines_at_once()
-    Host(socket.socket(fileno=channel), memory).serve()
+    Host(Channel(socket.socket(fileno=channel)), memory).serve()
+
+
+def _live_as_host(descriptors: Sequence[int], parent: int) -> NoReturn:
+    """Be a host and end as one, whatever happens: nothing of the server is carried on."""
+    code = os.EX_OSERR
+    try:
+        _become_host(descriptors, parent)
+        code = os.EX_OK
+    except BaseException:
+        traceback.print_exc()  # among what the FMU prints
+    finally:
+        os._exit(code)
 
 
 def _write_lines_at_once() -> None:
@@ -260,17 +234,15 @@ class Server:
 
     def serve(self) -> None:
         """Carry out orders until the other side is gone; then no host is left."""
+        orders, answers = self._channel, Channel(self._channel)
         try:
             while True:
-                data, descriptors, _, _ = socket.recv_fds(self._channel, ORDER_BYTES, 3)
+                data, descriptors, _, _ = socket.recv_fds(orders, ORDER_BYTES, 3)
                 if not data:
                     return
                 name, *arguments = pickle.loads(data)
-                if name == "fork":
-                    send(self._channel, self._fork(descriptors, *arguments))
-                else:
-                    send(self._channel, self._wait(*arguments))
-        except OSError:
+                answers.send(self._fork(descriptors, *arguments) if name == "fork" else self._wait(*arguments))
+        except (EOFError, ConnectionError):
             return
         finally:
             for host in self._hosts:
@@ -278,20 +250,22 @@ class Server:
                     with contextlib.suppress(OSError):
                         end(host, signal.SIGKILL)
 
-    def _fork(self, descriptors: Sequence[int], modules: Sequence[str]) -> int:
+    def _fork(self, descriptors: Sequence[int], modules: Sequence[str]) -> int | str:
+        """Return the process id of a new host, or why there cannot be one."""
         for module in modules:
             with contextlib.suppress(ImportError):  # who needs it says so
                 importlib.import_module(module)
         server = os.getpid()
-        pid = os.fork()
-        if pid == 0:
-            self._channel.close()
-            try:
-                _become_host(descriptors, server)
-            finally:
-                os._exit(0)
-        for descriptor in descriptors:
-            os.close(descriptor)
+        try:
+            pid = os.fork()
+            if pid == 0:
+                self._channel.close()
+                _live_as_host(descriptors, server)
+        except OSError as error:
+            return str(error.strerror)
+        finally:
+            for descriptor in descriptors:
+                os.close(descriptor)
         self._hosts.add(pid)
         return pid
 

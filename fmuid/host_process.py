@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
 import fcntl
 import logging
 import mmap
@@ -16,8 +17,9 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,15 +27,14 @@ import psutil
 from numpy.typing import NDArray
 
 from fmuid import host as far
+from fmuid.channel import Channel, GarbledError
+from fmuid.ends import CRASHED, EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, End
 from fmuid.errors import FmuidError
 from fmuid.fmi import codes
 from fmuid.processes import python_command
 
 GROWTH = 256e6
 """Growth of a process beyond its size after its first simulations at which it is replaced, bytes."""
-
-CRASHED, EXITED, HUNG, GREW, KILLED = range(5)
-"""How a host came to an end: by a signal, by itself, stopped for time, stopped for memory, killed from outside."""
 
 PREPARATION_LIMIT = 120.0  # s; instantiation, and loading code that may first have to be compiled
 CLOSING_LIMIT = 2.0  # s; for freeing instances, after which the process is killed
@@ -46,41 +47,6 @@ MEASURE_EVERY = 0.25  # s, its memory while simulations come and go
 SLOW_START = 3.0  # s after which it is said that code is being compiled
 
 _log = logging.getLogger("fmuid")
-
-
-@dataclass(frozen=True)
-class End(Exception):  # noqa: N818  # no error: a report of what became of the process
-    """A host has come to an end while it was to work.
-
-    Attributes
-    ----------
-    kind : int
-        `CRASHED` and so on.
-    number : int
-        The signal, the exit code, the time limit in ms or the memory limit in MB; of the limits only those that were
-        given, since the others depend on the machine and on what ran before, and the same failure is to read the same.
-    """
-
-    kind: int
-    number: int
-
-    def words(self) -> str:
-        """Return the end as a sentence goes on after the simulation."""
-        if self.kind == EXITED:
-            return f"it ended its process with exit code {self.number}"
-        if self.kind == HUNG:
-            limit = f"{self.number / 1e3:.4g} s" if self.number else "the default time limit (isolation.time_limit)"
-            return f"it did not end within {limit} and was stopped"
-        if self.kind == GREW:
-            limit = f"{self.number} MB" if self.number else "the default share of the memory (isolation.memory)"
-            return f"its process took more than {limit} and was stopped"
-        try:
-            name = signal.Signals(self.number).name
-        except ValueError:
-            name = f"signal {self.number}"
-        if self.kind == KILLED:
-            return f"its process was killed again and again with {name}, from outside or for want of memory"
-        return f"its process crashed with {name}"
 
 
 class ForkServer:
@@ -130,13 +96,15 @@ class ForkServer:
                         self.notify("compiling the loops that run such FMUs: once after installation, some 10 s")
 
                 try:
-                    channel.settimeout(SLOW_START)
                     socket.send_fds(channel, [pickle.dumps(("fork", list(modules)))], list(descriptors))
-                    pid = int(far.receive(channel, waiting))
-                    self._loaded = True
-                    return pid
-                except (EOFError, OSError):
+                    found = Channel(channel, SLOW_START).receive(waiting)
+                except (EOFError, ConnectionError):
                     self.stop()  # somebody has killed it: once more
+                    continue
+                self._loaded = True
+                if isinstance(found, str):
+                    raise FmuidError(f"no process can be made for the FMU: {found}")
+                return int(found)
         raise FmuidError(
             f"{sys.executable} -m fmuid.host, which starts the processes of FMUs, ends again and again as soon as it "
             "begins: have FMUs run inside this process"
@@ -148,10 +116,9 @@ class ForkServer:
             if self._channel is None:
                 return None
             try:
-                self._channel.settimeout(None)
                 self._channel.sendall(pickle.dumps(("wait", pid, DEATH)))
-                status: int | None = far.receive(self._channel)
-            except (EOFError, OSError):
+                status: int | None = Channel(self._channel).receive()
+            except (EOFError, ConnectionError):
                 self.stop()
                 return None
             return status
@@ -172,6 +139,29 @@ class ForkServer:
 
 SERVER = ForkServer()
 atexit.register(SERVER.stop)
+
+
+@dataclass
+class _Progress:
+    """How long a host has done the same: `limit`, `idle_limit` and `reports` as `Host.order` has them."""
+
+    limit: float
+    idle_limit: float | None
+    reports: NDArray[np.intp] | None
+    since: float = field(default_factory=time.monotonic)
+    state: tuple[bytes, int] | None = None
+
+    def limit_passed(self, doing: NDArray[np.intp], stopped: bool) -> float | None:
+        """Return the limit that has passed, s, if one has."""
+        undone = 0 if self.reports is None else int((self.reports[:, 2] == codes.UNDONE).sum())
+        state, now = (doing.tobytes(), undone), time.monotonic()
+        if state != self.state:
+            self.state, self.since = state, now
+        preparing = (doing[::2] == codes.PREPARING).any() and not stopped
+        allowed = max(self.limit, PREPARATION_LIMIT) if preparing else self.limit
+        if self.idle_limit is not None and not doing[::2].any():
+            allowed = self.idle_limit
+        return allowed if now - self.since > allowed else None
 
 
 class Host:
@@ -195,23 +185,19 @@ class Host:
     def __init__(self, modules: Sequence[str], memory_limit: float) -> None:
         self._owner = os.getpid()
         self._limit = memory_limit
-        self._file, self._printed = _file("memory"), _file("printed")
-        os.set_blocking(self._printed, True)
-        fcntl.fcntl(self._printed, fcntl.F_SETFL, fcntl.fcntl(self._printed, fcntl.F_GETFL) | os.O_APPEND)
-        self._memory, self.doing = self._mapped(8 * far.DOING)
         self.simulations, self.baseline, self._measured = 0, 0.0, 0.0
-        self._channel, other = socket.socketpair()
-        try:
-            self.pid = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
-        except BaseException:
-            self._channel.close()
-            os.close(self._file)
-            os.close(self._printed)
-            raise
-        finally:
-            other.close()
-        self._channel.settimeout(LOOK_EVERY)
         self._text = ""
+        with contextlib.ExitStack() as made, _refusals():
+            self._file, self._printed = (_file(made, name) for name in ("memory", "printed"))
+            os.set_blocking(self._printed, True)
+            fcntl.fcntl(self._printed, fcntl.F_SETFL, fcntl.fcntl(self._printed, fcntl.F_GETFL) | os.O_APPEND)
+            self._memory, self.doing = self._mapped(8 * far.DOING)
+            own, other = socket.socketpair()
+            made.callback(own.close)
+            with other:
+                self.pid = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
+            made.pop_all()
+        self._channel = Channel(own, LOOK_EVERY)
 
     def _mapped(self, size: int) -> tuple[mmap.mmap, NDArray[np.intp]]:
         os.ftruncate(self._file, size)
@@ -227,7 +213,8 @@ class Host:
         """Return reports, thetas and outputs in shared memory that is large enough, and its size."""
         needed = far.layout(*shape)[-1]
         if needed > len(self._memory):
-            self._memory, self.doing = self._mapped(needed)
+            with _refusals():
+                self._memory, self.doing = self._mapped(needed)
         return far.arrays(self._memory, shape), len(self._memory)
 
     def order(
@@ -253,41 +240,36 @@ class Host:
         End
             If the host comes to an end over it; it is gone then.
         """
-        progress: list[Any] = [None, time.monotonic()]
-
-        def look() -> None:
-            state = self.doing.tobytes(), 0 if reports is None else int((reports[:, 2] == codes.UNDONE).sum())
-            now = time.monotonic()
-            if state != progress[0]:
-                progress[:] = state, now
-            condition = self._condition()
-            if condition == psutil.STATUS_ZOMBIE:  # and somebody whom it forked keeps the socket open
-                raise self._ended()
-            preparing = (self.states == codes.PREPARING).any() and condition != psutil.STATUS_STOPPED
-            allowed = max(limit, PREPARATION_LIMIT) if preparing else limit
-            if idle_limit is not None and not self.states.any():
-                allowed = idle_limit
-            if now - progress[1] > allowed:
-                raise self._stopped(HUNG, round(1e3 * allowed))
-            if self.private_memory() > self._limit:
-                raise self._stopped(GREW, round(self._limit / 1e6))
-            self._cut_printed()
-
+        look = partial(self._look, _Progress(limit, idle_limit, reports))
         try:
-            far.send(self._channel, (name, *arguments))
-            kind, answer, said = far.receive(self._channel, look)
-        except End:
-            raise
-        except KeyboardInterrupt:
-            self._stopped(KILLED, 0)
-            raise
-        except Exception:  # it is gone, or what runs in it wrote where it should not
+            self._channel.send((name, *arguments), look)
+            kind, answer, said = self._channel.receive(look)
+        except EOFError:
             raise self._ended() from None
+        except GarbledError:
+            raise self._stopped(GARBLED, 0) from None
+        except BaseException:  # half a message may be on its way
+            self.kill()
+            raise
         for logger, level, text in said:
             logging.getLogger(logger).log(level, "%s", text)
-        if kind == "error":
-            raise answer
-        return answer
+        if kind != "error":
+            return answer
+        if isinstance(answer, OSError | MemoryError):
+            raise self._stopped(REFUSED, getattr(answer, "errno", errno.ENOMEM) or 0)
+        raise answer
+
+    def _look(self, progress: _Progress) -> None:
+        """See whether all is well while it works; what is not ends it."""
+        condition = self._condition()
+        if condition == psutil.STATUS_ZOMBIE:  # and somebody whom it forked keeps the socket open
+            raise self._ended()
+        over = progress.limit_passed(self.doing, stopped=condition == psutil.STATUS_STOPPED)
+        if over is not None:
+            raise self._stopped(HUNG, round(1e3 * over))
+        if self.private_memory() > self._limit:
+            raise self._stopped(GREW, round(self._limit / 1e6))
+        self._cut_printed()
 
     def private_memory(self) -> float:
         """Return the resident memory that it does not share with others, bytes."""
@@ -328,12 +310,12 @@ class Host:
     @property
     def alive(self) -> bool:
         """Whether it can be given orders: it was made by this process (not by the one it is a fork of) and lives."""
-        return self._owner == os.getpid() and self._channel.fileno() >= 0
+        return self._owner == os.getpid() and self._channel.open
 
     def close(self) -> None:
         """Let it free its instances and end it."""
         if self.alive:
-            with contextlib.suppress(Exception):
+            with contextlib.suppress(End):
                 self.order("close", limit=CLOSING_LIMIT)
             self.kill()
 
@@ -372,9 +354,24 @@ class Host:
             self._read_printed()
 
 
-def _file(name: str) -> int:
+def _file(made: contextlib.ExitStack, name: str) -> int:
     """Return the descriptor of a file in memory that goes with the processes that hold it."""
     if hasattr(os, "memfd_create"):
-        return os.memfd_create(f"fmuid-{name}")
-    with tempfile.TemporaryFile() as file:
-        return os.dup(file.fileno())
+        found = os.memfd_create(f"fmuid-{name}")
+    else:
+        with tempfile.TemporaryFile() as file:
+            found = os.dup(file.fileno())
+    made.callback(os.close, found)
+    return found
+
+
+@contextlib.contextmanager
+def _refusals() -> Iterator[None]:
+    """Say in one sentence what the system refuses this process."""
+    try:
+        yield
+    except OSError as error:
+        raise FmuidError(
+            f"the system refuses what the process of an FMU needs ({error.strerror}): "
+            "free some of it, or have FMUs run inside this process"
+        ) from error

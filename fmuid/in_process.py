@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import logging
 import threading
@@ -81,9 +82,12 @@ class Worker:
         self.longest = 0.0
 
     def start(self, task: Callable[..., None], *arguments: Any) -> Future[None] | None:
-        """Run a task in this worker's thread: at once, or returning a future."""
+        """Run a task in this worker's thread: at once, or returning a future; an OSError where it cannot have one."""
         if self._executor is not None:
-            return self._executor.submit(task, *arguments)
+            try:
+                return self._executor.submit(task, *arguments)
+            except RuntimeError as error:  # what Python makes of pthread_create's EAGAIN
+                raise OSError(errno.EAGAIN, str(error)) from error
         task(*arguments)
         return None
 

@@ -21,10 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.component import STIFF_INTEGRATOR, Component, Isolation
+from fmuid.ends import GREW, HUNG, KILLED, End
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmi import codes
 from fmuid.fmi.layout import Run, shares
-from fmuid.host_process import GREW, HUNG, KILLED, MEASURE_EVERY, End, Host
+from fmuid.host_process import MEASURE_EVERY, Host
 
 Array = NDArray[np.float64]
 
@@ -33,7 +34,9 @@ SLOWER = 100.0
 LEAST_LIMIT = 5.0
 """The shortest default time limit, s: machines are busy at times."""
 FIRST_LIMIT = 60.0
-"""The default time limit before any simulation has ended, s."""
+"""The default time limit before any simulation has ended, or one of as many steps, s; and more for each step:"""
+STEP_LIMIT = 1e-4
+"""s of each communication step, far more than a step takes but of a model that computes for long."""
 LEAST_MEMORY = 1e9  # bytes that a process may take by default even on a small machine
 CHUNK = 1 << 25  # bytes of outputs that are shared at a time
 MOST_KILLS = 3  # of the same simulation, from outside; then it is at fault after all
@@ -67,7 +70,7 @@ class IsolatedWorkers:
         self._resets: bool | None = None  # False: a reset crashes the FMU
         self._numbers: weakref.WeakKeyDictionary[Run, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()
-        self._longest = 0.0
+        self._longest, self._steps = 0.0, 0  # of all simulations: the longest, and the one of most steps
         self._text = ""
         _living.add(self)
         self._closing = weakref.finalize(self, _shut, self._hosts)
@@ -137,9 +140,10 @@ class IsolatedWorkers:
             number = self._tell(host, run)
             host.simulations += len(group)
             stiff, longest = host.order(
-                "run", number, shape, size, varying, limit=self._time_limit, reports=their_reports
+                "run", number, shape, size, varying, limit=self._time_limit(run), reports=their_reports
             )
             self._longest = max(self._longest, longest)
+            self._steps = max(self._steps, _steps(run))
             for component in stiff:
                 list(self._components.values())[component].stiff = True
                 run.integrate(component, STIFF_INTEGRATOR)
@@ -161,9 +165,12 @@ class IsolatedWorkers:
                 found.append(waiting[0])
         return found
 
-    @property
-    def _time_limit(self) -> float:
-        return self._settings.time_limit or default_limit(self._longest)
+    def _time_limit(self, run: Run) -> float:
+        """Return how long a simulation may take, s; one of more steps than all before is like the first of all."""
+        if self._settings.time_limit:
+            return self._settings.time_limit
+        first = FIRST_LIMIT + STEP_LIMIT * _steps(run) if _steps(run) > self._steps else 0.0
+        return max(first, default_limit(self._longest))
 
     def failure(
         self,
@@ -183,7 +190,7 @@ class IsolatedWorkers:
                 host = self._host()
                 words = theta, outputs, report, dict(parameters), explain
                 found: SimulationError | None = host.order(
-                    "failure", self._tell(host, run), *words, limit=self._time_limit
+                    "failure", self._tell(host, run), *words, limit=self._time_limit(run)
                 )
                 return found
             except End as end:
@@ -285,6 +292,10 @@ def _shut(hosts: list[Host]) -> None:
 def default_limit(longest: float) -> float:
     """Return how long a simulation may take where the longest so far took `longest`, both s; 0 before there was any."""
     return max(LEAST_LIMIT, SLOWER * longest) if longest else FIRST_LIMIT
+
+
+def _steps(run: Run) -> int:
+    return int(run.grid.substeps.sum())
 
 
 def memory_share() -> float:

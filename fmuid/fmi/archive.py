@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from fmuid.errors import InputError
+from fmuid.files import is_file
 from fmuid.fmi.description import Description, read_description
 from fmuid.fmi.unpacking import file_digest, unpacked
 from fmuid.fmi.zipped import Zipped
@@ -74,11 +75,11 @@ class FMU:
         name = identifier + fmpy.sharedLibraryExtension
         for folder in (fmpy.platform, fmpy.platform_tuple):
             path: Path = self.directory / "binaries" / folder / name
-            if path.is_file():
+            if is_file(path):
                 return path
         there = f"it has binaries for {', '.join(self.platforms)}" if self.platforms else "it has no binaries at all"
         if fmpy.platform in self.platforms:
-            there = f"its folder binaries/{fmpy.platform} has no {name}"
+            there = f"its folder binaries/{fmpy.platform} has no {name if len(name) < 200 else name[:200] + '…'}"
         raise InputError(
             f"{self.path} has no binary for this platform ({fmpy.platform}): {there}; export it for this platform"
         )

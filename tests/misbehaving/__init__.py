@@ -54,6 +54,11 @@ class Mode(IntEnum):
     CHATTER = 26  # `amount` MB on each
     LATER = 27  # ended by SIGALRM a second later
     SPAWN = 28  # forks a process that sleeps
+    ESCAPE = 29  # the same in a session of its own and as a grandchild, whose parent has ended
+    LIMIT = 30  # allows its process no more memory
+    GARBLE = 31  # writes into all sockets of its process and sleeps
+    SHARE = 32  # takes shared memory without end
+    BROOD = 33  # the same by four children, each less than half
 
 
 class Where(IntEnum):
@@ -78,7 +83,13 @@ def _library(folder: Path, version: int, at_loading: Mode | None) -> bytes:
 
 
 def misbehaving_fmu(
-    folder: Path, *, token: str = "lag", version: int = 2, at_loading: Mode | None = None, **attributes: str
+    folder: Path,
+    *,
+    token: str = "lag",
+    version: int = 2,
+    at_loading: Mode | None = None,
+    extra: int = 0,
+    **attributes: str,
 ) -> Path:
     """Write the FMU into a folder; return its path.
 
@@ -92,14 +103,17 @@ def misbehaving_fmu(
         Of FMI, 2 or 3.
     at_loading : Mode, optional
         What it does when its library is loaded.
+    extra : int
+        How many more parameters it declares (FMI 2.0), which do nothing.
     attributes : str
         Further ones of <CoSimulation>.
     """
     library = _library(folder, version, at_loading)
-    words = [token, *attributes, *([] if at_loading is None else [at_loading.name])]
+    words = [token, *attributes, *([] if at_loading is None else [at_loading.name]), *([str(extra)] if extra else [])]
     path = folder / f"misbehaving{version}-{'-'.join(words)}.fmu"
     with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", (_description2 if version == 2 else _description3)(token, attributes))
+        description = _description2(token, attributes, extra) if version == 2 else _description3(token, attributes)
+        archive.writestr("modelDescription.xml", description)
         system = fmpy.platform if version == 2 else fmpy.platform_tuple
         archive.writestr(f"binaries/{system}/misbehaving{fmpy.sharedLibraryExtension}", library)
     return path
@@ -113,7 +127,7 @@ def lag(times: NDArray[np.float64], u: NDArray[np.float64], gain: float, T: floa
     return x
 
 
-def _description2(token: str, attributes: Mapping[str, Any]) -> str:
+def _description2(token: str, attributes: Mapping[str, Any], extra: int) -> str:
     lines = [
         f'<ScalarVariable name="{name}" valueReference="{i}" causality="parameter" variability="tunable">'
         f'<Real start="{start!r}"/></ScalarVariable>'
@@ -126,6 +140,11 @@ def _description2(token: str, attributes: Mapping[str, Any]) -> str:
         '<Real start="0"/></ScalarVariable>',
         '<ScalarVariable name="der(x)" valueReference="10" causality="local" variability="continuous">'
         '<Real derivative="10"/></ScalarVariable>',
+    ]
+    lines += [
+        f'<ScalarVariable name="group{i // 100}.p{i}" valueReference="{100 + i}" causality="parameter" '
+        'variability="tunable"><Real start="1"/></ScalarVariable>'
+        for i in range(extra)
     ]
     said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
     return (

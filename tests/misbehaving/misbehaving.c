@@ -11,6 +11,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
 #include <unistd.h>
 #if FMI == 2
 #include "fmi2Functions.h"
@@ -42,6 +46,7 @@ static const long most = 2048; /* MB that it takes at most, so that a test that 
 static double shared_state;
 static void *volatile sink;
 static volatile unsigned long spins;
+static const char noise[64] = "no message";
 
 static double *state(Model *m) { return m->shared ? &shared_state : m->r + X; }
 static void set_defaults(Model *m) {
@@ -58,6 +63,27 @@ static void take(long megabytes) {
   static long taken = 0;
   if ((taken += megabytes) > most) sleep_for_ever();
   sink = memset(malloc((size_t)megabytes << 20), 1, (size_t)megabytes << 20);
+}
+static void share(long megabytes) {
+  static long taken = 0;
+  void *there = MAP_FAILED;
+  if ((taken += megabytes) <= most)
+    there = mmap(0, (size_t)megabytes << 20, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+  if (there == MAP_FAILED) sleep_for_ever();
+  memset(there, 1, (size_t)megabytes << 20);
+}
+static void brood(void) { /* all together take 480 MB */
+  for (int i = 0; i < 4; i++)
+    if (fork() == 0) alarm(60), take(120), sleep_for_ever();
+  sleep_for_ever();
+}
+static void escape(void) {
+  if (fork() == 0) {
+    setsid();
+    if (fork() == 0) alarm(60), sleep_for_ever();
+    _exit(0);
+  }
+  wait(0);
 }
 static double deeper(double depth) {
   volatile double room[512];
@@ -104,6 +130,13 @@ static STATUS misbehave(int mode, double amount) {
   case CHATTER: write_much(amount); break;
   case LATER: alarm(1); break; /* it is ended by SIGALRM when nobody uses it any more */
   case SPAWN: if (fork() == 0) alarm(60), sleep_for_ever(); break;
+  case ESCAPE: escape(); break;
+  case LIMIT: setrlimit(RLIMIT_AS, &(struct rlimit){1 << 20, 1 << 20}); break;
+  case GARBLE:
+    for (int file = 0; file < 4096; file++) send(file, noise, sizeof noise, MSG_DONTWAIT);
+    sleep_for_ever();
+  case SHARE: for (;;) share(4), usleep(1000);
+  case BROOD: brood(); break;
   }
   return OK;
 }

@@ -1,0 +1,96 @@
+"""Messages between processes: any size, whoever is slow; who is gone or talks nonsense is told apart."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import threading
+import time
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmuid.channel import HEADER, LARGE, MARK, Channel, GarbledError
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
+
+
+@pytest.fixture
+def ends() -> Any:
+    own, other = socket.socketpair()
+    with own, other:
+        yield own, other
+
+
+def exchanged(ends: tuple[socket.socket, socket.socket], message: object, look: Any = None) -> tuple[Any, int]:
+    """Return a message as it comes out, its receiver late by several looks, and what travelled beside its pickle."""
+    own, other = (Channel(each, 0.01) for each in ends)
+    sent: list[int] = []
+    sender = threading.Thread(target=lambda: sent.append(own.send(message, look)))
+    sender.start()
+    time.sleep(0.1)
+    received = other.receive()
+    sender.join()
+    return received, sent[0]
+
+
+def test_what_is_larger_than_the_socket_takes_arrives(ends: Any) -> None:
+    """Though the receiver is late: looks pass, and end nothing. Arrays come out as they were, and can be written."""
+    rng = np.random.default_rng(1)
+    message: dict[str, Any] = {
+        "large": rng.normal(size=(100_000, 3)),
+        "turned": np.asfortranarray(rng.normal(size=(300, 400))),
+        "small": rng.normal(size=7),
+        "text": "x" * 3_000_000,
+        "strided": rng.normal(size=200_000)[::2],
+    }
+    looks: list[None] = []
+    received, beside = exchanged(ends, message, lambda: looks.append(None))
+    assert looks
+    assert received["text"] == message["text"]
+    for name in ("large", "turned", "small", "strided"):
+        assert np.array_equal(received[name], message[name])
+        assert received[name].flags.writeable
+    assert beside == 8 * (300_000 + 120_000)
+
+
+def test_large_arrays_are_there_once(ends: Any) -> None:
+    """Neither side makes a copy of them on the way."""
+    array = np.ones(5_000_000)
+    tracemalloc.start()
+    try:
+        received, _ = exchanged(ends, [array, array[: LARGE // 8]])
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert np.array_equal(received[0], array)
+    assert peak < array.nbytes + 2_000_000
+
+
+@pytest.mark.parametrize("way", ["send", "receive"])
+def test_what_looks_can_end_it(ends: Any, way: str) -> None:
+    channel = Channel(ends[0], 0.01)
+
+    def look() -> None:
+        raise KeyError("enough")
+
+    with pytest.raises(KeyError, match="enough"):
+        channel.send(np.ones(1_000_000), look) if way == "send" else channel.receive(look)
+
+
+def test_an_end_in_the_middle_is_one(ends: Any) -> None:
+    own, other = ends
+    other.sendall(HEADER.pack(MARK, 1000, 0) + b"half of it")
+    other.close()
+    with pytest.raises(EOFError):
+        Channel(own).receive()
+    with pytest.raises(EOFError):
+        Channel(own).send(np.ones(1_000_000))
+
+
+def test_what_is_no_message_is_not_taken_for_one(ends: Any) -> None:
+    ends[1].sendall(b"something that a library prints")
+    with pytest.raises(GarbledError):
+        Channel(ends[0]).receive()

@@ -1,0 +1,128 @@
+"""FMUs in processes of their own: large records and models, what the system refuses, memory of whole families."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import psutil
+import pytest
+
+from fmuid.component import Isolation
+from fmuid.ends import REFUSED, End
+from fmuid.errors import FmuidError, InputError
+from fmuid.experiment import Experiment
+from fmuid.simulator import Simulator
+from tests.isolated import NAMES, RECORD, check_costs_only_its_own, expected, thetas
+from tests.misbehaving import Mode, misbehaving_fmu
+
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
+    pytest.mark.usefixtures("nothing_said"),
+]
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("misbehaving")
+
+
+def test_a_million_rows_are_those_in_process(folder: Path) -> None:
+    times = 1e-3 * np.arange(1_000_000)
+    frame = pd.DataFrame({"time": times, "u": np.sign(np.sin(3 * times + 0.1)), "x": 0.0})
+    record = Experiment(frame, ["u"], ["x"], interpolation="hold")
+    fmu = misbehaving_fmu(folder)
+    alone, isolated = (Simulator(fmu, record, NAMES, isolation=each)([2.0, 0.5, 0.0]) for each in (None, Isolation()))
+    assert np.array_equal(isolated, alone)
+    assert np.ptp(alone) > 1
+
+
+def test_a_record_longer_than_all_before_has_the_time_of_a_first_one(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the short ones took says little about it."""
+    monkeypatch.setattr("fmuid.isolation.LEAST_LIMIT", 0.2)
+    monkeypatch.setattr("fmuid.isolation.SLOWER", 1.0)
+    times = 0.1 * np.arange(400)
+    long = Experiment(pd.DataFrame({"time": times, "u": 1.0, "x": 0.0}), ["u"], ["x"], interpolation="hold")
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 2.0}, isolation=Isolation())
+    simulator([2.0, 0.5, 0.0])
+    assert simulator.over(long)([2.0, 0.5, Mode.SLOW])[-1] == pytest.approx(2.0)
+
+
+def test_twenty_thousand_parameters_cost_no_process(folder: Path) -> None:
+    simulator = Simulator(misbehaving_fmu(folder, extra=20_000), RECORD, NAMES, isolation=Isolation(threads=1))
+    some = thetas(Mode.SOUND)[:2]
+    assert np.array_equal(simulator(some), expected(folder, some))
+
+
+@pytest.mark.parametrize("isolation", [None, Isolation()], ids=["in-process", "isolated"])
+def test_a_library_whose_name_no_file_can_have_is_one_sentence(
+    folder: Path, tmp_path: Path, isolation: Isolation | None
+) -> None:
+    path = tmp_path / "named.fmu"
+    with zipfile.ZipFile(misbehaving_fmu(folder)) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            data = source.read(name)
+            long = data.replace(b'modelIdentifier="misbehaving"', b'modelIdentifier="%s"' % (5000 * b"a"))
+            target.writestr(name, long if name == "modelDescription.xml" else data)
+    with pytest.raises(InputError, match=r"has no binary for this platform .* has no aaaa") as caught:
+        Simulator(path, RECORD, NAMES, isolation=isolation)([1.0, 1.0, 0.0])
+    assert len(str(caught.value)) < 1000
+
+
+# --- what the system refuses, and what an FMU spoils
+
+
+@pytest.mark.parametrize("count", [12, 6000], ids=["threads", "memory"])
+def test_a_process_that_is_refused_what_it_needs_costs_no_simulation(folder: Path, count: int) -> None:
+    """One that an FMU has forbidden to take more: another thread, more shared memory. The next one can do it all."""
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=2))
+    some = np.tile(thetas(Mode.SOUND), (count // 12, 1))
+    assert np.array_equal(simulator([[2.0, 0.5, Mode.LIMIT]]), expected(folder, np.array([[2.0, 0.5, 0.0]])))
+    assert np.array_equal(simulator(some), expected(folder, some))
+
+
+def test_processes_that_are_refused_what_they_need_every_time_do_what_they_can(folder: Path) -> None:
+    """No more memory from the moment the library is loaded: each process still does one simulation."""
+    some = np.tile(thetas(Mode.SOUND)[:2], (600, 1))
+    fmu = misbehaving_fmu(folder, at_loading=Mode.LIMIT)
+    simulator = Simulator(fmu, RECORD, NAMES, isolation=Isolation(threads=1))
+    assert np.array_equal(simulator(some[:2]), expected(folder, some[:2]))
+    assert np.array_equal(simulator(some), expected(folder, some))
+
+
+def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
+    simulator([2.0, 0.5, 0.0])
+    simulator.close()
+    files = psutil.Process().num_fds()
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr("fmuid.host_process.socket.socketpair", refuse)
+    with pytest.raises(FmuidError, match=r"the system refuses what .* \(Too many open files\)"):
+        simulator([2.0, 0.5, 0.0])
+    assert psutil.Process().num_fds() == files
+
+
+@pytest.mark.parametrize(
+    ("end", "words"),
+    [
+        (End(REFUSED, errno.ENOMEM), "the system refused its process what it needs to go on (Cannot allocate memory)"),
+        (End(REFUSED, 0), "the system refused its process what it needs to go on"),
+    ],
+)
+def test_words_of_an_end(end: End, words: str) -> None:
+    assert end.words() == words
+
+
+def test_what_is_written_into_the_connection_is_told(folder: Path) -> None:
+    words = "it wrote into the connection of its process with fmuid"
+    check_costs_only_its_own(misbehaving_fmu(folder), thetas(Mode.GARBLE), words, Isolation(time_limit=20.0))
