@@ -76,7 +76,7 @@ LOOP_COLUMNS = 6
 LOOP_GET, LOOP_SET, LOOP_END, LOOP_COUNT, LOOP_SIGNALS, LOOP_WORK = range(LOOP_COLUMNS)
 
 # The memory of one simulation: sizes and addresses of all that the loop touches, in one array whose address is `m`.
-FIELDS = 59
+FIELDS = 61
 (
     N_COMPONENTS,
     N_INPUTS,
@@ -122,6 +122,8 @@ FIELDS = 59
     N_GROUPS,
     GAUSS_SEIDEL,
     SCRATCH,
+    RESTORING,  # the address of fesetenv, and the floating-point environment that it puts back
+    FLOATS,
     FROM,  # reals: the component's step that is to be taken, and the substep in the interval between the samples
     UNTIL,
     AFTER,

@@ -43,6 +43,7 @@ from fmuid.fmi.codes import (
     STRING,
     WIRES,
 )
+from fmuid.fmi.float_environment import kept
 
 MESSAGES_KEPT = 20  # of one simulation: the first say what went wrong, the rest repeat it
 STATUS_WORDS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
@@ -198,7 +199,7 @@ class Instance:
         self.messages: list[tuple[int, str]] = []
         library = fmu.library(interface.identifier)
         try:
-            with _loading:
+            with _loading, kept():
                 self._load(interface.identifier, library)
         except Exception as error:
             said = "; ".join(text for _, text in self.messages)
@@ -279,7 +280,8 @@ class Instance:
 
     def set_logging(self, on: bool) -> None:
         """Switch the FMU's debug log (fmi2SetDebugLogging, fmi3SetDebugLogging with all categories)."""
-        self._native.setDebugLogging(on, [])
+        with kept():
+            self._native.setDebugLogging(on, [])
 
     def close(self, fatal: bool = False) -> None:
         """Free the instance; after a fatal error it must not be touched any more (FMI 2.0.4, section 2.1.3)."""
@@ -291,7 +293,8 @@ class Instance:
 
 def _free(native: Any) -> None:
     free_instance = native.fmi3FreeInstance if isinstance(native, _FMU3) else native.fmi2FreeInstance
-    free_instance(native.component)
+    with kept():
+        free_instance(native.component)
 
 
 def _missing_library(fmu: FMU, error: str) -> str | None:

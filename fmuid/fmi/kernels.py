@@ -47,6 +47,7 @@ from fmuid.fmi.codes import (
     EXCHANGE,
     EXIT_INITIALIZATION,
     FLOAT64,
+    FLOATS,
     FROM,
     FROM_WIRE,
     FUNCTION,
@@ -85,6 +86,7 @@ from fmuid.fmi.codes import (
     REFERENCES,
     REPORT,
     RESET,
+    RESTORING,
     SETTLE,
     SETUP,
     SIGNAL,
@@ -432,6 +434,14 @@ def _simulate(m):  # type: ignore[no-untyped-def]
     return True
 
 
+@numba.njit("void(intp)", cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _restore_floats(m):  # type: ignore[no-untyped-def]
+    """Put back the floating-point environment: what an FMU did to it ends with the simulation."""
+    restoring = load_word(m, RESTORING)
+    if restoring:
+        call_plain(restoring, (load_word(m, FLOATS),))
+
+
 @numba.njit("void(intp, intp)", cache=True, nogil=True, error_model="numpy")
 def simulate(m, count):  # type: ignore[no-untyped-def]
     """Simulate one after the other for `count` thetas on one set of instances.
@@ -453,7 +463,9 @@ def simulate(m, count):  # type: ignore[no-untyped-def]
             store_real(signals, j, load_real(starts, j))
         for j in range(n):
             store_real(signals, load_word(slots, j), load_real(parameters, i * n + j))
-        if _simulate(m):
+        succeeded = _simulate(m)
+        _restore_floats(m)
+        if succeeded:
             store_word(report + 32 * i, 2, -1)
         elif load_word(report + 32 * i, 2) > ERROR:
             for j in range(i + 1, count):  # the instance must not be touched again

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.fmi import codes as k
+from fmuid.fmi import float_environment
 from fmuid.fmi.codes import FLOAT64, STRING
 from fmuid.fmi.instance import Instance, function_names
 from fmuid.fmi.kernels import simulate
@@ -73,6 +74,7 @@ class Loop:
         table = self._stepper_table()
         in_event, own_times, scratch = np.zeros(n, np.intp), np.zeros(n), np.zeros(2, np.intp)
         self._owned = (plan, grid, handles, addresses, used, curves, table, in_event, own_times, scratch)
+        self._floats = float_environment.FloatEnvironment()
         self._memory = np.zeros(k.FIELDS, np.intp)
         fields: dict[int, int | NDArray[Any] | None] = {
             k.N_COMPONENTS: n,
@@ -113,6 +115,8 @@ class Loop:
             k.N_GROUPS: len(plan.groups),
             k.GAUSS_SEIDEL: int(plan.gauss_seidel),
             k.SCRATCH: scratch,
+            k.RESTORING: float_environment.RESTORING,
+            k.FLOATS: self._floats.address,
         }
         for field, value in fields.items():
             self._memory[field] = 0 if value is None else value if isinstance(value, int) else value.ctypes.data
@@ -138,6 +142,7 @@ class Loop:
             if not array.flags.c_contiguous:
                 raise ValueError("the compiled loop needs contiguous arrays")
             self._memory[field] = array.ctypes.data
+        self._floats.save()
         simulate(self._memory.ctypes.data, len(arrays[0]))
 
     def _hooks(self, plan: Plan, grid: Grid) -> dict[int, int]:

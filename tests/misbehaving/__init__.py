@@ -59,6 +59,10 @@ class Mode(IntEnum):
     GARBLE = 31  # writes into all sockets of its process and sleeps
     SHARE = 32  # takes shared memory without end
     BROOD = 33  # the same by four children, each less than half
+    ROUND_UPWARD = 34  # its thread rounds up from then on
+    FLUSH = 35  # its thread takes denormal numbers for zero from then on, as code linked with -ffast-math does
+    TRAP = 36  # a division by zero raises SIGFPE in its thread from then on
+    LESS_PRECISE = 37  # x87 calculates its thread's long doubles with 53 bits from then on
 
 
 class Where(IntEnum):

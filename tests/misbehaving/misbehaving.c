@@ -6,6 +6,7 @@
    in the call that `where` names. The token (GUID) can hold two more words: "at-instantiation-<mode>", and "shared",
    with which the state stands outside the instances. MODES is the list of the modes; -DAT_LOADING=<mode> misbehaves
    when the library is loaded. */
+#include <fenv.h>
 #include <math.h>
 #include <signal.h>
 #include <stdio.h>
@@ -96,6 +97,18 @@ static void write_much(double megabytes) {
     fprintf(stderr, "%-1023s\n", "a line on stderr");
   }
 }
+static void change_floats(int mode) {
+  if (mode == ROUND_UPWARD) fesetround(FE_UPWARD);
+#if defined(__x86_64__)
+  const unsigned flush = 0x8040, divisions = 0x200; /* bits of MXCSR: flush to zero and denormals are zero; mask */
+  const unsigned short trapping = 0x37b, precise = 0x27f; /* control words of x87 */
+  unsigned csr = __builtin_ia32_stmxcsr();
+  if (mode == FLUSH) __builtin_ia32_ldmxcsr(csr | flush);
+  if (mode == TRAP) __builtin_ia32_ldmxcsr(csr & ~divisions);
+  if (mode == TRAP) __asm__ volatile("fldcw %0" : : "m"(trapping));
+  if (mode == LESS_PRECISE) __asm__ volatile("fldcw %0" : : "m"(precise));
+#endif
+}
 static STATUS misbehave(int mode, double amount) {
   volatile int *nowhere = 0;
   sigset_t all;
@@ -129,6 +142,7 @@ static STATUS misbehave(int mode, double amount) {
   case MUTTER: printf("no line of stdout"), fprintf(stderr, "no line of stderr"); break;
   case CHATTER: write_much(amount); break;
   case LATER: alarm(1); break; /* it is ended by SIGALRM when nobody uses it any more */
+  case ROUND_UPWARD: case FLUSH: case TRAP: case LESS_PRECISE: change_floats(mode); break;
   case SPAWN: if (fork() == 0) alarm(60), sleep_for_ever(); break;
   case ESCAPE: escape(); break;
   case LIMIT: setrlimit(RLIMIT_AS, &(struct rlimit){1 << 20, 1 << 20}); break;
