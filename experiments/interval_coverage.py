@@ -25,8 +25,8 @@ from scipy.stats import binom
 
 import fmuid
 from experiments.induction_machine import make_table
-from fmuid.posterior import Sampling, sample
-from fmuid.profile import profiles
+from fmuid.assessment.posterior import Sampling, sample
+from fmuid.assessment.profile import profiles
 
 FMUS = Path(__file__).parents[1] / "fmus"
 METHODS = ("local", "profile", "posterior")
@@ -62,7 +62,7 @@ class Case:
     parameters: Mapping[str, fmuid.Parameter]
     draw: Callable[[np.random.Generator], fmuid.Experiment]
 
-    def problem(self, seed: int) -> fmuid.Problem:
+    def problem(self, seed: int) -> fmuid.LeastSquares:
         """Return the problem of one draw."""
         return fmuid.Problem(self.model, self.draw(np.random.default_rng(seed)), self.parameters)
 

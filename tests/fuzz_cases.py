@@ -20,11 +20,11 @@ from typing import Any
 
 import pytest
 
-from fmuid.case_run import VOLATILE, CaseRunner
-from fmuid.cases import Cases
-from fmuid.cli import run
+from fmuid.batches.cases import Cases
+from fmuid.batches.run_case import VOLATILE, CaseRunner
+from fmuid.cli.app import run
 from fmuid.errors import FmuidError
-from fmuid.study import Study
+from fmuid.studies.study import Study
 from tests import fuzz_inputs as good
 from tests import fuzz_spoil as spoil
 
@@ -123,7 +123,7 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
             assert len(name) < 250
         return [folder / f"{name}.png" for name in figures]
 
-    monkeypatch.setattr("fmuid.plots.save", save)
+    monkeypatch.setattr("fmuid.reports.figures.style.save", save)
     read = Study.read
     monkeypatch.setattr(Study, "read", lambda path, overrides=(), **_: read(path, overrides))
 

@@ -11,16 +11,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import psutil
-from numpy.typing import NDArray
 
-from fmuid.component import Isolation, Numerics
+from fmuid.arrays import Floats
+from fmuid.data.experiment import Experiment
 from fmuid.errors import SimulationError
-from fmuid.experiment import Experiment
-from fmuid.simulator import Simulator
-from fmuid.system import System
+from fmuid.models.component import Isolation, Numerics
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
 from tests.misbehaving import Mode, lag, misbehaving_fmu
 
-Floats = NDArray[np.float64]
 NAMES = ("gain", "T", "mode")
 TIMES: Floats = np.linspace(0.0, 3.9, 40)
 U: Floats = np.sign(np.sin(3 * TIMES + 0.1))

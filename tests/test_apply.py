@@ -14,17 +14,17 @@ import pytest
 from fmpy.ssp import ssd as fmpy_ssd
 from fmpy.validation import validate_fmu
 
-from fmuid.apply import AppliedValue, apply_result, write_estimates
-from fmuid.cli import run
-from fmuid.cli_words import DONE, WRONG_INPUT
+from fmuid.cli.app import run
+from fmuid.cli.options import DONE, WRONG_INPUT
+from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
-from fmuid.experiment import Experiment
+from fmuid.estimation.result import Result
 from fmuid.fmi.description import Unit
 from fmuid.fmi.start_values import applied_values, with_starts
-from fmuid.result import Result
-from fmuid.simulator import Simulator
-from fmuid.ssv import Quantity, read_ssv, write_ssv
-from fmuid.system import System
+from fmuid.models.ssp.parameter_values import Quantity, read_ssv, write_ssv
+from fmuid.models.system import System
+from fmuid.reports.apply import AppliedValue, apply_result, write_estimates
+from fmuid.simulation.simulator import Simulator
 from tests.conftest import FMUS
 from tests.test_start_values import FMI_3
 

@@ -17,10 +17,10 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from fmuid.cli import run
-from fmuid.cli_words import WRONG_INPUT
+from fmuid.cli.app import run
+from fmuid.cli.options import WRONG_INPUT
+from fmuid.data.tables import read_table
 from fmuid.errors import InputError
-from fmuid.tables import read_table
 
 COIL = Path(__file__).parents[1] / "fmus/Coil/Coil.fmu"
 STUDY = """

@@ -23,16 +23,18 @@ import pytest
 from distributed import KilledWorker
 
 from experiments.batches.campaign import command, family, left_over, rows
-from fmuid import batch as module
-from fmuid import cli_batch, cluster, workshop
-from fmuid.batch import Batch, BatchResult, BatchStep
-from fmuid.bundle import Bundle, Parcel, changes
-from fmuid.case_run import VOLATILE, CaseRunner
-from fmuid.cluster import GroupSizes
+from fmuid.batches import batch as module
+from fmuid.batches import cluster
+from fmuid.batches import worker as workshop
+from fmuid.batches.batch import Batch, BatchResult, BatchStep
+from fmuid.batches.cluster import GroupSizes
+from fmuid.batches.parcel import Bundle, Parcel, changes
+from fmuid.batches.run_case import VOLATILE, CaseRunner
+from fmuid.batches.worker import GroupResult, run_group, versions
+from fmuid.cli import batch as cli_batch
 from fmuid.errors import FmuidError, InputError
-from fmuid.progress import BatchProgress
-from fmuid.study import Study
-from fmuid.workshop import GroupResult, run_group, versions
+from fmuid.reports.console.progress import BatchProgress
+from fmuid.studies.study import Study
 from tests.test_cli import STUDY, coil_table, fmuid_
 
 DRAWS = 30

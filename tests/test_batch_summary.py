@@ -14,10 +14,11 @@ from matplotlib.collections import LineCollection, QuadMesh
 from matplotlib.patches import Rectangle
 from scipy import stats
 
-from fmuid import figures_batch, plots
-from fmuid.batch_statistics import Columns, estimates, optimum_numbers, statistics
-from fmuid.batch_summary import MAX_LEVELS, Summary, summarize
-from fmuid.console_batch import show_batch
+from fmuid.batches.statistics import Columns, estimates, optimum_numbers, statistics
+from fmuid.batches.summary import MAX_LEVELS, Summary, summarize
+from fmuid.reports.console.batch import show_batch
+from fmuid.reports.figures import batch as figures_batch
+from fmuid.reports.figures import style as plots
 
 Array = npt.NDArray[np.float64]
 

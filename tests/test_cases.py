@@ -16,18 +16,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from fmuid import case_run
-from fmuid.case_problem import problem_of
-from fmuid.case_run import VOLATILE, CaseRunner
-from fmuid.cases import Cases, truth_of
+from fmuid.batches import run_case as case_run
+from fmuid.batches.case_problem import problem_of
+from fmuid.batches.cases import Cases, truth_of
+from fmuid.batches.run_case import VOLATILE, CaseRunner
+from fmuid.data.experiment import Experiment
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
-from fmuid.experiment import Experiment
-from fmuid.identification import identify
-from fmuid.noise import Noise
-from fmuid.parameters import Parameter
-from fmuid.problem import Problem
-from fmuid.simulator import Simulator
-from fmuid.study import Study
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.model_problem import Problem
+from fmuid.simulation.simulator import Simulator
+from fmuid.studies.study import Study
 from tests.conftest import FMUS, ProbeMaker
 
 COIL = FMUS / "Coil" / "Coil.fmu"
@@ -405,7 +406,7 @@ def test_problems_count_the_points_that_cannot_be_simulated() -> None:
             raise ArithmeticError
         return np.asarray(np.exp(-theta[0] * TIMES))
 
-    problem = Problem.from_function(function, np.exp(-4.0 * TIMES), {"a": Parameter(0.1)})
+    problem = LeastSquares.from_function(function, np.exp(-4.0 * TIMES), {"a": Parameter(0.1)})
     assert identify(problem)["a"] <= 3.0
     assert problem.failures == failed > 0
 
@@ -422,15 +423,15 @@ def test_what_the_arithmetic_raises_is_a_row(folder: Path, monkeypatch: pytest.M
 
 
 def test_interruptions_and_bugs_pass(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    runner, predict, calls = CaseRunner(study_of(folder, {"starts": 1})), Problem.predict, itertools.count()
+    runner, predict, calls = CaseRunner(study_of(folder, {"starts": 1})), LeastSquares.predict, itertools.count()
 
-    def interrupted(self: Problem, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
+    def interrupted(self: LeastSquares, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
         if next(calls) == 5:  # when the search is under way, which ends it with a result
             raise KeyboardInterrupt
         return predict(self, thetas)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Problem, "predict", interrupted)
+        patch.setattr(LeastSquares, "predict", interrupted)
         with pytest.raises(KeyboardInterrupt):
             runner(0)
     with monkeypatch.context() as patch:
@@ -443,7 +444,7 @@ def test_interruptions_and_bugs_pass(folder: Path, monkeypatch: pytest.MonkeyPat
 def test_the_log_has_the_warnings_of_its_own_thread(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log, runner = logging.getLogger("fmuid.fmu"), CaseRunner(study_of(folder, {"starts": 1}))
 
-    def warn(problem: Problem, settings: Any) -> Any:
+    def warn(problem: LeastSquares, settings: Any) -> Any:
         log.warning("the coil %s", "hums")
         log.info("nothing")
         other = threading.Thread(target=log.warning, args=("another case",))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.channel import HEADER, LARGE, MARK, Channel, GarbledError
+from fmuid.simulation.isolation.channel import HEADER, LARGE, MARK, Channel, GarbledError
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
 

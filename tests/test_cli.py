@@ -17,11 +17,14 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid import cli, cli_studies, progress, study_init
-from fmuid.cli import run
-from fmuid.cli_words import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.cli import app as cli
+from fmuid.cli import studies as cli_studies
+from fmuid.cli.app import run
+from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import ModelicaWarning
-from fmuid.study import Study
+from fmuid.reports.console import progress
+from fmuid.studies import draft as study_init
+from fmuid.studies.study import Study
 
 FMUS = Path(__file__).parents[1] / "fmus"
 COIL = FMUS / "Coil/Coil.fmu"

@@ -12,21 +12,20 @@ import pandas as pd
 import pytest
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy import stats
 
-from fmuid import figures_map, misfit
-from fmuid.criterion import prepare
-from fmuid.criterion_map import CriterionMap, map_criterion
+from fmuid.arrays import Floats
+from fmuid.assessment.criterion_map import CriterionMap, map_criterion
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.identification import identify
-from fmuid.misfit import misfits, variances
-from fmuid.noise import Noise
-from fmuid.parameters import Normal, Parameter
-from fmuid.problem import Problem
-from fmuid.result import Result
-
-Floats = NDArray[np.float64]
+from fmuid.estimation import misfit
+from fmuid.estimation.criterion import prepare
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.misfit import misfits, variances
+from fmuid.estimation.result import Result
+from fmuid.reports.figures import criterion_map as figures_map
 
 TIMES = np.linspace(0.0, 1.0, 40)
 BASIS = np.stack([np.ones(40), TIMES, np.exp(-3.0 * TIMES)], axis=1)
@@ -34,15 +33,15 @@ TRUTH = np.array([1.0, 2.0, -1.5])
 NAMES = ("a", "b", "c")
 
 
-def linear(count: int = 3, *, noise: Noise | None = None, **words: Any) -> Problem:
+def linear(count: int = 3, *, noise: Noise | None = None, **words: Any) -> LeastSquares:
     """Return y = a + b t + c exp(−3t) with noise of variance 0.01, of which the first `count` terms are estimated."""
     basis, rest = BASIS[:, :count], BASIS[:, count:] @ TRUTH[count:]
     measured = BASIS @ TRUTH + 0.1 * np.random.default_rng(8).normal(size=40)
     parameters = {name: Parameter(1.0, **words) for name in NAMES[:count]}
-    return Problem.from_function(lambda theta: basis @ theta + rest, measured, parameters, noise=noise)
+    return LeastSquares.from_function(lambda theta: basis @ theta + rest, measured, parameters, noise=noise)
 
 
-def chart_of(problem: Problem, first: str = "a", second: str = "b", **words: Any) -> tuple[CriterionMap, Result]:
+def chart_of(problem: LeastSquares, first: str = "a", second: str = "b", **words: Any) -> tuple[CriterionMap, Result]:
     result = identify(problem)
     return map_criterion(problem, result, first, second, **words), result
 
@@ -72,7 +71,7 @@ def test_map_includes_the_prior_and_each_output_has_its_variance() -> None:
     rng = np.random.default_rng(6)
     measured = np.stack([1.0 + TIMES, 3.0 - TIMES], axis=1) + rng.normal(size=(40, 2)) * [0.1, 0.5]
     measured[5:9, 0] = np.nan
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: np.stack([theta[0] + theta[1] * TIMES, 3.0 - theta[1] ** 2 * TIMES], axis=1),
         measured,
         {"a": Parameter(0.8, prior=Normal(0.9, 0.03)), "b": Parameter(0.8)},
@@ -119,7 +118,7 @@ def test_chosen_reach() -> None:
 
 def test_undetermined_parameters_reach_to_their_bounds() -> None:
     """Or, without bounds, as far as they are large; there is no ellipse."""
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: theta[0] * theta[1] * TIMES,
         2.0 * TIMES + 0.1 * np.random.default_rng(2).normal(size=40),
         {"a": Parameter(1.0, min=0.5, max=4.0), "b": Parameter(1.0)},
@@ -137,7 +136,9 @@ def test_failures_are_nan() -> None:
             raise FloatingPointError
         return np.asarray(BASIS[:, :2] @ theta)
 
-    problem = Problem.from_function(simulate, BASIS[:, :2] @ [1.0, 2.0], {"a": Parameter(0.9), "b": Parameter(1.9)})
+    problem = LeastSquares.from_function(
+        simulate, BASIS[:, :2] @ [1.0, 2.0], {"a": Parameter(0.9), "b": Parameter(1.9)}
+    )
     chart, _ = chart_of(problem, ranges={"a": (0.0, 3.0), "b": (0.0, 3.0)}, points=5)
     first, _, values = chart.grid
     np.testing.assert_array_equal(np.isnan(values), np.repeat(first[:, None] > 1.6, 5, axis=1))
@@ -184,7 +185,7 @@ def test_result_from_a_file(tmp_path: Path) -> None:
 # --- the ellipse ------------------------------------------------------------------------
 
 
-def squares(problem: Problem, theta: Floats) -> float:
+def squares(problem: LeastSquares, theta: Floats) -> float:
     return float(np.sum((problem.measured - problem.predict(theta[None])[0]) ** 2))
 
 

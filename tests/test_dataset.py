@@ -15,8 +15,8 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from fmuid import dataset as module
-from fmuid.dataset import LOG_BYTES, Dataset, bounded
+from fmuid.batches import dataset as module
+from fmuid.batches.dataset import LOG_BYTES, Dataset, bounded
 from fmuid.errors import FmuidError, InputError
 
 COLUMNS = {
@@ -157,7 +157,7 @@ def test_two_writers(tmp_path: Path) -> None:
 
 def test_a_killed_writer_leaves_no_lock(tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from fmuid.dataset import Dataset\n"
+        "import sys; from pathlib import Path; from fmuid.batches.dataset import Dataset\n"
         f"with Dataset(Path({str(tmp_path)!r}), {{'case': 'int64'}}).locked(): print('locked', flush=True); "
         "sys.stdin.read()"
     )

@@ -13,11 +13,11 @@ from scipy.signal import lfilter
 
 import fmuid
 from experiments.coil import study as coil
-from fmuid.alarms import Rule
-from fmuid.detectability import Design, trial
-from fmuid.excitation import multisine, prbs, steps
-from fmuid.monitoring import Monitor
-from fmuid.study_monitoring import design_of
+from fmuid.data.excitation import multisine, prbs, steps
+from fmuid.diagnosis.design import Design, trial
+from fmuid.diagnosis.monitoring.alarms import Rule
+from fmuid.diagnosis.monitoring.monitor import Monitor
+from fmuid.studies.monitoring import design_of
 from tests.exported import export_text
 from tests.test_diagnosis import COLUMNS, PHASES, PLATE, STD, TRUTH
 from tests.test_diagnosis import record as plate_record

@@ -13,8 +13,8 @@ import pytest
 from scipy import optimize, stats
 
 import fmuid
-from fmuid.cli import run
-from fmuid.faults import common_mode
+from fmuid.cli.app import run
+from fmuid.diagnosis.faults import common_mode
 from tests.exported import export_text
 
 # Gains g and h are the common mode; three faults act along fixed axes on u as the shorted turns of three phases do, one

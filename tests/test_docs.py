@@ -16,19 +16,19 @@ from pkgutil import resolve_name
 
 import pytest
 
-from fmuid.cases import Cases
-from fmuid.component import DEFAULT_TOLERANCE
-from fmuid.consistency import SAME_VARIANCE
-from fmuid.covariance import UNDETERMINED_STD, WEAK_STD
-from fmuid.decision import STRONG
-from fmuid.diagnosis import UNEXPLAINED_SHARE
-from fmuid.estimators.marquardt import OFFSET_TOLERANCE
-from fmuid.identification import MOVED
-from fmuid.isolation import FIRST_LIMIT, LEAST_LIMIT, SLOWER
-from fmuid.plan import LINEAR_SUBSTEPS
-from fmuid.residual_series import LAGS
-from fmuid.sensitivity import NOISE_POINTS
-from fmuid.study import Study
+from fmuid.assessment.consistency import SAME_VARIANCE
+from fmuid.assessment.residual_series import LAGS
+from fmuid.batches.cases import Cases
+from fmuid.diagnosis.decision import STRONG
+from fmuid.diagnosis.procedure import UNEXPLAINED_SHARE
+from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
+from fmuid.estimation.finite_differences import NOISE_POINTS
+from fmuid.estimation.identification import MOVED
+from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
+from fmuid.models.component import DEFAULT_TOLERANCE
+from fmuid.simulation.isolation.isolated import FIRST_LIMIT, LEAST_LIMIT, SLOWER
+from fmuid.simulation.plan import LINEAR_SUBSTEPS
+from fmuid.studies.study import Study
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("docs", "experiments", "fmuid", "fmus", "tests")

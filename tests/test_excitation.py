@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid.data.excitation import multisine, prbs, steps
 from fmuid.errors import InputError
-from fmuid.excitation import multisine, prbs, steps
 
 
 @pytest.mark.parametrize("order", [2, 5, 9])

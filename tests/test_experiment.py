@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
-from fmuid.experiment import Experiment
 
 NAN = float("nan")
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.component import Isolation, Numerics
 from fmuid.fmi.float_environment import AVAILABLE, kept
-from fmuid.simulator import Simulator
-from fmuid.system import System
+from fmuid.models.component import Isolation, Numerics
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
 from tests.isolated import NAMES, RECORD, thetas
 from tests.misbehaving import Mode, Where, misbehaving_fmu
 

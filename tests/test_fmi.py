@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.fmi.archive import FMU
 from fmuid.fmi.description import Variable
+from fmuid.fmi.fmu import FMU
 from fmuid.fmi.instance import Instance
 from fmuid.fmi.unpacking import file_digest, unpacked
 from tests.conftest import FMUS, ProbeMaker

@@ -10,15 +10,15 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.component import Component, Numerics
+from fmuid.data.experiment import Experiment
+from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError, SimulationError
-from fmuid.experiment import Experiment
-from fmuid.fmi.archive import FMU
-from fmuid.identification import identify
-from fmuid.parameters import Parameter
-from fmuid.problem import Problem
-from fmuid.simulator import Simulator
-from fmuid.system import System
+from fmuid.estimation.identification import identify
+from fmuid.fmi.fmu import FMU
+from fmuid.model_problem import Problem
+from fmuid.models.component import Component, Numerics
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
 from tests.conftest import FMUS
 from tests.exported import export_text
 from tests.test_export_events import FRICTION, friction

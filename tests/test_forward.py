@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import fmuid
-from fmuid.component import Numerics
+from fmuid.arrays import Floats
+from fmuid.data.experiment import Experiment
+from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError, RefusedError
-from fmuid.experiment import Experiment
-from fmuid.forward import ForwardSensitivities, derivatives_of
-from fmuid.parameters import Parameter
-from fmuid.problem import Problem
-from fmuid.simulator import Simulator
-from fmuid.system import System
+from fmuid.model_problem import Problem
+from fmuid.models.component import Numerics
+from fmuid.models.system import System
+from fmuid.simulation.sensitivities import ForwardSensitivities, derivatives_of
+from fmuid.simulation.simulator import Simulator
 from tests.conftest import FMUS
 from tests.exported import export_text
 from tests.hybrid import hybrid_fmu
@@ -29,7 +30,6 @@ from tests.test_export_sensitivities import DRIVE
 from tests.test_integrators import ball
 from tests.test_simulator import coil_response
 
-Floats = NDArray[np.float64]
 COIL = FMUS / "Coil" / "Coil.fmu"
 MACHINE = FMUS / "InductionMachine" / "InductionMachine.fmu"
 INTEGRATORS: dict[str, dict[str, Any]] = {

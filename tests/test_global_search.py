@@ -7,21 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from fmuid.arrays import Floats
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
-from fmuid.estimators import global_search
-from fmuid.estimators.box import Box
-from fmuid.estimators.global_search import GlobalResult, GlobalSearch, GlobalStep, Method, search_globally
-from fmuid.estimators.marquardt import Marquardt
-from fmuid.identification import identify
-from fmuid.misfit import misfits
-from fmuid.noise import Noise
-from fmuid.parameters import Normal, Parameter, ParameterSet
-from fmuid.problem import Problem
-
-Floats = NDArray[np.float64]
+from fmuid.estimation import global_search
+from fmuid.estimation.box import Box
+from fmuid.estimation.global_search import GlobalResult, GlobalSearch, GlobalStep, Method, search_globally
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.misfit import misfits
+from fmuid.model_problem import Problem
 
 METHODS: tuple[Method, ...] = ("evolution", "multistart")
 TIMES = np.linspace(0.0, 1.0, 120)
@@ -32,11 +31,11 @@ NEAR = 0.05
 ROOT = Path(__file__).parent.parent
 
 
-def sinusoid(start: float = 12.0, noise: Noise | None = None) -> Problem:
+def sinusoid(start: float = 12.0, noise: Noise | None = None) -> LeastSquares:
     """Return the estimation of one angular frequency: its criterion has a secondary optimum every few rad/s."""
     measured = np.sin(FREQUENCY * TIMES) + 0.2 * np.random.default_rng(4).normal(size=TIMES.size)
     parameter = Parameter(start, min=RANGE[0], max=RANGE[1])
-    return Problem.from_function(lambda theta: np.sin(theta[0] * TIMES), measured, {"w": parameter}, noise=noise)
+    return LeastSquares.from_function(lambda theta: np.sin(theta[0] * TIMES), measured, {"w": parameter}, noise=noise)
 
 
 def dense_minima() -> tuple[Floats, Floats]:
@@ -117,7 +116,7 @@ def test_prior_decides_between_equal_optima() -> None:
     """Y = θ² t has the optima ±θ̂; a prior around one of them makes them differ by its own rows only (1.37)."""
     measured = 4.0 * TIMES + 0.1 * np.random.default_rng(1).normal(size=TIMES.size)
     parameter = Parameter(-1.0, min=-5.0, max=5.0, prior=Normal(2.5, 1.0))
-    problem = Problem.from_function(lambda theta: theta**2 * TIMES, measured, {"a": parameter}, noise=Noise(0.01))
+    problem = LeastSquares.from_function(lambda theta: theta**2 * TIMES, measured, {"a": parameter}, noise=Noise(0.01))
     found = search_globally(problem, GlobalSearch("multistart", starts=16))
     assert len(found.optima) == 2
     right, left = (o.theta[0] for o in found.optima)
@@ -130,7 +129,7 @@ def test_prior_decides_between_equal_optima() -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_valley_is_one_optimum(method: Method) -> None:
     """Of y = a b t only a b is determined: wherever in the valley the fits end is one optimum, and not converged."""
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: theta[0] * theta[1] * TIMES,
         2.0 * TIMES + 0.1 * np.random.default_rng(2).normal(size=TIMES.size),
         {"a": Parameter(1.0, min=0.5, max=4.0), "b": Parameter(1.0, min=0.5, max=4.0)},
@@ -147,7 +146,7 @@ def test_valley_is_one_optimum(method: Method) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_perfect_data_give_one_optimum(method: Method) -> None:
     """Without noise the criteria of the fits differ by orders of magnitude, being rounding; they are one optimum."""
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: theta[0] * np.exp(-theta[1] * TIMES),
         3.0 * np.exp(-5.0 * TIMES),
         {"a": Parameter(1.0, min=0.1, max=10.0), "k": Parameter(1.0, min=0.1, max=50.0)},
@@ -159,7 +158,7 @@ def test_perfect_data_give_one_optimum(method: Method) -> None:
 
 def test_induction_machine_from_a_wide_box() -> None:
     """From four boxes of a decade and more, the same estimates as from a start beside the truth."""
-    from fmuid.experiment import Experiment
+    from fmuid.data.experiment import Experiment
 
     table = ROOT / "experiments" / "induction_machine" / "table.csv"
     experiment = Experiment.read(table, inputs=["uds", "uqs", "w"], outputs=["ids", "iqs"])
@@ -199,7 +198,7 @@ def test_given_variances_and_priors_enter_the_criterion() -> None:
     """One output of known variance, one of unknown, and a prior."""
     rng = np.random.default_rng(3)
     measured = rng.normal(size=(30, 2))
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: np.full((30, 2), theta[0]),
         measured,
         {"a": Parameter(1.0, prior=Normal(0.5, 0.2))},
@@ -251,7 +250,7 @@ def test_box_needs_bounds(loose: Parameter, word: str) -> None:
 # --- failing simulations ----------------------------------------------------------------
 
 
-def fragile(limit: float) -> Problem:
+def fragile(limit: float) -> LeastSquares:
     """Return the sinusoid with a simulation that fails below a frequency."""
 
     def simulate(theta: Floats) -> Floats:
@@ -259,7 +258,7 @@ def fragile(limit: float) -> Problem:
             raise FloatingPointError("too slow")
         return np.asarray(np.sin(theta[0] * TIMES))
 
-    return Problem.from_function(simulate, sinusoid().measured, {"w": Parameter(5.0, min=RANGE[0], max=RANGE[1])})
+    return LeastSquares.from_function(simulate, sinusoid().measured, {"w": Parameter(5.0, min=RANGE[0], max=RANGE[1])})
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -281,7 +280,7 @@ def test_nothing_but_failures(method: Method) -> None:
 
 def test_explosions_are_no_error() -> None:
     """Outputs beyond 1e154 cannot be squared; that is as bad as it gets, and no warning."""
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: np.exp(theta[0] * TIMES),
         np.exp(2.0 * TIMES) + 0.01 * np.sin(50 * TIMES),
         {"a": Parameter(1.0, min=-700.0, max=700.0)},
@@ -290,7 +289,7 @@ def test_explosions_are_no_error() -> None:
 
 
 def test_error_where_no_fit_is_possible() -> None:
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: theta[0] * TIMES, TIMES, {"a": Parameter(0.5, min=0.1, max=2.0), "idle": Parameter(1, 0.5, 2)}
     )
     with pytest.raises(InputError, match=r"'idle'.* changes no measured output"):
@@ -328,7 +327,7 @@ def test_progress(method: Method) -> None:
     assert found.simulations == found.result.simulations == problem.simulations >= steps[-1].simulations
 
 
-def interrupting(calls: int) -> Problem:
+def interrupting(calls: int) -> LeastSquares:
     """Return the sinusoid whose user presses Ctrl-C once, after some simulations."""
     count = itertools.count(1)
 
@@ -337,7 +336,7 @@ def interrupting(calls: int) -> Problem:
             raise KeyboardInterrupt
         return np.asarray(np.sin(theta[0] * TIMES))
 
-    return Problem.from_function(simulate, sinusoid().measured, {"w": Parameter(12.0, min=RANGE[0], max=RANGE[1])})
+    return LeastSquares.from_function(simulate, sinusoid().measured, {"w": Parameter(12.0, min=RANGE[0], max=RANGE[1])})
 
 
 @pytest.mark.parametrize(("method", "calls"), [("evolution", 150), ("multistart", 150), ("multistart", 600)])
@@ -385,6 +384,8 @@ def test_wrong_settings(settings: dict[str, object], match: str) -> None:
 
 
 def test_a_robust_loss_is_refused() -> None:
-    problem = Problem.from_function(lambda theta: theta * TIMES, TIMES, {"w": Parameter(1.0, 0.5, 2.0)}, loss="huber")
+    problem = LeastSquares.from_function(
+        lambda theta: theta * TIMES, TIMES, {"w": Parameter(1.0, 0.5, 2.0)}, loss="huber"
+    )
     with pytest.raises(InputError, match="a global search knows plain squares only"):
         search_globally(problem)

@@ -12,14 +12,14 @@ import pytest
 from rich.console import Console
 
 import fmuid
-from fmuid import console_fmu
-from fmuid.cli import run
-from fmuid.cli_words import DONE
-from fmuid.console import TERMINAL_ROWS
+from fmuid.cli.app import run
+from fmuid.cli.options import DONE
 from fmuid.errors import InputError
 from fmuid.fmi.description import Variable
-from fmuid.fmu_facts import Facts, facts, lines
-from fmuid.study_init import skeleton
+from fmuid.models.facts import Facts, facts, lines
+from fmuid.reports.console import fmu as console_fmu
+from fmuid.reports.console.layout import TERMINAL_ROWS
+from fmuid.studies.draft import skeleton
 from tests.conftest import FMUS
 from tests.fmu_texts import FMI2, FMI3, write_fmu
 

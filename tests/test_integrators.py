@@ -19,12 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp.rk import RK45
 
+from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
-from fmuid.experiment import Experiment
 from fmuid.fmi import block as b
 from fmuid.fmi import runge_kutta
 from fmuid.fmi.integrators import FUNCTIONS, ModelExchange, advance, begin, describe, enter_events, leave_events
-from fmuid.simulator import Simulator
+from fmuid.simulation.simulator import Simulator
 from tests.conftest import FMUS, HERE
 from tests.hybrid import hybrid_fmu
 from tests.test_simulator import coil_response

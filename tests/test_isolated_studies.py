@@ -16,17 +16,18 @@ import pytest
 
 from experiments.batches import misbehaviour
 from experiments.batches.campaign import rows
-from fmuid.batch import Batch
-from fmuid.cli import run
-from fmuid.cli_words import DONE, NOT_SUCCEEDED
-from fmuid.component import Isolation
-from fmuid.estimators.global_search import GlobalSearch, search_globally
-from fmuid.experiment import Experiment
-from fmuid.identification import identify
-from fmuid.parameters import Parameter
-from fmuid.problem import Problem
-from fmuid.study import Study
-from fmuid.system import System
+from fmuid.batches.batch import Batch
+from fmuid.cli.app import run
+from fmuid.cli.options import DONE, NOT_SUCCEEDED
+from fmuid.data.experiment import Experiment
+from fmuid.data.parameters import Parameter
+from fmuid.estimation.global_search import GlobalSearch, search_globally
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.model_problem import Problem
+from fmuid.models.component import Isolation
+from fmuid.models.system import System
+from fmuid.studies.study import Study
 from tests.isolated import RECORD_FRAME, TIMES, U, wait_until
 from tests.misbehaving import Mode, lag, misbehaving_fmu
 
@@ -68,7 +69,7 @@ def write_study(folder: Path, fmu: Path, mode: Mode, bad_from: float = -1e300, b
     return folder / "study.toml"
 
 
-def problem(fmu: Path, mode: Mode, isolation: Isolation | None, gain: float = 8.0, T: float = 10.0) -> Problem:
+def problem(fmu: Path, mode: Mode, isolation: Isolation | None, gain: float = 8.0, T: float = 10.0) -> LeastSquares:
     return Problem(
         System(fmu, isolation=isolation),
         Experiment(FRAME, ["u"], ["x"], interpolation="hold"),

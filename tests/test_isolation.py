@@ -15,25 +15,16 @@ import psutil
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.component import Isolation, Numerics
+from fmuid.arrays import Floats
+from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError, SimulationError
-from fmuid.experiment import Experiment
-from fmuid.forward import derivatives_of
-from fmuid.simulator import Simulator
-from fmuid.system import System
-from fmuid.workers import workers_of
+from fmuid.models.component import Isolation, Numerics
+from fmuid.models.system import System
+from fmuid.simulation.executor import workers_of
+from fmuid.simulation.sensitivities import derivatives_of
+from fmuid.simulation.simulator import Simulator
 from tests.conftest import FMUS
-from tests.isolated import (
-    BAD,
-    NAMES,
-    RECORD,
-    RECORD_FRAME,
-    Floats,
-    check_costs_only_its_own,
-    expected,
-    processes,
-    thetas,
-)
+from tests.isolated import BAD, NAMES, RECORD, RECORD_FRAME, check_costs_only_its_own, expected, processes, thetas
 from tests.misbehaving import Mode, Where, misbehaving_fmu
 
 pytestmark = [
@@ -157,8 +148,8 @@ def test_a_crash_before_there_is_an_instance_is_one_sentence(folder: Path, how: 
 
 def test_the_default_time_limit_follows_the_simulations_before(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An FMU that hangs after good simulations, of milliseconds, is stopped after seconds: here half of one."""
-    monkeypatch.setattr("fmuid.isolation.LEAST_LIMIT", 0.5)
-    monkeypatch.setattr("fmuid.isolation.FIRST_LIMIT", 1e6)
+    monkeypatch.setattr("fmuid.simulation.isolation.isolated.LEAST_LIMIT", 0.5)
+    monkeypatch.setattr("fmuid.simulation.isolation.isolated.FIRST_LIMIT", 1e6)
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
     simulator([1.0, 1.0, 0.0])
     with pytest.raises(SimulationError, match=r"did not end within the default time limit .* and was stopped"):

@@ -13,11 +13,11 @@ import pandas as pd
 import psutil
 import pytest
 
-from fmuid.component import Isolation
-from fmuid.ends import REFUSED, End
+from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError
-from fmuid.experiment import Experiment
-from fmuid.simulator import Simulator
+from fmuid.models.component import Isolation
+from fmuid.simulation.isolation.ends import REFUSED, End
+from fmuid.simulation.simulator import Simulator
 from tests.isolated import NAMES, RECORD, check_costs_only_its_own, expected, thetas
 from tests.misbehaving import Mode, misbehaving_fmu
 
@@ -46,8 +46,8 @@ def test_a_record_longer_than_all_before_has_the_time_of_a_first_one(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What the short ones took says little about it."""
-    monkeypatch.setattr("fmuid.isolation.LEAST_LIMIT", 0.2)
-    monkeypatch.setattr("fmuid.isolation.SLOWER", 1.0)
+    monkeypatch.setattr("fmuid.simulation.isolation.isolated.LEAST_LIMIT", 0.2)
+    monkeypatch.setattr("fmuid.simulation.isolation.isolated.SLOWER", 1.0)
     times = 0.1 * np.arange(400)
     long = Experiment(pd.DataFrame({"time": times, "u": 1.0, "x": 0.0}), ["u"], ["x"], interpolation="hold")
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 2.0}, isolation=Isolation())
@@ -106,7 +106,7 @@ def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monk
     def refuse(*_: object) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
-    monkeypatch.setattr("fmuid.host_process.socket.socketpair", refuse)
+    monkeypatch.setattr("fmuid.simulation.isolation.process.socket.socketpair", refuse)
     with pytest.raises(FmuidError, match=r"the system refuses what .* \(Too many open files\)"):
         simulator([2.0, 0.5, 0.0])
     assert psutil.Process().num_fds() == files

@@ -16,12 +16,13 @@ import psutil
 import pytest
 
 import fmuid
-from fmuid.component import Isolation
+from fmuid.arrays import Floats
+from fmuid.data.experiment import Experiment
 from fmuid.errors import SimulationError
-from fmuid.experiment import Experiment
-from fmuid.simulator import Simulator
-from fmuid.system import System
-from tests.isolated import NAMES, RECORD, RECORD_FRAME, TIMES, Floats, U, expected, processes, thetas, wait_until
+from fmuid.models.component import Isolation
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
+from tests.isolated import NAMES, RECORD, RECORD_FRAME, TIMES, U, expected, processes, thetas, wait_until
 from tests.misbehaving import Mode, lag, misbehaving_fmu
 
 pytestmark = [

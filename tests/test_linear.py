@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from fmuid.criterion import prepare
+from fmuid.arrays import Floats
+from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
-from fmuid.estimators.linear import linear_least_squares
-from fmuid.estimators.marquardt import Marquardt, State, search
-from fmuid.identification import identify
-from fmuid.parameters import Parameter
-from fmuid.problem import Problem
+from fmuid.estimation.criterion import prepare
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.linear import linear_least_squares
+from fmuid.estimation.marquardt.search import Marquardt, State, search
 
-Floats = NDArray[np.float64]
 TRUTH = np.array([1.5, -40.0, 2e-3])
 
 
@@ -54,7 +53,7 @@ def test_the_search_finds_it_in_two_steps(starts: tuple[float, float, float]) ->
     phi, y = regression()
     fit = linear_least_squares(phi, y)
     parameters = {name: Parameter(start) for name, start in zip("abc", starts, strict=True)}
-    problem = Problem.from_function(lambda theta: phi @ theta, y, parameters)
+    problem = LeastSquares.from_function(lambda theta: phi @ theta, y, parameters)
     start = prepare(problem)
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
     steps = [i for i in search(start.criterion, state, Marquardt(first_radius=1e9)) if i.number]

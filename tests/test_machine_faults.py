@@ -14,7 +14,7 @@ import pytest
 import fmuid
 from experiments.machine_faults import machine, make_tables, models, study
 from experiments.machine_faults.machine import BARS, COILS, TRUTH, TURNS, Condition
-from fmuid.transforms import T23
+from fmuid.data.transforms import T23
 
 Array = npt.NDArray[np.floating]
 

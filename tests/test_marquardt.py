@@ -5,17 +5,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import curve_fit, lsq_linear
 
-from fmuid.criterion import prepare
+from fmuid.arrays import Floats
+from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
-from fmuid.estimators.marquardt import Iteration, Marquardt, State, Status, search
-from fmuid.estimators.steps import best_step, triangle
-from fmuid.parameters import Parameter
-from fmuid.problem import Problem
-
-Floats = NDArray[np.float64]
+from fmuid.estimation.criterion import prepare
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.search import Iteration, Marquardt, State, Status, search
+from fmuid.estimation.marquardt.step import best_step, triangle
 
 TIMES = np.linspace(0.0, 3.0, 120)
 TRUTH = np.array([3.0, 1.2, 0.5])
@@ -39,8 +37,8 @@ def measured(std: float = 0.05, seed: int = 2) -> Floats:
 
 def run(
     function: Callable[[Floats], Floats], y: Floats, parameters: list[Parameter], settings: Marquardt | None = None
-) -> tuple[State, list[Iteration], Problem]:
-    problem = Problem.from_function(function, y, {f"p{i}": p for i, p in enumerate(parameters)})
+) -> tuple[State, list[Iteration], LeastSquares]:
+    problem = LeastSquares.from_function(function, y, {f"p{i}": p for i, p in enumerate(parameters)})
     start = prepare(problem)
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
     return state, list(search(start.criterion, state, settings or Marquardt())), problem
@@ -66,7 +64,7 @@ def test_same_optimum_as_scipy() -> None:
 
 def test_a_rough_search_ends_earlier_near_the_optimum() -> None:
     y = measured()
-    problem = Problem.from_function(decay, y, {f"p{i}": p for i, p in enumerate(STARTS)})
+    problem = LeastSquares.from_function(decay, y, {f"p{i}": p for i, p in enumerate(STARTS)})
     start = prepare(problem)
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
     rough = list(search(start.criterion, state, Marquardt(), rough=True))
@@ -178,7 +176,7 @@ def test_simulations_that_all_fail_around_a_point_end_the_search() -> None:
     def breaking(theta: Floats) -> Floats:
         return np.full(TIMES.size, np.nan) if armed else decay(theta)
 
-    problem = Problem.from_function(breaking, measured(), {f"p{i}": p for i, p in enumerate(STARTS)})
+    problem = LeastSquares.from_function(breaking, measured(), {f"p{i}": p for i, p in enumerate(STARTS)})
     start = prepare(problem)
     state = State(start.theta, start.evaluation.residual, start.evaluation.jacobian)
     steps = search(start.criterion, state, Marquardt())

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
-from fmuid.component import Component, Numerics
+from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
-from fmuid.experiment import Experiment
-from fmuid.simulator import Simulator
-from fmuid.system import System
+from fmuid.models.component import Component, Numerics
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
 from tests.conftest import FMUS, ProbeMaker
 from tests.test_simulator import coil_response
 

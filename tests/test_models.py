@@ -22,7 +22,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from fmuid.transforms import T23, park
+from fmuid.data.transforms import T23, park
 
 Array = npt.NDArray[Any]
 FMUS = Path(__file__).parents[1] / "fmus"

@@ -15,10 +15,10 @@ from scipy.signal import lfilter
 
 import fmuid
 from experiments.coil import study as coil
-from fmuid.alarms import SOMETHING_ELSE, Rule, alarm_rate, alarms
-from fmuid.cli import run
-from fmuid.monitoring import Monitor
-from fmuid.study_monitoring import design_of, monitor_of, rule_of
+from fmuid.cli.app import run
+from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Rule, alarm_rate, alarms
+from fmuid.diagnosis.monitoring.monitor import Monitor
+from fmuid.studies.monitoring import design_of, monitor_of, rule_of
 from tests.exported import export_text
 from tests.test_diagnosis import COLUMNS, PHASES, PLATE, STD, TRUTH, identified
 from tests.test_diagnosis import record as plate_record

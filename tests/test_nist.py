@@ -8,15 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from fmuid.identification import identify
-from fmuid.parameters import Parameter
-from fmuid.problem import Problem
-from fmuid.result import Result
+from fmuid.arrays import Floats
+from fmuid.data.parameters import Parameter
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.result import Result
 
-Floats = NDArray[np.float64]
 Model = Callable[[Floats, Floats], Floats]
 FOLDER = Path(__file__).parent / "nist"
 DIGITS = 4
@@ -67,7 +66,7 @@ def solve(name: str, start: int) -> tuple[Reference, Result]:
     reference = read(name)
     parameters = {f"b{i + 1}": Parameter(value) for i, value in enumerate(reference.starts[start])}
     model = MODELS[name]
-    return reference, identify(Problem.from_function(lambda b: model(b, reference.x), reference.y, parameters))
+    return reference, identify(LeastSquares.from_function(lambda b: model(b, reference.x), reference.y, parameters))
 
 
 def digits(found: Floats, certified: Floats) -> float:

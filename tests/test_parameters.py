@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
+from fmuid.data.parameters import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
-from fmuid.parameters import JointPrior, Normal, Parameter, ParameterSet
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,12 @@ import numpy.typing as npt
 import pandas as pd
 from matplotlib.figure import Figure
 
-from fmuid import figures_fit, figures_search, figures_uncertainty, plots
-from fmuid.fit import Fit
-from fmuid.profile import Profile
+from fmuid.assessment.profile import Profile
+from fmuid.reports.figures import fit as figures_fit
+from fmuid.reports.figures import search as figures_search
+from fmuid.reports.figures import style as plots
+from fmuid.reports.figures import uncertainty as figures_uncertainty
+from fmuid.simulation.fit import Fit
 
 Array = npt.NDArray[np.float64]
 

@@ -12,32 +12,32 @@ from scipy import stats
 from scipy.integrate import quad
 
 from experiments.interval_coverage import coverage
-from fmuid import figures_uncertainty
-from fmuid.chains import effective_size, r_hat
+from fmuid.assessment.chains import effective_size, r_hat
+from fmuid.assessment.posterior import Posterior, Sampling, SamplingStep, log_density, sample
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import JointPrior, Normal, Parameter
+from fmuid.data.predictors import FunctionPredictions, Table
 from fmuid.errors import InputError
-from fmuid.identification import identify
-from fmuid.noise import Noise
-from fmuid.parameters import JointPrior, Normal, Parameter
-from fmuid.posterior import Posterior, Sampling, SamplingStep, log_density, sample
-from fmuid.predictors import FunctionPredictions, Table
-from fmuid.problem import Problem
-from fmuid.result import Result
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.reports.figures import uncertainty as figures_uncertainty
 
 Array = npt.NDArray[np.float64]
 # Sampling errors are normal: four of their standard deviations are passed once in 16,000 times.
 ERRORS = 4.0
 
 
-def linear(samples: int = 30, **words: Any) -> tuple[Problem, Array]:
+def linear(samples: int = 30, **words: Any) -> tuple[LeastSquares, Array]:
     """Return a problem linear in two parameters, and its regressors."""
     rng = np.random.default_rng(5)
     phi = rng.normal([1.0, 0.0], 1.0, (samples, 2))
     measured = phi @ [2.0, -0.3] + 0.7 * rng.normal(size=samples)
     parameters = words.pop("parameters", {"a": Parameter(1.0), "b": Parameter(1.0)})
-    return Problem.from_function(lambda theta: phi @ theta, measured, parameters, **words), phi
+    return LeastSquares.from_function(lambda theta: phi @ theta, measured, parameters, **words), phi
 
 
-def sampled(problem: Problem, **settings: Any) -> tuple[Posterior, Result]:
+def sampled(problem: LeastSquares, **settings: Any) -> tuple[Posterior, Result]:
     result = identify(problem)
     return sample(problem, result, Sampling(**settings)), result
 
@@ -79,7 +79,7 @@ def test_density_of_estimated_variances() -> None:
     times = np.linspace(0.0, 1.0, 9)
     measured = np.column_stack([2.0 * times, 1.0 - times]) + 0.2 * rng.normal(size=(9, 2))
     measured[4, 1] = np.nan
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: np.column_stack([theta[0] * times, 1.0 - theta[1] * times]),
         measured,
         {"a": Parameter(1.0), "b": Parameter(2.0)},
@@ -123,7 +123,7 @@ def test_density_outside_and_where_simulations_fail() -> None:
         values: Array = theta[0] * np.arange(3.0)
         return values
 
-    problem = Problem.from_function(fragile, [0.0, 1.1, 2.0], {"a": Parameter(1.0, max=3.0)})
+    problem = LeastSquares.from_function(fragile, [0.0, 1.1, 2.0], {"a": Parameter(1.0, max=3.0)})
     found = log_density(problem)(np.array([[-0.5], [1.0], [3.0], [3.5]]))
     assert list(np.isfinite(found)) == [False, True, True, False]
     assert (found[[0, 3]] == -np.inf).all()
@@ -166,7 +166,7 @@ def test_bound_cuts_a_normal() -> None:
     phi = np.ones(20)
     measured = 3.0 + np.random.default_rng(1).normal(size=20)
     mean, std = float(measured.mean()), 1.0 / math.sqrt(20.0)
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: theta[0] * phi, measured, {"a": Parameter(1.0, max=mean + 0.5 * std)}, noise=Noise(1.0)
     )
     posterior, _ = sampled(problem)
@@ -185,7 +185,7 @@ def test_estimate_on_a_bound() -> None:
     measured = 3.0 + np.random.default_rng(1).normal(size=20)
     mean, std = float(measured.mean()), 1.0 / math.sqrt(20.0)
     bound = mean + std
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: theta[0] * np.ones(20), measured, {"a": Parameter(5.0, min=bound)}, noise=Noise(1.0)
     )
     posterior, result = sampled(problem)
@@ -199,10 +199,10 @@ def test_estimate_on_a_bound() -> None:
 # --- what the data leave open
 
 
-def sum_only(a: Parameter, b: Parameter) -> Problem:
+def sum_only(a: Parameter, b: Parameter) -> LeastSquares:
     """Return a problem whose data determine a + b alone, with a standard deviation of 0.1."""
     measured = 3.0 + np.random.default_rng(2).normal(size=25) / 2.0
-    return Problem.from_function(
+    return LeastSquares.from_function(
         lambda theta: (theta[0] + theta[1]) * np.ones(25), measured, {"a": a, "b": b}, noise=Noise(0.25)
     )
 
@@ -249,7 +249,7 @@ def test_ensembles_run_as_batches() -> None:
     rng = np.random.default_rng(0)
     table = Table("run", np.arange(5.0), ("y",), rng.normal(size=(5, 1)), np.ones((5, 1), dtype=np.bool_))
     priors = {name: Parameter(1.0, prior=Normal(0.0, 1.0)) for name in ("a", "b")}
-    problem = Problem.from_predictors([Counting()], [table], priors)
+    problem = LeastSquares([Counting()], [table], priors)
     result = identify(problem)
     sizes.clear()
     posterior = sample(problem, result, Sampling(walkers=20, steps=200))
@@ -273,7 +273,7 @@ def test_a_single_parameter_that_fails_nearby() -> None:
         values: Array = theta[0] * np.ones(4)
         return values
 
-    problem = Problem.from_function(fragile, [1.5, 0.4, 1.2, 0.9], {"a": Parameter(1.0)}, noise=Noise(1.0))
+    problem = LeastSquares.from_function(fragile, [1.5, 0.4, 1.2, 0.9], {"a": Parameter(1.0)}, noise=Noise(1.0))
     posterior, _ = sampled(problem)
     assert posterior.converged
     assert np.abs(posterior.samples - 1.0).max() <= 0.05
@@ -342,14 +342,16 @@ def test_wrong_use() -> None:
     problem, phi = linear()
     result = identify(problem)
     six = {name: Parameter(1.0, prior=Normal(0.0, 1.0)) for name in "abcdef"}
-    wide = Problem.from_function(lambda theta: phi @ theta[:2], problem.measured, six)
+    wide = LeastSquares.from_function(lambda theta: phi @ theta[:2], problem.measured, six)
     with pytest.raises(InputError, match="4 walkers are too few for 6 parameters; the sampler needs at least 12"):
         sample(wide, identify(wide), Sampling(walkers=4))
     with pytest.raises(InputError, match="the result is of another problem: its parameters are a, b"):
         sample(wide, result)
     with pytest.raises(InputError, match="level of an interval"):
         sampled(problem, steps=20)[0].intervals(1.0)
-    exact = Problem.from_function(lambda theta: theta[0] * np.arange(4.0), 2.0 * np.arange(4.0), {"a": Parameter(2.0)})
+    exact = LeastSquares.from_function(
+        lambda theta: theta[0] * np.arange(4.0), 2.0 * np.arange(4.0), {"a": Parameter(2.0)}
+    )
     with pytest.raises(InputError, match="fits an output exactly"):
         sample(exact, identify(exact))
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from fmuid.criterion import prepare
+from fmuid.arrays import Floats
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import JointPrior, Normal, Parameter
+from fmuid.data.predictors import Table
 from fmuid.errors import InputError, SimulationError
-from fmuid.noise import Noise
-from fmuid.parameters import JointPrior, Normal, Parameter
-from fmuid.predictors import Table
-from fmuid.problem import Problem
+from fmuid.estimation.criterion import prepare
+from fmuid.estimation.least_squares import LeastSquares
 
-Floats = NDArray[np.float64]
 TIMES = np.linspace(0.0, 2.0, 50)
 
 
@@ -49,12 +49,12 @@ def table(name: str = "run", counted: NDArray[np.bool_] | None = None, values: F
     return Table(name, TIMES, ("a", "b"), measured, ~np.isnan(measured) if counted is None else counted)
 
 
-def two_runs() -> tuple[Problem, list[Fake]]:
+def two_runs() -> tuple[LeastSquares, list[Fake]]:
     fakes = [Fake(), Fake()]
     counted = np.ones((50, 2), dtype=np.bool_)
     counted[:10] = False
     counted[20, 1] = False
-    problem = Problem.from_predictors(
+    problem = LeastSquares(
         fakes,
         [table("first"), table("second", counted)],
         {"k": Parameter(1.0), "gain": Parameter(3.0, per_experiment=True)},
@@ -104,7 +104,7 @@ def test_an_experiment_is_not_simulated_again_for_the_parameters_of_others() -> 
 def test_prior_rows_follow_the_data() -> None:
     """The compound criterion (1.37), and its rows' derivative −W."""
     parameters = {"k": Parameter(1.0, prior=Normal(1.4, 0.1)), "gain": Parameter(3.0)}
-    problem = Problem.from_predictors([Fake()], [table()], parameters, noise=Noise(1.0))
+    problem = LeastSquares([Fake()], [table()], parameters, noise=Noise(1.0))
     evaluation = prepare(problem).criterion.evaluate([1.2, 2.0])
     assert evaluation.residual[100:] == pytest.approx([2.0])
     assert evaluation.jacobian[100:].tolist() == [[-10.0, 0.0]]
@@ -116,7 +116,7 @@ def test_first_variances() -> None:
     parameters = {"k": Parameter(1.0), "gain": Parameter(3.0)}
 
     def variance(noise: Noise) -> list[float]:
-        problem = Problem.from_predictors([Fake()], [table()], parameters, noise=noise)
+        problem = LeastSquares([Fake()], [table()], parameters, noise=noise)
         return list(prepare(problem).criterion.variance)
 
     residual = np.mean((measured - simulate(1.0, 3.0)) ** 2, axis=0)
@@ -144,26 +144,26 @@ def test_bad_noise(words: dict[str, object], said: str) -> None:
 
 def test_noise_of_an_unknown_output() -> None:
     with pytest.raises(InputError, match="names 'bb', which is no measured output"):
-        Problem.from_predictors([Fake()], [table()], {"k": Parameter(1.0)}, noise=Noise({"bb": 1.0}))
+        LeastSquares([Fake()], [table()], {"k": Parameter(1.0)}, noise=Noise({"bb": 1.0}))
 
 
-def without_samples() -> Problem:
+def without_samples() -> LeastSquares:
     counted = np.ones((50, 2), dtype=np.bool_)
     counted[:, 1] = False
-    return Problem.from_predictors([Fake()], [table(counted=counted)], {"k": Parameter(1.0)})
+    return LeastSquares([Fake()], [table(counted=counted)], {"k": Parameter(1.0)})
 
 
-def without_outputs() -> Problem:
+def without_outputs() -> LeastSquares:
     empty = Table("run", TIMES, (), np.zeros((50, 0)), np.zeros((50, 0), dtype=np.bool_))
-    return Problem.from_predictors([Fake()], [empty], {"k": Parameter(1.0)})
+    return LeastSquares([Fake()], [empty], {"k": Parameter(1.0)})
 
 
-def too_few_samples() -> Problem:
-    return Problem.from_function(lambda theta: theta[:2], [1.0, 2.0], {n: Parameter(1.0) for n in "abc"})
+def too_few_samples() -> LeastSquares:
+    return LeastSquares.from_function(lambda theta: theta[:2], [1.0, 2.0], {n: Parameter(1.0) for n in "abc"})
 
 
-def no_freedom() -> Problem:
-    return Problem.from_function(lambda theta: theta, [1.0, 2.0], {n: Parameter(1.0) for n in "ab"})
+def no_freedom() -> LeastSquares:
+    return LeastSquares.from_function(lambda theta: theta, [1.0, 2.0], {n: Parameter(1.0) for n in "ab"})
 
 
 @pytest.mark.parametrize(
@@ -173,32 +173,38 @@ def no_freedom() -> Problem:
         (without_outputs, "no outputs are measured"),
         (too_few_samples, "2 counted samples are too few for 3 parameters"),
         (no_freedom, "2 counted samples are too few for 2 parameters"),
-        (lambda: Problem.from_predictors([], [], {"k": Parameter(1.0)}), "no experiments"),
-        (lambda: Problem.from_predictors([Fake()], [table()], {}), "no parameters"),
-        (lambda: Problem.from_function(np.sin, np.ones((5, 2)), {"k": Parameter(1.0)}), "one column for each of y"),
-        (lambda: Problem.from_function(np.sin, np.ones(5), {"k": Parameter(1.0)}, times=[1.0]), "times must have 5"),
+        (lambda: LeastSquares([], [], {"k": Parameter(1.0)}), "no experiments"),
+        (lambda: LeastSquares([Fake()], [table()], {}), "no parameters"),
         (
-            lambda: Problem.from_function(
+            lambda: LeastSquares.from_function(np.sin, np.ones((5, 2)), {"k": Parameter(1.0)}),
+            "one column for each of y",
+        ),
+        (
+            lambda: LeastSquares.from_function(np.sin, np.ones(5), {"k": Parameter(1.0)}, times=[1.0]),
+            "times must have 5",
+        ),
+        (
+            lambda: LeastSquares.from_function(
                 np.sin, np.ones(5), {"k": Parameter(1.0)}, joint_prior=JointPrior(["kk"], [1.0], [[1.0]])
             ),
             "'kk' is not a parameter",
         ),
     ],
 )
-def test_impossible_problems(make: Callable[[], Problem], said: str) -> None:
+def test_impossible_problems(make: Callable[[], LeastSquares], said: str) -> None:
     with pytest.raises(InputError, match=said):
         make()
 
 
 def test_a_function_of_another_length_is_refused() -> None:
-    problem = Problem.from_function(lambda theta: theta[0] * np.ones(4), np.ones(5), {"k": Parameter(1.0)})
+    problem = LeastSquares.from_function(lambda theta: theta[0] * np.ones(4), np.ones(5), {"k": Parameter(1.0)})
     with pytest.raises(InputError, match="must return outputs of shape"):
         prepare(problem)
 
 
 def test_a_start_that_cannot_be_simulated_says_why() -> None:
     parameters = {"k": Parameter(-1.0), "gain": Parameter(3.0)}
-    problem = Problem.from_predictors([Fake()], [table()], parameters)
+    problem = LeastSquares([Fake()], [table()], parameters)
     with pytest.raises(SimulationError, match="fmi2DoStep returned fmi2Error"):
         prepare(problem)
 
@@ -207,13 +213,15 @@ def test_a_start_without_neighbours_that_can_be_simulated() -> None:
     def lonely(theta: Floats) -> Floats:
         return np.full(5, theta[1] if theta[0] == 2.0 else np.nan)
 
-    problem = Problem.from_function(lonely, np.ones(5), {"k": Parameter(2.0), "gain": Parameter(1.0)})
+    problem = LeastSquares.from_function(lonely, np.ones(5), {"k": Parameter(2.0), "gain": Parameter(1.0)})
     with pytest.raises(InputError, match="not with 'k' moved to either side of 2"):
         prepare(problem)
 
 
 def test_a_start_outside_the_bounds() -> None:
-    problem = Problem.from_function(lambda theta: theta[0] * np.ones(5), np.ones(5), {"k": Parameter(2.0, max=3.0)})
+    problem = LeastSquares.from_function(
+        lambda theta: theta[0] * np.ones(5), np.ones(5), {"k": Parameter(2.0, max=3.0)}
+    )
     with pytest.raises(InputError, match="the start 4 of 'k' lies outside its bounds"):
         prepare(problem, [4.0])
     with pytest.raises(InputError, match="must have 1 values"):
@@ -225,24 +233,24 @@ def test_parameters_without_influence_are_named_before_the_search() -> None:
         return np.asarray(theta[0] * TIMES)
 
     parameters = {"gain": Parameter(1.0), "idle": Parameter(3.0), "odd": Parameter(0.0, nominal=1.0)}
-    problem = Problem.from_function(function, TIMES, parameters)
+    problem = LeastSquares.from_function(function, TIMES, parameters)
     with pytest.raises(InputError, match=r"parameters 'idle' \(start 3\), 'odd' \(start 0\) change no measured output"):
         prepare(problem)
     del parameters["odd"]
     with pytest.raises(
         InputError, match=r"parameter 'idle' \(start 3\) changes no measured output .* hold it at a value"
     ):
-        prepare(Problem.from_function(function, TIMES, parameters))
+        prepare(LeastSquares.from_function(function, TIMES, parameters))
 
 
 def test_a_prior_makes_up_for_missing_influence() -> None:
     parameters = {"gain": Parameter(1.0), "idle": Parameter(3.0, prior=Normal(2.5, 0.5))}
-    start = prepare(Problem.from_function(lambda theta: theta[0] * TIMES, 2.0 * TIMES, parameters))
+    start = prepare(LeastSquares.from_function(lambda theta: theta[0] * TIMES, 2.0 * TIMES, parameters))
     assert start.evaluation.residual[-1] == pytest.approx(-1.0)
 
 
 def test_influence_at_a_start_where_the_derivative_vanishes() -> None:
     """An even function at its centre: the central difference is zero, the outputs still change."""
     parameters = {"gain": Parameter(1.0), "bend": Parameter(0.0, nominal=1.0)}
-    start = prepare(Problem.from_function(lambda theta: theta[0] * TIMES + theta[1] ** 2, 2.0 * TIMES, parameters))
+    start = prepare(LeastSquares.from_function(lambda theta: theta[0] * TIMES + theta[1] ** 2, 2.0 * TIMES, parameters))
     assert np.linalg.norm(start.evaluation.jacobian[:, 1]) < 1e-6 * np.linalg.norm(start.evaluation.jacobian[:, 0])

@@ -12,28 +12,28 @@ from scipy.optimize import brentq, least_squares
 from scipy.stats import f as f_distribution
 from scipy.stats import norm
 
-from fmuid import figures_uncertainty
+from fmuid.assessment.profile import Profile, ProfilePoint, profiles
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.identification import identify
-from fmuid.noise import Noise
-from fmuid.parameters import JointPrior, Normal, Parameter
-from fmuid.problem import Problem
-from fmuid.profile import Profile, ProfilePoint, profiles
-from fmuid.result import Result
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.reports.figures import uncertainty as figures_uncertainty
 
 Array = npt.NDArray[np.float64]
 TIMES = np.linspace(0.0, 4.0, 25)
 LEVEL = 0.95
 
 
-def linear(**words: Any) -> tuple[Problem, Array]:
+def linear(**words: Any) -> tuple[LeastSquares, Array]:
     """Return a problem of 30 samples linear in its three parameters, and its regressors."""
     rng = np.random.default_rng(5)
     phi = rng.normal(size=(30, 3)) + 1.0
     measured = phi @ [2.0, -0.3, 40.0] + 0.7 * rng.normal(size=30)
     priors = words.pop("priors", {})
     parameters = {name: Parameter(1.0, prior=priors.get(name)) for name in ("a", "b", "c")}
-    return Problem.from_function(lambda theta: phi @ theta, measured, parameters, **words), phi
+    return LeastSquares.from_function(lambda theta: phi @ theta, measured, parameters, **words), phi
 
 
 def saturating(theta: Array) -> Array:
@@ -42,12 +42,12 @@ def saturating(theta: Array) -> Array:
     return rise
 
 
-def rise_problem(std: float = 0.3, rate: float = 0.8, searched: Parameter | None = None) -> Problem:
+def rise_problem(std: float = 0.3, rate: float = 0.8, searched: Parameter | None = None) -> LeastSquares:
     measured = saturating(np.array([5.0, rate])) + std * np.random.default_rng(2).normal(size=TIMES.size)
-    return Problem.from_function(saturating, measured, {"top": Parameter(3.0), "rate": searched or Parameter(1.0)})
+    return LeastSquares.from_function(saturating, measured, {"top": Parameter(3.0), "rate": searched or Parameter(1.0)})
 
 
-def coil(least: float = -math.inf) -> tuple[Problem, Result]:
+def coil(least: float = -math.inf) -> tuple[LeastSquares, Result]:
     """Return the coil with its fault parameter (docs/method.md section 10): only R + dR and L + 2 tau dR act."""
     voltage = np.sign(np.sin(0.13 * np.arange(400)) + 0.1)
     decay_step, tau = 1e-3, 0.025
@@ -67,11 +67,11 @@ def coil(least: float = -math.inf) -> tuple[Problem, Result]:
         "L": Parameter(0.1, min=least),
         "dR": Parameter(0.0, nominal=1.0),
     }
-    problem = Problem.from_function(current, measured, parameters)
+    problem = LeastSquares.from_function(current, measured, parameters)
     return problem, identify(problem)
 
 
-def only(problem: Problem, result: Result, name: str, **words: Any) -> Profile:
+def only(problem: LeastSquares, result: Result, name: str, **words: Any) -> Profile:
     (profile,) = profiles(problem, result, [name], **words)
     return profile
 
@@ -117,7 +117,7 @@ def test_linear_two_outputs_and_joint_prior() -> None:
     phi = rng.normal(size=(2, 40, 2))
     clean = np.einsum("oki,i->ko", phi, [1.0, 3.0])
     measured = clean + rng.normal(size=clean.shape) * [0.2, 2.0]
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: np.einsum("oki,i->ko", phi, theta),
         measured,
         {"a": Parameter(1.0), "b": Parameter(1.0)},
@@ -131,7 +131,7 @@ def test_linear_two_outputs_and_joint_prior() -> None:
 
 
 def test_one_parameter() -> None:
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: theta[0] * TIMES, 2.0 * TIMES + np.cos(40 * TIMES), {"k": Parameter(1.0)}
     )
     result = identify(problem)
@@ -141,7 +141,7 @@ def test_one_parameter() -> None:
 # --- nonlinear problems: brute force
 
 
-def brute(problem: Problem, result: Result, index: int, value: float) -> float:
+def brute(problem: LeastSquares, result: Result, index: int, value: float) -> float:
     """Return the least criterion with one parameter held, by scipy from several starts."""
     sigma = math.sqrt(next(iter(result.noise_variance.values())))
     others = [i for i in range(len(result.names)) if i != index]
@@ -238,7 +238,7 @@ def test_simulations_fail_before_the_level() -> None:
         return saturating(theta)
 
     measured = rise_problem(std=0.5).measured
-    problem = Problem.from_function(fragile, measured, {"top": Parameter(4.0), "rate": Parameter(0.7, max=2.0)})
+    problem = LeastSquares.from_function(fragile, measured, {"top": Parameter(4.0), "rate": Parameter(0.7, max=2.0)})
     profile = only(problem, identify(problem), "rate")
     assert profile.upper == math.inf
     assert "simulations fail; give a bound" in profile.notes[0]
@@ -284,7 +284,7 @@ def test_better_optimum_is_said() -> None:
         return values
 
     # so large a variance that the data do not keep the lobes apart
-    problem = Problem.from_function(wave, measured, {"w": Parameter(3.95, min=2.0, max=5.0)}, noise=Noise(40.0))
+    problem = LeastSquares.from_function(wave, measured, {"w": Parameter(3.95, min=2.0, max=5.0)}, noise=Noise(40.0))
     result = identify(problem)
     assert abs(result["w"] - 3.0) > 0.3
     profile = only(problem, result, "w")

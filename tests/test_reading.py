@@ -8,23 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import stats
 
-from fmuid.criterion import prepare
+from fmuid.arrays import Floats
+from fmuid.assessment.prior_and_data import Reading, read_result
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimators.linear import linear_least_squares
-from fmuid.identification import identify
-from fmuid.noise import Noise
-from fmuid.parameters import JointPrior, Normal, Parameter
-from fmuid.problem import Problem
-from fmuid.reading import Reading, read_result
-from fmuid.result import Result
-from fmuid.study import Study
+from fmuid.estimation.criterion import prepare
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.linear import linear_least_squares
+from fmuid.estimation.result import Result
+from fmuid.model_problem import Problem
+from fmuid.studies.study import Study
 from tests.test_result import coil_problem
 from tests.test_series import ar1
-
-Floats = NDArray[np.float64]
 
 STUDY = Path(__file__).parents[1] / "experiments" / "induction_machine" / "study.toml"
 COUNT = 120
@@ -38,11 +37,11 @@ NAMES = ("a", "b", "c")
 
 def linear(
     measured: Floats, prior: JointPrior | None = None, own: dict[str, Normal] | None = None, **words: Any
-) -> tuple[Problem, Result]:
+) -> tuple[LeastSquares, Result]:
     """Identify y = Φ θ."""
     parameters = {name: Parameter(1.0, prior=(own or {}).get(name)) for name in NAMES}
     words = {"noise": Noise(VARIANCE)} | words
-    problem = Problem.from_function(lambda theta: PHI @ theta, measured, parameters, joint_prior=prior, **words)
+    problem = LeastSquares.from_function(lambda theta: PHI @ theta, measured, parameters, joint_prior=prior, **words)
     return problem, identify(problem)
 
 
@@ -59,9 +58,9 @@ def information() -> Floats:
     return np.asarray(PHI.T @ PHI / VARIANCE)
 
 
-def white_reading(problem: Problem, result: Result, **words: Any) -> Reading:
+def white_reading(problem: LeastSquares, result: Result, **words: Any) -> Reading:
     """Read a result with residuals that are taken for white."""
-    from fmuid.residuals import Diagnostics, examine_residuals
+    from fmuid.assessment.residuals import Diagnostics, examine_residuals
 
     found = examine_residuals(problem, result)
     series = tuple(dataclasses.replace(each, noise_correlation=np.ones(1)) for each in found.series)
@@ -96,7 +95,7 @@ def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
         assert np.isnan(reading.nonlinearity).all()
 
 
-def kalman(problem: Problem, theta: Floats) -> Floats:
+def kalman(problem: LeastSquares, theta: Floats) -> Floats:
     """One Newton step from θ₀ in the form of (1.49): θ₀ + K (Y* − Ŷ(θ₀)), K = P_C Sᵀ/σ_b²."""
     criterion = prepare(problem, theta).criterion
     at = criterion.evaluate(theta)
@@ -113,7 +112,7 @@ def test_the_kalman_form_of_a_linear_problem() -> None:
     np.testing.assert_allclose(kalman(problem, MEAN), result.values, rtol=1e-6)
 
 
-def machine(noise: Noise, mean: Floats) -> Problem:
+def machine(noise: Noise, mean: Floats) -> LeastSquares:
     """Return the induction machine with the chapter's prior covariance around a mean."""
     study = Study.read(STUDY)
     stds = np.sqrt([2e-3, 2e-4, 6e-7, 1e-7])
@@ -165,9 +164,9 @@ def test_the_data_alone_are_searched() -> None:
     y = decay(np.array([2.0, 1.5])) + 0.05 * np.random.default_rng(3).standard_normal(80)
     free = {"gain": Parameter(1.0), "rate": Parameter(1.0)}
     noise = Noise(0.05**2)
-    alone = identify(Problem.from_function(decay, y, free, noise=noise))
+    alone = identify(LeastSquares.from_function(decay, y, free, noise=noise))
     with_prior = free | {"rate": Parameter(1.0, prior=Normal(0.6, 0.02))}
-    problem = Problem.from_function(decay, y, with_prior, noise=noise)
+    problem = LeastSquares.from_function(decay, y, with_prior, noise=noise)
     result = identify(problem)
     reading = read_result(problem, result, search_data=True)
     np.testing.assert_allclose(reading.data, alone.values, rtol=1e-5)
@@ -224,7 +223,7 @@ def test_nothing_in_common() -> None:
     """A prior on what the data say nothing about can neither agree nor disagree."""
     measured = noisy(np.random.default_rng(6))
     parameters = {name: Parameter(1.0) for name in NAMES} | {"d": Parameter(1.0, prior=Normal(2.0, 0.5))}
-    problem = Problem.from_function(lambda theta: PHI @ theta[:3], measured, parameters, noise=Noise(VARIANCE))
+    problem = LeastSquares.from_function(lambda theta: PHI @ theta[:3], measured, parameters, noise=Noise(VARIANCE))
     result = identify(problem)
     assert result["d"] == pytest.approx(2.0)
     reading = read_result(problem, result)
@@ -244,7 +243,7 @@ def test_false_alarms_come_as_often_as_the_level_says(colour: float) -> None:
         truth = np.array([1.0, 1.0]) + stds * rng.standard_normal(2)
         y = phi @ truth + 0.3 * ar1(rng, colour, 600)
         parameters = {name: Parameter(1.0, prior=Normal(1.0, std)) for name, std in zip("ab", stds, strict=True)}
-        problem = Problem.from_function(lambda theta: phi @ theta, y, parameters, noise=Noise(0.09))
+        problem = LeastSquares.from_function(lambda theta: phi @ theta, y, parameters, noise=Noise(0.09))
         reading = read_result(problem, identify(problem))
         assert reading.agreement is not None
         apart.append(reading.agreement.probability < 0.05)
@@ -258,7 +257,7 @@ def test_the_known_variance() -> None:
     rng = np.random.default_rng(8)
     y = np.column_stack([noisy(rng), PHI @ TRUTH + 0.3 * rng.standard_normal(COUNT)])
     parameters = {name: Parameter(1.0) for name in NAMES}
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         lambda theta: np.column_stack([PHI @ theta, PHI @ theta]), y, parameters, outputs=("u", "i")
     )
     result = identify(problem)
@@ -299,7 +298,7 @@ def test_a_robust_loss_is_extrapolated() -> None:
 def test_a_search_that_ends_at_a_bound_is_said() -> None:
     y = noisy(np.random.default_rng(9))
     parameters = {"a": Parameter(1.5, min=1.2, prior=Normal(1.5, 0.02)), "b": Parameter(1.0), "c": Parameter(1.0)}
-    problem = Problem.from_function(lambda theta: PHI @ theta, y, parameters, noise=Noise(VARIANCE))
+    problem = LeastSquares.from_function(lambda theta: PHI @ theta, y, parameters, noise=Noise(VARIANCE))
     result = identify(problem)
     assert result.at_bounds == ()
     reading = read_result(problem, result, search_data=True)

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from fmuid import console_result
-from fmuid.estimators.marquardt import Marquardt, Status
+from fmuid.data.parameters import Parameter
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.search import Marquardt, Status
 from fmuid.files import file_name
-from fmuid.identification import identify
-from fmuid.parameters import Parameter
-from fmuid.problem import Problem
-from fmuid.report import at_minimum
+from fmuid.reports.console import result as console_result
+from fmuid.reports.findings import at_minimum
 from fmuid.text import rounded, with_std
 
 
@@ -59,7 +59,7 @@ def test_file_name() -> None:
 @pytest.mark.parametrize(("iterations", "ended"), [(1000, True), (1, False)])
 def test_at_minimum(iterations: int, ended: bool) -> None:
     x = np.linspace(0.0, 1.0, 20)
-    problem = Problem.from_function(lambda t: np.exp(-t[0] * x), np.exp(-2.0 * x), {"a": Parameter(20.0)})
+    problem = LeastSquares.from_function(lambda t: np.exp(-t[0] * x), np.exp(-2.0 * x), {"a": Parameter(20.0)})
     result = identify(problem, Marquardt(iterations))
     assert at_minimum(result, None) is ended
     assert result.status.startswith(Status.ITERATION_LIMIT.value) is not ended

@@ -8,23 +8,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.typing import NDArray
 
+from fmuid.arrays import Floats
+from fmuid.assessment.residual_series import ResidualSeries
+from fmuid.assessment.residuals import Diagnostics, examine_residuals
+from fmuid.data.experiment import Experiment
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter
+from fmuid.data.predictors import FunctionPredictor, Table
 from fmuid.errors import InputError
-from fmuid.experiment import Experiment
-from fmuid.figures_residuals import residuals
-from fmuid.identification import identify
-from fmuid.noise import Noise
-from fmuid.parameters import Normal, Parameter
-from fmuid.predictors import FunctionPredictor, Table
-from fmuid.problem import Problem
-from fmuid.residual_series import ResidualSeries
-from fmuid.residuals import Diagnostics, examine_residuals
-from fmuid.result import Result
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.reports.figures.residuals import residuals
 from fmuid.text import listed
 from tests.test_series import ar1
-
-Floats = NDArray[np.float64]
 
 COUNT = 1000
 TIMES: Floats = 0.01 * np.arange(float(COUNT))
@@ -39,12 +37,12 @@ def examined(errors: Floats, **words: Any) -> Diagnostics:
     return examine_residuals(problem, result)
 
 
-def identified(errors: Floats, **words: Any) -> tuple[Problem, Result]:
+def identified(errors: Floats, **words: Any) -> tuple[LeastSquares, Result]:
     frame = pd.DataFrame({"time": TIMES, "u": INPUT, "y": REGRESSORS @ TRUTH + errors})
     experiment = Experiment(frame, inputs=["u"], outputs=["y"], discard=words.pop("discard", 0.0))
     predictor = FunctionPredictor(lambda theta: REGRESSORS @ theta, (COUNT, 1))
     parameters = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
-    problem = Problem.from_predictors([predictor], [experiment], parameters | words.pop("parameters", {}), **words)
+    problem = LeastSquares([predictor], [experiment], parameters | words.pop("parameters", {}), **words)
     return problem, identify(problem)
 
 
@@ -184,7 +182,7 @@ def test_a_long_record_with_a_long_memory_takes_no_time() -> None:
     frame = pd.DataFrame({"time": times, "u": np.sin(1e-3 * times), "y": 1e4 + drift})
     experiment = Experiment(frame, inputs=["u"], outputs=["y"])
     predictor = FunctionPredictor(lambda theta: np.full((count, 1), theta[0]), (count, 1))
-    problem = Problem.from_predictors([predictor], [experiment], {"level": Parameter(1e4)})
+    problem = LeastSquares([predictor], [experiment], {"level": Parameter(1e4)})
     found = examine_residuals(problem, identify(problem))
     assert found.inflation["level"] > 50.0
     assert not any("input" in line for line in found.words)
@@ -194,7 +192,7 @@ def test_an_offset_is_named() -> None:
     """Without a parameter for the level, an offset stays in the residual."""
     frame = pd.DataFrame({"time": TIMES, "y": REGRESSORS[:, 1] + 0.5 + white(7)})
     predictor = FunctionPredictor(lambda theta: REGRESSORS[:, 1] * theta[0], (COUNT, 1))
-    problem = Problem.from_predictors([predictor], [Experiment(frame, outputs=["y"])], {"slow": Parameter(2.0)})
+    problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"slow": Parameter(2.0)})
     found = examine_residuals(problem, identify(problem))
     assert any(line.startswith("The residual of y has the mean 0.4") for line in found.words)
     assert only(found).mean_probability < 1e-10
@@ -239,7 +237,7 @@ def test_what_cannot_be_examined_is_said() -> None:
     assert math.isnan(series.ljung_box)
 
 
-def several() -> tuple[Problem, Result]:
+def several() -> tuple[LeastSquares, Result]:
     """Two experiments of two outputs each, with gaps and a transient that does not count."""
     rng = np.random.default_rng(11)
     experiments = []
@@ -253,7 +251,7 @@ def several() -> tuple[Problem, Result]:
         experiments.append(Experiment(frame, inputs=["u"], outputs=["a", "b"], discard=0.5, name=name))
     predictor = FunctionPredictor(lambda t: np.column_stack([REGRESSORS @ t, 100.0 * REGRESSORS @ t]), (COUNT, 2))
     parameters = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
-    problem = Problem.from_predictors([predictor, predictor], experiments, parameters)
+    problem = LeastSquares([predictor, predictor], experiments, parameters)
     return problem, identify(problem)
 
 
@@ -285,7 +283,7 @@ def test_an_output_that_one_experiment_lacks() -> None:
     ]
     predictor = FunctionPredictor(lambda theta: np.column_stack([REGRESSORS @ theta] * 2), (COUNT, 2))
     parameters = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
-    problem = Problem.from_predictors([predictor, predictor], tables, parameters)
+    problem = LeastSquares([predictor, predictor], tables, parameters)
     found = examine_residuals(problem, identify(problem))
     assert [(each.experiment, each.output) for each in found.series] == [("one", "a"), ("two", "b")]
     np.testing.assert_allclose(found.gram(np.ones((2 * COUNT, 1))), 2.0 * COUNT, rtol=0.5)

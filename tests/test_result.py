@@ -9,23 +9,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 
 import fmuid
+from fmuid.arrays import Floats
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter
+from fmuid.data.predictors import Table
 from fmuid.errors import InputError
-from fmuid.estimators.linear import linear_least_squares
-from fmuid.estimators.marquardt import Iteration, Marquardt
-from fmuid.identification import identify
-from fmuid.noise import Noise
-from fmuid.parameters import Normal, Parameter
-from fmuid.predictors import Table
-from fmuid.problem import Problem
-from fmuid.result import Result
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.linear import linear_least_squares
+from fmuid.estimation.marquardt.search import Iteration, Marquardt
+from fmuid.estimation.result import Result
 from tests.test_problem import Fake
-
-Floats = NDArray[np.float64]
 
 TIMES = np.linspace(0.0, 3.0, 100)
 TRUTH = {"k": 1.5, "gain": 2.0}
@@ -36,11 +34,11 @@ def two_outputs(theta: Floats) -> Floats:
     return np.column_stack([1e3 * gain * np.exp(-k * TIMES), 1e-3 * gain * np.sin(k * TIMES)])
 
 
-def two_output_problem(seed: int = 1, **words: Any) -> Problem:
+def two_output_problem(seed: int = 1, **words: Any) -> LeastSquares:
     noise = np.random.default_rng(seed).standard_normal((100, 2)) * [20.0, 1e-4]
     parameters = {"k": Parameter(0.8, min=0.0), "gain": Parameter(3.0)} | words.pop("parameters", {})
     measured = two_outputs(np.array([1.5, 2.0])) + noise
-    return Problem.from_function(two_outputs, measured, parameters, outputs=("u", "i"), times=TIMES, **words)
+    return LeastSquares.from_function(two_outputs, measured, parameters, outputs=("u", "i"), times=TIMES, **words)
 
 
 def test_every_output_gets_its_own_variance() -> None:
@@ -105,7 +103,7 @@ def test_the_barycentre_of_prior_and_data() -> None:
     phi = np.column_stack([np.ones(60), np.linspace(0.0, 1.0, 60)])
     y = phi @ [1.0, 2.0] + 0.2 * rng.standard_normal(60)
     parameters = {"a": Parameter(2.0, prior=Normal(0.9, 0.02)), "b": Parameter(1.0, prior=Normal(2.6, 0.1))}
-    result = identify(Problem.from_function(lambda theta: phi @ theta, y, parameters, noise=Noise(0.04)))
+    result = identify(LeastSquares.from_function(lambda theta: phi @ theta, y, parameters, noise=Noise(0.04)))
     data = linear_least_squares(phi, y)
     precision = np.linalg.inv(data.covariance) * data.noise_variance / 0.04
     prior = np.diag([1 / 0.02**2, 1 / 0.1**2])
@@ -125,7 +123,7 @@ def test_intervals_cover_as_often_as_they_say() -> None:
     inside = np.zeros(2)
     for seed in range(200):
         y = decay(np.array([3.0, 1.0])) + 0.1 * np.random.default_rng(seed).standard_normal(12)
-        result = identify(Problem.from_function(decay, y, {"a": Parameter(2.0), "k": Parameter(1.5)}))
+        result = identify(LeastSquares.from_function(decay, y, {"a": Parameter(2.0), "k": Parameter(1.5)}))
         assert result.converged
         interval = result.intervals()
         inside += (interval["lower"] < [3.0, 1.0]) & (interval["upper"] > [3.0, 1.0])
@@ -141,7 +139,7 @@ def coil(theta: Floats, voltage: Floats) -> Floats:
     return np.asarray(lfilter([0.0, (1.0 - decay) / resistance], [1.0, -decay], voltage))
 
 
-def coil_problem(prior: bool) -> Problem:
+def coil_problem(prior: bool) -> LeastSquares:
     rng = np.random.default_rng(11)
     voltage = np.repeat(rng.choice([-1.0, 1.0], 80), 15)
     y = coil(np.array([4.0, 0.1, 1.0]), voltage) + 0.04 * rng.standard_normal(1200)
@@ -150,7 +148,7 @@ def coil_problem(prior: bool) -> Problem:
         "L": Parameter(0.0989, prior=Normal(0.0989, 0.00181) if prior else None),
         "dR": Parameter(0.0, nominal=1.0),
     }
-    return Problem.from_function(lambda theta: coil(theta, voltage), y, parameters, times=1e-3 * np.arange(1200))
+    return LeastSquares.from_function(lambda theta: coil(theta, voltage), y, parameters, times=1e-3 * np.arange(1200))
 
 
 def test_what_cannot_be_told_apart_is_named() -> None:
@@ -189,7 +187,7 @@ def test_two_alike_and_one_lost() -> None:
     """Two directions at once: a and b act as a sum, and c acts on nothing beyond the start."""
     parameters = {"a": Parameter(1.0), "b": Parameter(2.0), "c": Parameter(1.0)}
     result = identify(
-        Problem.from_function(
+        LeastSquares.from_function(
             lambda theta: (theta[0] + theta[1]) * TIMES + (theta[2] if theta[0] + theta[1] < 3.2 else 0.0),
             5.0 * TIMES + 0.01 * np.random.default_rng(1).standard_normal(100),
             parameters,
@@ -202,7 +200,9 @@ def test_two_alike_and_one_lost() -> None:
 def test_a_hardly_determined_parameter_is_named() -> None:
     y = 2.0 * TIMES + 0.1 * np.random.default_rng(1).standard_normal(100)
     parameters = {"slope": Parameter(1.0), "bend": Parameter(1.0)}
-    result = identify(Problem.from_function(lambda theta: theta[0] * TIMES + 1e-4 * theta[1] * TIMES**2, y, parameters))
+    result = identify(
+        LeastSquares.from_function(lambda theta: theta[0] * TIMES + 1e-4 * theta[1] * TIMES**2, y, parameters)
+    )
     assert result.converged
     assert len(result.weak) == 1
     assert result.weak[0].startswith("bend is hardly determined: its standard deviation is ")
@@ -213,7 +213,7 @@ def test_strong_correlations_are_listed() -> None:
     t = np.linspace(10.0, 11.0, 40)
     y = 1.0 + 2.0 * t + 0.01 * np.random.default_rng(1).standard_normal(40)
     parameters = {"offset": Parameter(2.0), "slope": Parameter(1.0)}
-    result = identify(Problem.from_function(lambda theta: theta[0] + theta[1] * t, y, parameters))
+    result = identify(LeastSquares.from_function(lambda theta: theta[0] + theta[1] * t, y, parameters))
     ((first, second, value),) = result.strong_correlations
     assert (first, second) == ("offset", "slope")
     assert value == pytest.approx(-np.mean(t) / np.sqrt(np.mean(t**2)), abs=1e-6)
@@ -240,7 +240,7 @@ def test_parameters_shared_and_per_experiment() -> None:
         for y in [simulate(1.5, gain) + rng.standard_normal((50, 2)) * [5.0, 1e-5]]
     ]
     parameters = {"k": Parameter(1.0, min=0.0), "gain": Parameter(3.0, per_experiment=True)}
-    result = identify(Problem.from_predictors([Fake(), Fake()], tables, parameters))
+    result = identify(LeastSquares([Fake(), Fake()], tables, parameters))
     assert result.names == ("k", "gain[first]", "gain[second]")
     assert (np.abs(result.values - [1.5, 2.0, 5.0]) < 3.5 * result.std).all()
     assert len(result.fit) == 2
@@ -276,7 +276,7 @@ def test_an_interruption_inside_a_simulation() -> None:
         return np.asarray(theta[0] * np.exp(-theta[1] * TIMES))
 
     y = 3.0 * np.exp(-TIMES) + 0.01 * np.sin(50.0 * TIMES)
-    result = identify(Problem.from_function(function, y, {"a": Parameter(1.0), "k": Parameter(3.0)}))
+    result = identify(LeastSquares.from_function(function, y, {"a": Parameter(1.0), "k": Parameter(3.0)}))
     assert result.status.startswith("interrupted")
     assert result.criterion < result.trace["criterion"].iloc[0]
 

@@ -7,24 +7,23 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
 import fmuid
 from experiments.induction_machine import make_table
-from fmuid.criterion import prepare
+from fmuid.arrays import Floats
+from fmuid.assessment.profile import profiles
+from fmuid.data.losses import LOSSES, NORMAL_SHARE, Loss, robust_variance
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimators.marquardt import Marquardt
-from fmuid.identification import identify
-from fmuid.losses import LOSSES, NORMAL_SHARE, Loss, robust_variance
-from fmuid.noise import Noise
-from fmuid.parameters import Normal, Parameter
-from fmuid.problem import Problem
-from fmuid.profile import profiles
-from fmuid.result import Result
+from fmuid.estimation.criterion import prepare
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.result import Result
 from tests.conftest import FMUS
 
-Floats = NDArray[np.float64]
 ROBUST = ["soft_l1", "huber", "cauchy"]
 
 TIMES = np.linspace(0.0, 3.0, 200)
@@ -65,7 +64,9 @@ def loss_of(name: str) -> Loss:
 
 def fit(y: Floats, loss: str, noise: float | None = STD**2, tolerance: float = 1e-6) -> Result:
     known = Noise() if noise is None else Noise(noise)
-    return identify(Problem.from_function(decay, y, STARTS, loss=loss, noise=known), Marquardt(tolerance=tolerance))
+    return identify(
+        LeastSquares.from_function(decay, y, STARTS, loss=loss, noise=known), Marquardt(tolerance=tolerance)
+    )
 
 
 # --- the losses -------------------------------------------------------------------------
@@ -109,7 +110,7 @@ def test_roots_come_back(name: str) -> None:
 
 def test_unknown_loss() -> None:
     with pytest.raises(InputError, match=r"loss must be one of linear, .*, not 'hubert' \(did you mean 'huber'\?\)"):
-        Problem.from_function(decay, clean(1), STARTS, loss="hubert")
+        LeastSquares.from_function(decay, clean(1), STARTS, loss="hubert")
 
 
 # --- estimates against scipy ------------------------------------------------------------
@@ -139,7 +140,7 @@ def test_priors_stay_squares(name: str) -> None:
     """Compared with scipy by a loss that is the robust one for the data's rows and plain for the prior's."""
     y = contaminated(4)
     prior = Normal(1.0, 0.01)
-    problem = Problem.from_function(
+    problem = LeastSquares.from_function(
         decay, y, STARTS | {"k": Parameter(3.0, prior=prior)}, loss=name, noise=Noise(STD**2)
     )
     loss = loss_of(name)
@@ -171,7 +172,7 @@ def test_priors_stay_squares(name: str) -> None:
 def test_the_jacobian_is_that_of_the_rows(name: str) -> None:
     """Of the roots ±√ρ, whose sum of squares has the gradient 2 Σ ψ J."""
     y = contaminated(5)
-    criterion = prepare(Problem.from_function(decay, y, STARTS, loss=name, noise=Noise(1.0))).criterion
+    criterion = prepare(LeastSquares.from_function(decay, y, STARTS, loss=name, noise=Noise(1.0))).criterion
     at = criterion.evaluate([2.5, 1.0, 0.4])
     f = (y - decay(np.array([2.5, 1.0, 0.4]))) / np.sqrt(criterion.variance[0])
     plain = -decay_jacobian(np.array([2.5, 1.0, 0.4])) / np.sqrt(criterion.variance[0])
@@ -184,7 +185,7 @@ def test_a_distant_start_is_not_taken_for_outliers() -> None:
     """Where every sample is far off, the slope of cauchy tells little; the search sets out from larger variances."""
     y = contaminated(6)
     far = {"a": Parameter(40.0), "k": Parameter(4.0), "c": Parameter(-20.0)}
-    result = identify(Problem.from_function(decay, y, far, loss="cauchy", noise=Noise(STD**2)))
+    result = identify(LeastSquares.from_function(decay, y, far, loss="cauchy", noise=Noise(STD**2)))
     assert result.converged
     np.testing.assert_allclose(result.values, fit(y, "cauchy").values, rtol=1e-5)
     assert result.rounds["used.y"].iloc[0] > 100.0 * STD**2
@@ -294,7 +295,7 @@ def test_covariance_of_a_linear_model() -> None:
     phi = np.column_stack([np.ones(300), np.linspace(0.0, 1.0, 300)])
     y = phi @ [1.0, 2.0] + 0.1 * rng.standard_t(2, 300)
     result = identify(
-        Problem.from_function(
+        LeastSquares.from_function(
             lambda theta: phi @ theta, y, {"a": Parameter(1.0), "b": Parameter(1.0)}, loss="huber", noise=Noise(0.01)
         )
     )
@@ -310,7 +311,7 @@ def test_profiles_agree_with_the_local_intervals(name: str) -> None:
     """As they do for plain squares, in the mean of some draws: the rise is measured by how the estimates scatter."""
     ratios = []
     for seed in range(12):
-        problem = Problem.from_function(decay, contaminated(seed, 0.1), STARTS, loss=name)
+        problem = LeastSquares.from_function(decay, contaminated(seed, 0.1), STARTS, loss=name)
         result = identify(problem)
         (profile,) = profiles(problem, result, ["a"])
         lower, upper = result.intervals().to_numpy()[0]

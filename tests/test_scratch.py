@@ -13,16 +13,16 @@ from pathlib import Path
 import psutil
 import pytest
 
-from fmuid import scratch
-from fmuid.cluster import crew
+from fmuid.batches import scratch
+from fmuid.batches.cluster import crew
+from fmuid.batches.scratch import scratch_folder
 from fmuid.errors import FmuidError
-from fmuid.scratch import scratch_folder
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no locks of this kind")
 
 HOLD = """
 import subprocess, sys
-from fmuid.scratch import scratch_folder
+from fmuid.batches.scratch import scratch_folder
 with scratch_folder() as (folder, locks):
     (folder / "inside").mkdir()
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=sys.stdin, pass_fds=locks)
@@ -129,7 +129,7 @@ def test_tasks_that_nobody_asks() -> None:
     """What Dask's tasks come to when a scheduler is lost is told in our words, and not by asyncio at the very end."""
     code = (
         "import asyncio, gc\n"
-        "from fmuid.cluster import crew\n"
+        "from fmuid.batches.cluster import crew\n"
         "async def lost():\n"
         "    raise OSError('nobody asks')\n"
         "async def begin():\n"

@@ -5,12 +5,11 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from fmuid.sensitivity import FiniteDifferences, SensitivityError, noise_level
+from fmuid.arrays import Floats
+from fmuid.estimation.finite_differences import FiniteDifferences, SensitivityError, noise_level
 
-Floats = NDArray[np.float64]
 Function = Callable[[Floats], Floats]
 Method = Literal["RK45", "BDF", "LSODA", "DOP853"]
 

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from fmuid.series import (
+from fmuid.arrays import Floats
+from fmuid.assessment.series import (
     autocorrelation,
     coloured_gram,
     cross_correlation,
@@ -20,8 +20,6 @@ from fmuid.series import (
     on_grid,
     positions,
 )
-
-Floats = NDArray[np.float64]
 
 
 def ar1(rng: np.random.Generator, share: float, count: int) -> Floats:

@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
-from fmuid.experiment import Experiment
-from fmuid.simulator import Simulator
-from fmuid.system import System
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
 from tests.conftest import FMUS, ProbeMaker
 
 COIL = FMUS / "Coil" / "Coil.fmu"

@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
-from fmuid.experiment import Experiment
-from fmuid.simulator import Simulator
-from fmuid.ssp import read_ssp
-from fmuid.ssp_links import Link, Port
-from fmuid.system import System
+from fmuid.models.ssp.links import Link, Port
+from fmuid.models.ssp.package import read_ssp
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
 from tests.ssp_texts import (
     CONTROLLER,
     DRIVE,

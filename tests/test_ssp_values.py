@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.ssp import read_ssp
+from fmuid.models.ssp.package import read_ssp
 from tests.ssp_texts import (
     LENGTHS,
     MODES,

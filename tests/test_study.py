@@ -8,16 +8,16 @@ from typing import Any
 
 import pytest
 
-from fmuid.component import Numerics
+from fmuid.assessment.posterior import Sampling
+from fmuid.assessment.uncertainty import UncertaintySettings
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimators.global_search import GlobalSearch
-from fmuid.estimators.marquardt import Marquardt
-from fmuid.noise import Noise
-from fmuid.parameters import Normal, Parameter
-from fmuid.posterior import Sampling
-from fmuid.study import Study
-from fmuid.study_file import override, show
-from fmuid.uncertainty import UncertaintySettings
+from fmuid.estimation.global_search import GlobalSearch
+from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.models.component import Numerics
+from fmuid.studies.study import Study
+from fmuid.studies.toml import override, show
 
 FULL = """
 title = "Coil"

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS, Numerics
-from fmuid.study_init import LINE_LENGTH, draft
+from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS, Numerics
+from fmuid.studies.draft import LINE_LENGTH, draft
 from tests.conftest import FMUS
 from tests.fmu_texts import FMI2, FMI3, write_fmu
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fmuid.data.parameters import Normal
 from fmuid.errors import InputError
-from fmuid.parameters import Normal
-from fmuid.study import Study
+from fmuid.studies.study import Study
 from tests.conftest import FMUS
 
 COIL = FMUS / "Coil/Coil.fmu"
@@ -149,7 +149,7 @@ def test_overrides_begin_priors(folder: Path) -> None:
 
 
 def test_result_of_the_same_fmu(folder: Path) -> None:
-    from fmuid.fmi.archive import FMU
+    from fmuid.fmi.fmu import FMU
 
     earlier(folder, models={"": {"name": "Coil", "digest": FMU(COIL).digest}})
     assert read(folder, '[prior]\nresult = "healthy.json"').notes == ()

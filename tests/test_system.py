@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
-from fmuid.experiment import Experiment
-from fmuid.simulator import Simulator
-from fmuid.system import System
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
 from tests.conftest import FMUS, ProbeMaker
 
 

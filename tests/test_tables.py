@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
+from fmuid.data.tables import numeric_column, read_table
 from fmuid.errors import InputError
-from fmuid.tables import numeric_column, read_table
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.25, 0.4])
 SPEED = np.array([1.0, 2.0, 4.0, -4.0, 8.0])

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid.data.transforms import concordia, inverse_concordia, inverse_park, park
 from fmuid.errors import InputError
-from fmuid.transforms import concordia, inverse_concordia, inverse_park, park
 
 PHASES = ("a", "b", "c")
 

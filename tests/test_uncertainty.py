@@ -6,31 +6,29 @@ import json
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from fmuid.arrays import Floats
+from fmuid.assessment.posterior import Sampling
+from fmuid.assessment.uncertainty import Step, UncertaintySettings, explore
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
-from fmuid.identification import identify
-from fmuid.noise import Noise
-from fmuid.parameters import Parameter
-from fmuid.posterior import Sampling
-from fmuid.problem import Problem
-from fmuid.uncertainty import Step, UncertaintySettings, explore
-
-Floats = npt.NDArray[np.float64]
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
 
 ALL = UncertaintySettings(0.9, ("a", "b"), Sampling(steps=600, effective_size=600), (("a", "b"),))
 
 
-def line() -> Problem:
+def line() -> LeastSquares:
     """Return a straight line a + b x with noise of known variance: everything about it has a closed form."""
     x = np.linspace(0.0, 1.0, 40)
     measured = 1.0 + 2.0 * x + 0.1 * np.random.default_rng(4).normal(size=x.size)
     parameters = {"a": Parameter(0.5), "b": Parameter(1.0)}
-    return Problem.from_function(lambda t: t[0] + t[1] * x, measured, parameters, noise=Noise(0.01))
+    return LeastSquares.from_function(lambda t: t[0] + t[1] * x, measured, parameters, noise=Noise(0.01))
 
 
-def two_valleys() -> Problem:
+def two_valleys() -> LeastSquares:
     """Return a problem whose least criterion is at a = 2, and that has a second minimum near a = −2."""
     x = np.linspace(0.0, 1.0, 20)
 
@@ -38,7 +36,7 @@ def two_valleys() -> Problem:
         return np.asarray((theta[0] ** 2 - 4.0) + 0.3 * (theta[0] - 2.0) * x + theta[1] * x**2)
 
     parameters = {"a": Parameter(-2.2, -4.0, 4.0), "b": Parameter(0.1, -1.0, 1.0)}
-    return Problem.from_function(model, np.zeros(20), parameters, noise=Noise(0.01))
+    return LeastSquares.from_function(model, np.zeros(20), parameters, noise=Noise(0.01))
 
 
 def test_nothing_is_asked() -> None:

@@ -17,14 +17,15 @@ from pathlib import Path
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.fmi import safe_xml, zipped
-from fmuid.fmi.archive import FMU
+from fmuid.fmi import archive as zipped
+from fmuid.fmi import safe_xml
+from fmuid.fmi.archive import Zipped
+from fmuid.fmi.fmu import FMU
 from fmuid.fmi.start_values import with_starts
 from fmuid.fmi.unpacking import file_digest, unpacked
-from fmuid.fmi.zipped import Zipped
-from fmuid.ssp import read_ssp
-from fmuid.ssv import read_ssv
-from fmuid.validation import _description
+from fmuid.models.ssp.package import read_ssp
+from fmuid.models.ssp.parameter_values import read_ssv
+from fmuid.simulation.validation import _description
 from tests.conftest import FMUS
 from tests.fmu_texts import FMI2, FMI3, write_fmu
 
@@ -403,7 +404,7 @@ def test_xml_and_archives_are_read_in_one_place() -> None:
     for path in package.rglob("*.py"):
         if reads.search(path.read_text(encoding="utf-8")):
             readers.add(path.name)
-    assert readers == {"safe_xml.py", "zipped.py"}
+    assert readers == {"safe_xml.py", "archive.py"}
 
 
 # --- what a description may declare -----------------------------------------------------

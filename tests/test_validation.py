@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import fmuid
-from fmuid import smoke, validation
-from fmuid.cli import run
-from fmuid.cli_words import DONE, NOT_SUCCEEDED, WRONG_INPUT
-from fmuid.smoke import Report
-from fmuid.validation import Check, Validation, validate
+from fmuid.cli.app import run
+from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.simulation import smoke, validation
+from fmuid.simulation.smoke import Report
+from fmuid.simulation.validation import Check, Validation, validate
 from tests.conftest import FMUS, HERE, ProbeMaker
 from tests.fmu_texts import FMI2, FMI3, write_fmu
 

@@ -7,22 +7,20 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.typing import NDArray
 
 import fmuid
-from fmuid.covariance import UNDETERMINED_STD, local_covariance
+from fmuid.arrays import Floats
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import JointPrior, Normal, Parameter
+from fmuid.data.predictors import Table
 from fmuid.errors import InputError
-from fmuid.identification import identify
-from fmuid.noise import Noise
-from fmuid.parameters import JointPrior, Normal, Parameter
-from fmuid.predictors import Table
-from fmuid.problem import Problem
-from fmuid.result import Result
+from fmuid.estimation.covariance import UNDETERMINED_STD, local_covariance
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.result import Result
 from tests.conftest import FMUS
 from tests.test_problem import Fake
 from tests.test_result import coil
-
-Floats = NDArray[np.float64]
 
 TIMES = 1e-3 * np.arange(600)
 STEPS = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 15)
@@ -40,14 +38,16 @@ COIL = {"R": Parameter(4.0), "L": Parameter(0.1), "dR": Parameter(0.0, nominal=1
 def coil_result(voltage: Floats, **priors: Normal) -> Result:
     y = coil(np.array([4.0, 0.1, 1.0]), voltage) + noise(2, 0.02)
     parameters = {name: Parameter(p.start, nominal=p.nominal, prior=priors.get(name)) for name, p in COIL.items()}
-    return identify(Problem.from_function(lambda theta: coil(theta, voltage), y, parameters))
+    return identify(LeastSquares.from_function(lambda theta: coil(theta, voltage), y, parameters))
 
 
 def test_a_fault_that_looks_like_another_resistance() -> None:
     """At constant voltage only R + dR shows."""
     y = 1.0 / (4.0 + 1.0) + noise(3, 1e-3)
     parameters = {"R": Parameter(4.0), "dR": Parameter(0.0, nominal=1.0)}
-    result = identify(Problem.from_function(lambda theta: np.full(600, 1.0 / (theta[0] + theta[1])), y, parameters))
+    result = identify(
+        LeastSquares.from_function(lambda theta: np.full(600, 1.0 / (theta[0] + theta[1])), y, parameters)
+    )
     assert not result.converged
     assert result.status == (
         "undetermined: R and dR cannot be told apart: only R + dR is determined: "
@@ -114,7 +114,7 @@ def test_parameters_may_travel_far_for_a_gain() -> None:
     """Ten powers of ten, as long as the fit gains by it."""
     y = np.exp(-2.0 * TIMES) + noise(4, 1e-3)
     result = identify(
-        Problem.from_function(
+        LeastSquares.from_function(
             lambda theta: theta[0] * 1e-10 * np.exp(-theta[1] * TIMES), y, {"a": Parameter(1.0), "k": Parameter(50.0)}
         )
     )
@@ -131,7 +131,7 @@ def bend(std: float, start: float = 1.0, truth: float = 1.0) -> Result:
     column -= np.polynomial.Polynomial.fit(TIMES, column, 1)(TIMES)
     column /= np.linalg.norm(column) * std
     return identify(
-        Problem.from_function(
+        LeastSquares.from_function(
             lambda theta: theta[0] * TIMES + theta[1] + theta[2] * column,
             2.0 * TIMES + 1.0 + truth * column,
             {"slope": Parameter(1.0), "offset": Parameter(2.0), "bend": Parameter(start)},
@@ -165,7 +165,7 @@ def test_nearly_alike_parameters_are_named_together() -> None:
     y = 1.0 / (5.0 + 1e-6 * TIMES) + noise(5, 1e-3)
     parameters = {"R": Parameter(4.0), "dR": Parameter(0.5, nominal=1.0)}
     result = identify(
-        Problem.from_function(lambda theta: 1.0 / (theta[0] + theta[1] * (1.0 + 1e-6 * TIMES)), y, parameters)
+        LeastSquares.from_function(lambda theta: 1.0 / (theta[0] + theta[1] * (1.0 + 1e-6 * TIMES)), y, parameters)
     )
     assert not result.converged
     assert result.status.startswith("undetermined: R and dR cannot be told apart in effect: only R + dR is determined")
@@ -217,9 +217,9 @@ def test_a_parameter_with_a_prior_and_no_data(variance: object) -> None:
     """It keeps its prior, and the others are what they are without it."""
     y = line(np.array([2.0])) + noise(7, 1e-2)
     words = Noise() if variance == "estimate" else Noise(1e-4)
-    single = identify(Problem.from_function(line, y, {"slope": Parameter(1.0)}, noise=words))
+    single = identify(LeastSquares.from_function(line, y, {"slope": Parameter(1.0)}, noise=words))
     both = identify(
-        Problem.from_function(
+        LeastSquares.from_function(
             line, y, {"slope": Parameter(1.0), "idle": Parameter(3.0, prior=Normal(2.5, 0.5))}, noise=words
         )
     )
@@ -236,7 +236,7 @@ def test_priors_and_no_useful_data_at_all() -> None:
     joint = JointPrior(["a", "b"], [1.0, 2.0], [[0.04, 0.01], [0.01, 0.09]])
     y = 3.0 + noise(8, 0.1)
     result = identify(
-        Problem.from_function(
+        LeastSquares.from_function(
             lambda _: np.full(600, 3.0), y, {"a": Parameter(2.0), "b": Parameter(1.0)}, joint_prior=joint
         )
     )
@@ -251,7 +251,7 @@ def test_one_sample_and_three_priors() -> None:
     """The closed form of a linear measurement with a Gaussian prior, by the Kalman gain."""
     row, prior = np.array([1.0, 2.0, -1.0]), np.array([0.5, 0.1, 2.0])
     result = identify(
-        Problem.from_function(
+        LeastSquares.from_function(
             lambda theta: np.array([row @ theta]),
             [4.0],
             {n: Parameter(1.0, prior=Normal(1.0, std)) for n, std in zip("abc", prior.tolist(), strict=True)},
@@ -278,7 +278,7 @@ def test_one_run_may_need_the_prior_and_another_not() -> None:
         "k": Parameter(1.0, min=0.0),
         "gain": Parameter(3.0, per_experiment=True, prior=Normal(3.0, 0.3)),
     }
-    result = identify(Problem.from_predictors([Fake(), Fake()], tables, parameters, noise=Noise({"a": 4e8, "b": 1e-6})))
+    result = identify(LeastSquares([Fake(), Fake()], tables, parameters, noise=Noise({"a": 4e8, "b": 1e-6})))
     assert result.converged
     assert result.std[2] == pytest.approx(0.3, rel=0.01)
     assert result.std[1] < 0.2
@@ -298,7 +298,7 @@ def test_absurd_magnitudes_make_no_warnings(magnitude: float, loss: str) -> None
 
     def fit(factor: float, function: Callable[[Floats], Floats]) -> Result:
         parameters = {"a": Parameter(factor), "k": Parameter(1.0 / factor)}
-        return identify(Problem.from_function(function, factor * y, parameters, loss=loss))
+        return identify(LeastSquares.from_function(function, factor * y, parameters, loss=loss))
 
     plain = fit(1.0, lambda theta: np.asarray(theta[0] * np.exp(-theta[1] * TIMES)))
     result = fit(magnitude, scaled)
@@ -312,7 +312,7 @@ def test_a_start_far_from_anything_makes_no_warnings(start: float) -> None:
     y = np.exp(-TIMES) + noise(11, 0.1)
     try:
         result = identify(
-            Problem.from_function(
+            LeastSquares.from_function(
                 lambda theta: theta[0] * np.exp(-theta[1] * TIMES) + theta[2],
                 y,
                 {"a": Parameter(start), "k": Parameter(1.0), "c": Parameter(1.0)},
@@ -334,12 +334,12 @@ def test_a_start_far_from_anything_makes_no_warnings(start: float) -> None:
         (lambda: Normal(0.0, 1e300), "the std of a prior must not exceed"),
         (lambda: Noise(1e-300), "too extreme to calculate with"),
         (
-            lambda: Problem.from_function(line, np.full(600, 1e300), {"slope": Parameter(1.0)}),
+            lambda: LeastSquares.from_function(line, np.full(600, 1e300), {"slope": Parameter(1.0)}),
             "a sample of output 'y' is 1e\\+300 in magnitude",
         ),
         (
             lambda: identify(
-                Problem.from_function(lambda theta: np.exp(theta[0] * TIMES), TIMES, {"a": Parameter(1e4)})
+                LeastSquares.from_function(lambda theta: np.exp(theta[0] * TIMES), TIMES, {"a": Parameter(1e4)})
             ),
             "the simulation with a = 10000 fails .*; start elsewhere",
         ),

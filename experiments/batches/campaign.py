@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import psutil
 
-from fmuid.case_run import VOLATILE
+from fmuid.batches.run_case import VOLATILE
 
 FMUS = Path(__file__).parents[2] / "fmus"
 R, L, STEP, SAMPLES = 4.0, 0.1, 1e-3, 300

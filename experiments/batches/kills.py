@@ -32,7 +32,11 @@ SHARES = (0.4, 0.1, 0.2, 0.3)
 def victim(batch: int, kind: str, rng: np.random.Generator) -> psutil.Process | None:
     """Return a process of one kind below a batch, if there is one now."""
     processes = family(batch)
-    marks = {"worker": "spawn_main", "keeper": "fmuid.worker_host", "FMU": "fmuid.host "}
+    marks = {
+        "worker": "spawn_main",
+        "keeper": "fmuid.batches.local_workers",
+        "FMU": "fmuid.simulation.isolation.server ",
+    }
     found = []
     for each in processes[1:]:
         with contextlib.suppress(psutil.NoSuchProcess, psutil.ZombieProcess):

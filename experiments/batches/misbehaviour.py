@@ -22,9 +22,9 @@ import numpy as np
 import pandas as pd
 
 from experiments.batches.campaign import family, left_over, rows
-from fmuid.batch import Batch
-from fmuid.case_run import VOLATILE, CaseRunner
-from fmuid.study import Study
+from fmuid.batches.batch import Batch
+from fmuid.batches.run_case import VOLATILE, CaseRunner
+from fmuid.studies.study import Study
 from tests.misbehaving import Mode, Where, misbehaving_fmu
 
 GAIN, T, NOISE, SAMPLES, STEP = 2.5, 0.6, 0.02, 100, 0.05

@@ -23,7 +23,7 @@ import pandas as pd
 import psutil
 
 from experiments.batches.campaign import FMUS, command, family
-from fmuid.workshop import SINGLE_THREADED
+from fmuid.batches.worker import SINGLE_THREADED
 
 STUDY = """
 [model]
@@ -56,8 +56,8 @@ def write_study(folder: Path, draws: int) -> Path:
 LOOP = """
 import time
 from pathlib import Path
-from fmuid.case_run import CaseRunner
-from fmuid.study import Study
+from fmuid.batches.run_case import CaseRunner
+from fmuid.studies.study import Study
 runner = CaseRunner(Study.read(Path({study!r}), isolated={isolated}))
 runner(0)
 began = time.perf_counter()

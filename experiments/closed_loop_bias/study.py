@@ -22,14 +22,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter, max_len_seq
 
 import fmuid
-from fmuid.plots import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
-
-Floats = NDArray[np.float64]
+from fmuid.arrays import Floats
+from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
 
 HERE = Path(__file__).parent
 FMUS = HERE.parents[1] / "fmus"

@@ -19,15 +19,13 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy import special
 from scipy.signal import lfilter, max_len_seq
 
 import fmuid
-from fmuid.decision import Reference
-from fmuid.plots import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
-
-Floats = NDArray[np.float64]
+from fmuid.arrays import Floats
+from fmuid.diagnosis.decision import Reference
+from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
 
 HERE = Path(__file__).parent
 FMUS = HERE.parents[1] / "fmus"

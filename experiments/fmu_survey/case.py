@@ -18,14 +18,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 import fmuid
 from experiments.fmu_survey import plain
 from experiments.fmu_survey.equations import KNOWN
+from fmuid.arrays import Floats
 from fmuid.fmi.description import Variable
-
-Floats = NDArray[np.float64]
 
 TOLERANCE, TIGHT = 1e-8, 1e-11
 """What is asked of rk45 and cvode, and what is asked where that does not suffice."""

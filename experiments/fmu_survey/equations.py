@@ -10,11 +10,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-Floats = NDArray[np.float64]
+from fmuid.arrays import Floats
+
 Start = Callable[..., float]
 
 BOUNCES = 200  # of a ball that never rests; later samples are NaN

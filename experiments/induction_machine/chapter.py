@@ -24,14 +24,12 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 import fmuid
 from experiments.induction_machine import make_table
-from fmuid.plots import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
+from fmuid.arrays import Floats
+from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
 from fmuid.text import with_std
-
-Floats = NDArray[np.float64]
 
 HERE = Path(__file__).parent
 MODEL = HERE.parents[1] / "fmus" / "InductionMachine" / "InductionMachine.fmu"

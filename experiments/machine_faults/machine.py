@@ -25,11 +25,9 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-from fmuid.transforms import T23
-
-Floats = npt.NDArray[np.float64]
+from fmuid.arrays import Floats
+from fmuid.data.transforms import T23
 
 POLE_PAIRS = 2
 TURNS, BARS = 464, 28

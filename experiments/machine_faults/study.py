@@ -20,17 +20,16 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 import fmuid
 from experiments.machine_faults import models
 from experiments.machine_faults.machine import BARS, TURNS, bar_angle
 from experiments.machine_faults.make_tables import CASES, add_noise, simulate
-from fmuid.plots import AMBER, BLUE, DPI, INK, WIDTH, style
+from fmuid.arrays import Floats
+from fmuid.reports.figures.style import AMBER, BLUE, DPI, INK, WIDTH, style
 
 HERE = Path(__file__).parent
-Floats = NDArray[np.float64]
 
 DRAWS = 10
 HEALTHY_DRAWS = 50  # of each case without a fault: they show false alarms

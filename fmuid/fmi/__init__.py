@@ -1,1 +1,5 @@
-"""Whatever touches an FMU: its description, its archive, its binary."""
+"""One FMU: its archive, its description, its instances, and the loop that runs them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,85 +1,276 @@
-"""An FMU file: safe unpacking, cached by content (FMI 2.0.4, section 2.3)."""
+"""Zip archives that nobody vouches for, read under limits: FMUs (FMI 2.0.4, section 2.3), SSPs (SSP 1.0, chapter 3).
+
+An archive can name files outside the folder it is unpacked in, or be made to fill disk and memory (D. Fifield, "A
+better zip bomb", WOOT 2019). What is refused is refused on every system alike, since FMUs travel from one to another.
+"""
 
 from __future__ import annotations
 
-from functools import cached_property
-from pathlib import Path, PurePosixPath
+import io
+import itertools
+import os
+import stat
+import struct
+import sys
+import unicodedata
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Self
 
 from fmuid.errors import InputError
-from fmuid.files import is_file
-from fmuid.fmi.description import Description, read_description
-from fmuid.fmi.unpacking import file_digest, unpacked
-from fmuid.fmi.zipped import Zipped
+from fmuid.fmi.safe_xml import LARGEST_XML
+
+LARGEST_TOTAL_GB = 4.0
+"""GB (2³⁰ bytes) that an archive may unpack to: FMUs reach some hundred MB, those with an interpreter in them 2 GB."""
+LARGEST_TOTAL_VARIABLE = "FMUID_LARGEST_ARCHIVE_GB"
+"""The environment variable that says otherwise; one entry may have half of it."""
+MOST_ENTRIES = 100_000
+"""Entries of an archive: an FMU that carries an interpreter has some ten thousand."""
+LARGEST_DIRECTORY = 16 * 2**20
+"""Bytes of the archive's own directory, which is read as a whole: `MOST_ENTRIES` with names of 120 letters."""
+HIGHEST_RATIO, RATIO_FROM = 200, 64 * 2**20
+"""How many times larger than itself an archive may unpack to, if to more bytes than these: text shrinks to a tenth or a
+thirtieth, a bomb to a thousandth."""
+LONGEST_NAME, LONGEST_PATH = 255, 1000
+"""Bytes in the name of an entry's file or folder, and in all of it: what file systems take, less the cache's path."""
+CHUNK = 2**20
+
+_REMEDY = f"; if you trust it, set the environment variable {LARGEST_TOTAL_VARIABLE} to the GB that it may have"
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+STRICT_NAMES = sys.platform in ("win32", "darwin")  # where letter case does not count, or names of devices are kept
+_RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
+_LOCAL_HEADER = 30
+_SHOWN = 80
+# What zipfile raises of damaged archives.
+_DAMAGES = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    NotImplementedError,
+    OSError,
+    OverflowError,
+    ValueError,
+)
 
 
-class FMU:
-    """An FMU file; nothing is unpacked or loaded before it is needed.
+class Zipped:
+    """An archive whose entries have been checked; a context manager that closes it.
 
     Parameters
     ----------
-    path : path-like
-        The ``.fmu`` file.
+    path : Path
+        The file.
+
+    Attributes
+    ----------
+    entries : tuple of ZipInfo
+        In the order of the archive, folders included.
+    names : tuple of str
+        Of the files among them.
 
     Raises
     ------
     InputError
-        If the file is missing, no zip archive, refused, without a readable model description, or not
-        FMI 2.0 or 3.0.
+        If the file cannot be read as a zip archive, or one of its entries is refused.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self.description: Description = read_description(self.path)
+    def __init__(self, path: Path) -> None:
+        self.path, self.limit, self._written = path, _largest_total(), 0
+        try:
+            self._file = _Bounded(io.FileIO(path))
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
+        try:
+            self._archive = zipfile.ZipFile(self._file)
+            self.entries = tuple(self._archive.infolist())
+            self._size = path.stat().st_size
+            self._check()
+        except _DAMAGES as error:
+            self._file.close()
+            raise self._damaged(error) from None
+        except InputError as error:
+            self._file.close()
+            raise self._refused(str(error)) from None
+        self.names = tuple(entry.filename for entry in self.entries if not entry.is_dir())
 
-    def __repr__(self) -> str:
-        return f"FMU({str(self.path)!r})"
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._archive.close()
+        self._file.close()
 
     @property
-    def name(self) -> str:
-        """The model's name."""
-        return self.description.model_name
+    def comment(self) -> bytes:
+        """The archive's own comment."""
+        return self._archive.comment
 
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of the file, the key of the unpacking cache and what identifies the model in results."""
-        return file_digest(self.path)
-
-    @cached_property
-    def platforms(self) -> tuple[str, ...]:
-        """The platform folders below ``binaries/``."""
-        with Zipped(self.path) as archive:
-            parts = [PurePosixPath(name).parts for name in archive.names]
-        return tuple(sorted({p[1] for p in parts if len(p) > 2 and p[0] == "binaries"}))
-
-    @cached_property
-    def directory(self) -> Path:
-        """The folder of the unpacked FMU, in the user's cache.
+    def read(self, name: str, largest: int = LARGEST_XML) -> bytes:
+        """Return the content of a file of `names`.
 
         Raises
         ------
         InputError
-            If the archive is refused, or nothing can be written there.
+            If it is damaged, or larger than `largest`.
         """
-        return unpacked(self.path, self.digest)
+        content = io.BytesIO()
+        for chunk in self.chunks(self._archive.getinfo(name), largest):
+            content.write(chunk)
+        return content.getvalue()
 
-    def library(self, identifier: str) -> Path:
-        """Return the shared library of one interface for this platform.
+    def chunks(self, entry: zipfile.ZipInfo, largest: int | None = None) -> Iterator[bytes]:
+        """Yield the content of an entry, counted as it comes: what the archive says of sizes need not be true.
 
         Raises
         ------
         InputError
-            If the FMU has no binary for this platform; the sentence says which it has.
+            If it is damaged, or larger than `largest`, or all that was read so far is more than the archive may have.
         """
-        import fmpy
+        largest, written = self.limit // 2 if largest is None else largest, 0
+        try:
+            with self._archive.open(entry) as file:
+                while chunk := file.read(CHUNK):
+                    written += len(chunk)
+                    self._written += len(chunk)
+                    if written > largest:
+                        raise InputError(f"its entry {_shown(entry)} is larger than {_size(largest)}{_REMEDY}")
+                    self._check_total(self._written)
+                    yield chunk
+        except InputError as error:
+            raise self._refused(str(error)) from None
+        except _DAMAGES as error:
+            raise self._damaged(error) from None
 
-        name = identifier + fmpy.sharedLibraryExtension
-        for folder in (fmpy.platform, fmpy.platform_tuple):
-            path: Path = self.directory / "binaries" / folder / name
-            if is_file(path):
-                return path
-        there = f"it has binaries for {', '.join(self.platforms)}" if self.platforms else "it has no binaries at all"
-        if fmpy.platform in self.platforms:
-            there = f"its folder binaries/{fmpy.platform} has no {name if len(name) < 200 else name[:200] + '…'}"
-        raise InputError(
-            f"{self.path} has no binary for this platform ({fmpy.platform}): {there}; export it for this platform"
+    # --- checks
+
+    def _refused(self, why: str) -> InputError:
+        return InputError(f"{self.path} is refused: {why}")
+
+    def _damaged(self, error: BaseException) -> InputError:
+        return InputError(
+            f"{self.path} is damaged and cannot be unpacked: {error or type(error).__name__}; export it again"
         )
+
+    def _check(self) -> None:
+        if len(self.entries) > MOST_ENTRIES:
+            raise InputError(f"it has {len(self.entries)} entries, and at most {MOST_ENTRIES} are unpacked")
+        there: dict[str, zipfile.ZipInfo] = {}
+        folders: dict[str, zipfile.ZipInfo] = {}
+        for entry in self.entries:
+            _check_entry(entry)
+            name = _folded(entry)
+            if entry.is_dir():
+                folders.setdefault(name, entry)
+            elif _content(there.setdefault(name, entry)) != _content(entry):  # tools do pack a file twice
+                raise InputError(
+                    f"its entries {_shown(there[name])} and {_shown(entry)} would be the same file, here or on other "
+                    "systems; keep one of the two"
+                )
+            while (name := name.rpartition("/")[0]) and name not in folders:
+                folders[name] = entry
+        for name in there.keys() & folders.keys():
+            raise InputError(f"its entry {_shown(there[name])} is both a file and a folder")
+        self._check_overlaps()
+        self._check_total(sum(entry.file_size for entry in self.entries))
+
+    def _check_overlaps(self) -> None:
+        """Refuse entries that share bytes of the archive, of which bombs are made that no single ratio gives away."""
+        placed = sorted(self.entries, key=lambda entry: entry.header_offset)
+        for entry, following in itertools.pairwise(placed):
+            end = entry.header_offset + _LOCAL_HEADER + len(entry.filename) + entry.compress_size
+            if end > following.header_offset:
+                raise InputError(f"its entries {_shown(entry)} and {_shown(following)} overlap in the archive")
+
+    def _check_total(self, total: int) -> None:
+        if total > self.limit:
+            raise InputError(f"it unpacks to more than {_size(self.limit)}{_REMEDY}")
+        if total > max(RATIO_FROM, HIGHEST_RATIO * self._size):
+            raise InputError(f"it unpacks to more than {HIGHEST_RATIO} times its own size, as zip bombs do")
+
+
+def archive_of(texts: Mapping[str, bytes]) -> io.BytesIO:
+    """Return an archive of some texts alone, for a reader that is to see what has been checked and nothing else."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, text in texts.items():
+            archive.writestr(name, text)
+    buffer.seek(0)
+    return buffer
+
+
+class _Bounded(io.BufferedReader):
+    """A file of which no large part is read at once: `zipfile` reads an archive's directory so, however large."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > LARGEST_DIRECTORY:
+            raise InputError(f"its directory is larger than {_size(LARGEST_DIRECTORY)}")
+        return super().read(size)
+
+
+def parts_of(entry: zipfile.ZipInfo) -> tuple[str, ...]:
+    """Return the folders and the file that an entry names."""
+    return tuple(part for part in entry.filename.split("/") if part not in ("", "."))
+
+
+def _check_entry(entry: zipfile.ZipInfo) -> None:
+    """Refuse what no FMU needs and what would not become a file in the folder; the sentence goes on from the file."""
+    name, shown = entry.orig_filename, _shown(entry)
+    parts = parts_of(entry)
+    mode = entry.external_attr >> 16
+    outside = name.startswith("/") or "\\" in name or ":" in name or any(not part.rstrip(". ") for part in parts)
+    if outside or stat.S_ISLNK(mode):
+        raise InputError(f"its entry {shown} would be written outside the archive's folder")
+    if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
+        raise InputError(f"its entry {shown} is neither a file nor a folder")
+    if not name.isprintable() and any(unicodedata.category(letter) == "Cc" for letter in name):
+        raise InputError(f"its entry {shown} has a control character in its name")
+    if not parts and not name.endswith("/"):
+        raise InputError("one of its entries has no name")
+    if STRICT_NAMES and any(part.partition(".")[0].rstrip().upper() in _RESERVED for part in parts):
+        raise InputError(f"its entry {shown} has a name that Windows keeps for a device; rename it")
+    sizes = [len(part.encode("utf-8", "surrogatepass")) for part in parts]
+    if max(sizes, default=0) > LONGEST_NAME or sum(sizes) + len(sizes) > LONGEST_PATH:
+        raise InputError(
+            f"its entry {shown} has too long a name: {LONGEST_NAME} bytes for a file or folder and {LONGEST_PATH} in "
+            "all are possible"
+        )
+    if entry.flag_bits & 0x41:  # encrypted, by the old or the strong method
+        raise InputError(f"its entry {shown} is encrypted; pack it without a password")
+    if entry.compress_type not in _METHODS:
+        raise InputError(f"its entry {shown} is neither stored nor deflated, as FMI and SSP want it; pack it again")
+
+
+def _folded(entry: zipfile.ZipInfo) -> str:
+    """Return what tells a file from others, here: letter case, composed accents and final dots may make none."""
+    parts = parts_of(entry)
+    if not STRICT_NAMES:
+        return "/".join(parts)
+    name = "/".join(part.rstrip(". ") for part in parts)
+    return name.lower() if name.isascii() else unicodedata.normalize("NFC", name).casefold()
+
+
+def _content(entry: zipfile.ZipInfo) -> tuple[str, int, int]:
+    return entry.orig_filename, entry.file_size, entry.CRC
+
+
+def _shown(entry: zipfile.ZipInfo) -> str:
+    name = entry.orig_filename
+    return repr(name if len(name) <= _SHOWN else f"{name[:_SHOWN]}…")
+
+
+def _size(count: int) -> str:
+    return f"{count / 2**30:.3g} GB" if count >= 2**30 else f"{count / 2**20:.3g} MB"
+
+
+def _largest_total() -> int:
+    text = os.environ.get(LARGEST_TOTAL_VARIABLE, "")
+    try:
+        found = float(text) if text else LARGEST_TOTAL_GB
+        return int(found * 2**30)
+    except (ValueError, OverflowError):
+        raise InputError(
+            f"the environment variable {LARGEST_TOTAL_VARIABLE} must be a number of GB, such as 8, not {text!r}"
+        ) from None

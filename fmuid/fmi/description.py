@@ -16,8 +16,8 @@ from xml.etree.ElementTree import Element
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.fmi import safe_xml
+from fmuid.fmi.archive import Zipped, archive_of
 from fmuid.fmi.start_values import applied_values
-from fmuid.fmi.zipped import Zipped, archive_of
 
 DESCRIPTION_FILE = "modelDescription.xml"
 READABLE_VERSIONS = ("2.0", "3.0")

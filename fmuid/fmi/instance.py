@@ -23,7 +23,6 @@ from fmpy.logging import addLoggerProxy
 from numpy.typing import NDArray
 
 from fmuid.errors import InputError
-from fmuid.fmi.archive import FMU
 from fmuid.fmi.codes import (
     BOOLEAN,
     DISCARD,
@@ -44,6 +43,7 @@ from fmuid.fmi.codes import (
     WIRES,
 )
 from fmuid.fmi.float_environment import kept
+from fmuid.fmi.fmu import FMU
 
 MESSAGES_KEPT = 20  # of one simulation: the first say what went wrong, the rest repeat it
 STATUS_WORDS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")

@@ -1,0 +1,133 @@
+"""The best of all other parameters where one is held at a value, found from a point nearby."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.arrays import Floats
+from fmuid.estimation import Criterion, Marquardt, SensitivityError, State, Status, best_step, search, triangle
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point that is the best one for some parameter held.
+
+    Attributes
+    ----------
+    theta : (N,) array
+        All parameters.
+    residual, jacobian : (n_rows,) and (n_rows, N) arrays
+        There, or very nearly so; of all parameters.
+    status : Status
+        How the search for the others ended.
+    at_bounds : tuple of int
+        The others that lie on a bound and are pushed outwards.
+    """
+
+    theta: Floats
+    residual: Floats
+    jacobian: Floats
+    status: Status = Status.CONVERGED
+    at_bounds: tuple[int, ...] = ()
+
+    @property
+    def criterion(self) -> float:
+        """The sum of squares J_C (1.37)."""
+        return float(self.residual @ self.residual)
+
+
+class Conditional:
+    """A criterion as a function of all parameters but one, which is held at its value in theta; a `LeastSquares`.
+
+    Attributes
+    ----------
+    others : (N − 1,) array of int
+        Their places among all parameters.
+    lower, upper, noise
+        As the criterion's, of the others.
+    whole_jacobian : (n_rows, N) array or None
+        The last Jacobian made, with the held parameter's column, which tells how the criterion changes with it.
+    """
+
+    def __init__(self, criterion: Criterion, index: int, theta: Floats) -> None:
+        self._criterion, self._theta = criterion, theta
+        self.others = np.delete(np.arange(theta.size), index)
+        self.lower, self.upper = criterion.lower[self.others], criterion.upper[self.others]
+        self.noise = criterion.noise
+        self.whole_jacobian: Floats | None = None
+
+    def whole(self, thetas: Floats) -> Floats:
+        """Return all parameters (..., N) of the others' values (..., N − 1)."""
+        found = np.tile(self._theta, (*thetas.shape[:-1], 1)) if thetas.ndim > 1 else self._theta.copy()
+        found[..., self.others] = thetas
+        return found
+
+    def magnitudes(self, theta: Floats) -> Floats:
+        """Return how large each of the others is (N − 1,)."""
+        return self._criterion.magnitudes(self.whole(theta))[self.others]
+
+    def residuals(self, thetas: Floats) -> Floats:
+        """Return (m, n_rows) for thetas (m, N − 1), NaN rows where failed."""
+        return self._criterion.residuals(self.whole(thetas))
+
+    def jacobian(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
+        """Return the derivative (n_rows, N − 1)."""
+        self.whole_jacobian = self._criterion.jacobian(self.whole(theta), residual, central=central)
+        return self.whole_jacobian[:, self.others]
+
+    def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
+        """Return the norm of the error in each of its columns (N − 1,)."""
+        return self._criterion.jacobian_error(self.whole(theta), residual, central=central)[self.others]
+
+
+def best_with(criterion: Criterion, index: int, value: float, start: Point) -> Point | None:
+    """Return the best point with one parameter at a value, from a point near it; None where simulations fail.
+
+    The others start where the linear model of the residual puts them: the step p that minimises
+    ‖r + (∂r/∂ψ) Δψ + J p‖ within their bounds. Marquardt's search does the rest.
+
+    Parameters
+    ----------
+    criterion : Criterion
+    index : int
+        The parameter to hold.
+    value : float
+    start : Point
+    """
+    theta = start.theta.copy()
+    theta[index] = value
+    rest = Conditional(criterion, index, theta)
+    inner = start.jacobian[:, rest.others]
+    moved = start.residual + (value - start.theta[index]) * start.jacobian[:, index]
+    others = _followed(rest, start, inner, moved) if rest.others.size else theta[:0]
+    residual = rest.residuals(others[None])[0]
+    if np.isnan(residual).any():
+        return None
+    state = State(others, residual, inner, fresh=False)
+    try:
+        if rest.others.size:
+            for _ in search(rest, state, Marquardt()):
+                pass
+        else:
+            rest.jacobian(others, residual, central=True)
+            state.status = Status.CONVERGED
+    except SensitivityError:
+        return None
+    if state.status is None or state.status is Status.FAILING or rest.whole_jacobian is None:
+        return None
+    at_bounds = tuple(int(i) for i in rest.others[state.held]) if rest.others.size else ()
+    return Point(rest.whole(state.theta), state.residual, rest.whole_jacobian, state.status, at_bounds)
+
+
+def _followed(rest: Conditional, start: Point, inner: Floats, moved: Floats) -> Floats:
+    """Return where the Gauss–Newton step of the moved residual takes the others (N − 1,)."""
+    others = start.theta[rest.others]
+    reduced = triangle(inner, moved)
+    lengths = np.linalg.norm(reduced[:, :-1], axis=0)
+    lengths = np.where(lengths > 0, lengths, 1.0 / rest.magnitudes(others))
+    # singular directions are left alone, as the search itself does
+    least = float(np.linalg.norm(rest.jacobian_error(others, start.residual, central=True) / lengths))
+    step = best_step(reduced, lengths, rest.lower - others, rest.upper - others, least=least)
+    return np.clip(others + step.step, rest.lower, rest.upper)

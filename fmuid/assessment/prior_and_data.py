@@ -1,0 +1,342 @@
+"""Reading a result: prior, data and their combination side by side, and whether they agree (docs/method.md section 7).
+
+The estimate θ_C is the barycentre of the prior θ₀ and the optimum of the data alone θ_opt, each weighed by its inverse
+covariance (1.55): the prior is an elastic return force. Shown are all three with their standard deviations, how far
+the prior has moved each estimate and whose prior it was. A wrong prior biases irremediably:
+`fmuid.assessment.consistency` tests whether the data contradict it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.arrays import Floats
+from fmuid.assessment.consistency import (
+    Agreement,
+    VarianceTest,
+    agree,
+    agreement_words,
+    known_variances,
+    variance_tests,
+    variance_words,
+)
+from fmuid.assessment.residuals import Diagnostics, examine_residuals
+from fmuid.errors import InputError
+from fmuid.estimation import (
+    Criterion,
+    LeastSquares,
+    LocalModel,
+    Marquardt,
+    Result,
+    SensitivityError,
+    State,
+    local_covariance,
+    prepare,
+    search,
+)
+from fmuid.text import listed
+
+# A barycentre further than this from the estimate, in standard deviations, shows that the model is not linear.
+NONLINEAR = 0.5
+# An estimate that the prior moved by more than this, in standard deviations, is named; and one whose standard deviation
+# would be larger by this factor without the prior.
+MOVED, RESTS = 1.0, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What prior and data contribute to a result, and whether they agree.
+
+    Attributes
+    ----------
+    names : tuple of str
+    prior_mean, prior_std : (N,) arrays
+        NaN where there is no prior.
+    data, data_std : (N,) arrays
+        The optimum of the data alone; NaN and infinite where they do not determine a parameter.
+    searched : bool
+        Whether `data` was found by a search, and not extrapolated from the estimate by one Gauss–Newton step.
+    combined, combined_std : (N,) arrays
+        The estimate.
+    barycentre : (N,) array
+        Of the prior and the data's optimum with its own paraboloid; NaN without a search.
+    moves : (N, N) array
+        How far the prior of each parameter (columns) moved each estimate (rows) from the data's optimum, by the
+        paraboloids at the estimate; NaN where the data do not determine a parameter.
+    agreement : Agreement or None
+        None where data and prior have nothing in common.
+    variances : tuple of VarianceTest
+        One an output whose variance is known, and one for all of them where there are several.
+    notes : tuple of str
+        What stood in the way of the search for the data's optimum.
+    """
+
+    names: tuple[str, ...]
+    prior_mean: Floats
+    prior_std: Floats
+    data: Floats
+    data_std: Floats
+    searched: bool
+    combined: Floats
+    combined_std: Floats
+    barycentre: Floats
+    moves: Floats
+    agreement: Agreement | None
+    variances: tuple[VarianceTest, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def pull(self) -> Floats:
+        """How far each estimate lies from its prior, in prior standard deviations (N,)."""
+        return (self.combined - self.prior_mean) / self.prior_std
+
+    @property
+    def moved(self) -> Floats:
+        """How far the prior moved each estimate from the data's optimum, in the estimate's standard deviations (N,)."""
+        return (self.combined - self.data) / self.combined_std
+
+    @property
+    def moved_by(self) -> tuple[str, ...]:
+        """The parameter whose prior moved each estimate most, "" where none did."""
+        sizes = np.abs(np.nan_to_num(self.moves))
+        return tuple(self.names[int(row.argmax())] if row.any() else "" for row in sizes)
+
+    @property
+    def conflict(self) -> Floats:
+        """(θ_opt − θ₀)/√(M₀ + P_opt) of each parameter by itself (N,)."""
+        return (self.data - self.prior_mean) / np.hypot(self.prior_std, self.data_std)
+
+    @property
+    def nonlinearity(self) -> Floats:
+        """How far the barycentre lies from the estimate, in standard deviations of the estimate (N,)."""
+        return (self.barycentre - self.combined) / self.combined_std
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """Prior, data-only and combined estimate side by side, one row a parameter."""
+        return pd.DataFrame(
+            {
+                "parameter": list(self.names),
+                "prior": self.prior_mean,
+                "prior_std": self.prior_std,
+                "data": self.data,
+                "data_std": self.data_std,
+                "combined": self.combined,
+                "combined_std": self.combined_std,
+                "pull": self.pull,
+                "moved": self.moved,
+                "moved_by": list(self.moved_by),
+                "conflict": self.conflict,
+                "barycentre": self.barycentre,
+                "nonlinearity": self.nonlinearity,
+            }
+        )
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What is to be known of it, in sentences; none where there is neither a prior nor a known variance."""
+        agreement = [] if self.agreement is None else [agreement_words(self.agreement, self.names, self.conflict)]
+        return tuple(
+            agreement
+            + self._moves()
+            + self._nonlinear()
+            + variance_words(self.variances, prior=bool(np.isfinite(self.prior_mean).any()))
+            + list(self.notes)
+        )
+
+    def _moves(self) -> list[str]:
+        """Say which estimates rest on a prior, and which others a prior has moved, the most first."""
+        said = []
+        for i in np.argsort(-np.abs(np.nan_to_num(self.moved)), kind="stable"):
+            if not (self.moved_by[i] and math.isfinite(self.data_std[i])):
+                continue
+            name, alone = self.names[i], _shown(self.data[i], self.data_std[i])
+            whose = "its own prior" if self.moved_by[i] == name else f"the prior of {self.moved_by[i]}"
+            if self.data_std[i] >= RESTS * self.combined_std[i]:
+                said.append(f"{name} rests on {whose}: the data alone say {alone} ± {self.data_std[i]:.2g}")
+            elif abs(self.moved[i]) >= MOVED:
+                said.append(
+                    f"The prior moved {name} from {alone}, which is what the data alone say, to "
+                    f"{_shown(self.combined[i], self.data_std[i])}, by {abs(self.moved[i]):.2g} of its standard "
+                    f"deviations; {whose} did most of it"
+                )
+        return said
+
+    def _nonlinear(self) -> list[str]:
+        off = np.abs(np.nan_to_num(self.nonlinearity))
+        i = int(np.argmax(off))
+        if off[i] < NONLINEAR:
+            return []
+        return [
+            f"Between prior and data the model is not linear: their barycentre has {self.names[i]} at "
+            f"{_shown(self.barycentre[i], self.combined_std[i])}, {off[i]:.2g} standard deviations from its estimate: "
+            "the local standard deviations are an order of magnitude; a profile or the posterior tell more"
+        ]
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return ``consistency`` of ``result.json``; what is not a finite number is None."""
+        table = self.table.set_index("parameter")
+        keys = ("data", "data_std", "moved", "moved_by", "conflict", "barycentre", "nonlinearity")
+        agreement = self.agreement
+        return {
+            "words": list(self.words),
+            "searched": self.searched,
+            "parameters": {name: {key: _plain(table.loc[name, key]) for key in keys} for name in self.names},
+            "prior_against_data": None
+            if agreement is None
+            else {
+                "statistic": agreement.statistic,
+                "degrees_of_freedom": agreement.degrees_of_freedom,
+                "probability": agreement.probability,
+            },
+            "variances": [
+                {
+                    "output": each.output or None,
+                    "known": _plain(each.known),
+                    "estimated": _plain(each.estimated),
+                    "ratio": each.ratio,
+                    "degrees_of_freedom": each.degrees_of_freedom,
+                    "probability": each.probability,
+                }
+                for each in self.variances
+            ],
+        }
+
+
+def _shown(value: float, std: float) -> str:
+    """Return a number to the second significant digit of its standard deviation."""
+    decimals = 1 - math.floor(math.log10(std))
+    return f"{value:.{decimals}f}" if 0 <= decimals <= 9 else f"{value:.4g}"
+
+
+def _plain(value: Any) -> Any:
+    return value if isinstance(value, str) else float(value) if math.isfinite(value) else None
+
+
+def read_result(
+    problem: LeastSquares,
+    result: Result,
+    *,
+    search_data: bool = False,
+    healthy: Mapping[str, float] | None = None,
+    diagnostics: Diagnostics | None = None,
+) -> Reading:
+    """Read a result.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+        That the result was found for.
+    result : Result
+        As `fmuid.identify` returns it.
+    search_data : bool
+        Whether to search the optimum of the data alone, which costs about as much as the identification itself.
+        Otherwise it is where the paraboloid at the estimate has it, and nothing is simulated.
+    healthy : mapping of str to float, optional
+        Known noise variance of each output, of the healthy system; default those given to the problem.
+    diagnostics : Diagnostics, optional
+        Of the residuals, where they have already been examined.
+
+    Raises
+    ------
+    InputError
+        If the result was read from a file, or `healthy` names no measured output or a variance that is not positive.
+    SimulationError
+        If the search is asked for and the simulation fails where the identification began.
+    """
+    local = result.local
+    if local is None:
+        raise InputError("a result read from a file cannot be read in this way; identify the study again")
+    known = known_variances(problem, result.given_variance if healthy is None else healthy)
+    examined = examine_residuals(problem, result) if diagnostics is None else diagnostics
+    variances = variance_tests(problem, result, known, local, examined)
+    at, there, notes, searched = result.values, local, list[str](), False
+    if search_data and len(local.prior_residual) and local.data.rank == len(result.names):
+        found: tuple[Floats, LocalModel] | str = "With a robust loss the optimum of the data alone is extrapolated"
+        if problem.loss is None:
+            found = _search_data(problem, result, local)
+        if isinstance(found, str):
+            notes.append(found)
+        else:
+            (at, there), searched = found, True
+    data_std = np.sqrt(np.diag(there.data.covariance))
+    white = there.combine()
+    return Reading(
+        result.names,
+        result.prior_mean,
+        result.prior_std,
+        at + there.data_step(),
+        data_std,
+        searched,
+        result.values,
+        result.std,
+        at + white.step if searched else np.full(at.size, np.nan),
+        local.moves(),
+        agree(there, examined),
+        variances,
+        tuple(notes),
+    )
+
+
+# --- the optimum of the data alone ------------------------------------------------------
+
+
+class _DataAlone:
+    """A criterion without the rows of the prior; a `LeastSquares`."""
+
+    def __init__(self, criterion: Criterion) -> None:
+        self._criterion, self._rows = criterion, criterion.problem.measured.size
+        self.lower, self.upper, self.noise = criterion.lower, criterion.upper, criterion.noise
+
+    def magnitudes(self, theta: Floats) -> Floats:
+        """Return how large each parameter is (N,)."""
+        return self._criterion.magnitudes(theta)
+
+    def residuals(self, thetas: Floats) -> Floats:
+        """Return (m, n) for thetas (m, N), NaN rows where failed."""
+        return self._criterion.residuals(thetas)[:, : self._rows]
+
+    def jacobian(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
+        """Return the derivative (n, N)."""
+        return self._criterion.jacobian(theta, residual, central=central)[: self._rows]
+
+    def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
+        """Return the norm of the error in each of its columns (N,)."""
+        return self._criterion.jacobian_error(theta, residual, central=central)
+
+
+def _search_data(problem: LeastSquares, result: Result, local: LocalModel) -> tuple[Floats, LocalModel] | str:
+    """Return the optimum of the data alone and the local model there, or a sentence on why there is none."""
+    variance = np.array([result.variance[name] for name in problem.output_names])
+    alone = _DataAlone(prepare(problem, result.start).criterion.reweighted(variance))
+    state = State(result.values.copy(), local.residual, local.jacobian, fresh=False)
+    why = "interrupted"
+    try:
+        for _ in search(alone, state, Marquardt()):
+            pass
+        if not state.fresh:
+            state.jacobian = alone.jacobian(state.theta, state.residual, central=True)
+        why = state.status.value if state.status is not None else why
+    except SensitivityError:
+        why = "stopped where simulations fail"
+    except KeyboardInterrupt:
+        state.status = None
+    if state.status is None or not state.status.converged:
+        return f"The search for the optimum of the data alone did not converge, so it is extrapolated: {why}"
+    held = [result.names[i] for i in np.flatnonzero(state.held)]
+    if held:
+        return f"The data alone would push {listed(held)} to a bound, so their optimum is extrapolated"
+    magnitudes = alone.magnitudes(state.theta)
+    error = alone.jacobian_error(state.theta, state.residual, central=state.central)
+    data = local_covariance(result.names, state.jacobian, magnitudes, error, theta=state.theta)
+    if data.rank < len(result.names):
+        return f"At the optimum of the data alone {listed(data.undetermined)}, so it is extrapolated"
+    prior = problem.parameters.prior_residual(state.theta[None])[0]
+    there = LocalModel(state.residual, state.jacobian, prior, local.prior_jacobian, magnitudes, data, local.combined)
+    return state.theta, there

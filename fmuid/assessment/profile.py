@@ -1,0 +1,428 @@
+"""Profile likelihood: how far one parameter can go before even the best choice of all others no longer fits.
+
+The profile of a parameter ψ is J_p(ψ) = min J_C over all the others (1.37), the prior's rows included. Its confidence
+interval holds every ψ whose criterion exceeds the least one by no more than the quantile: with known variances
+χ²₁ = z²; with estimated ones t² of their degrees of freedom, F(1, ν), so that for models linear in their parameters,
+where J_p is the parabola J_min + ((ψ − ψ̂)/std)², the interval is the local one, ψ̂ ± t std.
+
+The signed root τ(ψ) = ±√(J_p − J_min) is a straight line in the linear case and nearly one elsewhere, so that steps
+and ends are found on it. Its slope costs nothing: at the optimum of the others dJ_p/dψ = 2 (∂r/∂ψ)ᵀ r.
+
+With a robust loss the criterion is no likelihood: it bends by 1/c² where the estimate scatters by std² (the sandwich of
+`fmuid.estimation.covariance`), and the quantile is multiplied by std²/c² (Huber and Ronchetti, "Robust Statistics",
+section 13).
+
+References
+----------
+D. M. Bates, D. G. Watts, "Nonlinear Regression Analysis and Its Applications", Wiley 1988, section 6.1.2 (profile t);
+A. Raue et al., "Structural and practical identifiability analysis of partially observed dynamical models by exploiting
+the profile likelihood", Bioinformatics 25 (15), 2009 (flat profiles).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from fmuid.arrays import Floats
+from fmuid.assessment.conditional import Point, best_with
+from fmuid.errors import InputError
+from fmuid.estimation import Criterion, LeastSquares, Marquardt, Result, State, check_level, prepare, search
+
+# A side of a profile takes about so many steps, equal ones in τ.
+STEPS = 4
+# The first step is no longer than this share of the parameter's magnitude, however little is known of it,
+FIRST_STEP = 0.5
+# and no shorter than this one, however much;
+LEAST_STEP = 1e-12
+# where the profile is flatter than thought, each step is so many times the one before.
+GROWTH = 2.0
+# A side that has not reached the level so many magnitudes, and standard deviations, away is flat: nothing holds it.
+FAR, FAR_STDS = 1000.0, 10.0
+# Below this share of the level, τ says nothing of its slope.
+RISING = 0.03
+# Where simulations fail or the search is lost, a shorter step is tried, a quarter each time.
+SHORTER, SHORTENINGS = 0.25, 4
+# An end is found where τ meets its level to this share; one more step of Newton's method then leaves its square.
+END_TOLERANCE = 1e-3
+END_STEPS = 12
+# A criterion below the least one by more than this share of the quantile means that another optimum is better.
+BELOW = 0.01
+
+
+@dataclass(frozen=True)
+class ProfilePoint:
+    """One point of a profile, as it is found.
+
+    Attributes
+    ----------
+    name : str
+        The parameter.
+    value : float
+    rise : float
+        J_p − J_min.
+    threshold : float
+        The rise at which the interval ends.
+    """
+
+    name: str
+    value: float
+    rise: float
+    threshold: float
+
+
+Progress = Callable[[ProfilePoint], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """The profile of one parameter.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+        Its estimate, where the criterion is least.
+    std : float
+        Its local standard deviation (1.31), for comparison.
+    level : float
+        Of the interval.
+    lower, upper : float
+        The interval; infinite on a side that is flat or where it cannot be found, its bound where it ends there, NaN
+        where no interval can be given. `notes` says which.
+    minimum, threshold : float
+        J_min, and the rise above it at which the interval ends.
+    notes : tuple of str
+        What is to be known about the ends; none where all is ordinary.
+    table : DataFrame
+        The points in the order of the parameter's values: all parameters, and ``criterion``.
+    """
+
+    name: str
+    value: float
+    std: float
+    level: float
+    lower: float
+    upper: float
+    minimum: float
+    threshold: float
+    notes: tuple[str, ...]
+    table: pd.DataFrame
+
+    @property
+    def values(self) -> Floats:
+        """The parameter's values (n,)."""
+        return self.table[self.name].to_numpy(np.float64)
+
+    @property
+    def criterion(self) -> Floats:
+        """The least criterion at each of them (n,)."""
+        return self.table["criterion"].to_numpy(np.float64)
+
+
+def profiles(
+    problem: LeastSquares,
+    result: Result,
+    names: Sequence[str] | None = None,
+    *,
+    level: float = 0.95,
+    progress: Progress | None = None,
+) -> tuple[Profile, ...]:
+    """Profile parameters of a problem around its result, with the result's noise variances.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    result : Result
+        Of its identification.
+    names : sequence of str, optional
+        Which parameters; default all.
+    level : float
+        Of the intervals, between 0 and 1.
+    progress : callable, optional
+        Called with every `ProfilePoint`.
+
+    Returns
+    -------
+    tuple of Profile
+        One a name. Interrupted from the keyboard: those so far, the last one saying so in its notes.
+
+    Raises
+    ------
+    InputError
+        If the result is another problem's, a name is unknown, the level is not between 0 and 1, or a robust problem's
+        result was read from a file.
+    SimulationError
+        If the simulation fails at the result.
+    """
+    check_result(problem, result)
+    check_level(level)
+    listed = problem.parameters.names if names is None else names
+    chosen = [problem.parameters.index(name) for name in dict.fromkeys(listed)]
+    tail, freedom = 0.5 + level / 2.0, result.degrees_of_freedom
+    factor = float(stats.norm.ppf(tail) if math.isinf(freedom) else stats.t.ppf(tail, freedom))
+    criterion, origin = _minimum(problem, result)
+    far, thresholds = reach(problem, result), factor**2 * _scatter(problem, result)
+    found: list[Profile] = []
+    for i in chosen:
+        std, threshold = float(result.std[i]), float(thresholds[i])
+        profiler = _Profiler(criterion, origin, i, std, float(far[i]), level, threshold, progress)
+        found.append(profiler.run())
+        if profiler.interrupted:
+            break
+    return tuple(found)
+
+
+def _scatter(problem: LeastSquares, result: Result) -> Floats:
+    """Return std²/c² of each parameter (N,): how much it scatters against the criterion's bend; 1 of plain squares."""
+    ones = np.ones(len(result.names))
+    if problem.loss is None:
+        return ones
+    if result.local is None:
+        raise InputError("the result of a robust loss cannot be profiled from its file; identify the study again")
+    bend = np.sum(result.local.root**2, axis=1)
+    known = np.isfinite(result.std) & (bend > 0)
+    return np.asarray(np.divide(result.std**2, bend, out=ones, where=known), dtype=np.float64)
+
+
+def _minimum(problem: LeastSquares, result: Result) -> tuple[Criterion, Point]:
+    """Return the criterion with the result's variances, and its minimum; the result's own may be a hair beside it."""
+    # prepared where the search began: what has an effect there may have none left at the estimate, and is then flat
+    ready = prepare(problem, result.start)
+    criterion = ready.criterion.reweighted(np.array([result.variance[name] for name in problem.output_names]))
+    theta = np.array(result.values)
+    at = criterion.evaluate(theta)
+    state = State(theta, at.residual, at.jacobian)
+    for _ in search(criterion, state, Marquardt()):
+        pass
+    if not state.fresh:
+        state.jacobian = criterion.jacobian(state.theta, state.residual, central=True)
+    return criterion, Point(state.theta, state.residual, state.jacobian)
+
+
+def reach(problem: LeastSquares, result: Result) -> Floats:
+    """Return how far from its estimate each parameter is followed (N,): beyond that nothing holds it."""
+    parameters = problem.parameters
+    std = np.where(np.isfinite(result.std), result.std, 0.0)
+    return np.maximum(FAR * np.maximum(np.abs(result.values), parameters.scale), FAR_STDS * std)
+
+
+def check_result(problem: LeastSquares, result: Result) -> None:
+    """Check that a result is one of this problem.
+
+    Raises
+    ------
+    InputError
+        If their parameters or outputs differ.
+    """
+    pairs = (
+        ("parameters", result.names, problem.parameters.names),
+        ("outputs", tuple(result.noise_variance), problem.output_names),
+    )
+    for what, has, needs in pairs:
+        if has != needs:
+            raise InputError(
+                f"the result is of another problem: its {what} are {', '.join(has)}, and the problem's are "
+                f"{', '.join(needs)}; give the result of this problem's identification"
+            )
+
+
+@dataclass(eq=False)
+class _Side:
+    """What is found on one side: the points in the order in which they were found, the end, and notes."""
+
+    points: list[Point]
+    end: float = math.nan
+    notes: list[str] = field(default_factory=list)
+    lost: bool = False
+    doubtful: bool = False
+
+
+class _Profiler:
+    """Makes the profile of one parameter."""
+
+    def __init__(
+        self,
+        criterion: Criterion,
+        origin: Point,
+        index: int,
+        std: float,
+        far: float,
+        level: float,
+        threshold: float,
+        progress: Progress | None,
+    ) -> None:
+        self.criterion, self.origin, self.index = criterion, origin, index
+        self.std, self.far, self.level, self.threshold, self.progress = std, far, level, threshold, progress
+        self.names = criterion.problem.parameters.names
+        self.name = self.names[index]
+        self.magnitude = float(criterion.magnitudes(origin.theta)[index])
+        self.interrupted = False
+
+    def run(self) -> Profile:
+        sides = [_Side([]), _Side([])]
+        try:
+            for side, direction in zip(sides, (-1.0, 1.0), strict=True):
+                self._walk(side, direction)
+        except KeyboardInterrupt:
+            self.interrupted = True
+        lower, upper = sides[0].end, sides[1].end
+        notes = [note for side in sides for note in side.notes]
+        if any(side.lost for side in sides):
+            lower = upper = math.nan
+        if self.interrupted:
+            notes.append(f"interrupted: the profile of {self.name} is not complete")
+        points = sorted([*sides[0].points, self.origin, *sides[1].points], key=self._value)
+        table = pd.DataFrame([point.theta for point in points], columns=list(self.names))
+        table["criterion"] = [point.criterion for point in points]
+        return Profile(
+            name=self.name,
+            value=self._value(self.origin),
+            std=self.std,
+            level=self.level,
+            lower=lower,
+            upper=upper,
+            minimum=self.origin.criterion,
+            threshold=self.threshold,
+            notes=tuple(notes),
+            table=table,
+        )
+
+    # --- one side
+
+    def _walk(self, side: _Side, direction: float) -> None:
+        """Step away from the estimate until the level, a bound, or nowhere is reached."""
+        where = "upper" if direction > 0 else "lower"
+        bound = float((self.criterion.upper if direction > 0 else self.criterion.lower)[self.index])
+        here, step = self.origin, self._first_step()
+        while True:
+            value = self._value(here)
+            if value == bound:
+                side.end = bound
+                side.notes.append(f"the {where} end of {self.name} is its bound {bound:g}, where {self._risen(here)}")
+                return
+            if abs(value - self._value(self.origin)) >= self.far:
+                side.end = direction * math.inf
+                side.notes.append(f"{self.name} has no {where} end: even at {value:.6g} {self._risen(here)}")
+                return
+            point = self._next(here, value, direction * step, bound)
+            if point is None:
+                side.end = direction * math.inf
+                side.notes.append(
+                    f"the {where} end of {self.name} is not known: beyond {value:.6g}, where {self._risen(here)}, "
+                    "the simulations fail; give a bound within which the model is sound"
+                )
+                return
+            self._keep(side, point)
+            if self._rise(point) < -BELOW * self.threshold:
+                self._say_lost(side, point)
+                return
+            if self._rise(point) >= self.threshold:
+                end = self._refine(side, here, point)
+                side.end = min(max(end, self.criterion.lower[self.index]), self.criterion.upper[self.index])
+                self._say_held(side, where)
+                return
+            step = self._next_step(point, abs(self._value(point) - value))
+            here = point
+
+    def _keep(self, side: _Side, point: Point) -> None:
+        side.points.append(point)
+        if not point.status.converged and not side.doubtful:
+            side.doubtful = True
+            side.notes.append(
+                f"at {self.name} = {self._value(point):.6g} the search for the other parameters did not converge "
+                f"({point.status.value}): the criterion there may be lower than found"
+            )
+        if self.progress is not None:
+            self.progress(ProfilePoint(self.name, self._value(point), self._rise(point), self.threshold))
+
+    def _first_step(self) -> float:
+        wanted = min(math.sqrt(self.threshold) * self.std / STEPS, FIRST_STEP * self.magnitude)
+        return max(wanted, LEAST_STEP * self.magnitude)
+
+    def _next_step(self, point: Point, last: float) -> float:
+        """Return the step that raises τ by its share, as its slope says, and not much longer than the last one."""
+        slope, level = self._slope(point), math.sqrt(self.threshold)
+        wanted = level / STEPS / slope if slope > 0 and self._root(point) > RISING * level else math.inf
+        return min(max(wanted, SHORTER * last), GROWTH * last)
+
+    def _next(self, here: Point, value: float, step: float, bound: float) -> Point | None:
+        """Return the next point, nearer where simulations fail, None where they all do."""
+        for _ in range(SHORTENINGS):
+            there = value + step
+            there = bound if (there - bound) * step > 0 else there
+            point = best_with(self.criterion, self.index, there, here)
+            if point is not None:
+                return point
+            step *= SHORTER
+        return None
+
+    # --- its end
+
+    def _refine(self, side: _Side, inside: Point, outside: Point) -> float:
+        """Return where τ meets its level between two points: Newton's method, bisection where that leaves them."""
+        level = math.sqrt(self.threshold)
+        low, high = inside, outside
+        near = outside
+        for _ in range(END_STEPS):
+            value = self._newton(near, level)
+            if abs(self._root(near) - level) <= END_TOLERANCE * level:
+                return value
+            a, b = sorted((self._value(low), self._value(high)))
+            if not a < value < b:
+                value = 0.5 * (a + b)
+            point = best_with(self.criterion, self.index, value, near)
+            if point is None:
+                break
+            self._keep(side, point)
+            low, high = (low, point) if self._rise(point) >= self.threshold else (point, high)
+            near = point
+        side.notes.append(f"the end of {self.name} near {self._value(near):.6g} could not be found more precisely")
+        return self._value(near)
+
+    def _newton(self, point: Point, level: float) -> float:
+        slope = self._slope(point)
+        away = math.copysign(1.0, self._value(point) - self._value(self.origin))
+        return self._value(point) + away * (level - self._root(point)) / slope if slope > 0 else math.nan
+
+    # --- words
+
+    def _risen(self, point: Point) -> str:
+        return (
+            f"the criterion has risen by only {max(self._rise(point), 0.0):.2g} of the {self.threshold:.3g} "
+            f"that {100.0 * self.level:.4g} % need"
+        )
+
+    def _say_lost(self, side: _Side, point: Point) -> None:
+        side.lost = True
+        side.notes.append(
+            f"no interval of {self.name}: at {self._value(point):.6g} the criterion is lower than at the estimate, "
+            f"by {-self._rise(point):.3g}; identify again from the table's row of that value"
+        )
+
+    def _say_held(self, side: _Side, where: str) -> None:
+        for i in side.points[-1].at_bounds:
+            bound = side.points[-1].theta[i]
+            side.notes.append(f"at the {where} end of {self.name}, {self.names[i]} is at its bound {bound:g}")
+
+    # --- numbers
+
+    def _value(self, point: Point) -> float:
+        return float(point.theta[self.index])
+
+    def _rise(self, point: Point) -> float:
+        return point.criterion - self.origin.criterion
+
+    def _root(self, point: Point) -> float:
+        return math.sqrt(max(self._rise(point), 0.0))
+
+    def _slope(self, point: Point) -> float:
+        """Return the slope of τ away from the estimate, dJ_p/dψ/(2τ)."""
+        away = math.copysign(1.0, self._value(point) - self._value(self.origin))
+        root = self._root(point)
+        return away * float(point.jacobian[:, self.index] @ point.residual) / root if root > 0 else 0.0

@@ -1,0 +1,269 @@
+"""The residual of one output in one experiment: whiteness, correlation with the inputs, distribution."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from fmuid.arrays import Floats, Indices
+from fmuid.assessment.series import (
+    autocorrelation,
+    cross_correlation,
+    lag_sum,
+    ljung_box,
+    noise_model,
+    normality,
+    on_grid,
+    positions,
+)
+from fmuid.data import Experiment, Measurements
+
+# Whiteness is tested over so many lags, the habit of the field, but not more than a fifth of the samples.
+LAGS, LAGS_SHARE = 25, 5
+# The autocorrelation is kept for figures to this lag.
+SHOWN_LAGS = 40
+# Fewer samples say nothing.
+FEWEST = 20
+# A residual below this share of the measured values is rounding.
+ROUNDING = 1e-9
+# A sample this many standard deviations away is an outlier: of normal noise, 1 in 15 000.
+OUTLYING = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class InputCorrelation:
+    """The correlation of a residual with what an input was at the same time and before.
+
+    Attributes
+    ----------
+    input : str
+    lags : (m,) array
+        By how much the input comes before the residual, s.
+    values : (m,) array
+        The correlation at each lag.
+    band : float
+        Half-width of the 95 % band of each of them, if the residual had nothing to do with the input.
+    lag, correlation : float
+        Where its magnitude is largest, s, and its value there.
+    probability : float
+        That chance gives as much at any of the lags.
+    """
+
+    input: str
+    lags: Floats
+    values: Floats
+    band: float
+    lag: float
+    correlation: float
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualSeries:
+    """The residual of one output in one experiment, measured − simulated in the output's unit.
+
+    What cannot be told, of fewer than 20 samples or of a residual that is rounding, is NaN.
+
+    Attributes
+    ----------
+    experiment, output : str
+    times : (K,) array
+        s.
+    residual : (K,) array
+        NaN where a sample is missing or does not count.
+    samples : int
+        That count.
+    step : float
+        Of the lags, s.
+    mean, std : float
+    mean_probability : float
+        That noise of this colour has such a mean by chance.
+    tested_lags : int
+        Over which whiteness was tested.
+    ljung_box, whiteness_probability : float
+        The statistic, and the probability that white noise exceeds it.
+    autocorrelation : (m,) array
+        From lag 0 on, for figures.
+    band : float
+        Half-width of the 95 % band of each of them, if the residual were white.
+    noise_correlation : (k,) array
+        ρ of the autoregressive model of the residual (`fmuid.assessment.series.noise_model`).
+    skewness, kurtosis : float
+        Of the normal distribution 0 and (excess) 0.
+    normality_probability : float
+        That normal noise of this colour shows as much.
+    outliers : int
+        Samples beyond 4 standard deviations.
+    inputs : tuple of InputCorrelation
+        Those of inputs that move.
+    rows, places : (samples,) arrays of int
+        Which rows of the problem's residual these are, and where they stand on the grid of their step.
+    """
+
+    experiment: str
+    output: str
+    times: Floats
+    residual: Floats
+    samples: int
+    step: float
+    mean: float
+    std: float
+    mean_probability: float
+    tested_lags: int
+    ljung_box: float
+    whiteness_probability: float
+    autocorrelation: Floats
+    band: float
+    noise_correlation: Floats
+    skewness: float
+    kurtosis: float
+    normality_probability: float
+    outliers: int
+    inputs: tuple[InputCorrelation, ...]
+    rows: Indices
+    places: Indices
+
+    @property
+    def examined(self) -> bool:
+        """Whether there were samples enough, and more than rounding, to say anything."""
+        return not math.isnan(self.whiteness_probability)
+
+    @property
+    def correlation_samples(self) -> float:
+        """Integrated correlation time in samples, 1 of white noise."""
+        return lag_sum(self.noise_correlation, self.samples)
+
+    @property
+    def variance_samples(self) -> float:
+        """How many independent samples the residual's mean square is worth (Bartlett)."""
+        return self.samples / lag_sum(self.noise_correlation, self.samples, 2)
+
+    def row(self) -> dict[str, Any]:
+        """Return the line of `Diagnostics.table`."""
+        strongest = min(self.inputs, key=lambda each: each.probability, default=None)
+        return {
+            "experiment": self.experiment,
+            "output": self.output,
+            "samples": self.samples,
+            "mean": self.mean,
+            "mean_probability": self.mean_probability,
+            "std": self.std,
+            "lag1": float(self.autocorrelation[1]) if self.examined else math.nan,
+            "lags": self.tested_lags,
+            "ljung_box": self.ljung_box,
+            "whiteness_probability": self.whiteness_probability,
+            "correlation_time": self.correlation_samples * self.step if self.examined else math.nan,
+            "skewness": self.skewness,
+            "excess_kurtosis": self.kurtosis,
+            "normality_probability": self.normality_probability,
+            "outliers": self.outliers,
+            "input": strongest.input if strongest else "",
+            "input_lag": strongest.lag if strongest else math.nan,
+            "input_correlation": strongest.correlation if strongest else math.nan,
+            "input_probability": strongest.probability if strongest else math.nan,
+        }
+
+
+def examine_output(experiment: Measurements, column: int, simulated: Floats, rows: Indices) -> ResidualSeries:
+    """Examine the residual of one output of an experiment.
+
+    Parameters
+    ----------
+    experiment : Measurements
+    column : int
+        Which of its outputs.
+    simulated : (K,) array
+    rows : (n,) array of int
+        Which rows of the problem's residual are this output's counted samples.
+    """
+    counted, measured = experiment.counted[:, column], experiment.output_values[:, column]
+    residual = np.where(counted, measured - simulated, np.nan)
+    values = residual[counted]
+    mean, std = float(values.mean()), float(values.std())
+    there: dict[str, Any] = {
+        "experiment": experiment.name,
+        "output": experiment.output_names[column],
+        "times": experiment.times,
+        "residual": residual,
+        "samples": values.size,
+        "mean": mean,
+        "std": std,
+        "rows": rows,
+    }
+    rounding = ROUNDING * float(np.sqrt(np.mean(measured[counted] ** 2)))
+    if values.size < FEWEST or not std > rounding:
+        return ResidualSeries(**there, **_unknown(values.size))
+    places, step = positions(experiment.times[counted])
+    grid = on_grid(values, places)
+    lags = min(LAGS, values.size // LAGS_SHARE, len(grid) - 1)
+    correlations, pairs = autocorrelation(grid, min(SHOWN_LAGS, len(grid) - 1))
+    statistic, probability = ljung_box(correlations[: lags + 1], pairs[: lags + 1])
+    noise = noise_model(grid)
+    score = mean / std * math.sqrt(values.size / lag_sum(noise, values.size))
+    skewness, kurtosis, normal = normality(values, noise)
+    return ResidualSeries(
+        **there,
+        step=step,
+        mean_probability=2.0 * float(special.ndtr(-abs(score))),
+        tested_lags=lags,
+        ljung_box=statistic,
+        whiteness_probability=probability,
+        autocorrelation=correlations,
+        band=1.96 / math.sqrt(values.size),
+        noise_correlation=noise,
+        skewness=skewness,
+        kurtosis=kurtosis,
+        normality_probability=normal,
+        outliers=int((np.abs(values - mean) > OUTLYING * std).sum()),
+        inputs=_inputs(experiment, values, experiment.times[counted], places, step * np.arange(lags + 1.0), noise),
+        places=places,
+    )
+
+
+def _unknown(samples: int) -> dict[str, Any]:
+    """Return what is left to say of a residual of which nothing can be told."""
+    numbers = "step mean_probability ljung_box whiteness_probability band skewness kurtosis normality_probability"
+    return {
+        **dict.fromkeys(numbers.split(), math.nan),
+        "tested_lags": 0,
+        "autocorrelation": np.ones(1),
+        "noise_correlation": np.ones(1),
+        "outliers": 0,
+        "inputs": (),
+        "places": np.arange(samples),
+    }
+
+
+def _inputs(
+    experiment: Measurements, values: Floats, times: Floats, places: Indices, lags: Floats, noise: Floats
+) -> tuple[InputCorrelation, ...]:
+    """Correlate a residual (n,) at its times with each input that moves."""
+    if not isinstance(experiment, Experiment):
+        return ()
+    found = []
+    clock = experiment.times
+    grid_times = np.interp(np.arange(places[-1] + 1), places, times)
+    before = times[:, None] - lags
+    begun = before >= clock[0] - 1e-6 * (lags[1] if lags.size > 1 else 0.0)
+    for name, column in zip(experiment.input_names, experiment.input_values.T, strict=True):
+        grid = np.interp(grid_times, clock, column)
+        if np.ptp(grid) <= ROUNDING * np.abs(grid).max():
+            continue
+        others = np.where(begun, np.interp(before, clock, column), np.nan)
+        cross = cross_correlation(values, others, noise, grid)
+        found.append(
+            InputCorrelation(
+                name,
+                lags,
+                cross.values,
+                1.96 * cross.std,
+                float(lags[cross.strongest]),
+                float(cross.values[cross.strongest]),
+                cross.probability,
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,257 @@
+"""What a series of samples says of itself: its autocorrelation, whether it is white, whether it is normal.
+
+Samples may be missing. The noise behind a series is described by an autoregressive model: its autocorrelation decays,
+so that sums over all lags converge, and belongs to a positive spectrum, which the sample autocorrelation cut off
+somewhere does not. Its order is Akaike's choice, as in R's ``ar`` and in coda's effective sample sizes.
+
+References
+----------
+G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65 (2), 1978;
+D. S. Stoffer, C. M. C. Toloi, "A note on the Ljung–Box–Pierce portmanteau statistic with missing data", Statistics &
+Probability Letters 13 (5), 1992;
+M. S. Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", Supplement to
+the J. of the Royal Statistical Society 8 (1), 1946 (variances of correlations and of a variance);
+Z. A. Lomnicki, "Tests for departure from normality in the case of linear stochastic processes", Metrika 4, 1961;
+P. J. Brockwell, R. A. Davis, "Time Series: Theory and Methods", 2nd ed., Springer 1991, sections 5.2 and 11.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft, special
+
+from fmuid.arrays import Floats, Indices
+
+# Times count as equally spaced, with some missing, where so many steps are whole multiples of the usual one ...
+REGULAR_SHARE, REGULAR_TOLERANCE = 0.95, 0.2
+# ... and a longer gap than this is as good as endless.
+LONGEST_GAP = 1000
+# The autocorrelation of a model is followed until it stays below this.
+NEGLIGIBLE = 1e-6
+# Where the model's spectrum is next to nothing, rounding must not make variances negative.
+LEAST_SHARE = 1e-9
+# Reflection coefficients do not exceed this; gaps can make them, and beyond 1 no noise has such correlations.
+LARGEST_REFLECTION = 1.0 - 1e-9
+
+
+def positions(times: Floats) -> tuple[Indices, float]:
+    """Return where samples stand on the grid of their usual step, and that step in s.
+
+    Parameters
+    ----------
+    times : (n,) array
+        Increasing, s; n ≥ 2. Where they are not near a grid, the samples themselves are counted, and the step is the
+        mean one.
+    """
+    steps = np.diff(times)
+    usual = float(np.median(steps))
+    if usual > 0:
+        whole = np.rint(steps / usual)
+        near = np.abs(steps / usual - whole) <= REGULAR_TOLERANCE
+        if (whole >= 1).all() and near.mean() >= REGULAR_SHARE:
+            jumps = np.minimum(whole, LONGEST_GAP).astype(np.intp)
+            return np.concatenate([[0], np.cumsum(jumps)]), usual
+    return np.arange(times.size), float(times[-1] - times[0]) / max(times.size - 1, 1)
+
+
+def on_grid(values: Floats, places: Indices) -> Floats:
+    """Return the series with its gaps, NaN where a sample is missing."""
+    grid = np.full(int(places[-1]) + 1, np.nan)
+    grid[places] = values
+    return grid
+
+
+def autocorrelation(grid: Floats, lags: int) -> tuple[Floats, Floats]:
+    """Return the autocorrelation at lags 0 to `lags`, and how many pairs of samples each comes from.
+
+    The mean over the pairs that are there, against the variance; NaN at lags without any.
+
+    Parameters
+    ----------
+    grid : (m,) array
+        NaN where a sample is missing; not constant.
+    lags : int
+        Less than m.
+    """
+    there = np.isfinite(grid)
+    centred = np.where(there, grid - np.nanmean(grid), 0.0)
+    # by transforms: of long series with a long memory thousands of lags are asked for
+    length = fft.next_fast_len(len(grid) + lags, real=True)
+    both = np.stack([centred, there.astype(np.float64)])
+    sums, pairs = fft.irfft(np.abs(fft.rfft(both, length)) ** 2, length)[:, : lags + 1]
+    pairs = np.rint(pairs)
+    with np.errstate(invalid="ignore"):
+        return np.where(pairs > 0, sums / np.maximum(pairs, 1.0), np.nan) / (sums[0] / pairs[0]), pairs
+
+
+def ljung_box(correlations: Floats, pairs: Floats) -> tuple[float, float]:
+    """Return Ljung and Box's statistic over the lags given, and the probability that white noise exceeds it.
+
+    n (n + 2) Σ r_k²/(n − k) where no sample is missing, r_k the sums over the pairs divided by n; with gaps each lag
+    counts by its pairs (Stoffer and Toloi). The parameters of an output-error model act through the inputs and take no
+    degrees of freedom from it.
+
+    Parameters
+    ----------
+    correlations, pairs : (lags + 1,) arrays
+        Of `autocorrelation`.
+    """
+    count = pairs[0]
+    known = pairs[1:] > 0
+    statistic = float((count + 2.0) / count * np.sum(pairs[1:][known] * correlations[1:][known] ** 2))
+    return statistic, float(special.chdtrc(int(known.sum()), statistic))
+
+
+def noise_model(grid: Floats) -> Floats:
+    """Return the autocorrelation of the autoregressive model of a series, (m,) from lag 0 on to where it has decayed.
+
+    The orders up to 10 log₁₀ n are fitted one after the other (Durbin and Levinson), and Akaike's criterion chooses
+    among them; up to its order the model's autocorrelation is the series' own.
+    """
+    count, length = int(np.isfinite(grid).sum()), len(grid)
+    own, pairs = autocorrelation(grid, max(0, min(int(10.0 * math.log10(count)), count // 4, length - 1)))
+    usable = int(np.argmin(pairs > 0)) if (pairs == 0).any() else len(pairs)
+    # without gaps the sums divided by n, which belong to a positive spectrum
+    known = own[:usable] * (1.0 - np.arange(usable) / length)
+    best, model = 0.0, np.zeros(0)
+    for order, (variance, coefficients) in enumerate(_levinson(known), start=1):
+        akaike = count * math.log(variance) + 2.0 * order
+        if akaike < best:
+            best, model = akaike, coefficients
+    if not model.size:
+        return np.ones(1)
+    start = np.clip(known[: model.size + 1], -1.0, 1.0)
+    whole = _continued(start, model, length)
+    return whole[: int(np.flatnonzero(np.abs(whole) >= NEGLIGIBLE)[-1]) + 1]
+
+
+def _continued(start: Floats, model: Floats, length: int) -> Floats:
+    """Return the autocorrelation (length,) that begins with `start` and goes on as the model says."""
+    whole = np.zeros(length)  # scipy.signal would do this too, and takes half a second to import
+    whole[: start.size] = start
+    for lag in range(start.size, length):
+        before = whole[lag - model.size : lag]
+        if lag % model.size == 0 and np.abs(before).max() < NEGLIGIBLE * NEGLIGIBLE:
+            break
+        whole[lag] = before @ model[::-1]
+    return whole
+
+
+def _levinson(correlations: Floats) -> Iterator[tuple[float, Floats]]:
+    """Yield the variance that is left, relative to the series', and the coefficients of each order (Durbin)."""
+    variance, model = 1.0, np.zeros(0)
+    for order in range(1, len(correlations)):
+        reflection = (correlations[order] - model @ correlations[order - 1 : 0 : -1]) / variance
+        impossible = abs(reflection) > LARGEST_REFLECTION
+        reflection = min(max(reflection, -LARGEST_REFLECTION), LARGEST_REFLECTION)
+        model = np.concatenate([model - reflection * model[::-1], [reflection]])
+        variance *= 1.0 - reflection**2
+        yield variance, model
+        if impossible:
+            return
+
+
+def lag_sum(correlation: Floats, count: int, power: int = 1) -> float:
+    """Return Σ (1 − |k|/n) ρ(k)^power over all lags of both signs, of n samples; not less than 1/n.
+
+    Power 1: by so much the variance of a mean is larger than that of white noise, the integrated correlation time in
+    samples. Power 2: likewise of a variance (Bartlett); powers 3 and 4: of skewness and kurtosis (Lomnicki).
+    """
+    rest = correlation[1:count]
+    weights = 1.0 - np.arange(1, rest.size + 1) / count
+    return max(1.0 + 2.0 * float(weights @ rest**power), 1.0 / count)
+
+
+def normality(values: Floats, correlation: Floats) -> tuple[float, float, float]:
+    """Return skewness, excess kurtosis, and the probability that normal noise shows as much (Jarque and Bera).
+
+    The variances of both, 6/n and 24/n for white noise, are those of noise that has the given autocorrelation.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Not constant.
+    correlation : (m,) array
+        Of `noise_model`.
+    """
+    centred = values - values.mean()
+    spread = math.sqrt(float(np.mean(centred**2)))
+    skewness = float(np.mean((centred / spread) ** 3))
+    kurtosis = float(np.mean((centred / spread) ** 4)) - 3.0
+    third, fourth = (values.size / lag_sum(correlation, values.size, power) for power in (3, 4))
+    statistic = third * skewness**2 / 6.0 + fourth * kurtosis**2 / 24.0
+    return skewness, kurtosis, float(special.chdtrc(2, statistic))
+
+
+def coloured_gram(columns: Floats, places: Indices, correlation: Floats) -> Floats:
+    """Return Xᵀ Γ X (k, k) for the columns X (n, k) of samples, Γ_ij = ρ(|place_i − place_j|)."""
+    grid = np.zeros((int(places[-1]) + 1, columns.shape[1]))
+    grid[places] = columns
+    kept = correlation[: len(grid)]
+    both = np.concatenate([kept[:0:-1], kept])
+    length = fft.next_fast_len(len(grid) + both.size - 1, real=True)
+    spectrum = fft.rfft(grid, length, axis=0) * fft.rfft(both, length)[:, None]
+    smoothed = fft.irfft(spectrum, length, axis=0)[kept.size - 1 : kept.size - 1 + len(grid)]
+    gram = grid.T @ smoothed
+    values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
+    values = np.maximum(values, LEAST_SHARE * np.abs(values).max(initial=0.0))
+    return np.asarray((vectors * values) @ vectors.T, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class CrossCorrelation:
+    """Correlation of a series with another one at several lags.
+
+    Attributes
+    ----------
+    values : (lags + 1,) array
+        NaN where nothing is known.
+    std : float
+        Of each, if both series had nothing to do with each other.
+    strongest : int
+        The lag with the largest magnitude.
+    probability : float
+        That chance gives as much at any of the lags.
+    """
+
+    values: Floats
+    std: float
+    strongest: int
+    probability: float
+
+
+def cross_correlation(values: Floats, others: Floats, correlation: Floats, other_grid: Floats) -> CrossCorrelation:
+    """Correlate a series with lagged values of another.
+
+    The variance of each correlation of unrelated series is Σ ρ(k) ρ'(k)/n over all k (Bartlett; Brockwell and Davis,
+    theorem 11.2.2), 1/n where one of them is white. Over several lags the probability is Šidák's bound, which
+    holds however these correlations depend on each other.
+
+    Parameters
+    ----------
+    values : (n,) array
+    others : (n, lags + 1) array
+        The other series at each sample's time minus each lag, NaN where it has not begun.
+    correlation : (m,) array
+        Of the first series' noise, from `noise_model`.
+    other_grid : (g,) array
+        The other series on the grid of the first; not constant.
+    """
+    centred = values - values.mean()
+    mean, spread = float(np.nanmean(other_grid)), float(np.nanstd(other_grid))
+    there = np.isfinite(others)
+    pairs = np.maximum(there.sum(axis=0), 1)
+    sums = centred @ np.where(there, others - mean, 0.0)
+    found = np.where(there.any(axis=0), sums / pairs / (values.std() * spread), np.nan)
+    reach = min(correlation.size, len(other_grid)) - 1
+    other, _ = autocorrelation(other_grid, reach)
+    taper = 1.0 - np.arange(reach + 1) / len(other_grid)
+    product = np.nan_to_num(other) * taper * correlation[: reach + 1]
+    std = math.sqrt(max(2.0 * product.sum() - product[0], 1.0 / values.size) / values.size)
+    strongest = int(np.nanargmax(np.abs(found)))
+    single = min(2.0 * special.ndtr(-abs(found[strongest]) / std), 1.0 - np.finfo(float).eps)
+    return CrossCorrelation(found, std, strongest, float(-np.expm1(np.isfinite(found).sum() * np.log1p(-single))))

@@ -1,0 +1,318 @@
+"""What is asked of a result beyond its local covariance: maps of the criterion, profiles, samples of the posterior.
+
+One call does them all, the quick ones first, and keeps what there is when the keyboard interrupts it. What each of
+them needs is imported when it is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.estimation import LeastSquares, Result, check_level
+
+if TYPE_CHECKING:
+    from fmuid.assessment.criterion_map import CriterionMap
+    from fmuid.assessment.posterior import Posterior, Sampling, SamplingStep
+    from fmuid.assessment.profile import Profile, ProfilePoint
+
+LEVEL = 0.95
+# A point of a map that lies below the estimate by more than this belongs to another optimum; less is what the search
+# may leave, or rounding.
+BELOW = 0.1
+
+
+@dataclass(frozen=True)
+class UncertaintySettings:
+    """The table ``[uncertainty]`` of a study.
+
+    Parameters
+    ----------
+    level : float
+        Of all intervals, between 0 and 1.
+    profile : tuple of str
+        Parameters whose profile is computed.
+    posterior : Sampling, optional
+        How the posterior is sampled, where it is.
+    maps : tuple of (str, str)
+        Pairs of parameters over which the criterion is mapped.
+
+    Raises
+    ------
+    InputError
+        If the level is not between 0 and 1.
+    """
+
+    level: float = LEVEL
+    profile: tuple[str, ...] = ()
+    posterior: Sampling | None = None
+    maps: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        check_level(self.level)
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is asked for."""
+        return bool(self.profile or self.posterior or self.maps)
+
+
+@dataclass(frozen=True)
+class Step:
+    """How far the work is.
+
+    Attributes
+    ----------
+    task : str
+        What is being done.
+    text : str
+        Where it stands.
+    share : float
+        How much of the task is done, from 0 to 1.
+    """
+
+    task: str
+    text: str
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What was found of what was asked.
+
+    Attributes
+    ----------
+    level : float
+        Of all intervals.
+    maps : tuple of CriterionMap
+        Around the estimate.
+    box_maps : tuple of CriterionMap
+        Over all of the bounds.
+    profiles : tuple of Profile
+    posterior : Posterior or None
+    interrupted : bool
+        Whether the keyboard ended it before all was done.
+    """
+
+    level: float
+    maps: tuple[CriterionMap, ...] = ()
+    box_maps: tuple[CriterionMap, ...] = ()
+    profiles: tuple[Profile, ...] = ()
+    posterior: Posterior | None = None
+    interrupted: bool = False
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether all is done, no better optimum has shown, and the samples of the posterior can be trusted."""
+        ends = [end for each in self.profiles for end in (each.lower, each.upper)]
+        better = bool(np.isnan(ends).any()) or any(_better(chart) for chart in (*self.maps, *self.box_maps))
+        return not self.interrupted and not better and (self.posterior is None or self.posterior.converged)
+
+    def intervals(self, result: Result) -> pd.DataFrame:
+        """Return the intervals side by side: a row a parameter, columns ``lower`` and ``upper`` of each kind.
+
+        The columns are pairs of the kind (``local``, ``profile``, ``posterior``, as far as there are any) and the side.
+        """
+        kinds: dict[str, pd.DataFrame] = {"local": result.intervals(self.level)}
+        if self.profiles:
+            ends = {each.name: (each.lower, each.upper) for each in self.profiles}
+            kinds["profile"] = pd.DataFrame.from_dict(ends, orient="index", columns=["lower", "upper"])
+        if self.posterior is not None:
+            kinds["posterior"] = self.posterior.intervals(self.level)
+        return pd.concat(kinds, axis=1).reindex(list(result.names))
+
+    @property
+    def profile_table(self) -> pd.DataFrame:
+        """All points of all profiles: the parameter profiled, the values of all, and the criterion."""
+        return pd.concat([each.table.assign(profiled=each.name) for each in self.profiles], ignore_index=True)[
+            ["profiled", *self.profiles[0].table.columns]
+        ]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of the intervals and maps, in words."""
+        said = [note for each in self.profiles for note in each.notes]
+        said += [note for chart in (*self.maps, *self.box_maps) for note in _better(chart)]
+        if self.posterior is not None and not self.posterior.converged:
+            said.append(f"posterior: {self.posterior.status}")
+        return tuple(said)
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return the entries ``profiles`` and ``posterior`` of ``result.json``; what is not finite is None."""
+        content: dict[str, Any] = {}
+        if self.profiles:
+            content["profiles"] = {
+                each.name: {
+                    "level": each.level,
+                    "lower": _plain(each.lower),
+                    "upper": _plain(each.upper),
+                    "notes": list(each.notes),
+                }
+                for each in self.profiles
+            }
+        if self.posterior is not None:
+            content["posterior"] = _posterior(self.posterior, self.level)
+        return content
+
+
+def _posterior(found: Posterior, level: float) -> dict[str, Any]:
+    ends = found.intervals(level)
+    columns = {
+        "mean": found.mean,
+        "std": found.std,
+        "lower": ends["lower"],
+        "upper": ends["upper"],
+        "effective_size": found.effective_size,
+        "r_hat": found.r_hat,
+    }
+    return {
+        "status": found.status,
+        "converged": found.converged,
+        "level": level,
+        "parameters": {
+            name: {key: _plain(np.asarray(values)[i]) for key, values in columns.items()}
+            for i, name in enumerate(found.names)
+        },
+        "covariance": {
+            "names": list(found.names),
+            "matrix": [[_plain(value) for value in row] for row in found.covariance],
+        },
+        "steps": len(found.chain),
+        "walkers": found.chain.shape[1],
+        "burn": found.burn,
+        "acceptance": _plain(found.acceptance),
+        "simulations": found.simulations,
+        "elapsed_s": found.elapsed_s,
+    }
+
+
+def _better(chart: CriterionMap) -> list[str]:
+    """Say where a map shows a lower criterion than the estimate has."""
+    first, second = chart.names
+    points = chart.table[[first, second, "criterion"]].to_numpy()
+    values = np.where(np.isnan(points[:, 2]), np.inf, points[:, 2])
+    x, y, least = points[int(np.argmin(values))]
+    if not least < chart.criterion - BELOW:
+        return []
+    return [
+        f"the criterion over {first} and {second} is lower at {first} = {x:.6g}, {second} = {y:.6g} than at the "
+        f"estimate, by {chart.criterion - least:.3g}: there is a better optimum; start there, or search with "
+        'method = "global"'
+    ]
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def explore(
+    problem: LeastSquares,
+    result: Result,
+    settings: UncertaintySettings,
+    progress: Callable[[Step], None] | None = None,
+    *,
+    box: bool = False,
+) -> Uncertainty:
+    """Do what the settings ask for around a result.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    result : Result
+        Of its identification.
+    settings : UncertaintySettings
+    progress : callable, optional
+        Called with a `Step` before every map, after every point of a profile and every step of the sampler.
+    box : bool
+        Map the criterion over all of the bounds too, for pairs of parameters that have them, as goes with a search of
+        the whole box.
+
+    Returns
+    -------
+    Uncertainty
+        Interrupted from the keyboard: what was done until then.
+
+    Raises
+    ------
+    InputError
+        If the result is another problem's, or a name is unknown.
+    SimulationError
+        If the simulation fails at the result.
+    """
+    return _Explorer(problem, result, settings, progress or (lambda _: None), box=box).run()
+
+
+class _Explorer:
+    """Does one task after the other and keeps what is done."""
+
+    def __init__(
+        self,
+        problem: LeastSquares,
+        result: Result,
+        settings: UncertaintySettings,
+        progress: Callable[[Step], None],
+        *,
+        box: bool,
+    ) -> None:
+        self.problem, self.result, self.settings, self.progress = problem, result, settings, progress
+        self.box = box
+        self.maps: list[CriterionMap] = []
+        self.box_maps: list[CriterionMap] = []
+        self.profiles: tuple[Profile, ...] = ()
+        self.posterior: Posterior | None = None
+
+    def run(self) -> Uncertainty:
+        try:
+            finished = self._map() and self._profile() and self._sample()
+        except KeyboardInterrupt:
+            finished = False
+        maps, box_maps = tuple(self.maps), tuple(self.box_maps)
+        level = self.settings.level
+        return Uncertainty(level, maps, box_maps, self.profiles, self.posterior, interrupted=not finished)
+
+    def _map(self) -> bool:
+        for k, (first, second) in enumerate(self.settings.maps):
+            from fmuid.assessment.criterion_map import map_criterion
+
+            self.progress(Step("map", f"criterion over {first} and {second}", k / len(self.settings.maps)))
+            self.maps.append(map_criterion(self.problem, self.result, first, second))
+            if self.box and self._bounded(first) and self._bounded(second):
+                self.box_maps.append(map_criterion(self.problem, self.result, first, second, ranges="bounds"))
+        return True
+
+    def _bounded(self, name: str) -> bool:
+        parameters = self.problem.parameters
+        i = parameters.index(name)
+        return bool(np.isfinite([parameters.lower[i], parameters.upper[i]]).all())
+
+    def _profile(self) -> bool:
+        names = self.settings.profile
+        if not names:
+            return True
+        from fmuid.assessment.profile import profiles
+
+        def report(point: ProfilePoint) -> None:
+            text = f"{point.name} = {point.value:.6g}: criterion risen by {point.rise:.3g} of {point.threshold:.3g}"
+            self.progress(Step("profile", text, names.index(point.name) / len(names)))
+
+        self.profiles = profiles(self.problem, self.result, names, level=self.settings.level, progress=report)
+        complete = len(self.profiles) == len(names)
+        return complete and not any(note.startswith("interrupted") for note in self.profiles[-1].notes)
+
+    def _sample(self) -> bool:
+        if self.settings.posterior is None:
+            return True
+        from fmuid.assessment.posterior import sample
+
+        def report(step: SamplingStep) -> None:
+            known = step.effective_size == step.effective_size
+            worth = f", worth {step.effective_size:.0f} of {step.wanted} independent samples" if known else ""
+            share = max(step.step / step.steps, step.effective_size / step.wanted if known else 0.0)
+            self.progress(Step("posterior", f"step {step.step}{worth}", min(share, 1.0)))
+
+        self.posterior = sample(self.problem, self.result, self.settings.posterior, report)
+        return not self.posterior.status.startswith("interrupted")

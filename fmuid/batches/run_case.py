@@ -1,0 +1,277 @@
+"""One case of a batch after the other, each to a row of the batch's table."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import platform
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from fmuid.arrays import Floats
+from fmuid.batches.case_problem import problem_of, truth_simulators, truth_values
+from fmuid.batches.cases import Case, Cases
+from fmuid.batches.draws import noise
+from fmuid.data import Experiment, read_table
+from fmuid.errors import FmuidError
+from fmuid.estimation import Marquardt, Result, Status, identify
+from fmuid.model_problem import Problem
+from fmuid.simulation import workers_of
+from fmuid.studies import ExperimentSettings, NoiseDraws, Study, Value
+
+Key = TypeVar("Key")
+Item = TypeVar("Item")
+
+VOLATILE = ("elapsed_s", "finished", "worker")
+"""The columns that differ from run to run; all others are the same bit for bit."""
+
+KEPT = 4
+"""Tables, and simulations of the truth, that are kept for the cases that follow."""
+
+WHOLE, NUMBER, TEXT, FLAG, TIMESTAMP = "int64", "float64", "string", "bool", "datetime64[us, UTC]"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a case.
+
+    Attributes
+    ----------
+    row : dict
+        The columns `CaseRunner.columns`.
+    log : str
+        What the FMU printed and the warnings that were given meanwhile; empty where there was nothing.
+    """
+
+    row: dict[str, object]
+    log: str
+
+
+class CaseRunner:
+    """Runs the cases of a study, in any order: ``runner(i)``.
+
+    The instances of the FMUs are kept from case to case. What a case gives depends on nothing but the case; what
+    ``[uncertainty]`` asks for is left out. For one thread.
+
+    Parameters
+    ----------
+    study : Study
+        With a ``[batch]``. Its tables may be missing, for which their cases fail.
+
+    Attributes
+    ----------
+    study : Study
+    cases : Cases
+    columns : dict of str to str
+        All columns of a row in order, and their types as pandas calls them.
+
+    Raises
+    ------
+    InputError
+        As `Cases`, or if an FMU cannot be read.
+    """
+
+    def __init__(self, study: Study) -> None:
+        self.study, self.cases = study, Cases(study)
+        self._drawn, self._seed = self.cases.settings.noise, self.cases.settings.seed
+        self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.outputs))
+        self._tables: _Recent[Path | None, tuple[Experiment, ...]] = _Recent()
+        self._truths: _Recent[object, tuple[Floats, ...]] = _Recent()
+        self._worker = f"{platform.node()}:{os.getpid()}"
+        self._system = study.system
+        self.columns = self._all_columns()
+
+    def __call__(self, index: int) -> Outcome:
+        """Run a case; one that fails has a row that says why.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If that ends the case.
+        """
+        case, began = self.cases[index], time.perf_counter()
+        with _warnings_of_this_thread() as warnings:
+            found = self._found(case)
+        elapsed, printed = time.perf_counter() - began, workers_of(self._system).printed()
+        volatile = {"elapsed_s": elapsed, "finished": datetime.now(UTC), "worker": self._worker}
+        row = dict.fromkeys(self.columns, math.nan) | {"case": case.index, **case.settings, **found, **volatile}
+        return Outcome(row, "\n".join([*warnings, *([printed] if printed else [])]))
+
+    def _found(self, case: Case) -> dict[str, object]:
+        """Return the columns that a case finds out, those of values that there are not left out."""
+        problem: Problem | None = None
+        try:
+            problem = self.problem(case)
+            words = _words_of(self._identify(problem))
+        except FmuidError as error:
+            words = _failure(str(error))
+        except (MemoryError, ArithmeticError, np.linalg.LinAlgError) as error:
+            words = _failure(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
+        counted = {"simulations": problem.simulations, "rejected": problem.failures} if problem is not None else {}
+        return {"iterations": 0, "simulations": 0, "rejected": 0} | counted | words
+
+    def problem(self, case: Case) -> Problem:
+        """Return the problem of a case: its measurements, read or simulated and disturbed, and what is identified.
+
+        Raises
+        ------
+        InputError
+            If a table cannot be read or does not fit.
+        SimulationError
+            If the truth cannot be simulated.
+        """
+        experiments = self._tables.get(case.table, lambda: self._read(case.table))
+        if case.draw is not None and self._drawn is not None:
+            experiments = self._disturbed(case, case.draw, self._drawn, experiments)
+        self._forget_stiffness()
+        return problem_of(self.study, experiments, case.free, case.held, case.starts)
+
+    def _identify(self, problem: Problem) -> Result:
+        settings = self.study.estimator
+        if isinstance(settings, Marquardt):
+            result = identify(problem, settings)
+            interrupted = result.status.startswith(Status.INTERRUPTED.value)
+        else:
+            from fmuid.estimation import search_globally
+
+            found = search_globally(problem, settings)
+            result, interrupted = found.result, found.interrupted
+        if interrupted:
+            raise KeyboardInterrupt
+        return result
+
+    def _forget_stiffness(self) -> None:
+        """Have no simulation depend on what earlier ones found of the models."""
+        for component in self._system.components.values():
+            component.stiff = False
+
+    # --- tables and noise
+
+    def _read(self, table: Path | None) -> tuple[Experiment, ...]:
+        return tuple(self._experiment(given, table or given.table) for given in self.study.experiments)
+
+    def _experiment(self, given: ExperimentSettings, table: Path) -> Experiment:
+        """Read a table; the outputs need not be in it where they are simulated."""
+        frame = read_table(table, given.time)
+        if self._drawn is not None:
+            missing = [column for column in given.outputs.values() if column not in frame.columns]
+            frame = frame.assign(**dict.fromkeys(missing, 0.0))
+        return given.experiment(frame, str(table))
+
+    def _disturbed(
+        self, case: Case, draw: int, drawn: NoiseDraws, experiments: tuple[Experiment, ...]
+    ) -> tuple[Experiment, ...]:
+        """Return the experiments with the simulated truth and a draw of noise as measurements, where there were any."""
+        truth = truth_values(self.study, case.held)
+        key = case.table, tuple(truth.items())
+        clean = self._truths.get(key, lambda: self._simulate(experiments, truth))
+        found = []
+        for number, (experiment, outputs) in enumerate(zip(experiments, clean, strict=True)):
+            std = np.array([drawn.std[name] for name in experiment.output_names])
+            values = outputs + std * noise(self._seed, case.record, draw, number, outputs.shape)
+            found.append(experiment.with_outputs(np.where(np.isnan(experiment.output_values), np.nan, values)))
+        return tuple(found)
+
+    def _simulate(self, experiments: tuple[Experiment, ...], truth: Mapping[str, Value]) -> tuple[Floats, ...]:
+        self._forget_stiffness()
+        return tuple(simulator(theta) for simulator, theta in truth_simulators(self.study, experiments, truth))
+
+    # --- rows
+
+    def _all_columns(self) -> dict[str, str]:
+        types = {name: _type_of(value) for name, value in self.cases[0].settings.items()}
+        names, outputs = self.cases.names, self._outputs
+        return {
+            "case": WHOLE,
+            **{name: types[name] for name in self.cases.columns},
+            "status": TEXT,
+            "message": TEXT,
+            **{f"{word}.{name}": NUMBER for word in ("value", "std") for name in names},
+            **{f"noise.{name}": NUMBER for name in outputs},
+            "criterion": NUMBER,
+            "iterations": WHOLE,
+            "simulations": WHOLE,
+            "rejected": WHOLE,
+            "elapsed_s": NUMBER,
+            "finished": TIMESTAMP,
+            "worker": TEXT,
+        }
+
+
+def _words_of(result: Result) -> dict[str, object]:
+    """Return the columns that a result fills."""
+    std = np.where(np.isfinite(result.std), result.std, np.nan)
+    return {
+        "status": "converged" if result.converged else "not converged",
+        "message": result.status,
+        **{f"value.{name}": value for name, value in zip(result.names, result.values.tolist(), strict=True)},
+        **{f"std.{name}": value for name, value in zip(result.names, std.tolist(), strict=True)},
+        **{f"noise.{name}": value for name, value in result.noise_variance.items()},
+        "criterion": result.criterion,
+        "iterations": result.iterations,
+    }
+
+
+def _failure(message: str) -> dict[str, object]:
+    return {"status": "failed", "message": message}
+
+
+def _type_of(value: object) -> str:
+    return {bool: FLAG, int: WHOLE, float: NUMBER, str: TEXT}[type(value)]
+
+
+class _Recent(Generic[Key, Item]):
+    """The last few things that were made, by what they were made of; an error that came of it comes again."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Key, Item | FmuidError] = OrderedDict()
+
+    def get(self, key: Key, make: Callable[[], Item]) -> Item:
+        """Return what was made of a key, made now if need be."""
+        if key not in self._kept:
+            try:
+                self._kept[key] = make()
+            except FmuidError as error:
+                self._kept[key] = error.with_traceback(None)  # which holds on to what was being made
+            while len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        item = self._kept[key]
+        if isinstance(item, FmuidError):
+            raise item.with_traceback(None)
+        return item
+
+
+class _Listener(logging.Handler):
+    """Keeps the warnings that one thread gives."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self._thread = threading.get_ident()
+        self.said: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a warning if it is of the thread."""
+        if record.thread == self._thread:
+            self.said.append(record.getMessage())
+
+
+@contextmanager
+def _warnings_of_this_thread() -> Iterator[list[str]]:
+    """Collect the warnings that fmuid gives meanwhile."""
+    listener, log = _Listener(), logging.getLogger("fmuid")
+    log.addHandler(listener)
+    try:
+        yield listener.said
+    finally:
+        log.removeHandler(listener)

@@ -1,0 +1,3 @@
+"""The command line."""
+
+from fmuid.cli.app import main as main

@@ -1,0 +1,109 @@
+"""The command ``fmuid``: its commands are in `fmuid.cli.models`, `fmuid.cli.studies` and `fmuid.cli.batch`.
+
+They parse, call and print: no maths, and nothing heavy is imported before a command needs it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from fmuid.cli import batch as cli_batch
+from fmuid.cli import models as cli_models
+from fmuid.cli import studies as cli_studies
+from fmuid.cli.interruption import handled
+from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.errors import FmuidError, InputError
+from fmuid.version import __version__
+
+app = typer.Typer(
+    name="fmuid",
+    help="Identify the physical parameters of models packaged as FMUs from tables of measurements.",
+    epilog="Exit code: 0 done, 1 ran but did not succeed (such as not converged), 2 wrong input.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"fmuid {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def fmuid(
+    version: Annotated[  # acts through its callback
+        bool, typer.Option("--version", help="Print the version and end.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Identify the physical parameters of models packaged as FMUs from tables of measurements."""
+
+
+for command in (
+    cli_models.info,
+    cli_models.validate,
+    cli_models.init,
+    cli_studies.simulate,
+    cli_studies.identify,
+    cli_studies.diagnose,
+    cli_studies.monitor,
+    cli_batch.batch,
+    cli_models.apply,
+    cli_models.export,
+):
+    app.command()(command)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its code; whatever is wrong with the input is one sentence on stderr."""
+    with handled():
+        code = run(arguments)
+    sys.exit(code)
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    arguments
+        As typed after ``fmuid``; default: those of the process.
+    """
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        code: Any = app(given or ["--help"], standalone_mode=False, prog_name="fmuid")
+    except InputError as error:
+        return _refuse(str(error), WRONG_INPUT)
+    except FmuidError as error:
+        return _refuse(str(error), NOT_SUCCEEDED)
+    except _USAGE_ERROR as error:
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context else "fmuid"
+        return _refuse(
+            f"{command}: {error.format_message().rstrip('.?').replace('. ', '; ')} (see {command} --help)", WRONG_INPUT
+        )
+    except (KeyboardInterrupt, typer.Abort):
+        return _refuse("interrupted", NOT_SUCCEEDED)
+    except BrokenPipeError:  # as in `fmuid info model.fmu | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return NOT_SUCCEEDED
+    if code == _TYPER_INTERRUPTED:
+        return _refuse("interrupted", NOT_SUCCEEDED)
+    return code if isinstance(code, int) else DONE
+
+
+# What typer returns for Ctrl-C where it does not raise Abort.
+_TYPER_INTERRUPTED = 130
+# Click's exception of wrong usage, wherever this version of typer keeps click.
+_USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
+
+
+def _refuse(sentence: str, code: int) -> int:
+    print("error: " + " ".join(sentence.split()), file=sys.stderr)
+    return code

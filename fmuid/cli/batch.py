@@ -1,0 +1,92 @@
+"""The command ``fmuid batch``: parse, call, print."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmuid.cli.interruption import answering
+from fmuid.cli.options import DONE, NOT_SUCCEEDED, Overrides, StudyFile
+
+if TYPE_CHECKING:
+    from fmuid.batches import Batch, BatchResult
+
+
+def batch(
+    study: StudyFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="The folder of the batch.", show_default=False)
+    ],
+    set_: Overrides = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Dask scheduler, tcp://host:8786; default: workers of this machine."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", help="How many workers of this machine; default: one a core.")
+    ] = None,
+    max_cases: Annotated[int, typer.Option(metavar="N", help="Refuse a study that spans more.")] = 100_000,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume/--no-resume", help="Go on with the finished cases in the folder, or remove them and begin anew."
+        ),
+    ] = True,
+    in_process: Annotated[
+        bool,
+        typer.Option("--in-process", help="Run FMUs in the workers' own processes: an FMU that crashes ends a worker."),
+    ] = False,
+) -> int:
+    """Run the many identifications that a study spans, as its table batch says; the same command resumes them."""
+    from fmuid.batches import Batch
+    from fmuid.reports.console import layout as console
+    from fmuid.reports.console.progress import BatchProgress
+    from fmuid.studies import Study
+
+    read = Study.read(study, set_ or ())
+    job = Batch(
+        read,
+        output,
+        scheduler=scheduler,
+        workers=workers,
+        max_cases=max_cases,
+        resume=resume,
+        isolated=not in_process,
+    )
+    console.show_notes(read.notes)
+    with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):
+        with BatchProgress() as progress:
+            found = job.run(progress)
+        return _show(job, found)
+
+
+def _show(job: Batch, found: BatchResult) -> int:
+    """Show and write what a batch has found so far."""
+    from fmuid.reports.console import layout as console
+
+    logs = job.dataset.log_count()
+    said = [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
+    console.show_notes([*found.notes, *said])
+    if len(found.frame):
+        from fmuid.batches import summarize
+        from fmuid.reports.console.batch import show_batch
+        from fmuid.reports.figures import batch as figures_batch
+        from fmuid.reports.figures import style as plots
+
+        words = (found.frame, found.truth, found.units)
+        summary = summarize(*words, given_noise=found.given_noise)
+        show_batch(summary)
+        written = summary.write(job.folder)
+        plots.clear(job.folder / "figures")
+        written += plots.save(figures_batch.draw(*words, given_noise=found.given_noise), job.folder / "figures")
+        console.show_files([*job.dataset.files(), *written])
+    if found.interrupted:
+        print(
+            f"interrupted: {len(found.frame)} of {found.total} cases are finished; the same command goes on",
+            file=sys.stderr,
+        )
+        return NOT_SUCCEEDED
+    return DONE

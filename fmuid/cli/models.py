@@ -1,0 +1,123 @@
+"""The commands about models: parse, call, print."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmuid.cli.options import DONE, NOT_SUCCEEDED, FmuFile
+
+if TYPE_CHECKING:
+    from fmuid.reports import AppliedValue
+
+
+def info(fmu: FmuFile) -> int:
+    """Show what an FMU declares: capabilities, parameters, inputs, outputs, units; with a study to begin with."""
+    from fmuid.fmi import FMU
+    from fmuid.models import facts
+    from fmuid.reports.console.fmu import show_facts
+
+    show_facts(facts(FMU(fmu)))
+    return DONE
+
+
+def validate(fmu: FmuFile) -> int:
+    """Check an FMU: its description by FMPy, its binaries, and a short simulation of each interface."""
+    from fmuid.fmi import FMU
+    from fmuid.reports.console import layout as console
+    from fmuid.reports.console.fmu import show_validation
+    from fmuid.simulation import TIME_LIMIT, validate
+
+    model = FMU(fmu)
+    console.show_notes([f"simulating each interface; one that does not end is stopped after {TIME_LIMIT:g} s"])
+    found = validate(model)
+    show_validation(found)
+    return DONE if found.passed else NOT_SUCCEEDED
+
+
+def init(
+    fmu: FmuFile,
+    table: Annotated[
+        Path, typer.Argument(metavar="TABLE", help="The table: .csv, .parquet or .mat.", show_default=False)
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The study file to write.")] = Path(
+        "study.toml"
+    ),
+) -> int:
+    """Write a commented study file for an FMU and a table, to start from."""
+    from fmuid.reports.console import layout as console
+    from fmuid.studies import write_draft
+
+    console.show_draft(write_draft(fmu, table, output), output)
+    return DONE
+
+
+def apply(
+    result: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RESULT", help="A result.json, the folder that has it, or an .ssv file.", show_default=False
+        ),
+    ],
+    fmu: FmuFile,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="NEW.fmu", help="The FMU to write.")],
+    component: Annotated[
+        str | None, typer.Option("--component", metavar="NAME", help="Which component of a system the FMU is.")
+    ] = None,
+) -> int:
+    """Write identified values as the start values of a copy of an FMU."""
+    from fmuid.reports import apply_result
+    from fmuid.reports.console import layout as console
+
+    _show_applied(apply_result(result, fmu, output, component))
+    console.show_files([output])
+    return DONE
+
+
+def _show_applied(applied: Sequence[AppliedValue]) -> None:
+    from rich.markup import escape
+
+    from fmuid.reports.console import layout as console
+    from fmuid.text import rounded
+
+    numbers = ("old start", "new start", "std")
+    table = console.table_of("Start values", ["variable", *numbers, "unit"], right=numbers)
+    for each in applied:
+        old, known = each.old, math.isfinite(each.std)
+        new = rounded(each.new, each.std) if isinstance(each.new, float) else str(each.new)
+        cells = ["" if old is None else f"{old:.6g}" if isinstance(old, float) else str(old), new]
+        cells += [rounded(each.std, each.std) if known else "", console.unit_text(each.unit)]
+        table.add_row(*(escape(cell) for cell in (each.variable, *cells)))
+    console.console().print(table)
+
+
+def export(
+    model: Annotated[Path, typer.Argument(metavar="MODEL.mo", help="The Modelica file.", show_default=False)],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="The FMU to write; default: beside the model.")
+    ] = None,
+    fmi: Annotated[str, typer.Option("--fmi", metavar="VERSION", help="The version of FMI, 2.0 or 3.0.")] = "2.0",
+    sensitivities: Annotated[
+        str,
+        typer.Option(
+            "--sensitivities", metavar="P,...", help="Also output the derivatives to these parameters, or to 'all'."
+        ),
+    ] = "",
+) -> int:
+    """Export a Modelica model as an FMU (needs the extra 'export' of the package)."""
+    from fmuid.errors import ModelicaWarning
+    from fmuid.export import export_fmu
+    from fmuid.reports.console import layout as console
+
+    names = [name.strip() for name in sensitivities.split(",")] if sensitivities else []
+    with warnings.catch_warnings(record=True) as remarks:
+        warnings.simplefilter("always", ModelicaWarning)
+        fmu = export_fmu(model, output, fmi=fmi, sensitivities="all" if names == ["all"] else names)
+    console.show_remarks(str(each.message) for each in remarks)
+    console.show_files([fmu])
+    return DONE

@@ -1,0 +1,5 @@
+"""Measurements and what is known: tables as experiments, parameters with priors, noise, losses, excitations."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

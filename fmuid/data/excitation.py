@@ -1,0 +1,230 @@
+"""Excitations as tables: what to apply to a system so that a record of it says much about its parameters.
+
+Every function returns a frame with ``time`` and one column more, its values to be held from sample to sample (steps,
+PRBS) or joined as the study's interpolation says (multisine). The duration counts as many samples of `step` as fit
+it: the last sample begins one step before its end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from scipy.signal import max_len_seq
+
+from fmuid.arrays import Floats
+from fmuid.errors import InputError
+
+# A duration is a whole number of samples where it is so to this share of a sample: both are rounded decimals.
+WHOLE = 1e-6
+LONGEST = 100_000_000  # samples; more than that fill the memory, and are a duration in other units than seconds
+ORDERS = 2, 32  # of the shift registers whose feedback scipy knows
+
+
+def prbs(
+    duration: float,
+    step: float,
+    amplitude: float,
+    bit: int,
+    *,
+    order: int | None = None,
+    seed: int = 0,
+    offset: float = 0.0,
+    column: str = "u",
+) -> pd.DataFrame:
+    """Return a pseudo-random binary sequence: a maximum-length sequence of bits, offset plus or minus amplitude.
+
+    Over one period of 2^order - 1 bits its autocorrelation is amplitude² at no shift and -amplitude²/(2^order - 1) at
+    all others, in whole bits: nearly that of white noise, of bandwidth about 0.44/(bit·step) (L. Ljung, System
+    Identification, 2nd edition, section 13.3).
+
+    Parameters
+    ----------
+    duration, step : float
+        Length of the record and sampling time, s.
+    amplitude, offset : float
+        Half the distance of the two levels, and their middle, in the unit of the input.
+    bit : int
+        Samples of one bit.
+    order : int, optional
+        Of the shift register, 2 to 32; default the smallest whose period is not shorter than the record.
+    seed : int
+        Decides where in its period the sequence begins.
+    column : str
+        What the column is called.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``time`` (s) and the column, K = duration/step rows.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of its range, or the duration is no whole number of samples.
+    """
+    times = _times(duration, step, column)
+    _check_number(amplitude, "amplitude")
+    _check_number(offset, "offset")
+    bit = _whole(bit, "bit, the samples of one bit,", 1, times.size)
+    bits = -(-times.size // bit)
+    least, most = ORDERS
+    order = max(least, bits.bit_length()) if order is None else _whole(order, "order", least, most)
+    state = int(np.random.default_rng(_whole(seed, "seed", 0)).integers(1, 2**order))
+    sequence, _ = max_len_seq(order, [state >> k & 1 for k in range(order)], bits)
+    values = offset + amplitude * (2.0 * np.repeat(sequence, bit)[: times.size] - 1.0)
+    return pd.DataFrame({"time": times, column: values})
+
+
+def multisine(
+    duration: float,
+    step: float,
+    amplitude: float,
+    lowest: float,
+    highest: float,
+    *,
+    period: float | None = None,
+    offset: float = 0.0,
+    column: str = "u",
+) -> pd.DataFrame:
+    """Return a sum of equal cosines at all multiples of 1/period from the lowest to the highest frequency.
+
+    Schroeder's phases -π k(k-1)/n of the k-th of n lines keep its peaks low (M. R. Schroeder, Synthesis of low-peak-
+    factor signals and binary sequences with low autocorrelation, IEEE Trans. Information Theory 16, 1970): the peak is
+    about 1.7 times the root mean square, where cosines without phases have sqrt(2 n).
+
+    Parameters
+    ----------
+    duration, step : float
+        Length of the record and sampling time, s.
+    amplitude, offset : float
+        Largest distance of a sample from the offset, and the offset, in the unit of the input.
+    lowest, highest : float
+        Band, Hz; above zero and below half the sampling frequency.
+    period : float, optional
+        s; default the duration.
+    column : str
+        What the column is called.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``time`` (s) and the column, K = duration/step rows.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of its range, or no line lies in the band.
+    """
+    times = _times(duration, step, column)
+    _check_number(amplitude, "amplitude")
+    _check_number(offset, "offset")
+    period = duration if period is None else _positive(period, "period")
+    _positive(lowest, "lowest")
+    if not lowest <= _positive(highest, "highest") < 0.5 / step:
+        raise InputError(
+            f"highest {highest:g} Hz must not be less than lowest {lowest:g} Hz, and less than half the sampling "
+            f"frequency, {0.5 / step:g} Hz; change the band or sample faster"
+        )
+    lines = np.arange(math.ceil(lowest * period - WHOLE), math.floor(highest * period + WHOLE) + 1)
+    if lines.size == 0:
+        raise InputError(
+            f"no multiple of 1/period, {1 / period:g} Hz, lies between {lowest:g} and {highest:g} Hz; "
+            "make the period longer or the band wider"
+        )
+    values = np.zeros(times.size)
+    for k, line in enumerate(lines.tolist()):
+        values += np.cos(2.0 * np.pi * line / period * times - np.pi * k * (k + 1) / lines.size)
+    return pd.DataFrame({"time": times, column: offset + amplitude / np.abs(values).max() * values})
+
+
+def steps(
+    duration: float,
+    step: float,
+    levels: Sequence[float],
+    *,
+    times: Sequence[float] | None = None,
+    offset: float = 0.0,
+    column: str = "u",
+) -> pd.DataFrame:
+    """Return levels that follow each other.
+
+    Parameters
+    ----------
+    duration, step : float
+        Length of the record and sampling time, s.
+    levels : sequence of float
+        n values that the offset is added to, in the unit of the input.
+    times : sequence of float, optional
+        When each level begins, s: n values, the first 0, increasing, the last before the duration. A level begins with
+        the first sample that is not earlier. Default: all levels last as long, to a sample.
+    offset : float
+        In the unit of the input.
+    column : str
+        What the column is called.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``time`` (s) and the column, K = duration/step rows.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of its range, or a level would have no sample.
+    """
+    clock = _times(duration, step, column)
+    heights = np.array([_check_number(level, "a level") for level in levels])
+    if not 1 <= heights.size <= clock.size:
+        raise InputError(f"{heights.size} levels do not fit {clock.size} samples; give from one to that many")
+    _check_number(offset, "offset")
+    if times is None:
+        first = np.arange(heights.size) * clock.size // heights.size
+    else:
+        begins = np.array([_check_number(begin, "a time") for begin in times])
+        if begins.size != heights.size:
+            raise InputError(f"there are {heights.size} levels and {begins.size} times; give one time for each level")
+        first = np.ceil(begins / step - WHOLE)
+        if first[0] != 0 or (np.diff(first) <= 0).any() or first[-1] >= clock.size:
+            raise InputError(
+                f"the times of the levels must begin with 0, be at least a sample apart and end before {duration:g} s"
+            )
+    which = np.searchsorted(first, np.arange(clock.size), side="right") - 1
+    return pd.DataFrame({"time": clock, column: offset + heights[which]})
+
+
+def _times(duration: float, step: float, column: str) -> Floats:
+    """Return the times of the samples, and check what all excitations have in common."""
+    if not column or column == "time":
+        raise InputError(f"column {column!r} cannot be the name of the excitation; give another")
+    samples = _positive(duration, "duration") / _positive(step, "step")
+    if samples > LONGEST:
+        raise InputError(f"{duration:g} s are {samples:g} samples of {step:g} s; duration and step are in seconds")
+    count = round(samples)
+    if count < 2 or abs(samples - count) > WHOLE:
+        raise InputError(
+            f"duration {duration:g} s is {samples:g} samples of {step:g} s; give a whole number of them, two or more"
+        )
+    return float(step) * np.arange(count, dtype=np.float64)
+
+
+def _check_number(value: float, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not math.isfinite(value):
+        raise InputError(f"{what} must be a finite number, not {value!r}")
+    return float(value)
+
+
+def _positive(value: float, what: str) -> float:
+    if not _check_number(value, what) > 0:
+        raise InputError(f"{what} must be greater than 0, not {value!r}")
+    return float(value)
+
+
+def _whole(value: int, what: str, least: int, most: int | None = None) -> int:
+    within = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not within or value < least or (most is not None and value > most):
+        upper = f" from {least} to {most}" if most is not None else f", {least} or more"
+        raise InputError(f"{what} must be a whole number{upper}, not {value!r}")
+    return int(value)

@@ -1,0 +1,353 @@
+"""An experiment: a table of measurements, and what its columns are to the model."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from fmuid.data.tables import missing_column, numeric_column, read_table
+from fmuid.errors import InputError
+from fmuid.text import nearest
+
+_Floats = npt.NDArray[np.float64]
+
+INTERPOLATIONS = ("linear", "hold", "cubic")
+"""How an input goes between samples: straight from one to the next (measured signals), held (numerical commands), or
+along a smooth curve that rises and falls with the samples (Fritsch and Butland's monotone cubic interpolation)."""
+
+_TIME_TOLERANCE = 1e-9
+"""Share of the table's duration by which a sample may come before the end of `discard`: times are rounded decimals."""
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A table with roles: which columns drive the model, and which it must reproduce.
+
+    Checked on construction. The table is copied, and the arrays are read-only. Rows are counted from 1 in messages,
+    without the header.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        One row a sample, K >= 2 rows. Its index may stand for the time column where it bears that name.
+    inputs, outputs : sequence of str, or mapping of str to str
+        FMU variables, with their columns where these are named otherwise. Inputs must be finite throughout. Outputs
+        may have NaN, which are samples that do not count. Without outputs the experiment can only be simulated.
+    time : str
+        The time column, s: finite, never decreasing. A time given twice is a step of the inputs.
+    interpolation : str or mapping of str to str
+        ``"linear"``, ``"hold"`` or ``"cubic"`` (docs/method.md section 5), for all inputs or for each input named; the
+        others are linear.
+    discard : float
+        Duration from the first time on that is simulated but not counted, s (1.32).
+    units : mapping of str to str
+        FMU variable to the unit of its column, where that is not the unit of the FMU.
+    name : str
+        What the experiment is called in results.
+    source : str
+        What the table is called in messages: its file.
+
+    Attributes
+    ----------
+    columns : dict of str to str
+        FMU variable to column, inputs first.
+    input_names, output_names : tuple of str
+        FMU variables.
+    times : ndarray (K,)
+        Time, s.
+    input_values : ndarray (K, n_inputs)
+        In the units of the table.
+    output_values : ndarray (K, n_outputs)
+        In the units of the table, NaN where missing.
+    counted : ndarray of bool (K, n_outputs)
+        True where the output is there and `discard` is over.
+    held : ndarray of bool (n_inputs,)
+        True where the interpolation is ``"hold"``.
+    curved : ndarray of bool (n_inputs,)
+        True where it is ``"cubic"``.
+    input_slopes : ndarray (K, n_inputs)
+        Time derivatives at the samples where it is ``"cubic"``, in the units of the table over s, else NaN.
+
+    Raises
+    ------
+    InputError
+        Where something of this is wrong; one sentence with table, column, row, time and remedy.
+    """
+
+    frame: pd.DataFrame
+    inputs: Sequence[str] | Mapping[str, str] = ()
+    outputs: Sequence[str] | Mapping[str, str] = ()
+    time: str = "time"
+    interpolation: str | Mapping[str, str] = "linear"
+    discard: float = 0.0
+    units: Mapping[str, str] = field(default_factory=dict)
+    name: str = "experiment"
+    source: str = "the table"
+    columns: dict[str, str] = field(init=False, repr=False)
+    input_names: tuple[str, ...] = field(init=False, repr=False)
+    output_names: tuple[str, ...] = field(init=False, repr=False)
+    times: npt.NDArray[np.float64] = field(init=False, repr=False)
+    input_values: npt.NDArray[np.float64] = field(init=False, repr=False)
+    output_values: npt.NDArray[np.float64] = field(init=False, repr=False)
+    counted: npt.NDArray[np.bool_] = field(init=False, repr=False)
+    held: npt.NDArray[np.bool_] = field(init=False, repr=False)
+    curved: npt.NDArray[np.bool_] = field(init=False, repr=False)
+    input_slopes: npt.NDArray[np.float64] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        source = self.source
+        inputs, outputs = _roles(source, "inputs", self.inputs), _roles(source, "outputs", self.outputs)
+        for variable in inputs:
+            if variable in outputs:
+                raise InputError(f"{source}: {variable!r} is both an input and an output: give it one role")
+        frame = _table(source, self.frame, self.time, inputs, outputs)
+        times = _times(source, frame, self.time)
+        output_values = _values(source, frame, times, "output", outputs)
+        input_values = _values(source, frame, times, "input", inputs)
+        words = _interpolation_words(source, self.interpolation, inputs)
+        curved = np.array([word == "cubic" for word in words], dtype=np.bool_)
+        derived = {
+            "frame": frame,
+            "inputs": inputs,
+            "outputs": outputs,
+            "units": _units(source, self.units, (*inputs, *outputs)),
+            "columns": inputs | outputs,
+            "input_names": tuple(inputs),
+            "output_names": tuple(outputs),
+            "times": times,
+            "input_values": input_values,
+            "output_values": output_values,
+            "counted": _counted(source, times, output_values, outputs, self.discard),
+            "held": np.array([word == "hold" for word in words], dtype=np.bool_),
+            "curved": curved,
+            "input_slopes": _slopes(source, times, input_values, curved),
+        }
+        for name, value in derived.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)  # frozen from here on
+
+    @classmethod
+    def read(
+        cls,
+        path: Path | str,
+        inputs: Sequence[str] | Mapping[str, str] = (),
+        outputs: Sequence[str] | Mapping[str, str] = (),
+        *,
+        time: str = "time",
+        interpolation: str | Mapping[str, str] = "linear",
+        discard: float = 0.0,
+        units: Mapping[str, str] | None = None,
+        name: str | None = None,
+    ) -> Self:
+        """Read the table from a file (`fmuid.read_table`); the words are those of the class.
+
+        Parameters
+        ----------
+        path : Path or str
+            The file; it is `source`, and the `name` is its stem unless given.
+
+        Raises
+        ------
+        InputError
+            Where the file cannot be read or the experiment is wrong.
+        """
+        path = Path(path)
+        return cls(
+            read_table(path, time),
+            inputs,
+            outputs,
+            time=time,
+            interpolation=interpolation,
+            discard=discard,
+            units={} if units is None else units,
+            name=path.stem if name is None else name,
+            source=str(path),
+        )
+
+    def with_outputs(self, values: npt.ArrayLike) -> Self:
+        """Return the same experiment with other measurements; nothing but them is checked again.
+
+        Parameters
+        ----------
+        values : (K, n_outputs) array
+            In the units of the table, NaN where there is no sample.
+
+        Raises
+        ------
+        InputError
+            If the shape is another one, a value is infinite, or an output has no sample that counts.
+        """
+        given = np.array(values, dtype=np.float64, order="C")
+        if given.shape != self.output_values.shape or np.isinf(given).any():
+            shape = self.output_values.shape
+            raise InputError(f"{self.source}: outputs must be finite or NaN, of shape {shape}; theirs is {given.shape}")
+        frame, outputs = self.frame.copy(deep=False), {name: self.columns[name] for name in self.output_names}
+        taken = [self.time, *self.columns.values()]
+        for k, (variable, column) in enumerate(outputs.items()):
+            if taken.count(column) > 1:  # another variable reads this column too, and must go on doing so
+                column = outputs[variable] = f"{column} as {variable}"
+            frame[column] = given[:, k]
+        counted = _counted(self.source, self.times, given, outputs, self.discard)
+        columns = self.columns | outputs
+        other = copy.copy(self)
+        derived = {"frame": frame, "outputs": outputs, "columns": columns, "output_values": given, "counted": counted}
+        for name, value in derived.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(other, name, value)
+        return other
+
+
+def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
+    """Return FMU variable to column, from a list of names or a mapping."""
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(f'{source}: {word} is {given!r}: give a list of names, such as ["u", "w"]')
+    pairs = list(given.items()) if isinstance(given, Mapping) else [(name, name) for name in given]
+    roles: dict[str, str] = {}
+    for variable, column in pairs:
+        if not isinstance(variable, str) or not isinstance(column, str):
+            raise InputError(f"{source}: {word} holds {variable!r} = {column!r}: give names of variables and columns")
+        if variable in roles:
+            raise InputError(f"{source}: {word} names {variable!r} twice: remove one of the two")
+        roles[variable] = column
+    return roles
+
+
+def _table(
+    source: str, given: pd.DataFrame, time: str, inputs: Mapping[str, str], outputs: Mapping[str, str]
+) -> pd.DataFrame:
+    """Return a copy of the frame with the time as a column, each column that has a role being there once."""
+    if not isinstance(given, pd.DataFrame):
+        raise InputError(f"{source} is of type {type(given).__name__}: give a pandas DataFrame")
+    frame = given.copy()
+    if time not in frame.columns and frame.index.name == time:
+        frame = frame.reset_index()
+    twice = frame.columns[frame.columns.duplicated()]
+    if len(twice):
+        raise InputError(f"{source}: the column {twice[0]!r} is there twice: rename or remove one of the two")
+    for role, columns in (("time", [time]), ("input", inputs.values()), ("output", outputs.values())):
+        for column in columns:
+            if column not in frame.columns:
+                raise InputError(f"{source}: {missing_column(role, column, frame.columns)}")
+    return frame
+
+
+def _times(source: str, frame: pd.DataFrame, time: str) -> _Floats:
+    """Return the time column: finite, never decreasing, no time more than twice."""
+    times = np.array(numeric_column(frame, time, source))
+    column = f"{source}: the time column {time!r}"
+    bad = np.flatnonzero(~np.isfinite(times))
+    if bad.size:
+        raise InputError(f"{column} has {times[bad[0]]} in row {bad[0] + 1}: give every row a time in seconds")
+    steps = np.diff(times)
+    back = np.flatnonzero(steps < 0)
+    if back.size:
+        before, after = times[back[0] : back[0] + 2]
+        raise InputError(
+            f"{column} decreases in row {back[0] + 2}, where {after:.9g} s follows {before:.9g} s: "
+            f"sort the rows, or make two experiments of them"
+        )
+    thrice = np.flatnonzero((steps[:-1] == 0) & (steps[1:] == 0))
+    if thrice.size:
+        raise InputError(
+            f"{column} has {times[thrice[0]]:.9g} s more than twice, from row {thrice[0] + 1} on: "
+            f"keep two rows, with the values before and after the step"
+        )
+    if times.size < 2 or times[0] == times[-1]:
+        raise InputError(f"{column} has fewer than two different times: give a longer record")
+    return times
+
+
+def _values(source: str, frame: pd.DataFrame, times: _Floats, role: str, columns: Mapping[str, str]) -> _Floats:
+    """Return the columns of a role side by side; an input is finite, an output finite or NaN."""
+    values = np.empty((times.size, len(columns)))
+    for k, column in enumerate(columns.values()):
+        values[:, k] = numeric_column(frame, column, source)
+        bad = np.flatnonzero(~np.isfinite(values[:, k]) if role == "input" else np.isinf(values[:, k]))
+        if bad.size:
+            row = bad[0]
+            found = "has no value" if np.isnan(values[row, k]) else f"is {values[row, k]}"
+            remedy = "fill the gap or cut the table there" if role == "input" else "leave cells without a sample empty"
+            raise InputError(
+                f"{source}: the {role} column {column!r} {found} in row {row + 1} (t = {times[row]:.9g} s): {remedy}"
+            )
+    return values
+
+
+def _counted(
+    source: str, times: _Floats, values: _Floats, outputs: Mapping[str, str], discard: float
+) -> npt.NDArray[np.bool_]:
+    """Return where an output sample counts; every output must have one that does."""
+    if isinstance(discard, bool) or not isinstance(discard, int | float) or not 0 <= discard < np.inf:
+        raise InputError(f"{source}: discard is {discard!r}: give a duration in seconds, zero or more")
+    there = ~np.isnan(values)
+    late = times >= times[0] + discard - _TIME_TOLERANCE * (times[-1] - times[0])
+    counted: npt.NDArray[np.bool_] = there & late[:, np.newaxis]
+    for k, column in enumerate(outputs.values()):
+        if not there[:, k].any():
+            raise InputError(f"{source}: the output column {column!r} has no sample: remove it from the outputs")
+        if not counted[:, k].any():
+            raise InputError(
+                f"{source}: discard = {discard:.9g} s leaves no sample of the output column {column!r}, "
+                f"whose last is at t = {times[there[:, k]][-1]:.9g} s: make discard shorter"
+            )
+    return counted
+
+
+def _interpolation_words(source: str, given: str | Mapping[str, str], inputs: Mapping[str, str]) -> list[str]:
+    """Return for each input how it goes between samples."""
+    words = dict(given) if isinstance(given, Mapping) else dict.fromkeys(inputs, given)
+    for variable in words:
+        if variable not in inputs:
+            raise InputError(
+                f"{source}: interpolation names {variable!r}, which is no input{nearest(str(variable), inputs)}: "
+                f"name inputs only"
+            )
+    for word in words.values() if isinstance(given, Mapping) else [given]:
+        if word not in INTERPOLATIONS:
+            near = nearest(str(word), INTERPOLATIONS)
+            raise InputError(f'{source}: interpolation {word!r} is not known{near}: write "linear", "hold" or "cubic"')
+    return [words.get(variable, "linear") for variable in inputs]
+
+
+def _slopes(source: str, times: _Floats, values: _Floats, curved: npt.NDArray[np.bool_]) -> _Floats:
+    """Return the slopes of monotone cubic curves through the samples; none goes across a step (a time given twice)."""
+    slopes = np.full(values.shape, np.nan)
+    if curved.any():
+        from scipy.interpolate import PchipInterpolator
+
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"), suppress(ValueError):  # checked below
+            for part in np.split(np.arange(times.size), np.flatnonzero(np.diff(times) == 0) + 1):
+                flat = np.zeros((part.size, int(curved.sum())))
+                at = times[part]
+                slopes[np.ix_(part, curved)] = (
+                    PchipInterpolator(at, values[np.ix_(part, curved)]).derivative()(at) if part.size > 1 else flat
+                )
+        if not np.isfinite(slopes[:, curved]).all():
+            raise InputError(
+                f'{source}: an input with interpolation = "cubic" changes faster than numbers can say: check its '
+                'values and the times, or write "linear"'
+            )
+    return slopes
+
+
+def _units(source: str, given: Mapping[str, str], variables: Sequence[str]) -> dict[str, str]:
+    """Return the units, each of a variable that has a role."""
+    for variable, unit in given.items():
+        if variable not in variables:
+            raise InputError(
+                f"{source}: units names {variable!r}, which is no input or output{nearest(str(variable), variables)}: "
+                f"name inputs and outputs only"
+            )
+        if not isinstance(unit, str):
+            raise InputError(f'{source}: the unit of {variable!r} is {unit!r}: write it as a text, such as "rad/s"')
+    return dict(given)

@@ -1,0 +1,324 @@
+"""What is estimated: names, starts, bounds, priors, and the magnitudes by which parameters are scaled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmuid.arrays import Floats
+from fmuid.errors import InputError
+from fmuid.text import nearest
+
+# A parameter that passes near zero keeps this fraction of its start as its magnitude: steps must not vanish with it.
+LEAST_MAGNITUDE = 1e-3
+# Beyond these the squares that everything rests on overflow or vanish; no unit of measurement needs such numbers.
+LARGEST_NUMBER, SMALLEST_MAGNITUDE = 1e100, 1e-100
+# Entries of a covariance that mirror each other may differ by rounding of a printed file, not by more.
+SYMMETRY_TOLERANCE = 1e-6
+
+
+def _number(value: object, what: str, *, infinite: bool = False) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise InputError(f"{what} must be a number, not {value!r}")
+    number = float(value)
+    if math.isnan(number) or (math.isinf(number) and not infinite):
+        raise InputError(f"{what} must be {'a number' if infinite else 'finite'}, not {number:g}")
+    if abs(number) > LARGEST_NUMBER and not infinite:
+        raise InputError(f"{what} must not exceed {LARGEST_NUMBER:g} in magnitude, not {number:g}; use another unit")
+    return number
+
+
+@dataclass(frozen=True)
+class Normal:
+    """A Gaussian prior of one parameter (1.36), in its own unit.
+
+    Parameters
+    ----------
+    mean : float
+    std : float
+        Standard deviation, greater than zero.
+
+    Raises
+    ------
+    InputError
+        If the mean is not finite or the standard deviation not positive.
+    """
+
+    mean: float
+    std: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mean", _number(self.mean, "the mean of a prior"))
+        object.__setattr__(self, "std", _number(self.std, "the std of a prior"))
+        if not self.std >= SMALLEST_MAGNITUDE:
+            raise InputError(
+                f"the std of a prior must be greater than 0, not {self.std:g}; hold a known parameter at its value"
+            )
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter to estimate.
+
+    Parameters
+    ----------
+    start : float
+        Where the search starts, in the unit of the FMU variable.
+    min, max : float
+        Bounds; the search never simulates outside them.
+    nominal : float, optional
+        Its magnitude, used for scaling; needed where the start is zero, default |start|.
+    prior : Normal, optional
+        What is known of it beforehand.
+    per_experiment : bool
+        One value for each experiment (``name[experiment]``) instead of one shared by all.
+
+    Raises
+    ------
+    InputError
+        If the start lies outside the bounds, the bounds are empty, the prior's mean lies outside them, or a
+        zero start has no nominal.
+    """
+
+    start: float
+    min: float = -math.inf
+    max: float = math.inf
+    nominal: float | None = None
+    prior: Normal | None = None
+    per_experiment: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", _number(self.start, "start"))
+        object.__setattr__(self, "min", _number(self.min, "min", infinite=True))
+        object.__setattr__(self, "max", _number(self.max, "max", infinite=True))
+        if not self.min < self.max:
+            raise InputError(
+                f"min {self.min:g} must be less than max {self.max:g}; to fix a parameter, hold it at a value"
+            )
+        if not self.min <= self.start <= self.max:
+            raise InputError(
+                f"start {self.start:g} lies outside its bounds, {self.min:g} to {self.max:g}; "
+                "move the start inside or widen min and max"
+            )
+        if self.nominal is not None:
+            object.__setattr__(self, "nominal", _number(self.nominal, "nominal"))
+            if not self.nominal >= SMALLEST_MAGNITUDE:
+                raise InputError(f"nominal must be greater than 0, not {self.nominal:g}; it is a magnitude")
+        elif abs(self.start) < SMALLEST_MAGNITUDE:
+            raise InputError(
+                f"start {self.start:g} has no magnitude; give nominal, the size that a sizeable value would have"
+            )
+        if self.prior is not None and not isinstance(self.prior, Normal):
+            raise InputError(f"prior must be a Normal(mean, std), not {self.prior!r}")
+        if self.prior is not None and not self.min <= self.prior.mean <= self.max:
+            raise InputError(
+                f"the prior's mean {self.prior.mean:g} lies outside the bounds, {self.min:g} to {self.max:g}; "
+                "correct one of them"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class JointPrior:
+    """A Gaussian prior of several parameters together, θ₀ and M₀ of (1.36).
+
+    Parameters
+    ----------
+    names : sequence of str
+        Parameters, in the order of `mean` and `covariance`; those per experiment as ``name[experiment]``.
+    mean : (q,) array
+    covariance : (q, q) array
+        Symmetric and positive definite.
+
+    Raises
+    ------
+    InputError
+        If shapes differ, a value is not finite, or the covariance is not symmetric and positive definite.
+    """
+
+    names: tuple[str, ...]
+    mean: Floats
+    covariance: Floats
+
+    def __init__(self, names: Sequence[str], mean: ArrayLike, covariance: ArrayLike) -> None:
+        object.__setattr__(self, "names", tuple(names))
+        object.__setattr__(self, "mean", np.array(mean, dtype=np.float64))
+        object.__setattr__(self, "covariance", np.array(covariance, dtype=np.float64))
+        count = len(self.names)
+        if len(set(self.names)) < count:
+            raise InputError(f"the joint prior names a parameter twice: {', '.join(self.names)}")
+        if self.mean.shape != (count,) or self.covariance.shape != (count, count):
+            raise InputError(
+                f"the joint prior of {', '.join(self.names)} needs {count} means and a {count} x {count} covariance, "
+                f"not shapes {self.mean.shape} and {self.covariance.shape}"
+            )
+        if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
+            raise InputError(f"the joint prior of {', '.join(self.names)} has a value that is not finite")
+        for name, variance in zip(self.names, np.diag(self.covariance), strict=True):
+            if variance <= 0:
+                raise InputError(
+                    f"the joint prior's variance of {name!r} must be greater than 0, not {variance:g}; "
+                    "hold a known parameter at its value"
+                )
+        unequal = ~np.isclose(self.covariance, self.covariance.T, rtol=SYMMETRY_TOLERANCE, atol=0.0)
+        if unequal.any():
+            i, j = np.argwhere(unequal)[0]
+            raise InputError(
+                f"the covariance of the joint prior of {', '.join(self.names)} is not symmetric: "
+                f"at row {self.names[i]} and column {self.names[j]} stands {self.covariance[i, j]:g}, "
+                f"at row {self.names[j]} and column {self.names[i]} {self.covariance[j, i]:g}"
+            )
+        self.whitening()
+
+    def whitening(self) -> Floats:
+        """Return W (q, q) with WᵀW = M₀⁻¹, so that W(θ₀ − θ) are the prior's rows of the residual."""
+        std = np.sqrt(np.diag(self.covariance))
+        try:  # on the correlation matrix: variances of very different units must not decide what counts as positive
+            factor = np.linalg.cholesky(self.covariance / np.outer(std, std))
+        except np.linalg.LinAlgError:
+            raise InputError(
+                f"the covariance of the joint prior of {', '.join(self.names)} is not positive definite; "
+                "its correlations contradict each other or are not less than 1 in magnitude"
+            ) from None
+        return np.asarray(np.linalg.solve(factor, np.diag(1.0 / std)), dtype=np.float64)
+
+
+class ParameterSet:
+    """All parameters of a problem as one vector theta (N,).
+
+    Parameters
+    ----------
+    parameters : mapping of str to Parameter
+        By FMU variable.
+    experiments : sequence of str
+        Names of the experiments; those of parameters per experiment become ``name[experiment]``.
+    joint_prior : JointPrior, optional
+
+    Attributes
+    ----------
+    names : tuple of str
+    start, lower, upper, scale : (N,) arrays
+        `scale` is the nominal magnitude, |start| by default.
+    prior_mean, prior_std : (N,) arrays
+        NaN where there is no prior.
+    prior_whitening : (q, N) array
+        W of the prior rows W(θ₀ − θ) of (1.37), q = 0 without priors.
+
+    Raises
+    ------
+    InputError
+        If there are no parameters, two experiments share a name that parameters need, or the joint prior names
+        an unknown parameter or one that has a prior of its own.
+    """
+
+    def __init__(
+        self,
+        parameters: Mapping[str, Parameter],
+        experiments: Sequence[str] = ("experiment",),
+        joint_prior: JointPrior | None = None,
+    ) -> None:
+        if not parameters:
+            raise InputError("there are no parameters to estimate; name at least one, with its start")
+        for name, parameter in parameters.items():
+            if not isinstance(parameter, Parameter):
+                raise InputError(f"parameter {name!r} must be a Parameter(start=...), not {parameter!r}")
+        repeated = sorted({name for name in experiments if list(experiments).count(name) > 1})
+        own = [name for name, parameter in parameters.items() if parameter.per_experiment]
+        if own and repeated:
+            raise InputError(
+                f"two experiments are named {repeated[0]!r}, and {own[0]!r} has one value for each experiment; "
+                "give every experiment its own name"
+            )
+        flat: dict[str, Parameter] = {}
+        columns: list[list[int]] = [[] for _ in experiments]
+        for name, parameter in parameters.items():
+            for column, experiment in zip(columns, experiments, strict=True):
+                full = f"{name}[{experiment}]" if parameter.per_experiment else name
+                flat.setdefault(full, parameter)
+                column.append(list(flat).index(full))
+        self._variables = tuple(parameters)
+        self._columns = tuple(np.array(column, dtype=np.intp) for column in columns)
+        self.names = tuple(flat)
+        self.start = _frozen([p.start for p in flat.values()])
+        self.lower = _frozen([p.min for p in flat.values()])
+        self.upper = _frozen([p.max for p in flat.values()])
+        self.scale = _frozen([p.nominal or abs(p.start) for p in flat.values()])
+        self._least = _frozen([p.nominal or LEAST_MAGNITUDE * abs(p.start) for p in flat.values()])
+        self._set_prior(flat, joint_prior)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def for_experiment(self, index: int) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+        """Return the FMU variables that experiment number `index` takes, and where in theta their values stand."""
+        return self._variables, self._columns[index]
+
+    def magnitudes(self, theta: Floats) -> Floats:
+        """Return how large each parameter is at theta, for steps and scaling: |θ|, but not less than its nominal.
+
+        Without a nominal a thousandth of the start is the least, so that a value crossing zero keeps a scale.
+        """
+        return np.maximum(np.abs(theta), self._least)
+
+    def reach(self, theta: Floats) -> Floats:
+        """Return what the steps of differences are measured by: |θ|, but not less than the nominal or the start.
+
+        Noise asks for steps of a certain length, also where a parameter happens to pass near zero.
+        """
+        return np.maximum(np.abs(theta), self.scale)
+
+    def index(self, name: str) -> int:
+        """Return where `name` stands in theta.
+
+        Raises
+        ------
+        InputError
+            If there is no such parameter.
+        """
+        if name not in self.names:
+            raise InputError(f"{name!r} is not a parameter of the problem{nearest(name, self.names)}")
+        return self.names.index(name)
+
+    def _set_prior(self, flat: Mapping[str, Parameter], joint: JointPrior | None) -> None:
+        count = len(flat)
+        mean, std = np.full(count, np.nan), np.full(count, np.nan)
+        rows = []
+        for i, parameter in enumerate(flat.values()):
+            if parameter.prior is not None:
+                mean[i], std[i] = parameter.prior.mean, parameter.prior.std
+                row = np.zeros(count)
+                row[i] = 1.0 / std[i]
+                rows.append(row)
+        if joint is not None:
+            where = [self.index(name) for name in joint.names]
+            for i in where:
+                if not np.isnan(mean[i]):
+                    raise InputError(
+                        f"{self.names[i]!r} has a prior of its own and is in the joint prior too; keep one of them"
+                    )
+            mean[where], std[where] = joint.mean, np.sqrt(np.diag(joint.covariance))
+            for i in where:
+                if not self.lower[i] <= mean[i] <= self.upper[i]:
+                    raise InputError(
+                        f"the joint prior's mean {mean[i]:g} of {self.names[i]!r} lies outside its bounds, "
+                        f"{self.lower[i]:g} to {self.upper[i]:g}; correct one of them"
+                    )
+            block = np.zeros((len(where), count))
+            block[:, where] = joint.whitening()
+            rows.extend(block)
+        self.prior_mean, self.prior_std = _frozen(mean), _frozen(std)
+        self.prior_whitening = _frozen(np.array(rows).reshape(-1, count))
+
+    def prior_residual(self, thetas: Floats) -> Floats:
+        """Return the prior rows W(θ₀ − θ) of (1.37), (m, q) for thetas (m, N)."""
+        away = np.where(np.isnan(self.prior_mean), 0.0, self.prior_mean - thetas)
+        return np.asarray(away @ self.prior_whitening.T, dtype=np.float64)
+
+
+def _frozen(values: ArrayLike) -> Floats:
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array

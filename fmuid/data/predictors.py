@@ -1,0 +1,104 @@
+"""What a problem is made of: something that simulates each experiment, and what was measured in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmuid.arrays import Floats
+from fmuid.errors import InputError, SimulationError
+
+
+class Predictions(Protocol):
+    """What simulating several thetas gives."""
+
+    @property
+    def outputs(self) -> Floats:
+        """(m, K, n_outputs), NaN where failed; the caller may change it."""
+
+    @property
+    def errors(self) -> Sequence[Exception | None]:
+        """Why each of them failed, None where it did not."""
+
+
+class Predictor(Protocol):
+    """Simulates one experiment; `fmuid.Simulator` is one."""
+
+    def many(self, thetas: ArrayLike) -> Predictions:
+        """Simulate thetas (m, N_i)."""
+
+
+class Measurements(Protocol):
+    """What is measured in one experiment; `fmuid.Experiment` is one."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    def times(self) -> Floats:
+        """Sampling times (K,), s."""
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The measured outputs."""
+
+    @property
+    def output_values(self) -> Floats:
+        """Their samples (K, n_outputs), NaN where missing."""
+
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """Which samples take part in the criterion (K, n_outputs)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Measurements without an FMU behind them; the attributes are those of `Measurements`."""
+
+    name: str
+    times: Floats
+    output_names: tuple[str, ...]
+    output_values: Floats
+    counted: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionPredictions:
+    """What a Python function gave for several thetas; the attributes are those of `Predictions`."""
+
+    outputs: Floats
+    errors: tuple[Exception | None, ...]
+
+
+class FunctionPredictor:
+    """Calls a Python function as if it were a simulator."""
+
+    def __init__(self, function: Callable[[Floats], ArrayLike], shape: tuple[int, int]) -> None:
+        self._function, self._shape = function, shape
+
+    def many(self, thetas: ArrayLike) -> FunctionPredictions:
+        """Call the function for each of thetas (m, N)."""
+        given = np.array(thetas, dtype=np.float64)
+        outputs = np.full((len(given), *self._shape), np.nan)
+        errors: list[Exception | None] = []
+        for i, theta in enumerate(given):
+            error: Exception | None = None
+            try:
+                with np.errstate(all="ignore"):
+                    values = np.asarray(self._function(theta), dtype=np.float64)
+            except (ArithmeticError, SimulationError) as caught:
+                error = caught
+            else:
+                if values.shape not in (self._shape, self._shape[:1] if self._shape[1] == 1 else self._shape):
+                    raise InputError(f"the function must return outputs of shape {self._shape}, not {values.shape}")
+                if np.isfinite(values).all():
+                    outputs[i] = values.reshape(self._shape)
+                else:
+                    error = ArithmeticError("the function returned a value that is not finite")
+            errors.append(error)
+        return FunctionPredictions(outputs, tuple(errors))

@@ -1,0 +1,164 @@
+"""Concordia and Park transforms between columns of frames (docs/method.md section 8).
+
+The Concordia matrix is the power-invariant one: the instantaneous power of three phases is the same in two axes, and
+a balanced set of peak value X becomes a vector of length sqrt(3/2) X. Every function returns a copy of the frame with
+the new columns behind the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from fmuid.data.tables import missing_column, numeric_column
+from fmuid.errors import InputError
+
+_Floats = npt.NDArray[np.float64]
+
+T23: _Floats = np.sqrt(2 / 3) * np.array([[1, -1 / 2, -1 / 2], [0, np.sqrt(3) / 2, -np.sqrt(3) / 2]])
+"""Concordia matrix, three phases to two axes; its rows are orthonormal, so its transpose is the way back."""
+T23.setflags(write=False)
+
+
+def concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
+    """Add the two axes of three phases: x_αβ = T₂₃ x_abc (docs/method.md section 8).
+
+    The zero sequence (a + b + c)/√3 is lost; phases without a neutral wire have none.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        K rows.
+    columns : three names
+        The phases, any unit.
+    names : two names
+        The new columns, in the same unit.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The frame and the two new columns.
+
+    Raises
+    ------
+    InputError
+        Where a column is missing or no number, or a new one is already there.
+    """
+    return _with_columns(frame, _columns(frame, columns, 3) @ T23.T, names, 2)
+
+
+def inverse_concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
+    """Add the three phases of two axes, without zero sequence: x_abc = T₂₃ᵀ x_αβ (docs/method.md section 8).
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        K rows.
+    columns : two names
+        The axes, any unit.
+    names : three names
+        The new columns, in the same unit; their sum is zero.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The frame and the three new columns.
+
+    Raises
+    ------
+    InputError
+        As `concordia`.
+    """
+    return _with_columns(frame, _columns(frame, columns, 2) @ T23, names, 3)
+
+
+def park(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], theta: str = "theta") -> pd.DataFrame:
+    """Add the two axes, turning with `theta`, of three phases: x_dq = P(−θ) T₂₃ x_abc (docs/method.md section 8).
+
+    With the electrical angle of the rotor these are Park's axes linked to the rotor. The zero sequence is lost.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        K rows.
+    columns : three names
+        The phases, any unit.
+    names : two names
+        The new columns, direct and quadrature axis, in the same unit.
+    theta : str
+        The column of the electrical angle, rad: pole pairs times the mechanical angle.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The frame and the two new columns.
+
+    Raises
+    ------
+    InputError
+        As `concordia`.
+    """
+    fixed = _columns(frame, columns, 3) @ T23.T
+    return _with_columns(frame, _turned(fixed, -_columns(frame, [theta], 1)[:, 0]), names, 2)
+
+
+def inverse_park(
+    frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], theta: str = "theta"
+) -> pd.DataFrame:
+    """Add the three phases of two axes turning with `theta`: x_abc = T₂₃ᵀ P(θ) x_dq (docs/method.md section 8).
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        K rows.
+    columns : two names
+        Direct and quadrature axis, any unit.
+    names : three names
+        The new columns, in the same unit; their sum is zero.
+    theta : str
+        The column of the electrical angle, rad.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The frame and the three new columns.
+
+    Raises
+    ------
+    InputError
+        As `concordia`.
+    """
+    turned = _turned(_columns(frame, columns, 2), _columns(frame, [theta], 1)[:, 0])
+    return _with_columns(frame, turned @ T23, names, 3)
+
+
+def _turned(vectors: _Floats, angle: _Floats) -> _Floats:
+    """Return P(angle) x for each row, P(θ) = [cos θ, −sin θ; sin θ, cos θ]; shapes (K, 2) and (K,)."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = vectors.T
+    return np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
+
+
+def _columns(frame: pd.DataFrame, columns: Sequence[str], count: int) -> _Floats:
+    """Return `count` columns side by side."""
+    _check_names("columns", columns, count)
+    for column in columns:
+        if column not in frame.columns:
+            raise InputError(f"the frame: {missing_column('transformed', column, frame.columns)}")
+    return np.column_stack([numeric_column(frame, column, "the frame") for column in columns])
+
+
+def _with_columns(frame: pd.DataFrame, values: _Floats, names: Sequence[str], count: int) -> pd.DataFrame:
+    _check_names("names", names, count)
+    for name in names:
+        if name in frame.columns:
+            raise InputError(f"the frame: there is a column {name!r} already: give the new column another name")
+    return frame.assign(**dict(zip(names, values.T, strict=True)))
+
+
+def _check_names(word: str, names: Sequence[str], count: int) -> None:
+    if isinstance(names, str) or len(names) != count or len(set(names)) != count:
+        raise InputError(f"the frame: {word} is {names!r}: give {count} different names")

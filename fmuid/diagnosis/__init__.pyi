@@ -1,0 +1,15 @@
+from .design import FALSE_ALARM as FALSE_ALARM
+from .design import MISS as MISS
+from .design import Design as Design
+from .design import trial as trial
+from .faults import Angle as Angle
+from .faults import Fault as Fault
+from .hypothesis import Hypothesis as Hypothesis
+from .hypothesis import Size as Size
+from .monitoring.alarms import Rule as Rule
+from .monitoring.monitor import Monitor as Monitor
+from .monitoring.window_fit import Extended as Extended
+from .procedure import LEVEL as LEVEL
+from .procedure import diagnose as diagnose
+from .verdict import Diagnosis as Diagnosis
+from .verdict import chance as chance

@@ -1,0 +1,281 @@
+"""Fault models: what is common to healthy and faulty machine, and what a fault adds (1.63–1.67).
+
+The extended vector θ_e = [θ_n; θ_f] has the nominal parameters, whose prior is what the healthy machine showed, with
+its standard deviations inflated for variations that are no fault (temperature), and the fault's own, which are zero
+without a fault and have no prior.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from fmuid.data import Experiment, Normal, Parameter
+from fmuid.errors import InputError
+from fmuid.estimation import Result
+from fmuid.fmi import FMU
+from fmuid.models import System
+from fmuid.text import nearest
+
+# The search begins at so many angles, evenly spread over the period: two are enough where the criterion has one
+# minimum a period, more guard against weak ones.
+ANGLE_STARTS = 4
+
+
+@dataclass(frozen=True)
+class Angle:
+    """A circular fault parameter, which locates a fault and means nothing without it.
+
+    Parameters
+    ----------
+    size : str
+        The fault parameter that is the size of this fault.
+    period : float
+        After which the angle is the same, in the unit of the FMU variable; default 2π.
+
+    Raises
+    ------
+    InputError
+        If the period is not positive.
+    """
+
+    size: str
+    period: float = 2.0 * math.pi
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.period) and self.period > 0):
+            raise InputError(f"the period of an angle must be positive and finite, not {self.period!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Fault:
+    """A hypothesis: a model that can have a fault, and the parameters of that fault.
+
+    Parameters
+    ----------
+    model : System, FMU or path
+        At zero fault it is the healthy machine.
+    parameters : mapping of str to Parameter
+        The fault's own, each zero without a fault and without prior. A bound at zero says that it has one sign only.
+    names : mapping of str to str
+        What the healthy machine's parameters, inputs and outputs are called in this model, where differently: outputs
+        may be sums, ``machine.i + fault.i``, and a connector of the system may set several variables at once.
+    angles : mapping of str to Angle, or sequence of str
+        Which parameters are angles. In a list their size is the only other parameter, and their period what lies
+        between their bounds, 2π without.
+    values : mapping
+        Variables of this model held at a value.
+    inputs : mapping of str to str
+        Inputs that only this model has, and the columns of the table that feed them.
+
+    Attributes
+    ----------
+    sizes : tuple of str
+        The parameters that are no angles.
+
+    Raises
+    ------
+    InputError
+        If there are no parameters, one of them excludes zero, has a prior or is one per experiment, or an angle is
+        unknown or has no size.
+    """
+
+    model: System | FMU | str | Path
+    parameters: Mapping[str, Parameter]
+    names: Mapping[str, str] = field(default_factory=dict)
+    angles: Mapping[str, Angle] | Sequence[str] = ()
+    values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.parameters:
+            raise InputError(
+                "the fault has no parameters: name at least one that is zero without the fault, with its nominal"
+            )
+        for name, parameter in self.parameters.items():
+            if not isinstance(parameter, Parameter):
+                raise InputError(
+                    f"the fault parameter {name!r} must be a Parameter(start=0, nominal=...), not {parameter!r}"
+                )
+            if parameter.prior is not None:
+                raise InputError(
+                    f"the fault parameter {name!r} has a prior, which would hide or feign a fault: remove it"
+                )
+            if parameter.per_experiment:
+                raise InputError(
+                    f"the fault parameter {name!r} is one per experiment: diagnose each experiment by itself"
+                )
+        for name in self.angles:
+            if name not in self.parameters:
+                raise InputError(f"the angle {name!r} is no parameter of the fault{nearest(name, self.parameters)}")
+        object.__setattr__(self, "angles", self._angles())
+        for name in self.sizes:
+            if not self.parameters[name].min <= 0.0 <= self.parameters[name].max:
+                raise InputError(
+                    f"the bounds of the fault parameter {name!r} exclude 0, which is the healthy machine: widen them"
+                )
+
+    def _angles(self) -> dict[str, Angle]:
+        sizes = [name for name in self.parameters if name not in self.angles]
+        found: dict[str, Angle] = {}
+        for name in self.angles:
+            if isinstance(self.angles, Mapping):
+                angle = self.angles[name]
+            elif len(sizes) == 1:
+                width = self.parameters[name].max - self.parameters[name].min
+                angle = Angle(sizes[0], width) if math.isfinite(width) else Angle(sizes[0])
+            else:
+                raise InputError(f"the angle {name!r} may belong to {' or '.join(sizes) or 'no size'}: name its size")
+            if angle.size not in sizes:
+                raise InputError(
+                    f"the size {angle.size!r} of the angle {name!r} is no size{nearest(angle.size, sizes)}"
+                )
+            if angle.size in (other.size for other in found.values()):
+                raise InputError(f"the size {angle.size!r} has two angles: one locates it")
+            found[name] = angle
+        return found
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """The parameters that are no angles."""
+        return tuple(name for name in self.parameters if name not in self.angles)
+
+    def angle(self, name: str) -> Angle | None:
+        """Return the angle that a parameter is, None for a size."""
+        return self.angles[name] if isinstance(self.angles, Mapping) and name in self.angles else None
+
+    @property
+    def located(self) -> dict[str, str]:
+        """The angle of each size that has one."""
+        return {angle.size: name for name in self.angles if (angle := self.angle(name)) is not None}
+
+    @property
+    def constrained(self) -> tuple[str, ...]:
+        """The sizes that have one sign only, those with an angle left out: their vector may point anywhere."""
+        return tuple(
+            name
+            for name in self.sizes
+            if name not in self.located and 0.0 in (self.parameters[name].min, self.parameters[name].max)
+        )
+
+    @property
+    def searched(self) -> dict[str, Parameter]:
+        """The parameters as they are searched: angles without bounds, as they go round."""
+        return {
+            name: parameter
+            if name not in self.angles
+            else replace(parameter, min=-math.inf, max=math.inf, nominal=parameter.nominal or 1.0)
+            for name, parameter in self.parameters.items()
+        }
+
+    @property
+    def zero(self) -> dict[str, float]:
+        """The values of the parameters without a fault; angles stay where they start."""
+        return {name: p.start if name in self.angles else 0.0 for name, p in self.parameters.items()}
+
+    def starts(self) -> list[dict[str, float]]:
+        """Return where the search begins: of sizes without angle their start, of others each of several angles."""
+        fixed = {name: self.parameters[name].start for name in self.sizes}
+        for size in self.located:
+            fixed[size] = _away(self.parameters[size])
+        turns = [k / ANGLE_STARTS for k in range(ANGLE_STARTS)]
+        return [
+            fixed
+            | {
+                name: self.parameters[name].start + share * angle.period
+                for (name, share) in zip(self.angles, chosen, strict=True)
+                if (angle := self.angle(name)) is not None
+            }
+            for chosen in itertools.product(turns, repeat=len(self.angles))
+        ]
+
+    def renamed(self, experiment: Experiment) -> Experiment:
+        """Return an experiment with the names that its inputs and outputs have in this model."""
+
+        def own(given: Iterable[tuple[str, str]]) -> dict[str, str]:
+            return {self.names.get(name, name): value for name, value in given}
+
+        if not self.inputs and not set(self.names) & {*experiment.input_names, *experiment.output_names}:
+            return experiment
+        inputs, outputs = experiment.inputs, experiment.outputs
+        assert isinstance(inputs, Mapping) and isinstance(outputs, Mapping)  # an Experiment makes them so
+        words = experiment.interpolation
+        return replace(
+            experiment,
+            inputs=own(inputs.items()) | dict(self.inputs),
+            outputs=own(outputs.items()),
+            interpolation=own(words.items()) if isinstance(words, Mapping) else words,
+            units=own(experiment.units.items()),
+        )
+
+
+def _away(parameter: Parameter) -> float:
+    """Return a size at which an angle means something: the start, or else about the nominal, within the bounds."""
+    nominal = parameter.nominal or 1.0
+    if parameter.start:
+        return parameter.start
+    return min(nominal, 0.5 * parameter.max) if parameter.max > 0 else max(-nominal, 0.5 * parameter.min)
+
+
+def common_mode(
+    healthy: Result,
+    inflate: float | Mapping[str, float] = 1.0,
+    parameters: Mapping[str, Parameter] | None = None,
+    held: Iterable[str] = (),
+) -> dict[str, Parameter]:
+    """Return the nominal parameters with what the healthy machine showed as their prior (docs/method.md section 9).
+
+    Parameters
+    ----------
+    healthy : Result
+        Of the healthy machine; values of single experiments, ``name[experiment]``, are those of its records.
+    inflate : float or mapping of str to float
+        Factor on the standard deviations for variations that are no fault; infinite for no prior. Parameters that a
+        mapping does not name keep theirs.
+    parameters : mapping of str to Parameter, optional
+        Bounds and nominal magnitudes; those that the healthy result does not have are estimated without prior.
+    held : iterable of str
+        Parameters held at a value.
+
+    Raises
+    ------
+    InputError
+        If the healthy result has nothing to say, or one of its parameters is not determined, lies outside its bounds or
+        has a second prior.
+    """
+    given, held = dict(parameters or {}), set(held)
+    known = [name for name in healthy.names if not name.endswith("]") and name not in held]
+    if not known:
+        raise InputError(
+            f"the healthy result knows nothing of this machine: its parameters are {', '.join(healthy.names)}, none of "
+            "which is left to have a prior; give the result of an identification of the healthy machine"
+        )
+    if isinstance(inflate, Mapping):
+        for name in inflate:
+            if name not in known:
+                raise InputError(
+                    f"inflate names {name!r}, which is no parameter of the healthy result{nearest(name, known)}"
+                )
+    found = {}
+    for name in known:
+        factor = inflate.get(name, 1.0) if isinstance(inflate, Mapping) else inflate
+        own = given.get(name)
+        if own is not None and own.prior is not None:
+            raise InputError(f"{name!r} has a prior of its own and one from the healthy result: keep one of the two")
+        found[name] = _nominal(name, healthy, factor, own)
+    return found | {name: parameter for name, parameter in given.items() if name not in found}
+
+
+def _nominal(name: str, healthy: Result, factor: float, own: Parameter | None) -> Parameter:
+    normal = healthy.normal(name, inflate=1.0 if math.isinf(factor) and factor > 0 else factor)
+    nominal = own.nominal if own is not None and own.nominal else max(abs(normal.mean), normal.std)
+    low, high = (own.min, own.max) if own is not None else (-math.inf, math.inf)
+    try:
+        return Parameter(
+            normal.mean, low, high, nominal, None if math.isinf(factor) else Normal(normal.mean, normal.std)
+        )
+    except InputError as error:
+        raise InputError(f"{name!r} of the healthy result: {error}") from None

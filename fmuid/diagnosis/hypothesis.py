@@ -1,0 +1,235 @@
+"""One fault model, fitted: how large its fault is, and how likely that is by chance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from scipy import special
+
+from fmuid.assessment import VarianceTest
+from fmuid.diagnosis.decision import Reference
+from fmuid.errors import InputError
+from fmuid.estimation import Result, check_level
+from fmuid.text import has_unit, listed, with_std
+
+Estimate = tuple[float, float]
+"""Value and standard deviation."""
+
+# What a file has as it is.
+_PLAIN_KEYS = (
+    "statistic",
+    "probability",
+    "adjusted",
+    "threshold",
+    "information",
+    "colour",
+    "active",
+    "criterion",
+    "ended",
+    "undetermined",
+    "status",
+    "notes",
+)
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a fault is.
+
+    Attributes
+    ----------
+    name : str
+    value, std : float
+        Estimate and standard deviation, corrected for the colour of the residual; infinite where not determined.
+    unit : str
+        "" without.
+    probability : float
+        That without a fault the estimate is as far from zero.
+    min, max : float
+        Bounds.
+    angle : str
+        The parameter that locates the fault, "" without; it means something where the size is significant.
+    angle_value, angle_std, period : float
+        NaN without.
+    """
+
+    name: str
+    value: float
+    std: float
+    unit: str
+    probability: float
+    min: float = -math.inf
+    max: float = math.inf
+    angle: str = ""
+    angle_value: float = math.nan
+    angle_std: float = math.nan
+    period: float = math.nan
+
+    def interval(self, level: float = 0.95) -> tuple[float, float]:
+        """Return the confidence interval, cut at the bounds.
+
+        Raises
+        ------
+        InputError
+            If the level is not between 0 and 1.
+        """
+        check_level(level)
+        half = float(special.ndtri(0.5 + level / 2.0)) * self.std
+        return max(self.value - half, self.min), min(self.value + half, self.max)
+
+    def words(self, *, located: bool) -> str:
+        """Return name, value and standard deviation; with the angle where that is asked for."""
+        unit = f" {self.unit}" if has_unit(self.unit) else ""
+        if math.isinf(self.std):
+            return f"{self.name} not determined"
+        at = f" at {self.angle} = {with_std(self.angle_value, self.angle_std)}" if located and self.angle else ""
+        return f"{self.name} = {with_std(self.value, self.std)}{unit}{at}"
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """One fault model, fitted.
+
+    Attributes
+    ----------
+    name : str
+    sizes : tuple of Size
+    common : dict of str to (value, std)
+        The nominal parameters beside the fault.
+    statistic : float
+        D, by how much the fault lowers the compound criterion (1.68), divided by the square of `colour`.
+    reference : Reference
+        The distribution of D without a fault.
+    probability : float
+        That D is as large without a fault.
+    colour : float
+        By how much the residual's colour makes the fault parameters scatter more than white noise would.
+    active : int
+        Fault parameters that are not at their bound, those that the information criterion counts.
+    criterion : float
+        J_C with the fault.
+    ended : bool
+        Whether both searches ended at a minimum.
+    undetermined : tuple of str
+        Directions that leave the fault open, in words.
+    status : str
+        How the search ended.
+    notes : tuple of str
+    adjusted : float
+        `probability`, adjusted for the number of hypotheses.
+    threshold : float
+        What D must exceed at the chosen level.
+    information : float
+        Bayesian information criterion against no fault, k ln n − D; less is better.
+    strain : tuple of str
+        Nominal parameters that have left what was foreseen, in words; not kept in a file.
+    variances : tuple of VarianceTest
+        Not kept in a file.
+    result : Result or None
+        The fit; not kept in a file.
+    """
+
+    name: str
+    sizes: tuple[Size, ...]
+    common: Mapping[str, Estimate]
+    statistic: float
+    reference: Reference
+    probability: float
+    colour: float
+    active: int
+    criterion: float
+    ended: bool
+    undetermined: tuple[str, ...]
+    status: str
+    notes: tuple[str, ...] = ()
+    adjusted: float = math.nan
+    threshold: float = math.nan
+    information: float = math.nan
+    strain: tuple[str, ...] = ()
+    variances: tuple[VarianceTest, ...] = ()
+    result: Result | None = None
+
+    def judged(self, adjusted: float, threshold: float, information: float) -> Hypothesis:
+        """Return the hypothesis with what follows from comparing it with the others."""
+        return replace(self, adjusted=adjusted, threshold=threshold, information=information)
+
+    @property
+    def determined(self) -> bool:
+        """Whether all sizes are determined."""
+        return not self.undetermined
+
+    def __getitem__(self, name: str) -> Size:
+        """Return one size."""
+        for each in self.sizes:
+            if each.name == name:
+                return each
+        raise InputError(f"fault {self.name!r} has no size {name!r}; it has {', '.join(s.name for s in self.sizes)}")
+
+    def significant(self, level: float) -> tuple[Size, ...]:
+        """Return the sizes that are significant by themselves, the most first; the most likely one where none is."""
+        order = sorted(self.sizes, key=lambda each: each.probability)
+        return tuple(each for each in order if each.probability <= level / len(order)) or tuple(order[:1])
+
+    def words(self, level: float) -> str:
+        """Return the name and the sizes that matter."""
+        sizes = [each.words(located=self.located(each, level)) for each in self.significant(level)]
+        return f"{self.name}, " + listed(sizes)
+
+    def to_json_dict(self, level: float) -> dict[str, Any]:
+        """Return what ``diagnosis.json`` has of it; angles are left out whose sizes are not significant at a level."""
+        sizes = {}
+        for size in self.sizes:
+            sizes[size.name] = asdict(size)
+            if not self.located(size, level):
+                sizes[size.name] |= {"angle_value": None, "angle_std": None}
+        return {
+            **{key: getattr(self, key) for key in _PLAIN_KEYS},
+            "sizes": sizes,
+            "common": {name: {"value": value, "std": std} for name, (value, std) in self.common.items()},
+            "reference": asdict(self.reference) | {"words": self.reference.words},
+        }
+
+    def located(self, size: Size, level: float) -> bool:
+        """Return whether the angle of a size means anything: fault and size are significant."""
+        return self.adjusted <= level and size.probability <= level
+
+    @classmethod
+    def of_json(cls, name: str, data: Mapping[str, Any]) -> Hypothesis:
+        """Return a hypothesis of a ``diagnosis.json``.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If it is none.
+        """
+        sizes = []
+        for each in data["sizes"].values():
+            located = {key: number(each[key], math.nan) for key in ("angle_value", "angle_std", "period")}
+            bounds = {"min": number(each["min"], -math.inf), "max": number(each["max"], math.inf)}
+            sizes.append(Size(**each | located | bounds | {"std": number(each["std"], math.inf)}))
+        reference = data["reference"]
+        words: dict[str, Any] = {
+            key: tuple(data[key]) if isinstance(data[key], list) else data[key] for key in _PLAIN_KEYS
+        }
+        return cls(
+            name=name,
+            sizes=tuple(sizes),
+            common=estimates_of(data["common"]),
+            reference=Reference(
+                int(reference["free"]), tuple(reference["weights"]), number(reference["freedom"], math.inf)
+            ),
+            **words,
+        )
+
+
+def number(value: float | None, missing: float) -> float:
+    """Return a number of a file, `missing` where it was not finite."""
+    return missing if value is None else float(value)
+
+
+def estimates_of(data: Mapping[str, Any]) -> dict[str, Estimate]:
+    """Return values and standard deviations of a file."""
+    return {name: (number(each["value"], math.nan), number(each["std"], math.inf)) for name, each in data.items()}

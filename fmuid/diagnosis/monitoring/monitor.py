@@ -1,0 +1,393 @@
+"""Monitoring: a long record, or one record after the other, window by window, and an alarm where a fault stays.
+
+Every window is fitted by itself with what the healthy machine showed as prior, or with what the window before left,
+part of it forgotten (`fmuid.diagnosis.monitoring.window_fit`); the common mode follows what is foreseen, as a
+temperature. A window is significant where D exceeds its threshold at the chosen level (`fmuid.diagnosis.decision`). One
+window in 1/level is so without a fault: an alarm takes several of the last few.
+
+Each window is simulated from a little earlier on, longer than a transient, so that its unknown initial state is
+forgotten and no sample is lost (docs/method.md section 5).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from fmuid.assessment import SAME_VARIANCE
+from fmuid.data import Experiment, Parameter
+from fmuid.diagnosis.decision import at_least_one, rivals
+from fmuid.diagnosis.faults import Fault, common_mode
+from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Alarm, Rule, alarm_rate, alarms
+from fmuid.diagnosis.monitoring.belief import Belief, forgotten
+from fmuid.diagnosis.monitoring.window_fit import Extended, WindowFit
+from fmuid.diagnosis.monitoring.windows import cut, end_of, part_of
+from fmuid.diagnosis.procedure import UNEXPLAINED_SHARE
+from fmuid.errors import InputError, SimulationError
+from fmuid.estimation import Result
+from fmuid.files import replacing, write_table
+from fmuid.simulation import Simulator
+from fmuid.text import has_unit, listed, with_std
+from fmuid.version import __version__
+
+TABLE_FILE, STATE_FILE = "monitoring.csv", "monitoring.json"
+
+# The verdict names sizes that are so many standard deviations from zero.
+STANDS_OUT = 3.0
+# Simulations from an early and from a late start agree after the transient to this share of the noise's deviation.
+OVER = 0.2
+
+
+class Monitor:
+    """Watches records for faults, window by window.
+
+    Parameters
+    ----------
+    healthy : Result or path
+        Of the healthy machine, or its ``result.json``.
+    hypotheses : mapping of str to Fault
+    rule : Rule
+    inflate, parameters, values
+        As for `fmuid.diagnose`.
+    noise_variance : mapping of output to float, optional
+        Default: that of the healthy result.
+
+    Attributes
+    ----------
+    rule : Rule
+    models : tuple of Extended
+        One a fault.
+    notes : tuple of str
+        What is to be known of the records, in words.
+
+    Raises
+    ------
+    InputError
+        If there is no hypothesis, or the healthy result does not fit the model.
+    """
+
+    def __init__(
+        self,
+        healthy: Result | str | Path,
+        hypotheses: Mapping[str, Fault],
+        rule: Rule,
+        *,
+        inflate: float | Mapping[str, float] = 1.0,
+        noise_variance: Mapping[str, float] | None = None,
+        parameters: Mapping[str, Parameter] | None = None,
+        values: Mapping[str, float | int | bool | str] | None = None,
+    ) -> None:
+        if not hypotheses:
+            raise InputError("there is no fault to look for: give at least one fault model with its parameters")
+        known = healthy if isinstance(healthy, Result) else Result.from_json(healthy)
+        common = common_mode(known, inflate, parameters, dict(values or {}))
+        variance = known.variance if noise_variance is None else noise_variance
+        self._freedom = float(known.degrees_of_freedom) if noise_variance is None else math.inf
+        self.rule = rule
+        self.models = tuple(
+            Extended(name, fault, common, variance, self._freedom) for name, fault in hypotheses.items()
+        )
+        self.notes: tuple[str, ...] = ()
+        self._rows: list[dict[str, Any]] = []
+        self._beliefs = {model.name: model.prior for model in self.models}
+        self._points = {model.name: model.prior.mean for model in self.models}
+
+    def add(self, record: Experiment) -> pd.DataFrame:
+        """Fit the windows of a record and return their rows of the table; what goes wrong leaves everything as it was.
+
+        Parameters
+        ----------
+        record : Experiment
+            With the healthy machine's names; what it discards is left out at its beginning.
+
+        Raises
+        ------
+        InputError
+            If a record of this name is there already, it is shorter than a window, has other inputs or outputs than
+            the model, or its transient lasts longer than the rule says.
+        SimulationError
+            If the simulation fails at the healthy estimate.
+        """
+        if record.name in self.records:
+            raise InputError(
+                f"{record.source}: a record named {record.name!r} has been monitored already: leave it out or rename it"
+            )
+        before = dict(self._beliefs), dict(self._points), len(self._rows)
+        try:
+            self._examine(record)
+        except BaseException:
+            self._beliefs, self._points = before[:2]
+            del self._rows[before[2] :]
+            raise
+        return self.table.iloc[before[2] :]
+
+    def _examine(self, record: Experiment) -> None:
+        windows = cut(record, self.rule.window, self.rule.transient)
+        renamed = [model.fault.renamed(record) for model in self.models]
+        simulators: list[Simulator | None] = [None] * len(self.models)
+        first = len(self._rows)
+        for number, (lead, start, stop) in enumerate(windows):
+            fits = {}
+            for k, (model, own) in enumerate(zip(self.models, renamed, strict=True)):
+                part = part_of(own, lead, start, stop, record.discard if number == 0 else 0.0, self.rule.transient)
+                if part is None:
+                    break
+                earlier = simulators[k]
+                simulator = model.simulator(part) if earlier is None else earlier.over(part)
+                simulators[k] = simulator
+                if number == 1:
+                    self._check_transient(model, simulator, part_of(own, windows[0][0], start, stop, 0.0, 0.0))
+                fits[model.name] = self._fit(model, simulator)
+            else:
+                span = float(record.times[start]), end_of(record.times, stop)
+                self._rows.append(self._row(record.name, number, span, fits))
+                continue
+            self.notes += (f"{record.source}: no sample counts from {record.times[start]:.9g} s on for a window",)
+        if len(self._rows) == first:
+            raise InputError(
+                f"{record.source} leaves no window in which every output has a sample that counts: make the transient "
+                "or what the study discards shorter, or leave the record out"
+            )
+
+    def _check_transient(self, model: Extended, simulator: Simulator, whole: Experiment | None) -> None:
+        """Compare the simulation from a little before a window with that from the beginning of the record."""
+        assert whole is not None  # it has the samples of the window
+        point, experiment = self._points[model.name], simulator.experiment
+        theta = model.thetas(point[None])[0]
+        late, early = simulator(theta), simulator.over(whole)(theta)[-experiment.times.size :]
+        off = np.abs(late - early)[experiment.counted] * model.weights(experiment)
+        if off.max(initial=0.0) > OVER:
+            raise InputError(
+                f"{experiment.source}: the transient lasts longer than {self.rule.transient:g} s: what a simulation "
+                f"starts from still shows then, by {off.max():.2g} standard deviations of the noise; "
+                "give a longer transient, and windows longer than that"
+            )
+
+    def _fit(self, model: Extended, simulator: Simulator) -> WindowFit:
+        name = model.name
+        prior = forgotten(self._beliefs[name], model.prior, self.rule.forgetting)
+        try:
+            found = model.fit(simulator, self._points[name], prior)
+        except SimulationError:
+            found = None
+        if found is None or not found.ended:
+            again = model.fit(simulator, model.prior.mean, prior)
+            found = again if found is None or again.ended else found
+        self._beliefs[name] = found.belief
+        self._points[name] = found.point if found.ended else model.prior.mean
+        return found
+
+    def _row(
+        self, record: str, number: int, span: tuple[float, float], fits: Mapping[str, WindowFit]
+    ) -> dict[str, Any]:
+        """Decide, and return the row of a window."""
+        chances = [fit.reference.probability(fit.statistic) for fit in fits.values()]
+        adjusted = at_least_one(chances)
+        samples = next(iter(fits.values())).samples
+        information = [fit.active * math.log(samples) - fit.statistic for fit in fits.values()]
+        called = [i for i, p in enumerate(adjusted) if p <= self.rule.level]
+        best = [called[i] for i in rivals([information[i] for i in called])] if called else []
+        fit = list(fits.values())[best[0] if best else int(np.argmin(information))]
+        ratio = fit.squares / fit.samples
+        larger = special.fdtrc(fit.samples, self._freedom, ratio) if math.isfinite(self._freedom) else None
+        chance = float(special.chdtrc(fit.samples, fit.squares) if larger is None else larger)
+        names = list(fits)
+        row: dict[str, Any] = {
+            "record": record,
+            "window": number,
+            "start": span[0],
+            "end": span[1],
+            "samples": samples,
+            "significant": " or ".join(names[i] for i in sorted(best)),
+            "probability": min(adjusted),
+            "variance_ratio": ratio,
+            "unexplained": ratio > SAME_VARIANCE and chance < UNEXPLAINED_SHARE * self.rule.level,
+        }
+        for model, p in zip(self.models, chances, strict=True):
+            found = fits[model.name]
+            for name, value, std in zip(model.names, found.values.tolist(), found.std.tolist(), strict=True):
+                row |= {f"{model.name}.{name}": value, f"{model.name}.{name}.std": std}
+            row |= {f"{model.name}.{word}": value for word, value in _words(found, p).items()}
+        return row
+
+    # --- what was found
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row a window.
+
+        ``start``, ``end`` (s), ``samples``; ``significant``: the fault, "" without; its ``probability`` without a
+        fault, for all faults together; ``variance_ratio`` of residual and noise; ``unexplained``: it is larger;
+        ``alarm``: the fault that stays, "" without; and for each fault its parameters and the common mode with
+        ``.std``, ``.D``, ``.probability``, ``.share`` (of the variance, the healthy record's), ``.colour`` (by how much
+        the residual's colour widens the scatter) and ``.ended``.
+        """
+        frame = pd.DataFrame(self._rows)
+        if len(frame):
+            frame.insert(9, "alarm", alarms(frame["significant"].tolist(), frame["unexplained"].tolist(), self.rule))
+        return frame
+
+    @property
+    def records(self) -> tuple[str, ...]:
+        """The names of the records."""
+        return tuple(dict.fromkeys(row["record"] for row in self._rows))
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """The alarms, in their order."""
+        table = self.table
+        if table.empty:
+            return ()
+        found, raised = [], table["alarm"].tolist()
+        for i, name in enumerate(raised):
+            if name and (i == 0 or raised[i - 1] != name):
+                last = next((j for j in range(i, len(raised)) if raised[j] != name), len(raised)) - 1
+                found.append(Alarm(name, table["record"][i], float(table["end"][i]), i, last))
+        return tuple(found)
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """The faults that no window determines."""
+        table = self.table
+        first = {each.name: f"{each.name}.{each.fault.sizes[0]}.std" for each in self.models}
+        return tuple(name for name, std in first.items() if len(table) and np.isinf(table[std]).all())
+
+    @property
+    def verdict(self) -> str:
+        """What was found, in a sentence."""
+        table, rule = self.table, self.rule
+        if table.empty:
+            return "No window has been examined."
+        hits = int((table["significant"] != "").sum())
+        counted = f"{hits} of {len(table)} windows are significant at a level of {100 * rule.level:g} %"
+        if not self.alarms:
+            if self.undetermined:
+                return f"Whether there is a fault stays open: no window determines {listed(self.undetermined)}."
+            return f"No alarm: {counted}, never {rule.needed} of {rule.among} in a row."
+        first = self.alarms[0]
+        at = f"from {first.time:g} s of {first.record} on"
+        if first.fault == SOMETHING_ELSE:
+            return f"Something else is wrong, {at}: the residual is larger than the noise; {counted}."
+        last = max(i for i in range(first.last + 1) if table["significant"][i] == first.fault)
+        sizes = listed(self._sizes(first.fault.split(" or ")[0], table.iloc[last]))
+        return f"Fault: {first.fault}, {at}, {sizes} in the last window of it; {counted}."
+
+    def _sizes(self, fault: str, row: pd.Series[Any]) -> list[str]:
+        """Return in words the sizes of a fault that stand out in a window, at least the one that does most."""
+        model = next(each for each in self.models if each.name == fault)
+        ratios = {name: abs(row[f"{fault}.{name}"]) / row[f"{fault}.{name}.std"] for name in model.fault.sizes}
+        kept = [name for name in ratios if ratios[name] >= min(STANDS_OUT, max(ratios.values()))]
+        found = []
+        for name in kept:
+            unit = model.system.unit(name)
+            shown = with_std(row[f"{fault}.{name}"], row[f"{fault}.{name}.std"])
+            found.append(f"{name} = {shown} {unit}" if has_unit(unit) else f"{name} = {shown}")
+        return found
+
+    def false_alarm_rates(self) -> tuple[float, float]:
+        """Return the probability that a window of a healthy machine is in alarm: over all healthy records, and at most.
+
+        The first takes the windows' noise for independent and counts the healthy record's errors, which all windows
+        share; it is nan with forgetting, where windows share data too. The second holds whatever they share.
+        """
+        limit = min(1.0, self.rule.level * self.rule.among / self.rule.needed)
+        table = self.table
+        if self.rule.forgetting or table.empty:
+            return math.nan, limit
+        level = self.rule.level / len(self.models)
+        rates = [
+            alarm_rate(
+                level,
+                self.rule.needed,
+                self.rule.among,
+                share=float(table[f"{model.name}.share"].median()),
+                two_sided=not model.fault.constrained,
+            )
+            for model in self.models
+        ]
+        return min(sum(rates), limit), limit
+
+    # --- files
+
+    def write(self, folder: str | Path) -> list[Path]:
+        """Write ``monitoring.csv`` and ``monitoring.json``, which has what `resume` needs, and return their paths."""
+        folder = Path(folder)
+        rates = self.false_alarm_rates()
+        content = {
+            "verdict": self.verdict,
+            "alarms": [asdict(each) for each in self.alarms],
+            "false_alarm_rate": None if math.isnan(rates[0]) else rates[0],
+            "false_alarm_rate_at_most": rates[1],
+            "rule": asdict(self.rule),
+            "priors": {model.name: model.prior.to_json_dict() for model in self.models},
+            "names": {model.name: list(model.names) for model in self.models},
+            "beliefs": {name: belief.to_json_dict() for name, belief in self._beliefs.items()},
+            "points": {name: point.tolist() for name, point in self._points.items()},
+            "version": __version__,
+        }
+        path = folder / STATE_FILE
+        with replacing(path) as draft:
+            draft.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        return [path, write_table(folder / TABLE_FILE, self.table)]
+
+    def resume(self, folder: str | Path) -> None:
+        """Go on where an earlier run ended, whose files are in a folder.
+
+        Raises
+        ------
+        InputError
+            If there is none, or it had another rule, other faults or another healthy machine.
+        """
+        path = Path(folder) / STATE_FILE
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            table = pd.read_csv(path.with_name(TABLE_FILE), dtype=str, keep_default_na=False).drop(columns="alarm")
+            same = content["rule"] == asdict(self.rule) and content["names"] == {
+                m.name: list(m.names) for m in self.models
+            }
+            same = same and all(
+                Belief.of_json(content["priors"][model.name]).like(model.prior) for model in self.models
+            )
+            beliefs = (
+                {model.name: Belief.of_json(content["beliefs"][model.name]) for model in self.models} if same else {}
+            )
+            points = {model.name: np.array(content["points"][model.name]) for model in self.models} if same else {}
+            rows = [{str(key): _cell(str(key), text) for key, text in row.items()} for row in table.to_dict("records")]
+        except FileNotFoundError:
+            raise InputError(f"{folder} has no earlier run to append to: monitor without appending first") from None
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{path} cannot be read ({error}): monitor without appending") from None
+        if not same:
+            raise InputError(
+                f"{path} is of a run with another rule, other faults or another healthy machine: use the same, or "
+                "another output folder"
+            )
+        self._beliefs, self._points = beliefs, points
+        self._rows = rows
+
+
+def _cell(column: str, text: str) -> Any:
+    """Return a cell of a written table; Python reads numbers back exactly, as tables are not always."""
+    if column in ("record", "significant"):
+        return text
+    if column in ("window", "samples"):
+        return int(text)
+    return text == "True" if column == "unexplained" or column.endswith(".ended") else float(text)
+
+
+def _words(fit: WindowFit, probability: float) -> dict[str, Any]:
+    return {
+        "D": fit.statistic,
+        "probability": probability,
+        "share": fit.share,
+        "colour": fit.colour,
+        "ended": fit.ended,
+    }

@@ -1,0 +1,400 @@
+"""Diagnosis by fault models (1.63–1.68): is something wrong, what, how much, and how sure is that.
+
+Each hypothesis is a model with nominal parameters, which the healthy machine's estimates hold like springs, and fault
+parameters, which are free. It is fitted twice, without and with its fault, by the compound criterion (1.68) with the
+noise of the healthy machine. By how much the criterion falls, D, decides (`fmuid.diagnosis.decision`); the fault
+parameters say how large the fault is; information criteria say which of several faults it is; and a residual that stays
+larger than the noise with all of them says that it is something else (docs/method.md section 7).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy import special
+
+from fmuid.assessment import (
+    SAME_VARIANCE,
+    SIGNIFICANT,
+    WRONG_STD,
+    Diagnostics,
+    Reading,
+    VarianceTest,
+    examine_residuals,
+    read_result,
+)
+from fmuid.data import Experiment, Noise, Parameter
+from fmuid.diagnosis.decision import Reference, at_least_one, orthant_weights, rivals
+from fmuid.diagnosis.faults import Fault, common_mode
+from fmuid.diagnosis.hypothesis import Hypothesis, Size
+from fmuid.diagnosis.verdict import Diagnosis, Test
+from fmuid.errors import InputError
+from fmuid.estimation import Marquardt, Result, Status, check_level, identify
+from fmuid.fmi import FMU
+from fmuid.model_problem import Problem
+from fmuid.models import System
+from fmuid.version import __version__
+
+LEVEL = 0.01
+"""Probability of calling a fault where there is none, unless said otherwise."""
+
+# A model that without its fault fits worse or better than the healthy one by more than this has another healthy machine
+# in it; differences of the simulations alone are smaller.
+SAME_CRITERION = 1.0
+# The residual may be larger than the noise for other reasons than the faults that are looked for: this share of the
+# level is spent on it, so that the level as a whole is met.
+UNEXPLAINED_SHARE = 0.1
+
+
+def diagnose(
+    experiments: Experiment | Sequence[Experiment],
+    healthy: Result | str | Path,
+    hypotheses: Mapping[str, Fault],
+    *,
+    nominal_model: System | FMU | str | Path,
+    inflate: float | Mapping[str, float] = 1.0,
+    level: float = LEVEL,
+    noise_variance: float | Mapping[str, float] | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
+    values: Mapping[str, float | int | bool | str] | None = None,
+    settings: Marquardt | None = None,
+    sensitivity: str = "finite-difference",
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Look for faults in a record.
+
+    Parameters
+    ----------
+    experiments : Experiment or sequence of Experiment
+        The record, with the names of the nominal model.
+    healthy : Result or path
+        Of the healthy machine, or its ``result.json``.
+    hypotheses : mapping of str to Fault
+        What may be wrong.
+    nominal_model : System, FMU or path
+        The healthy machine.
+    inflate : float or mapping of str to float
+        Factor on the standard deviations of the healthy estimates for variations that are no fault (1.67);
+        infinite for parameters that may be anything.
+    level : float
+        Probability of an alarm where nothing is wrong, whatever the number of hypotheses.
+    noise_variance : float or mapping of output to float, optional
+        Default: that of the healthy result.
+    parameters : mapping of str to Parameter, optional
+        Nominal parameters with bounds, or of which the healthy result knows nothing.
+    values : mapping, optional
+        Variables of the nominal model held at a value; fault models have their own.
+    settings : Marquardt, optional
+    sensitivity : "finite-difference", "forward" or "fmu"
+        As for `fmuid.Problem`.
+    progress : callable, optional
+        Called with the name of each hypothesis before it is fitted.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    InputError
+        If there is no hypothesis, the healthy result does not fit the model, or names do not fit together.
+    SimulationError
+        If the simulation fails at the healthy estimate.
+    """
+    check_level(level, "a test")
+    if not hypotheses:
+        raise InputError("there is no fault to look for: give at least one fault model with its parameters")
+    known = healthy if isinstance(healthy, Result) else Result.from_json(healthy)
+    held = dict(values or {})
+    work = _Diagnosing(
+        [experiments] if isinstance(experiments, Experiment) else list(experiments),
+        common_mode(known, inflate, parameters, held),
+        known,
+        noise_variance,
+        settings,
+        sensitivity,
+        level,
+    )
+    nominal = work.fit_nominal(System.of(nominal_model), held)
+    found = []
+    for name, fault in hypotheses.items():
+        if progress is not None:
+            progress(name)
+        try:
+            found.append(work.fit_fault(name, fault, nominal))
+        except InputError as error:
+            raise InputError(f"fault {name!r}: {error}") from None
+    return work.decided(nominal, found)
+
+
+class _Diagnosing:
+    """What all hypotheses share: the record, the common mode, the noise."""
+
+    def __init__(
+        self,
+        experiments: list[Experiment],
+        common: dict[str, Parameter],
+        healthy: Result,
+        noise_variance: float | Mapping[str, float] | None,
+        settings: Marquardt | None,
+        sensitivity: str,
+        level: float,
+    ) -> None:
+        self.experiments, self.common, self.level = experiments, common, level
+        self.settings, self.sensitivity = settings, sensitivity
+        outputs = dict.fromkeys(name for each in experiments for name in each.output_names)
+        if noise_variance is None:
+            self.freedom = healthy.degrees_of_freedom
+            self.variance = {}
+            for name in outputs:
+                if name not in healthy.variance:
+                    raise InputError(
+                        f"the healthy result has no noise variance of {name!r}, only of {', '.join(healthy.variance)}: "
+                        "measure the same outputs, or give noise.variance"
+                    )
+                self.variance[name] = healthy.variance[name]
+        else:
+            self.freedom = math.inf
+            given = Noise(noise_variance).known(tuple(outputs))
+            self.variance = dict(zip(outputs, given.tolist(), strict=True))
+            for name, value in self.variance.items():
+                if math.isnan(value):
+                    raise InputError(f"noise.variance has none of {name!r}, and a diagnosis needs it: give it too")
+
+    def fit_nominal(self, model: System, held: Mapping[str, float | int | bool | str]) -> tuple[Result, Reading]:
+        """Fit the healthy machine."""
+        problem = self._problem(model, self.experiments, self.common, self.variance, held)
+        result = identify(problem, self.settings)
+        return result, read_result(problem, result)
+
+    def fit_fault(self, name: str, fault: Fault, nominal: tuple[Result, Reading]) -> Hypothesis:
+        """Fit a fault model without and with its fault."""
+        names = fault.names
+        everywhere = {*self.common, *(n for each in self.experiments for n in (*each.input_names, *each.output_names))}
+        for given in names:
+            if given not in everywhere:
+                raise InputError(f"names has {given!r}, which is no parameter, input or output of the healthy machine")
+        system = System.of(fault.model)
+        experiments = [fault.renamed(each) for each in self.experiments]
+        common = {names.get(each, each): parameter for each, parameter in self.common.items()}
+        for each in fault.parameters:
+            if each in common:
+                raise InputError(f"the parameter {each!r} is the fault's and the healthy machine's: it can be only one")
+        variance = {names.get(each, each): value for each, value in self.variance.items()}
+        without = self._problem(system, experiments, common, variance, {**fault.values, **fault.zero})
+        healthy = identify(without, self.settings, start=_started(without, nominal[0], names))
+        problem = self._problem(system, experiments, common | fault.searched, variance, fault.values)
+        found = [identify(problem, self.settings, start=start) for start in _starts(problem, healthy, fault)]
+        best = min(found, key=lambda each: each.criterion)
+        examined = examine_residuals(problem, best)
+        reading, colour = read_result(problem, best, diagnostics=examined), _colour(examined, fault)
+        return _hypothesis(name, fault, system, (healthy, best), nominal[0].criterion, reading, colour, self.freedom)
+
+    def _problem(
+        self,
+        system: System,
+        experiments: list[Experiment],
+        parameters: Mapping[str, Parameter],
+        variance: Mapping[str, float],
+        values: Mapping[str, float | int | bool | str],
+    ) -> Problem:
+        return Problem(
+            system, experiments, parameters, noise=Noise(variance), values=values, sensitivity=self.sensitivity
+        )
+
+    def decided(self, nominal: tuple[Result, Reading], found: Sequence[Hypothesis]) -> Diagnosis:
+        """Compare the hypotheses and say what it is."""
+        adjusted = at_least_one([each.probability for each in found])
+        share = self.level / len(found)
+        thresholds = [each.reference.threshold(share) for each in found]
+        called = [
+            i
+            for i, (each, p) in enumerate(zip(found, adjusted, strict=True))
+            if p <= self.level and each.ended and each.determined
+        ]
+        # all with one and the same scale: that of the residual of the best model
+        scale = min(each.colour for each in found) ** 2
+        samples = int(sum(each.counted.sum() for each in self.experiments))
+        information = [each.active * math.log(samples) - each.statistic * each.colour**2 / scale for each in found]
+        best = [called[i] for i in rivals([information[i] for i in called])] if called else []
+        result = nominal[0]
+        return Diagnosis(
+            level=self.level,
+            hypotheses=tuple(
+                each.judged(p, threshold, bic)
+                for each, p, threshold, bic in zip(found, adjusted, thresholds, information, strict=True)
+            ),
+            called=tuple(found[i].name for i in called),
+            named=tuple(found[i].name for i in best),
+            unexplained=self._unexplained(nominal[1].variances, found[best[0]].variances if best else None),
+            samples=samples,
+            noise_variance=self.variance,
+            nominal={
+                n: (v, s) for n, v, s in zip(result.names, result.values.tolist(), result.std.tolist(), strict=True)
+            },
+            ended=_ended(result),
+            notes=found[best[0]].strain if best else _strain(nominal[1]),
+            version=__version__,
+            result=result,
+        )
+
+    def _unexplained(self, without: Sequence[VarianceTest], with_: Sequence[VarianceTest] | None) -> Test:
+        """Test whether the residual is larger than the noise; the last test is that of all outputs together."""
+        test, before = (without if with_ is None else with_)[-1], without[-1].ratio
+        # both variances are estimates: their ratio is F
+        exact = math.isinf(self.freedom)
+        probability = (
+            test.probability if exact else float(special.fdtrc(test.degrees_of_freedom, self.freedom, test.ratio))
+        )
+        larger = test.ratio > SAME_VARIANCE and probability < UNEXPLAINED_SHARE * self.level
+        explained = (before - test.ratio) / (before - 1.0) if with_ is not None and before > 1.0 else 0.0
+        return Test(test.ratio, probability, bool(larger), float(np.clip(explained, 0.0, 1.0)))
+
+
+# --- one hypothesis ---------------------------------------------------------------------
+
+
+def _started(problem: Problem, nominal: Result, names: Mapping[str, str]) -> np.ndarray:
+    """Return the nominal estimate as a start of another model (N,)."""
+    own = {_renamed(name, names): value for name, value in zip(nominal.names, nominal.values.tolist(), strict=True)}
+    return np.array([own[name] for name in problem.parameters.names])
+
+
+def _renamed(name: str, names: Mapping[str, str]) -> str:
+    """Return the other model's name of a parameter, also of one that is there once an experiment."""
+    variable, bracket, experiment = name.partition("[")
+    return names.get(variable, variable) + bracket + experiment
+
+
+def _starts(problem: Problem, healthy: Result, fault: Fault) -> list[np.ndarray]:
+    """Return the starts of the search (N,): the common mode as it fits without the fault."""
+    common = dict(zip(healthy.names, healthy.values.tolist(), strict=True))
+    return [np.array([(common | own)[name] for name in problem.parameters.names]) for own in fault.starts()]
+
+
+def _ended(result: Result) -> bool:
+    """Whether a search has ended where nothing more is to be gained, whatever it determines."""
+    unfinished = (Status.ITERATION_LIMIT, Status.STALLED, Status.FAILING, Status.INTERRUPTED)
+    return not result.status.startswith(tuple(each.value for each in unfinished))
+
+
+def _colour(diagnostics: Diagnostics, fault: Fault) -> float:
+    """Return by how much the residual's colour widens the scatter of the fault parameters, 1 if hardly."""
+    factors = diagnostics.inflation
+    known = [factors[name] for name in fault.parameters if math.isfinite(factors[name])]
+    largest = max(known, default=1.0)
+    return largest if largest >= WRONG_STD else 1.0
+
+
+def _hypothesis(
+    name: str,
+    fault: Fault,
+    system: System,
+    fits: tuple[Result, Result],
+    nominal_criterion: float,
+    reading: Reading,
+    colour: float,
+    freedom: float,
+) -> Hypothesis:
+    without, best = fits
+    statistic = max(without.criterion - best.criterion, 0.0) / colour**2
+    reference = _reference(fault, best, freedom)
+    probability = reference.probability(statistic)
+    sizes = tuple(
+        _size(each, fault, best, system.unit(each) or "", colour, freedom, probability) for each in fault.sizes
+    )
+    off_bound = [each for each in sizes if each.value != 0.0 or each.name not in fault.constrained]
+    off = without.criterion - nominal_criterion
+    notes = [f"without the healthy record, {sentence}" for sentence in best.prior_determined]
+    if abs(off) > SAME_CRITERION:
+        notes.append(
+            f"without its fault this model is not the healthy machine: its criterion differs by {off:.3g}; "
+            "check its names and values"
+        )
+    if colour > 1.0:
+        notes.append(
+            f"the residual is not white: D is divided by {colour**2:.3g}, and the standard deviations are larger by "
+            f"{colour:.3g}"
+        )
+    return Hypothesis(
+        name=name,
+        sizes=sizes,
+        common={
+            n: (v, s)
+            for n, v, s in zip(best.names, best.values.tolist(), best.std.tolist(), strict=True)
+            if n not in fault.parameters
+        },
+        statistic=statistic,
+        reference=reference,
+        probability=probability,
+        colour=colour,
+        active=max(1, len(off_bound) + sum(each.name in fault.located for each in off_bound)),
+        criterion=best.criterion,
+        ended=_ended(best) and _ended(without),
+        undetermined=best.undetermined if any(not math.isfinite(each.std) for each in sizes) else (),
+        status=best.status,
+        notes=tuple(notes),
+        strain=_strain(reading),
+        variances=reading.variances,
+        result=best,
+    )
+
+
+def _reference(fault: Fault, result: Result, freedom: float) -> Reference:
+    """Return the distribution of D without fault; directions that nothing determines are no part of it."""
+    constrained = [result.names.index(name) for name in fault.constrained]
+    kept = [i for i in constrained if math.isfinite(result.std[i])]
+    free = len(fault.sizes) - len(constrained) + len(fault.located)
+    try:
+        weights = orthant_weights(result.covariance[np.ix_(kept, kept)])
+    except InputError:  # all but the same parameter several times: χ² of all of them is an upper limit
+        weights = (*(0.0,) * len(kept), 1.0)
+    return Reference(free, weights, freedom)
+
+
+def _size(
+    name: str, fault: Fault, result: Result, unit: str, colour: float, freedom: float, probability: float
+) -> Size:
+    """Return a size with the probability that it is as far from zero by chance; an only one has that of D."""
+    value, std = result[name], colour * float(result.std[result.names.index(name)])
+    if len(fault.sizes) > 1:
+        ratio = (value / std) ** 2 if 0.0 < std < math.inf else 0.0
+        alone = Reference(0, (0.5, 0.5), freedom) if name in fault.constrained else Reference(1, freedom=freedom)
+        probability = (Reference(2, freedom=freedom) if name in fault.located else alone).probability(ratio)
+    low, high = fault.parameters[name].min, fault.parameters[name].max
+    located = fault.located.get(name)
+    angle = fault.angle(located) if located else None
+    if located is None or angle is None:
+        return Size(name, value, std, unit, probability, low, high)
+    at = result[located] % angle.period
+    return Size(
+        name,
+        value,
+        std,
+        unit,
+        probability,
+        low,
+        high,
+        located,
+        at,
+        colour * float(result.std[result.names.index(located)]),
+        angle.period,
+    )
+
+
+def _strain(reading: Reading) -> tuple[str, ...]:
+    """Say which nominal parameter has left what was foreseen."""
+    agreement = reading.agreement
+    if agreement is None or agreement.probability >= SIGNIFICANT:
+        return ()
+    conflict = np.abs(np.nan_to_num(reading.conflict))
+    i = int(np.argmax(conflict))
+    if conflict[i] == 0.0:
+        return ()
+    return (
+        f"{reading.names[i]} lies {conflict[i]:.2g} standard deviations from what the healthy record and inflate "
+        "foresee: it has changed more than was expected, or something else has",
+    )

@@ -1,0 +1,259 @@
+"""What the Jacobian at the optimum says of the parameters: their covariance (1.31), and what the data leave open.
+
+Everything follows from the singular values of the whitened Jacobian with its columns scaled by the parameters'
+magnitudes, J M = U S Vᵀ. Along the direction v_i the parameters (relative to their magnitudes) have the standard
+deviation 1/s_i. A direction along which this exceeds 100 % is hardly determined, and where it exceeds 1000 %, not
+determined in effect. Where s_i is not even distinguishable from zero by the accuracy of the Jacobian, the direction is
+not determined at all, and its parameters have no finite variance.
+
+A robust loss follows the noise less closely than the sum of squares does: with ψ(f) the influence of a residual, the
+estimate scatters as H⁻¹ (Σ ψ² J Jᵀ + prior) H⁻¹ with H = Σ ψ′ J Jᵀ + prior, each output's ψ′ and ψ² taken at their
+means (Huber, section 7.6, a "sandwich"): `local_covariance` is given √mean ψ′ J, and the spread √(mean ψ²/mean ψ′).
+
+References
+----------
+P. J. Huber, "Robust Statistics", Wiley 1981.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.arrays import Floats
+from fmuid.estimation.marquardt.step import triangle
+from fmuid.text import listed
+
+# A direction whose standard deviation exceeds this share of the parameters' magnitudes is hardly determined ...
+WEAK_STD = 1.0
+# ... and not determined in effect beyond this: not even the sign and the power of ten of the parameters are known then,
+# and the linear model, on which the standard deviation rests, holds nowhere near so far.
+UNDETERMINED_STD = 10.0
+# Estimates wander about as far as their standard deviations, and so hide how large these are: a direction is not
+# determined in effect either where they exceed so many times the magnitude at the start and the estimate too.
+ASTRAY_STD = 100.0
+# Singular values are zero where they are below so many times the error that finite differences may have made.
+JACOBIAN_ERRORS = 5.0
+# Parameters with less than this share of a direction's largest component are left out of its words ...
+WORTH_NAMING = 0.05
+# ... and are no longer considered part of an undetermined direction below this share.
+INVOLVED = 1e-3
+# Steps along a direction are told in percent of values, but of magnitudes where values are below this share of them.
+# The largest is 1 %, which is small enough for the linear model: that of the first parameter within this share of it.
+NEAR_ZERO, AS_LARGE = 0.5, 0.99
+# Of all coefficients in words, so many digits are shown.
+DIGITS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class LocalCovariance:
+    """Covariance of the parameters, and the directions that are not or hardly determined.
+
+    Attributes
+    ----------
+    covariance : (N, N) array
+        (JᵀJ)⁻¹ of the whitened Jacobian; infinite variances and NaN covariances for parameters that are not determined.
+    undetermined, weak : tuple of str
+        Sentences, one a direction; undetermined at all first, then in effect.
+    rank : int
+        How many directions are determined at all, if only in theory: those of finite variance.
+    root : (N, k) array
+        R with R Rᵀ the covariance along the k directions that the data themselves determine.
+    """
+
+    covariance: Floats
+    undetermined: tuple[str, ...]
+    weak: tuple[str, ...]
+    rank: int
+    root: Floats
+
+    def leverage(self, jacobian: Floats) -> Floats:
+        """Return how much of the parameters each row of the Jacobian determines (n_rows,), the hat matrix's diagonal.
+
+        Its sum is the number of directions that the data determine.
+        """
+        return np.asarray(np.sum((jacobian @ self.root) ** 2, axis=1), dtype=np.float64)
+
+
+def local_covariance(
+    names: Sequence[str],
+    jacobian: Floats,
+    magnitudes: Floats,
+    jacobian_error: Floats,
+    prior_rows: int = 0,
+    *,
+    theta: Floats | None = None,
+    scale: Floats | None = None,
+    spread: Floats | None = None,
+) -> LocalCovariance:
+    """Analyse a whitened Jacobian.
+
+    Parameters
+    ----------
+    names : sequence of str
+    jacobian : (n_rows, N) array
+        Of the whitened residual; with the prior's rows where they are to count.
+    magnitudes : (N,) array
+        How large each parameter is.
+    jacobian_error : (N,) array
+        Norm of the error of each column.
+    prior_rows : int
+        How many of the last rows are the prior's; they have no error, and what they say of a direction counts even
+        where it is less than the errors of the others.
+    theta : (N,) array, optional
+        The parameters, for words. Default: the magnitudes.
+    scale : (N,) array, optional
+        How large each parameter was thought to be at the start: an estimate that happens to lie near zero is not
+        undetermined for that. Default: the magnitudes.
+    spread : (n_rows,) array, optional
+        Standard deviation of each row; default 1.
+    """
+    reduced = triangle(jacobian, np.zeros(len(jacobian)))[:, :-1] * magnitudes
+    _, values, directions = np.linalg.svd(reduced)
+    values = np.concatenate([values, np.zeros(len(names) - values.size)])
+    rounding = np.finfo(float).eps * max(jacobian.shape) * values[0]
+    unseen = values <= max(rounding, JACOBIAN_ERRORS * float(np.linalg.norm(jacobian_error * magnitudes)))
+    prior = jacobian[len(jacobian) - prior_rows :] * magnitudes
+    by_prior = np.linalg.norm(prior @ directions.T, axis=0)
+    values = np.where(unseen, by_prior, values)
+    zero = unseen & (by_prior <= np.finfo(float).eps * len(names) * float(np.linalg.norm(prior)))
+    inverse = np.where(zero, 0.0, 1.0 / np.where(zero, 1.0, values))
+    root = magnitudes[:, None] * directions.T * inverse
+    with np.errstate(over="ignore"):  # an infinite variance is what it says
+        covariance = root @ _gram(jacobian @ root, spread, unseen, prior_rows) @ root.T
+    null = directions[zero]
+    lost = (np.abs(null) > INVOLVED).any(axis=0) if zero.any() else np.zeros(len(names), dtype=np.bool_)
+    covariance[lost, :] = covariance[:, lost] = np.nan
+    covariance[lost, lost] = np.inf
+    at = magnitudes if theta is None else theta
+    undetermined = [describe_lost(names, row * magnitudes, magnitudes, at) for row in _sparse(null)]
+    weak = []
+    for direction, std in zip(directions[~zero], 1.0 / values[~zero], strict=True):
+        if _lost_in_effect(np.abs(direction) * std * magnitudes, magnitudes, magnitudes if scale is None else scale):
+            undetermined.append(describe_open(names, direction * magnitudes, magnitudes, std))
+        elif std > WEAK_STD:
+            weak.append(describe_weak(names, direction * magnitudes, magnitudes, std))
+    rank = len(names) - int(zero.sum())
+    return LocalCovariance(covariance, tuple(undetermined), tuple(weak), rank, root[:, ~unseen])
+
+
+def _lost_in_effect(std: Floats, magnitudes: Floats, scale: Floats) -> bool:
+    """Whether standard deviations along a direction, in the parameters' units (N,), leave any of them undetermined."""
+    beyond = std > UNDETERMINED_STD * np.maximum(magnitudes, scale)
+    astray = (std > ASTRAY_STD * scale) & (std > magnitudes)
+    return bool((beyond | astray).any())
+
+
+def _gram(rows: Floats, spread: Floats | None, unseen: NDArray[np.bool_], prior_rows: int) -> Floats:
+    """Return (J R)ᵀ spread² J R (N, N): the identity where every row's spread is 1.
+
+    Along directions that only the prior determines, what the data's rows show is error.
+    """
+    if spread is None:
+        return np.eye(unseen.size)
+    rows = rows * spread[:, None]
+    rows[: len(rows) - prior_rows, unseen] = 0.0
+    return np.asarray(rows.T @ rows, dtype=np.float64)
+
+
+def _sparse(rows: Floats) -> list[Floats]:
+    """Return a basis of the same space with the zeros that elimination gives, so that each row names few parameters."""
+    basis = rows.copy()
+    used: list[int] = []
+    for k in range(len(basis)):
+        candidates = np.abs(basis[k])
+        candidates[used] = 0.0
+        pivot = int(np.argmax(candidates))
+        used.append(pivot)
+        basis[k] /= basis[k, pivot]
+        for other in range(len(basis)):
+            if other != k:
+                basis[other] -= basis[other, pivot] * basis[k]
+    return list(basis)
+
+
+def _main(direction: Floats, magnitudes: Floats) -> list[int]:
+    size = np.abs(direction) / magnitudes
+    return [int(i) for i in np.flatnonzero(size >= WORTH_NAMING * size.max())]
+
+
+def _combinations(names: Sequence[str], direction: Floats, main: Sequence[int]) -> str:
+    """Return the combinations that stay the same along a direction: θ_i − (v_i/v_last) θ_last."""
+    last = main[-1]
+    found = []
+    for i in main[:-1]:
+        share = -direction[i] / direction[last]
+        found.append(f"{names[i]} {'-' if share < 0 else '+'} {_times(abs(share), names[last])}")
+    return listed(found)
+
+
+def _times(factor: float, name: str) -> str:
+    shown = f"{factor:.{DIGITS}g}"
+    return name if shown == "1" else f"{shown} {name}"
+
+
+def describe_lost(names: Sequence[str], direction: Floats, magnitudes: Floats, theta: Floats) -> str:
+    """Say in words that moving the parameters along a direction changes no output.
+
+    Parameters
+    ----------
+    names : sequence of str
+    direction : (N,) array
+        In the parameters' units.
+    magnitudes : (N,) array
+    theta : (N,) array
+        The parameters.
+    """
+    main = _main(direction, magnitudes)
+    who = listed([names[i] for i in main])
+    if len(main) == 1:
+        return f"{who} is not determined: changing it changes no output"
+    only = _combinations(names, direction, main)
+    if len(main) == 2:
+        return f"{who} cannot be told apart: only {only} is determined"
+    sizes = np.where(np.abs(theta) > NEAR_ZERO * magnitudes, np.abs(theta), magnitudes)
+    shares = direction / sizes
+    largest = np.abs(shares[main]).max()
+    first = next(i for i in main if abs(shares[i]) >= AS_LARGE * largest)
+    shares /= shares[first]
+    steps = [f"{abs(share):.{DIGITS}g} %" for share in shares]
+    # a percentage of what is negative or near zero would mislead
+    steps = [
+        step if value >= size else f"{step} of its magnitude {size:.{DIGITS}g}"
+        for step, value, size in zip(steps, theta, sizes, strict=True)
+    ]
+    moves = [f"{names[i]} {'rises' if shares[i] > 0 else 'falls'} by {steps[i]}" for i in main if i != first]
+    return (
+        f"{who} cannot be told apart: raising {names[first]} by {steps[first]} while {listed(moves)} changes no "
+        f"output; only {only} are determined"
+    )
+
+
+def describe_open(names: Sequence[str], direction: Floats, magnitudes: Floats, std: float) -> str:
+    """Say in words that a direction is not determined in effect; `std` is relative to the magnitudes."""
+    main = _main(direction, magnitudes)
+    who = listed([names[i] for i in main])
+    if len(main) == 1:
+        return f"{who} is not determined in effect: its standard deviation is {std:.{DIGITS}g} times its magnitude"
+    verb = "is" if len(main) == 2 else "are"
+    return (
+        f"{who} cannot be told apart in effect: only {_combinations(names, direction, main)} {verb} determined, and "
+        f"their standard deviation together is {std:.{DIGITS}g} times their magnitude"
+    )
+
+
+def describe_weak(names: Sequence[str], direction: Floats, magnitudes: Floats, std: float) -> str:
+    """Say in words that a direction is hardly determined; `std` is relative to the magnitudes."""
+    main = _main(direction, magnitudes)
+    who = listed([names[i] for i in main])
+    if len(main) == 1:
+        return f"{who} is hardly determined: its standard deviation is {std:.0%} of its magnitude"
+    only = _combinations(names, direction, main)
+    verb = "is" if len(main) == 2 else "are"
+    return (
+        f"{who} can hardly be told apart: {only} {verb} determined better than each of them, "
+        f"whose standard deviation together is {std:.0%} of their magnitude"
+    )

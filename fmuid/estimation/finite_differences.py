@@ -1,0 +1,390 @@
+"""Derivatives of whole simulations by finite differences, with steps from the simulation's own noise.
+
+A simulator with an adaptive integrator inside is not a smooth function: between neighbouring parameter values its
+steps and iterations change, and the outputs jump by something near its tolerance. A difference over a step that is
+blind to this differentiates the jumps. So the noise is measured first (`noise_level`), and the steps balance it
+against the curvature of the simulation itself (`FiniteDifferences`):
+
+- forward: the error is at most 2 ε/h + |f″| h/2, least at h = 2 (ε/|f″|)^(1/2);
+- central: the error is at most ε/h + |f‴| h²/6, least at h = (3 ε/|f‴|)^(1/3),
+
+with ε the noise and f″, f‴ the derivatives, all as root mean squares over the samples.
+
+References
+----------
+J. J. Moré, S. M. Wild, "Estimating computational noise", SIAM J. Sci. Comput. 33 (3), 2011 (the difference table);
+J. J. Moré, S. M. Wild, "Estimating derivatives of noisy simulations", ACM Trans. Math. Softw. 38 (3), 2012;
+P. E. Gill, W. Murray, M. A. Saunders, M. H. Wright, "Computing forward-difference intervals for numerical
+optimization", SIAM J. Sci. Stat. Comput. 4 (2), 1983 (the balance of the errors).
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.arrays import Floats
+from fmuid.errors import FmuidError
+
+Predict = Callable[[Floats], Floats]
+"""Simulates thetas (m, N) and gives stacked outputs (m, n); the rows of failed simulations hold NaN."""
+
+# Points of the difference table, the first being the point itself: seven suffice (Moré and Wild 2011, section 5).
+NOISE_POINTS = 7
+# Distance of these points, relative to the parameters: wide enough that an adaptive integrator takes other decisions
+# from point to point, narrow enough that sixth differences of the smooth part (its sixth power) drown in rounding.
+NOISE_SPACING = 3e-4
+# Where sixth differences still fall this fast against fifth ones, the smooth part hides the noise ...
+STILL_FALLING = 0.5
+# ... which matters unless what is left is this small against the output; the table is then laid closer ...
+NEGLIGIBLE_NOISE = 1e-13
+CLOSER = 1.0 / 30.0
+# ... at most this often.
+NOISE_TABLES = 3
+# A value whose derivatives' squares would overflow counts as a simulation that failed.
+HUGE = 1e100
+# Rounding of a stored output, half a unit in the last place of double precision.
+ROUNDING = 2.0**-53
+
+# Steps relative to a parameter's magnitude: a difference over more than a tenth says little about a derivative, and
+# below the least one the parameter itself has too few digits left.
+LARGEST_STEP = 0.1
+SMALLEST_STEP = 1e-9
+# A first difference below so many times the noise has no good digit: it is made again with the largest step.
+RESOLVED = 10.0
+# A parameter acts on an output where some sample changes by more than so many times the noise of that output; the
+# largest of 10⁴ normal differences is 5.5 times the noise, and integrators jump more coarsely than that.
+INFLUENCE = 10.0
+
+# Where steps bend the function by this much of its slope they were too long (the first ones, chosen without knowledge
+# of the curvature, for a strongly oscillating output, say), and the derivative is made again with the planned one.
+TOO_CURVED = 0.5
+
+# Which points give a derivative, in steps from the point, in the order in which they are tried: away from a bound, and
+# from simulations that fail, first to the other side and then closer.
+CLOSER_STEPS = (1.0, 0.1, 1e-2, 1e-4, 1e-6)
+FORWARD = tuple((side * h,) for h in CLOSER_STEPS for side in (1.0, -1.0))
+CENTRAL = tuple((a * h, b * h) for h in CLOSER_STEPS for a, b in ((1.0, -1.0), (1.0, 2.0), (-1.0, -2.0)))
+
+
+class SensitivityError(FmuidError):
+    """No simulation near a point succeeds, so that there is no derivative.
+
+    Attributes
+    ----------
+    index : int
+        Which parameter.
+    """
+
+    def __init__(self, index: int) -> None:
+        super().__init__(f"every simulation with parameter number {index} moved to either side fails")
+        self.index = index
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLevel:
+    """The noise of the simulation itself.
+
+    Attributes
+    ----------
+    outputs : (G,) array
+        Standard deviation of each output's noise, in the output's unit.
+    simulations : int
+        How many thetas were simulated to find it.
+    """
+
+    outputs: Floats
+    simulations: int
+
+
+def noise_level(
+    predict: Predict,
+    theta: Floats,
+    magnitudes: Floats,
+    lower: Floats,
+    upper: Floats,
+    groups: NDArray[np.intp],
+    count: int,
+) -> tuple[Floats, NoiseLevel]:
+    """Measure the noise of a simulation near theta by a table of differences (ECnoise of Moré and Wild 2011).
+
+    All parameters move together along one direction in equal steps. The kth differences of a smooth function fall
+    with the kth power of the step, those of noise do not: γ_k mean (Δᵏf)² with γ_k = (k!)²/(2k)! estimates ε² plus
+    what is smooth, so the least of them over k is taken, with the mean over an output's samples.
+
+    Parameters
+    ----------
+    predict : callable
+    theta : (N,) array
+        A point that can be simulated.
+    magnitudes : (N,) array
+        How large each parameter is.
+    lower, upper : (N,) arrays
+        Bounds, which no point leaves.
+    groups : (n,) array of int
+        To which of the `count` outputs each sample belongs.
+
+    Returns
+    -------
+    base : (n,) array
+        The simulation at theta, NaN if it failed (the level is then meaningless).
+    level : NoiseLevel
+    """
+    above, below = upper - theta, theta - lower
+    direction, room = np.where(above >= below, 1.0, -1.0), np.maximum(above, below)
+    steps = np.minimum(NOISE_SPACING * magnitudes, room / (NOISE_POINTS - 1))
+    shares = (groups[:, None] == np.arange(count)) / np.maximum(np.bincount(groups, minlength=count), 1)
+    level = np.full(count, np.inf)
+    base = predict(theta[None])[0]  # by itself: where it fails, the others are not worth a simulation
+    simulated = 1
+    if not usable(base):
+        return np.full_like(base, np.nan), NoiseLevel(level, simulated)
+    rounding = ROUNDING * np.sqrt(base**2 @ shares)
+    for _ in range(NOISE_TABLES):
+        points = theta + np.arange(1, NOISE_POINTS)[:, None] * (steps * direction)
+        table = np.vstack([base, predict(points)])
+        simulated += len(points)
+        if usable(table).all():
+            deviations = _difference_table(table, shares)
+            level = np.maximum(np.minimum(level, deviations.min(axis=0)), rounding)
+            falling = deviations[-1] < STILL_FALLING * deviations[-2]
+            hidden = falling & (level > NEGLIGIBLE_NOISE / ROUNDING * rounding)
+            if not hidden.any():
+                break
+        steps = steps * CLOSER
+    else:
+        # every table met a failing simulation: with nothing known, the rounding of single precision
+        level = np.where(np.isfinite(level), level, np.sqrt(ROUNDING) * np.sqrt(base**2 @ shares))
+    return base, NoiseLevel(level, simulated)
+
+
+def _difference_table(table: Floats, shares: Floats) -> Floats:
+    """Return the deviations sqrt(γ_k mean (Δᵏf)²) of every order k and output, (NOISE_POINTS − 1, count).
+
+    `shares` (n, count) takes the mean over each output's samples.
+    """
+    deviations = []
+    table, squares = table.copy(), np.empty_like(table)  # in place: fresh memory costs more than the differences
+    for order in range(1, len(table)):
+        left = len(table) - order
+        for i in range(left):
+            np.subtract(table[i + 1], table[i], out=table[i])
+        np.square(table[:left], out=squares[:left])
+        gamma = math.factorial(order) ** 2 / math.factorial(2 * order)
+        deviations.append(np.sqrt(gamma * np.mean(squares[:left] @ shares, axis=0)))
+    return np.array(deviations)
+
+
+class FiniteDifferences:
+    """Jacobians of a vector function by forward or central differences, all columns in one batch of simulations.
+
+    The steps are kept relative to the parameters' magnitudes and planned anew from every central Jacobian, which
+    sees the second derivatives too.
+
+    Parameters
+    ----------
+    predict : callable
+        Thetas (m, N) to vectors (m, n).
+    lower, upper : (N,) arrays
+        Bounds, which no point leaves: at a bound differences are one-sided (and still of second order where central).
+    magnitudes : callable
+        How large each parameter is at a theta.
+    noise : (n,) array
+        Standard deviation of the weighted function's noise.
+    size : float
+        Root mean square of the weighted function: without knowledge of the third derivatives, the first central steps
+        take |f‴| = size / magnitude³.
+    weights : float or (n,) array
+        What the function is multiplied by.
+
+    Attributes
+    ----------
+    forward_steps, central_steps : (N,) arrays
+        Relative to the magnitudes.
+    """
+
+    def __init__(
+        self,
+        predict: Predict,
+        lower: Floats,
+        upper: Floats,
+        magnitudes: Callable[[Floats], Floats],
+        noise: Floats,
+        size: float,
+        weights: float | Floats = 1.0,
+    ) -> None:
+        self._predict, self._lower, self._upper, self._magnitudes = predict, lower, upper, magnitudes
+        # a quarter of the distance of the bounds leaves room for two steps to one side wherever theta is
+        self._longest = self._upper / 4.0 - self._lower / 4.0
+        self._set_weights(weights, noise)
+        first = (3.0 * self._rms / size) ** (1.0 / 3.0) if size > 0 else LARGEST_STEP
+        self.central_steps = np.full(lower.shape, min(max(first, SMALLEST_STEP), LARGEST_STEP))
+        self.forward_steps = self.central_steps.copy()
+        self._forward_error = self._central_error = np.zeros(lower.size)
+
+    def _set_weights(self, weights: float | Floats, noise: Floats) -> None:
+        self._weights, self._noise = weights, noise
+        self._rms = float(np.sqrt(np.mean(noise**2)))
+
+    def weighted(self, weights: float | Floats, noise: Floats) -> FiniteDifferences:
+        """Return the same with other weights, and the steps planned so far."""
+        other = copy.copy(self)
+        other._set_weights(weights, noise)
+        scale = other._rms / self._rms if self._rms > 0 else 1.0
+        other._forward_error, other._central_error = scale * self._forward_error, scale * self._central_error
+        return other
+
+    def jacobian(self, theta: Floats, base: Floats, *, central: bool) -> Floats:
+        """Return the derivatives of the weighted function at theta, (N, n), one row a parameter.
+
+        Parameters
+        ----------
+        theta : (N,) array
+        base : (n,) array
+            The function at theta, not weighted.
+        central : bool
+            Two simulations a parameter instead of one; also plans the steps anew.
+
+        Raises
+        ------
+        SensitivityError
+            If every simulation near theta fails for some parameter.
+        """
+        if central:
+            steps, (slopes, _) = self._checked_central(theta, base)
+            return np.asarray(slopes / steps[:, None], dtype=np.float64)
+        steps = self._absolute(theta, self.forward_steps)
+        distances, values = self._differences(theta, base, steps, FORWARD, np.arange(theta.size))
+        derivatives = values[:, 0]
+        derivatives /= distances
+        derivatives *= self._weights
+        return derivatives
+
+    def first_jacobian(self, theta: Floats, base: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the central Jacobian (N, n) at the start and which parameters act on anything (N,).
+
+        Parameters whose first difference does not stand out from the noise are tried again with the largest step
+        before they count as without influence.
+        """
+        steps, (slopes, bends) = self._checked_central(theta, base)
+        floor = INFLUENCE * np.maximum(self._noise, np.finfo(float).tiny)
+        acting = (np.abs(slopes) > floor).any(axis=1) | (np.abs(bends) > floor).any(axis=1)
+        return slopes / steps[:, None], acting
+
+    def error(self, theta: Floats, *, central: bool) -> Floats:
+        """Return the error of each row of a Jacobian at theta, its norm over the samples (N,).
+
+        The sums that the steps balance, with the derivatives of the last central Jacobian.
+        """
+        relative = self._central_error if central else self._forward_error
+        return np.asarray(relative / self._magnitudes(theta), dtype=np.float64)
+
+    def _checked_central(self, theta: Floats, base: Floats) -> tuple[Floats, Floats]:
+        """Return steps (N,) and, weighted, slopes f′h and bends f″h² (2, N, n); those with unfit steps made again."""
+        steps = self._absolute(theta, self.central_steps)
+        found = self._central(theta, base, steps, np.arange(theta.size))
+        slope, bend = _rms(found)
+        weak = slope < RESOLVED * self._rms
+        curved = ~weak & (bend > TOO_CURVED * slope)
+        largest = np.full(theta.size, LARGEST_STEP)
+        for which, better in ((weak, largest), (curved, self._plan(theta, steps, slope, bend)[1])):
+            other = self._absolute(theta, better)
+            which &= (other > 2.0 * steps) | (other < 0.5 * steps)
+            if which.any():
+                steps = np.where(which, other, steps)
+                found[:, which] = self._central(theta, base, steps, np.flatnonzero(which))
+                slope, bend = _rms(found)
+        self._adopt(theta, steps, slope, bend)
+        return steps, found
+
+    def _absolute(self, theta: Floats, relative: Floats) -> Floats:
+        return np.minimum(relative * self._magnitudes(theta), self._longest)
+
+    def _central(self, theta: Floats, base: Floats, steps: Floats, which: NDArray[np.intp]) -> Floats:
+        """Return, weighted, slopes f′h and bends f″h² (2, k, n) of the parabolas through three points at 0, a and b."""
+        distances, values = self._differences(theta, base, steps, CENTRAL, which)
+        (a, b), h = distances.T, steps[which]
+        ratio, unit = b / a, h / a
+        factors = np.array([[ratio, -1.0 / ratio], [-2.0 * unit, 2.0 * unit / ratio]]) * (unit / (ratio - 1.0))
+        return np.asarray(np.einsum("spk,kpn->skn", factors, values) * self._weights, dtype=np.float64)
+
+    def _differences(
+        self, theta: Floats, base: Floats, steps: Floats, patterns: Sequence[tuple[float, ...]], which: NDArray[np.intp]
+    ) -> tuple[Floats, Floats]:
+        """Simulate points beside theta; return distances (k, p) and differences from base (k, p, n) of k parameters."""
+        points = len(patterns[0])
+        distances, values = np.empty((which.size, points)), np.empty((which.size, points, base.size))
+        tried = np.full(which.size, -1)
+        waiting = np.arange(which.size)
+        while waiting.size:
+            thetas = np.tile(theta, (waiting.size, points, 1))
+            for row, k in enumerate(waiting):
+                i = which[k]
+                tried[k], thetas[row, :, i] = self._next_pattern(
+                    float(theta[i]), i, float(steps[i]), patterns, tried[k]
+                )
+                distances[k] = thetas[row, :, i] - theta[i]  # as the simulator saw them, after rounding theta + h
+            found = self._predict(thetas.reshape(-1, theta.size)).reshape(waiting.size, points, base.size)
+            good = usable(found).all(axis=1)
+            if waiting.size == which.size:
+                values = found
+            else:
+                values[waiting] = found
+            waiting = waiting[~good]
+        values -= base
+        return distances, values
+
+    def _next_pattern(
+        self, value: float, i: int, step: float, patterns: Sequence[tuple[float, ...]], last: int
+    ) -> tuple[int, list[float]]:
+        """Return the next pattern after the last one tried whose points lie inside the bounds, and these points."""
+        lower, upper = float(self._lower[i]), float(self._upper[i])
+        for k in range(last + 1, len(patterns)):
+            nodes = [value + step * distance for distance in patterns[k]]
+            if all(lower <= node <= upper for node in nodes):
+                return k, nodes
+        raise SensitivityError(i)
+
+    def _plan(self, theta: Floats, steps: Floats, slope: Floats, bend: Floats) -> tuple[Floats, Floats]:
+        """Return the forward and central steps that balance noise against curvature, relative to the magnitudes.
+
+        Where a step h gave f′h and f″h², the best ones are h (4 ε/f″h²)^(1/2) and h (3 ε/f‴h³)^(1/3). The third
+        derivative is taken as |f″|²/|f′|, as if the derivatives went on in proportion; the central error is flat around
+        its best step. Slope or curvature that is itself noise only lengthens the steps.
+        """
+        share = steps / self._magnitudes(theta)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            forward = share * 2.0 * np.sqrt(self._rms / bend)
+            central = share * np.cbrt(3.0 * (self._rms / bend) * (np.maximum(slope, self._rms) / bend))
+        # 0/0, without influence or noise, stands for any step
+        forward, central = (np.nan_to_num(relative, nan=LARGEST_STEP) for relative in (forward, central))
+        planned = np.clip([forward, central], SMALLEST_STEP, LARGEST_STEP)
+        return planned[0], planned[1]
+
+    def _adopt(self, theta: Floats, steps: Floats, slope: Floats, bend: Floats) -> None:
+        """Take the steps that a central Jacobian with these ones suggests, and what errors to expect (N,).
+
+        Norms over the samples, of derivatives by the parameters relative to their magnitudes.
+        """
+        self.forward_steps, self.central_steps = self._plan(theta, steps, slope, bend)
+        norm = math.sqrt(self._noise.size)
+        share = steps / self._magnitudes(theta)
+        curvature = bend / share**2
+        self._forward_error = norm * (2.0 * self._rms / self.forward_steps + 0.5 * curvature * self.forward_steps)
+        # the third derivative is the one for which the planned step would be the best
+        self._central_error = norm * self._rms * (1.0 / share + share**2 / (2.0 * self.central_steps**3))
+
+
+def usable(values: Floats) -> NDArray[np.bool_]:
+    """Return whether all values (..., n) are finite, and small enough that their squares are (...)."""
+    return np.asarray((values.max(axis=-1) < HUGE) & (values.min(axis=-1) > -HUGE))
+
+
+def _rms(values: Floats) -> Floats:
+    """Return root mean squares over the last axis."""
+    return np.asarray(np.sqrt(np.einsum("...n,...n->...", values, values) / values.shape[-1]), dtype=np.float64)

@@ -1,0 +1,273 @@
+"""Identification from start to result: search, repetition on the noise variances, covariance."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmuid.arrays import Floats
+from fmuid.data import Loss
+from fmuid.estimation.covariance import LocalCovariance, local_covariance
+from fmuid.estimation.criterion import prepare
+from fmuid.estimation.history import History
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.local_model import LocalModel
+from fmuid.estimation.marquardt.search import Iteration, Marquardt, State, Status, search
+from fmuid.estimation.result import Result
+from fmuid.version import __version__
+
+Progress = Callable[[Iteration], None]
+
+# The search is repeated with new noise variances where one of them, against the others or against a prior, moved by
+# more than this share; it changes the estimates by far less than their standard deviations.
+MOVED = 0.02
+# The repetition converges at once in practice (one repetition in the chapter); more than this is a fault of the model.
+MAX_ROUNDS = 10
+# Where outliers outweigh everything else the mean ψ′ of a robust loss may vanish or be negative, and says nothing of
+# the covariance; it is taken to be this much at least.
+LEAST_CURVATURE = 0.05
+
+
+def identify(
+    problem: LeastSquares,
+    settings: Marquardt | None = None,
+    progress: Progress | None = None,
+    start: ArrayLike | None = None,
+) -> Result:
+    """Identify the parameters of a problem by Marquardt's search.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    settings : Marquardt, optional
+    progress : callable, optional
+        Called with every `Iteration` of the search.
+    start : (N,) array, optional
+        Start elsewhere than the parameters say.
+
+    Returns
+    -------
+    Result
+        Also where the search did not converge or was interrupted from the keyboard: its status says so.
+
+    Raises
+    ------
+    SimulationError
+        If the simulation at the start fails.
+    InputError
+        If a parameter without prior acts on no output.
+    """
+    return _Identification(problem, settings or Marquardt(), progress, start).run()
+
+
+class _Identification:
+    """The rounds of one identification and what they leave behind."""
+
+    def __init__(
+        self, problem: LeastSquares, settings: Marquardt, progress: Progress | None, start: ArrayLike | None
+    ) -> None:
+        self.problem, self.settings, self.progress = problem, settings, progress
+        self.clock, self.simulations = time.perf_counter(), problem.simulations
+        ready = prepare(problem, start)
+        self.start, self.criterion = ready.theta, ready.criterion
+        self.state = State(ready.theta, ready.evaluation.residual, ready.evaluation.jacobian)
+        self.trace: list[tuple[int, Iteration]] = []
+        self.rounds: list[dict[str, float]] = []
+
+    def run(self) -> Result:
+        settled = True
+        try:
+            for number in range(1, MAX_ROUNDS + 1):
+                rough = number == 1 and self._repeats()
+                self._search(number, rough)
+                settled = not rough and not self._moved()
+                if settled or not self._status.converged or number == MAX_ROUNDS:
+                    break
+                self._reweight()
+        except KeyboardInterrupt:
+            self.state.status = Status.INTERRUPTED
+            self._end_round(len(self.rounds) + 1)
+        return self._result(settled)
+
+    @property
+    def _status(self) -> Status:
+        return self.state.status or Status.INTERRUPTED
+
+    def _search(self, number: int, rough: bool) -> None:
+        for iteration in search(self.criterion, self.state, self.settings, rough=rough):
+            self.trace.append((number, iteration))
+            if self.progress is not None:
+                self.progress(iteration)
+        self._end_round(number)
+
+    # --- the repetition on the noise variances
+
+    def _end_round(self, number: int) -> None:
+        """Estimate each output's variance from the residual (1.12), and note what this round used and found."""
+        state, problem = self.state, self.problem
+        self.local = self._covariance(state.jacobian)
+        leverage = self.local.leverage(state.jacobian)[: problem.measured.size]
+        self.shares: Floats = np.zeros(problem.counts.size)
+        self.shares += np.bincount(problem.groups, weights=leverage, minlength=problem.counts.size)
+        estimated = problem.noise_variances(self.criterion.unwhiten(state.residual), self.shares)
+        self.estimated = np.maximum(estimated, self.criterion.least_variance)
+        names = problem.output_names
+        self.rounds.append(
+            {
+                "round": number,
+                "iterations": state.iterations,
+                "criterion": float(state.residual @ state.residual),
+                **{f"used.{n}": v for n, v in zip(names, self.criterion.variance.tolist(), strict=True)},
+                **{f"estimated.{n}": v for n, v in zip(names, self.estimated.tolist(), strict=True)},
+            }
+        )
+
+    def _next_variance(self) -> Floats:
+        return np.where(np.isnan(self.problem.variance), self.estimated, self.problem.variance)
+
+    def _repeats(self) -> bool:
+        """Whether the search has to be repeated with other variances, which will move the optimum.
+
+        Some are estimated and have a rival, or decide what a robust loss takes for outliers; or the search sets out
+        from larger ones than those given.
+        """
+        problem = self.problem
+        estimated = np.isnan(problem.variance)
+        matters = problem.counts.size + len(problem.parameters.prior_whitening) > 1 or problem.loss is not None
+        larger = (self.criterion.variance != problem.variance)[~estimated]
+        return (bool(estimated.any()) and matters) or bool(larger.any())
+
+    def _moved(self) -> bool:
+        """Whether the variances moved so much that the optimum moves too."""
+        ratios = self._next_variance() / self.criterion.variance
+        if not len(self.problem.parameters.prior_whitening) and self.problem.loss is None:
+            ratios = ratios / ratios[0]  # only their proportions matter
+        return bool((np.abs(ratios - 1.0) > MOVED).any())
+
+    def _reweight(self) -> None:
+        """Go on from the same point with the new variances: the rows change their weights, nothing is simulated."""
+        state, before = self.state, self.criterion
+        self.criterion = before.reweighted(self._next_variance())
+        residual, jacobian = before.converted(self.criterion, state.residual, state.jacobian)
+        self.state = State(state.theta, residual, jacobian, state.central, state.fresh, state.iterations, state.rate)
+
+    # --- the result
+
+    def _covariance(self, jacobian: Floats, spread: Floats | None = None) -> LocalCovariance:
+        """Analyse a Jacobian at the point found, with or without the prior's rows."""
+        theta, parameters = self.state.theta, self.problem.parameters
+        return local_covariance(
+            parameters.names,
+            jacobian,
+            parameters.magnitudes(theta),
+            self.criterion.jacobian_error(theta, self.state.residual, central=self.state.central),
+            len(jacobian) - self.problem.measured.size,
+            theta=theta,
+            scale=parameters.scale,
+            spread=spread,
+        )
+
+    def _local_model(self) -> LocalModel:
+        """Make the problem linear at the point found, with the final variances."""
+        state, data = self.state, self.problem.measured.size
+        residual, jacobian, combined, spread = state.residual, state.jacobian, self.local, None
+        variance, loss = self._next_variance(), self.problem.loss
+        if loss is not None or (variance != self.criterion.variance).any():
+            final = self.criterion.reweighted(variance)
+            residual, jacobian = self.criterion.converted(final, residual, jacobian)
+            if loss is not None:
+                residual, jacobian, spread = self._weighed(loss, *final.unrooted(residual, jacobian))
+            combined = self._covariance(jacobian, spread)
+        alone = combined
+        if len(jacobian) > data:
+            alone = self._covariance(jacobian[:data], None if spread is None else spread[:data])
+        magnitudes = self.problem.parameters.magnitudes(state.theta)
+        return LocalModel(
+            residual[:data],
+            jacobian[:data],
+            residual[data:],
+            jacobian[data:],
+            magnitudes,
+            alone,
+            combined,
+            None if spread is None else spread[:data],
+        )
+
+    def _weighed(self, loss: Loss, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return whitened residuals f and their Jacobian, changed, as a robust loss weighs them, and each row's spread.
+
+        Near the optimum the gradient of the criterion is Σ ψ J + (Σ ψ′ J Jᵀ) p: that of rows ψ/√a and √a J with each
+        output's a its mean ψ′, and of variance mean ψ²/a (see `fmuid.estimation.covariance`).
+        """
+        groups, counts = self.problem.groups, self.problem.counts
+        f = residual[: groups.size]
+        influence = loss.influence(f)
+        curvature = np.bincount(groups, weights=loss.curvature(f), minlength=counts.size) / counts
+        curvature = np.maximum(curvature, LEAST_CURVATURE)
+        free = np.maximum(counts - self.shares, np.finfo(float).eps)
+        power = np.bincount(groups, weights=influence**2, minlength=counts.size) / free
+        root = np.sqrt(curvature)[groups]
+        jacobian[: groups.size] *= root[:, None]
+        residual[: groups.size] = influence / root
+        spread = np.ones(residual.size)
+        spread[: groups.size] = np.sqrt(power / curvature)[groups]
+        return residual, jacobian, spread
+
+    def _result(self, settled: bool) -> Result:
+        state, problem, parameters = self.state, self.problem, self.problem.parameters
+        model, history = self._local_model(), self._history()
+        local = model.combined
+        at_bounds = tuple(
+            f"{parameters.names[i]} is at its bound {state.theta[i]:g}" for i in np.flatnonzero(state.held)
+        )
+        given = ~np.isnan(problem.variance)
+        return Result(
+            status=self._words(settled, local.undetermined, at_bounds),
+            converged=self._status.converged and settled and not local.undetermined,
+            names=parameters.names,
+            values=state.theta.copy(),
+            start=self.start.copy(),
+            prior_mean=parameters.prior_mean,
+            prior_std=parameters.prior_std,
+            covariance=local.covariance,
+            noise_variance=dict(zip(problem.output_names, self.estimated.tolist(), strict=True)),
+            given_variance={problem.output_names[j]: float(problem.variance[j]) for j in np.flatnonzero(given)},
+            criterion=float(state.residual @ state.residual),
+            degrees_of_freedom=math.inf if given.all() else float(problem.counts.sum() - self.shares.sum()),
+            iterations=state.iterations,
+            simulations=problem.simulations - self.simulations,
+            elapsed_s=time.perf_counter() - self.clock,
+            undetermined=local.undetermined,
+            weak=local.weak,
+            prior_determined=() if model.data is local else model.data.undetermined,
+            at_bounds=at_bounds,
+            version=__version__,
+            models=problem.models,
+            sensitivity=problem.sensitivity_words,
+            local=model,
+            history=history,
+        )
+
+    def _words(self, settled: bool, undetermined: tuple[str, ...], at_bounds: tuple[str, ...]) -> str:
+        words = [self._status.value]
+        if self._status.converged and not settled:
+            words = [f"the noise variances still move after {MAX_ROUNDS} repetitions: give them as noise.variance"]
+        elif undetermined and (self._status.converged or self._status is Status.RUNAWAY):
+            words = ["undetermined"]
+        if undetermined:
+            words.append("; ".join(undetermined) + ": give a prior, hold one of them at a value, or measure more")
+        if at_bounds:
+            words.append(
+                "; ".join(at_bounds) + ", and the data would move it further: widen the bound or check the model"
+            )
+        return ": ".join(words) if words[0] == "undetermined" else "; ".join(words)
+
+    def _history(self) -> History:
+        state, problem = self.state, self.problem
+        predicted = problem.measured - self.criterion.unwhiten(state.residual)
+        simulated = tuple(problem.outputs(state.theta, predicted))
+        return History(problem.parameters.names, tuple(self.trace), tuple(self.rounds), problem.experiments, simulated)

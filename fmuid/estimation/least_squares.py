@@ -1,0 +1,312 @@
+"""The problem of an identification: predictors, experiments and parameters as one stacked function of theta."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmuid.arrays import Floats
+from fmuid.data import (
+    FunctionPredictor,
+    JointPrior,
+    Measurements,
+    Parameter,
+    ParameterSet,
+    Predictor,
+    Table,
+    loss_of,
+    robust_variance,
+)
+from fmuid.data import Noise as Noise
+from fmuid.errors import InputError
+from fmuid.estimation.finite_differences import HUGE
+
+
+class LeastSquares:
+    """Anything that simulates, experiments and parameters: all that the estimators need, as functions of theta.
+
+    `fmuid.Problem` is the one whose predictors run FMUs.
+
+    Parameters
+    ----------
+    predictors : sequence of Predictor
+        One an experiment; the thetas that it takes hold its experiment's values of the parameters, in the order of
+        `parameters`.
+    experiments : sequence of Measurements
+    parameters : mapping of str to Parameter
+    noise : Noise, optional
+    joint_prior : JointPrior, optional
+        Beside the priors of single parameters.
+    loss : "linear", "soft_l1", "huber" or "cauchy"
+        How the criterion grows with a sample's residual in standard deviations of the noise: all but "linear", the
+        plain square, keep outliers from pulling (`fmuid.data.losses`). Priors always count by their squares.
+    sensitivity : "finite-difference", "forward" or "fmu"
+        How the derivatives of the outputs by the parameters are found
+        (`fmuid.estimation.model_derivatives.SENSITIVITIES`).
+    derivatives : sequence of callable
+        With other than finite differences: theta to the derivatives (N_i, K, n_outputs) of each predictor.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+    experiments : tuple
+    output_names : tuple of str
+        All measured outputs; those of the same name in several experiments share one noise variance.
+    measured : (n,) array
+        All counted samples, experiment by experiment, sample by sample.
+    groups : (n,) array of int
+        Which output each of them belongs to.
+    counts : (n_outputs,) array of int
+        Samples of each output.
+    variance : (n_outputs,) array
+        The given noise variances, NaN where they are estimated.
+    first_variance : (n_outputs,) array
+        Where the estimation of the variances starts, NaN where the residual decides.
+    loss : Loss or None
+        None for the plain sum of squares.
+    simulations : int
+        How many simulations of an experiment were made so far.
+    failures : int
+        How many of the thetas asked for so far could not be simulated.
+
+    Raises
+    ------
+    InputError
+        If there are no experiments, parameters, outputs or counted samples, too few for the parameters, or if there is
+        no such loss.
+    """
+
+    def __init__(
+        self,
+        predictors: Sequence[Predictor],
+        experiments: Sequence[Measurements],
+        parameters: Mapping[str, Parameter],
+        *,
+        noise: Noise | None = None,
+        joint_prior: JointPrior | None = None,
+        loss: str = "linear",
+        sensitivity: str = "finite-difference",
+        derivatives: Sequence[Callable[[Floats], Floats]] = (),
+    ) -> None:
+        if not experiments:
+            raise InputError("there are no experiments; give at least one table with measured outputs")
+        self.parameters = ParameterSet(parameters, [e.name for e in experiments], joint_prior)
+        self.experiments = tuple(experiments)
+        self._predictors = tuple(predictors)
+        self.sensitivity = sensitivity
+        self._derivatives = tuple(derivatives)
+        self._refusal = ""
+        noise = noise or Noise()
+        self.noise, self.loss = noise, loss_of(loss)
+        self.simulations = self.failures = 0
+        self._reasons: dict[int, tuple[Floats, Exception | None]] = {}  # of the last failure, by experiment
+        self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
+        if not self.output_names:
+            raise InputError("no outputs are measured; name at least one output to compare with the simulation")
+        self._counted = [np.flatnonzero(e.counted) for e in experiments]
+        self.measured = np.concatenate(
+            [e.output_values.ravel()[kept] for e, kept in zip(experiments, self._counted, strict=True)]
+        )
+        columns = [np.array([self.output_names.index(n) for n in e.output_names], dtype=np.intp) for e in experiments]
+        self.groups = np.concatenate(
+            [np.tile(c, len(e.times))[kept] for e, c, kept in zip(experiments, columns, self._counted, strict=True)]
+        )
+        self.counts = np.bincount(self.groups, minlength=len(self.output_names))
+        self.variance = noise.known(self.output_names)
+        self.first_variance = noise.first(self.output_names)
+        self._check_counts()
+
+    @staticmethod
+    def from_function(
+        function: Callable[[Floats], ArrayLike],
+        measured: ArrayLike,
+        parameters: Mapping[str, Parameter],
+        *,
+        times: ArrayLike | None = None,
+        outputs: Sequence[str] = ("y",),
+        noise: Noise | None = None,
+        joint_prior: JointPrior | None = None,
+        loss: str = "linear",
+    ) -> LeastSquares:
+        """Make a problem of a Python function instead of an FMU.
+
+        Parameters
+        ----------
+        function : callable
+            Theta (N,), in the order of `parameters`, to outputs (K,) or (K, n_outputs). An `ArithmeticError`, a
+            `SimulationError` or an output that is not finite counts as a simulation that failed.
+        measured : (K,) or (K, n_outputs) array
+            NaN where a sample is missing.
+        parameters : mapping of str to Parameter
+        times : (K,) array, optional
+            For tables and figures; default 0, 1, 2, ...
+        outputs : sequence of str
+            Names of the outputs.
+        noise, joint_prior, loss
+            As for `LeastSquares`.
+        """
+        values = np.array(measured, dtype=np.float64)
+        values = values[:, None] if values.ndim == 1 else values
+        if values.ndim != 2 or values.shape[1] != len(outputs):
+            raise InputError(f"measured needs one column for each of {', '.join(outputs)}; its shape is {values.shape}")
+        clock = np.arange(len(values), dtype=np.float64) if times is None else np.array(times, dtype=np.float64)
+        if clock.shape != (len(values),):
+            raise InputError(f"times must have {len(values)} values, one a sample; its shape is {clock.shape}")
+        table = Table("experiment", clock, tuple(outputs), values, ~np.isnan(values))
+        predictor = FunctionPredictor(function, values.shape)
+        return LeastSquares([predictor], [table], parameters, noise=noise, joint_prior=joint_prior, loss=loss)
+
+    @property
+    def models(self) -> dict[str, dict[str, str]]:
+        """``name``, ``digest`` and ``run`` (how it is run, in words) of each FMU by its component; none here."""
+        return {}
+
+    def _check_counts(self) -> None:
+        for name, count in zip(self.output_names, self.counts, strict=True):
+            if count == 0:
+                raise InputError(
+                    f"output {name!r} has no sample that counts: all are missing or discarded; "
+                    "shorten discard or leave the output out"
+                )
+            largest = float(np.max(np.abs(self.measured[self.groups == self.output_names.index(name)])))
+            if not largest < HUGE:
+                raise InputError(
+                    f"a sample of output {name!r} is {largest:g} in magnitude; leave it empty or change the unit"
+                )
+        rows = self.measured.size + len(self.parameters.prior_whitening)
+        if rows < len(self.parameters) or (np.isnan(self.variance).all() and rows == len(self.parameters)):
+            raise InputError(
+                f"{self.measured.size} counted samples are too few for {len(self.parameters)} parameters; "
+                "measure more, estimate fewer, or give priors"
+            )
+
+    def predict(self, thetas: Floats) -> Floats:
+        """Simulate thetas (m, N) and return all counted samples (m, n), NaN rows where a simulation failed.
+
+        The array is the caller's to change.
+        """
+        blocks = []
+        for index, kept in enumerate(self._counted):
+            flat = self._outputs(index, thetas).reshape(len(thetas), -1)
+            blocks.append(flat if kept.size == flat.shape[1] else flat[:, kept])
+        # what failed is NaN throughout; an experiment may have no sample
+        failed = np.any([np.isnan(block[:, :1]).any(axis=1) for block in blocks], axis=0)
+        self.failures += int(failed.sum())
+        if len(blocks) == 1:
+            return blocks[0]
+        stacked = np.concatenate(blocks, axis=1)
+        stacked[failed] = np.nan
+        return stacked
+
+    def derivatives(self, theta: Floats) -> Floats:
+        """Return the derivatives (N, n) of all counted samples by the parameters at theta (N,), from the model.
+
+        Raises
+        ------
+        RefusedError
+            If the model cannot give them there.
+        """
+        blocks = []
+        for index, (kept, derivatives) in enumerate(zip(self._counted, self._derivatives, strict=True)):
+            _, columns = self.parameters.for_experiment(index)
+            self.simulations += 1
+            block = np.zeros((theta.size, kept.size))
+            np.add.at(block, columns, derivatives(theta[columns]).reshape(columns.size, -1)[:, kept])
+            blocks.append(block)
+        return np.concatenate(blocks, axis=1)
+
+    def refuse_derivatives(self, reason: str) -> None:
+        """Note why differences serve in place of the derivatives of the model."""
+        self._refusal = reason
+
+    @property
+    def sensitivity_words(self) -> str:
+        """How the derivatives were found, in words."""
+        if self._refusal:
+            return f"finite differences ({self.sensitivity} sensitivities are refused: {self._refusal})"
+        by_twins = any(getattr(each, "by_differences", False) for each in self._derivatives)
+        return {
+            "finite-difference": "finite differences of whole simulations",
+            "forward": "the sensitivity system, integrated with the model: "
+            + ("differences of its right-hand side" if by_twins else "directional derivatives"),
+            "fmu": "outputs of the FMU",
+        }[self.sensitivity]
+
+    def outputs(self, theta: ArrayLike, predicted: Floats | None = None) -> list[Floats]:
+        """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed.
+
+        Parameters
+        ----------
+        theta : (N,) array
+        predicted : (n,) array, optional
+            Its counted samples, as `predict` gave them: experiments all of whose samples count are not simulated again.
+        """
+        thetas = np.array(theta, dtype=np.float64)[None]
+        found, last = [], 0
+        for index, (experiment, kept) in enumerate(zip(self.experiments, self._counted, strict=True)):
+            first, last = last, last + kept.size
+            shape = experiment.output_values.shape
+            if predicted is not None and kept.size == experiment.output_values.size:
+                found.append(predicted[first:last].reshape(shape))
+            else:
+                found.append(self._outputs(index, thetas)[0])
+        return found
+
+    def _outputs(self, index: int, thetas: Floats) -> Floats:
+        _, columns = self.parameters.for_experiment(index)
+        if columns.size == thetas.shape[1] or len(thetas) == 1:
+            self.simulations += len(thetas)
+            return self._simulated(index, thetas[:, columns])
+        # what only other experiments depend on leaves this one as it is
+        own, back = np.unique(thetas[:, columns], axis=0, return_inverse=True)
+        self.simulations += len(own)
+        return self._simulated(index, own)[back.ravel()]
+
+    def _simulated(self, index: int, thetas: Floats) -> Floats:
+        found = self._predictors[index].many(thetas)
+        first = next((i for i, error in enumerate(found.errors) if error is not None), None)
+        if first is not None:  # the one whose reason was asked for
+            self._reasons[index] = thetas[first].copy(), found.errors[first]
+        return found.outputs
+
+    def failure(self, theta: Floats) -> Exception | None:
+        """Return why the simulation at theta (N,) fails, None if it does not."""
+        for index, predictor in enumerate(self._predictors):
+            _, columns = self.parameters.for_experiment(index)
+            known, error = self._reasons.get(index, (None, None))
+            if known is None or not np.array_equal(known, theta[columns]):  # what fails may take its time about it
+                (error,) = predictor.many(theta[None, columns]).errors
+            if error is not None:
+                return error
+        return None
+
+    def output_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
+        """Return σ̂² = J_j/(K_j − share_j) of each output (1.12), (n_outputs,).
+
+        Parameters
+        ----------
+        residual : (n,) array
+            Measured − simulated, in the outputs' units.
+        shares : (n_outputs,) array, optional
+            How many of the estimated parameters each output pays for; default none, as J(θ)/K of (1.51).
+        """
+        sums = np.bincount(self.groups, weights=residual**2, minlength=self.counts.size)
+        free = self.counts - (0.0 if shares is None else shares)
+        return np.asarray(sums / np.maximum(free, np.finfo(float).eps), dtype=np.float64)
+
+    def noise_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
+        """Return the noise variance of each output that a residual tells of, (n_outputs,).
+
+        That of `output_variances`; with a robust loss Huber's proposal 2, which outliers do not inflate either.
+
+        Parameters
+        ----------
+        residual, shares
+            As for `output_variances`.
+        """
+        if self.loss is None:
+            return self.output_variances(residual, shares)
+        free = self.counts - (0.0 if shares is None else shares)
+        return np.array([robust_variance(residual[self.groups == j], free[j]) for j in range(self.counts.size)])

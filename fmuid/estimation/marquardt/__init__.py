@@ -1,0 +1,1 @@
+"""Marquardt's method (1.16), on orthogonal reflections."""

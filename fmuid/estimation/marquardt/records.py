@@ -1,0 +1,172 @@
+"""What goes into a search for the least sum of squares, what comes out, and how it ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.arrays import Floats
+from fmuid.errors import InputError
+
+# Most problems need 5 to 20 steps; the most crooked of the NIST reference problems (Bennett5) need several hundred.
+MAX_ITERATIONS = 1000
+# The search ends where no parameter has more than this share of its magnitude left to go: six digits.
+TOLERANCE = 1e-6
+# Length of the first step against the parameters themselves, both measured by D.
+FIRST_RADIUS = 1.0
+
+
+class LeastSquares(Protocol):
+    """A residual (n_rows,) as a function of theta (N,); `fmuid.estimation.criterion.Criterion` is one."""
+
+    @property
+    def lower(self) -> Floats:
+        """Lower bounds (N,)."""
+
+    @property
+    def upper(self) -> Floats:
+        """Upper bounds (N,)."""
+
+    @property
+    def noise(self) -> float:
+        """Root mean square of the noise that the residual itself has, that of the simulation."""
+
+    def magnitudes(self, theta: Floats) -> Floats:
+        """Return how large each parameter is (N,)."""
+
+    def residuals(self, thetas: Floats) -> Floats:
+        """Return (m, n_rows) for thetas (m, N), NaN rows where failed."""
+
+    def jacobian(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
+        """Return the derivative (n_rows, N), by forward or by central differences."""
+
+    def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
+        """Return the norm of the error in each of its columns (N,)."""
+
+
+class Status(Enum):
+    """How a search ended; the text says what to do about it."""
+
+    CONVERGED = "converged"
+    NOISE = "converged to the noise of the simulation: make it more accurate (step_size, its tolerance) for more digits"
+    ITERATION_LIMIT = "stopped at the iteration limit: raise max_iterations or start nearer"
+    RUNAWAY = (
+        "stopped: parameters run away by orders of magnitude, and the fit gains nothing by it: "
+        "give a prior, bounds or a start nearer by, or measure more"
+    )
+    STALLED = (
+        "stalled: no step lowers the criterion although its slope says so; "
+        "make the simulation more accurate (step_size, its tolerance) or start elsewhere"
+    )
+    FAILING = (
+        "stopped at the edge of what can be simulated, every step that would lower the criterion fails: "
+        "give bounds that keep the search where the model is sound, or start elsewhere"
+    )
+    INTERRUPTED = "interrupted: these are the best values so far"
+
+    @property
+    def converged(self) -> bool:
+        """Whether the point reached is a minimum as far as the simulation can tell."""
+        return self in (Status.CONVERGED, Status.NOISE)
+
+
+@dataclass(frozen=True)
+class Marquardt:
+    """Settings of the search.
+
+    Parameters
+    ----------
+    max_iterations : int
+        Steps tried, accepted or not.
+    tolerance : float
+        Where to stop: the largest change that is left for any parameter, relative to its magnitude. What is left must
+        be small against the standard deviations too (the relative offset of Bates and Watts).
+    first_radius : float
+        Length of the first step relative to the parameters; smaller is more careful.
+
+    Raises
+    ------
+    InputError
+        If a setting is not positive.
+    """
+
+    max_iterations: int = MAX_ITERATIONS
+    tolerance: float = TOLERANCE
+    first_radius: float = FIRST_RADIUS
+
+    def __post_init__(self) -> None:
+        for name in ("max_iterations", "tolerance", "first_radius"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+                raise InputError(f"the setting {name} of the search must be a positive number, not {value!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Iteration:
+    """One step of the search; the first one, number 0, is the start.
+
+    Attributes
+    ----------
+    number : int
+    criterion : float
+        ‖residual‖² at theta, NaN where the simulation failed.
+    damping : float
+        λ of the step, relative to D² (0: a Gauss–Newton step, NaN at the start).
+    accepted : bool
+    theta : (N,) array
+        The point tried.
+    step : float
+        Length of the step relative to the parameters' magnitudes.
+    offset : float
+        What was left of the way before the step, in standard deviations.
+    central : bool
+        Whether the step came from central differences.
+    """
+
+    number: int
+    criterion: float
+    damping: float
+    accepted: bool
+    theta: Floats
+    step: float
+    offset: float
+    central: bool
+
+
+@dataclass(eq=False)
+class State:
+    """What the search knows; it stays valid when the search is interrupted.
+
+    Attributes
+    ----------
+    theta, residual : arrays
+        The best point and the residual there.
+    jacobian : (n_rows, N) array
+        The one in use.
+    central : bool
+        Whether it is by central differences.
+    fresh : bool
+        Whether it was made at theta.
+    iterations : int
+        Steps tried so far.
+    rate : float
+        By which the last Gauss–Newton steps came nearer to the optimum.
+    status : Status or None
+        How the search ended, None while it has not.
+    held : (N,) array of bool
+        Parameters on a bound that the criterion would push further out.
+    """
+
+    theta: Floats
+    residual: Floats
+    jacobian: Floats
+    central: bool = True
+    fresh: bool = True
+    iterations: int = 0
+    rate: float = 1.0
+    status: Status | None = None
+    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))

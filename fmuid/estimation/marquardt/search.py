@@ -1,0 +1,311 @@
+"""Marquardt's search for the least sum of squares (1.16), with bounds, for functions that are simulations.
+
+Each step is solved as `fmuid.estimation.marquardt.step` says, and its length limited as
+`fmuid.estimation.marquardt.radius` says. What is particular to simulations: derivatives cost simulations, so that
+forward differences serve on the way, and central ones at the end only where forward ones are not accurate enough; a
+point that fails is a point refused; and where parameters run away without any gain for the fit, the search says so
+instead of following them.
+
+References
+----------
+D. W. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11 (2), 1963;
+D. M. Bates, D. G. Watts, "A relative offset orthogonality convergence criterion for nonlinear least squares",
+Technometrics 23 (2), 1981.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from fmuid.arrays import Floats
+from fmuid.estimation.finite_differences import SensitivityError
+from fmuid.estimation.marquardt.radius import NOISE_SURPRISE, Radius
+from fmuid.estimation.marquardt.records import Iteration as Iteration
+from fmuid.estimation.marquardt.records import LeastSquares as LeastSquares
+from fmuid.estimation.marquardt.records import Marquardt as Marquardt
+from fmuid.estimation.marquardt.records import State as State
+from fmuid.estimation.marquardt.records import Status as Status
+from fmuid.estimation.marquardt.step import Step, best_step, triangle
+
+# The search ends where, all together, the parameters have no more than this share of their standard deviations to go.
+OFFSET_TOLERANCE = 1e-3
+# A rough search, after which the problem will change anyway, ends at this share.
+ROUGH_OFFSET = 0.1
+# Where so little is left of the way, the Jacobian hardly changes any more: one that was made here is good enough for
+# the steps that remain, if its differences are.
+NEAR = 0.03
+# Where the criterion's fall drowns in the simulation's noise and new Jacobians bring the optimum no nearer than by this
+# factor, there is nothing more to be had.
+SETTLED = 0.8
+# After so many rejected steps in a row the forward differences are suspected, and central ones tried.
+SUSPICIOUS_REJECTIONS = 6
+# After so many failing simulations in a row the search feels its way along the edge of what can be simulated, with one
+# parameter after the other held; after this many more it gives up.
+EDGE_FAILURES, HOPELESS_FAILURES = 2, 12
+# A step this short against the parameters changes hardly anything in double precision.
+VANISHING_STEP = 1e-13
+# The noise that the simulation leaves in the offset is known within about this factor.
+NOISE_MARGIN = 3.0
+# A parameter runs away where it has grown so many times, and the criterion has fallen meanwhile by less than one
+# standard deviation of the parameters is worth, but no more than this share.
+RUNAWAY, NO_GAIN = 100.0, 0.01
+
+
+def search(problem: LeastSquares, state: State, settings: Marquardt, *, rough: bool = False) -> Iterator[Iteration]:
+    """Search from a state that has residual and Jacobian; yield every step, and leave the result in the state.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    state : State
+        Changed in place; `status` is set at the end.
+    settings : Marquardt
+    rough : bool
+        End already where a tenth of the standard deviations is left, to go on with a changed problem.
+
+    Yields
+    ------
+    Iteration
+    """
+    return _Search(problem, state, settings, rough).run()
+
+
+class _Search:
+    """The loop of `search` and what it remembers from step to step."""
+
+    def __init__(self, problem: LeastSquares, state: State, settings: Marquardt, rough: bool) -> None:
+        self.problem, self.state, self.settings, self.rough = problem, state, settings, rough
+        self.square = _square(state.residual)
+        self.free = max(state.residual.size - state.theta.size, 1)  # degrees of freedom
+        self.lengths = np.zeros(state.theta.size)
+        self.accurate = False  # whether the Jacobian is good enough to find the optimum by; known near it
+        self._linearise()
+        self.radius = Radius(settings.first_radius * self._length(problem.magnitudes(state.theta)))
+        self.near = False  # whether the Jacobian was made close to the optimum, and is good enough there
+        self.predicted = math.inf
+        self.offset = self.fresh_offset = self.previous_offset = math.inf
+        self.change = self.fresh_change = math.inf
+        # the largest parameters so far (N,), and the criterion, when the fit last gained anything
+        self.grown_from, self.gained_at = problem.magnitudes(state.theta), self.square
+
+    def run(self) -> Iterator[Iteration]:
+        """Take steps until the search ends."""
+        state = self.state
+        yield self._record(state.theta, self.square, math.nan, accepted=True)
+        if not state.fresh:
+            self._renew()
+        while state.status is None:
+            low, high = self.problem.lower - state.theta, self.problem.upper - state.theta
+            newton = best_step(self.reduced, self.lengths, low, high, least=self.least)
+            state.held = newton.held & ((low >= 0) | (high <= 0))
+            self._measure(newton)
+            state.status = self._ended()
+            if state.status is not None:
+                return
+            if self._outdated():
+                self._renew()
+                continue
+            state.iterations += 1
+            step, theta, residual = self._try(newton, low, high)
+            square = _square(residual)
+            accepted = self._judge(step, theta, square)
+            record = self._record(theta, square, step.damping, accepted=accepted)
+            if accepted:
+                self._move(theta, residual, square)
+            yield record
+            if accepted and not self.near:
+                self._renew_after_step()
+
+    # --- the Jacobian
+
+    def _linearise(self) -> None:
+        """Reduce the Jacobian to a triangle, lengthen D, and note what singular values its errors alone may make."""
+        state = self.state
+        self.reduced = triangle(state.jacobian, state.residual)
+        columns = np.linalg.norm(self.reduced[:, :-1], axis=0)
+        unit = 1.0 / self.problem.magnitudes(state.theta)
+        self.lengths = np.maximum(self.lengths, np.where(columns > 0, columns, unit))
+        self.least = self._error(central=state.central)
+
+    def _error(self, *, central: bool) -> float:
+        """Return the singular value of J D⁻¹ that errors of a Jacobian alone may make."""
+        errors = self.problem.jacobian_error(self.state.theta, self.state.residual, central=central)
+        return float(np.linalg.norm(errors / self.lengths))
+
+    def _suffices(self) -> bool:
+        """Whether forward differences are accurate enough to find the optimum by.
+
+        At worst their errors E lie along the residual. The coordinate of the optimum along the most doubtful direction
+        then moves by ‖E D⁻¹‖ ‖r‖/s, s the least singular value of J D⁻¹.
+        """
+        smallest = float(np.linalg.svd(self.reduced[:, :-1] / self.lengths, compute_uv=False)[-1])
+        error = self._error(central=False)
+        if not error < smallest:
+            return False
+        moved = error / smallest * math.sqrt(self.square)
+        unit = float(np.min(self.lengths * self.problem.magnitudes(self.state.theta)))
+        return (
+            moved <= OFFSET_TOLERANCE * math.sqrt(self.square / self.free)
+            and moved <= self.settings.tolerance * unit * smallest
+        )
+
+    def _close(self, offset: float) -> bool:
+        """Whether the optimum is near, or nearer than the simulation's noise lets see."""
+        return offset <= NEAR or self.predicted <= self._criterion_noise()
+
+    def _outdated(self) -> bool:
+        """Whether the Jacobian has to be made anew at the best point before the next step."""
+        if self.state.fresh:
+            # many simulated rejections in a row: forward differences may be what is wrong
+            suspicious = self.radius.rejections > SUSPICIOUS_REJECTIONS and not self.radius.failures
+            close = self.offset <= OFFSET_TOLERANCE or self.predicted <= self._criterion_noise()
+            return (suspicious and not self.state.central) or (close and not self.accurate)
+        return self.radius.rejections > 0 or self._remaining() != (self.offset, self.change)
+
+    def _renew_after_step(self) -> None:
+        if self.state.iterations >= self.settings.max_iterations:
+            self.state.status = Status.ITERATION_LIMIT
+        else:
+            self._renew()
+
+    def _renew(self) -> None:
+        """Make the Jacobian anew: by central differences where they are needed and worth their price."""
+        state = self.state
+        close = self._close(self.offset if state.fresh else state.rate * self.fresh_offset)
+        central = (close and not self._suffices()) or self.radius.rejections > SUSPICIOUS_REJECTIONS
+        try:
+            state.jacobian = self.problem.jacobian(state.theta, state.residual, central=central)
+        except SensitivityError:
+            state.status = Status.FAILING
+            return
+        if not state.fresh:
+            self.previous_offset = self.fresh_offset
+        if state.fresh or self.radius.rejections:
+            self.radius.reopen(fully=self.near)
+        state.central, state.fresh = central, True
+        self._linearise()
+
+    # --- the steps
+
+    def _try(self, newton: Step, low: Floats, high: Floats) -> tuple[Step, Floats, Floats]:
+        """Simulate the step, or several where simulations fail; return the best, its theta and residual."""
+        within = self._length(newton.step) <= self.radius.value
+        steps = [newton if within else best_step(self.reduced, self.lengths, low, high, self.radius.value, self.least)]
+        if self.radius.failures >= EDGE_FAILURES:
+            for i in range(low.size):
+                held = np.arange(low.size) == i
+                rest = np.where(held, 0.0, low), np.where(held, 0.0, high)
+                step = best_step(self.reduced, self.lengths, *rest, self.radius.open, self.least)
+                steps += [step] if step.step.any() else []
+        moves = np.array([step.step for step in steps])
+        thetas = np.clip(self.state.theta + moves, self.problem.lower, self.problem.upper)
+        residuals = self.problem.residuals(thetas)
+        squares = np.array([_square(residual) for residual in residuals])
+        best = int(np.argmin(np.where(np.isfinite(squares), squares, np.inf)))
+        return steps[best], thetas[best], residuals[best]
+
+    def _judge(self, step: Step, theta: Floats, square: float) -> bool:
+        """Set the next radius, and say whether to take the step."""
+        length = self._length(step.step)
+        if not math.isfinite(square):
+            self.radius.fail(length)
+            return False
+        slope = float(self.reduced[:, -1] @ (self.reduced[:, :-1] @ step.step))
+        moved = bool((theta != self.state.theta).any())
+        return self.radius.judge(step, length, self.square - square, slope, self._criterion_noise(), moved=moved)
+
+    def _move(self, theta: Floats, residual: Floats, square: float) -> None:
+        self.state.theta, self.state.residual, self.square = theta, residual, square
+        self.state.fresh = False
+        if self.near:
+            self.reduced = triangle(self.state.jacobian, residual)
+        if self.gained_at - square > min(1.0 / self.free, NO_GAIN) * self.gained_at:
+            self.grown_from, self.gained_at = np.maximum(self.grown_from, np.abs(theta)), square
+
+    # --- the end
+
+    def _measure(self, newton: Step) -> None:
+        """Take note of how far the optimum is and, where the Jacobian is new, of how fast it comes nearer."""
+        self.predicted, self.offset = newton.predicted, self._relative_offset(newton.predicted)
+        self.change = float(np.max(np.abs(newton.step) / self.problem.magnitudes(self.state.theta)))
+        if self.state.fresh:
+            self.fresh_offset, self.fresh_change = self.offset, self.change
+            self.accurate = self.state.central or (self._close(self.offset) and self._suffices())
+            self.near = self.accurate and self.offset <= NEAR
+            if 0.0 < self.previous_offset < math.inf:
+                self.state.rate = min(self.offset / self.previous_offset, 1.0)
+
+    def _remaining(self) -> tuple[float, float]:
+        """Return what is left of the way: in standard deviations, and the largest change relative to a magnitude.
+
+        With a Jacobian that was made before the last step, the residual's own curvature is not seen; it is what makes
+        Gauss–Newton steps converge linearly, and the rate so far tells how much it leaves.
+        """
+        if self.state.fresh:
+            return self.offset, self.change
+        rate = self.state.rate
+        return max(self.offset, rate * self.fresh_offset), max(self.change, rate * self.fresh_change)
+
+    def _ended(self) -> Status | None:
+        """Decide whether the search is over, before it takes another step."""
+        state, rejections = self.state, self.radius.rejections
+        offset, change = self._remaining()
+        if self.rough and offset <= ROUGH_OFFSET:
+            return Status.CONVERGED
+        if self.accurate and offset <= OFFSET_TOLERANCE and change <= self.settings.tolerance:
+            return Status.CONVERGED
+        if self.accurate and self.predicted <= self._criterion_noise():
+            settled = state.fresh and self.offset > SETTLED * self.previous_offset
+            if settled or offset <= NOISE_MARGIN * self._offset_noise():
+                return Status.CONVERGED if self.offset <= NEAR else Status.NOISE
+        if self.radius.failures >= HOPELESS_FAILURES:
+            return Status.FAILING
+        if rejections > SUSPICIOUS_REJECTIONS and state.central and self.near:
+            return Status.CONVERGED
+        size = self._length(self.problem.magnitudes(state.theta))
+        if state.central and rejections and self.radius.value <= VANISHING_STEP * size:
+            return Status.NOISE if self.predicted <= NOISE_SURPRISE * self._criterion_noise() else Status.STALLED
+        if (np.abs(state.theta) > RUNAWAY * self.grown_from).any():
+            return Status.RUNAWAY
+        return Status.ITERATION_LIMIT if state.iterations >= self.settings.max_iterations else None
+
+    # --- numbers
+
+    def _length(self, step: Floats) -> float:
+        return float(np.linalg.norm(self.lengths * step))
+
+    def _relative_offset(self, predicted: float) -> float:
+        """Return sqrt(dof predicted/‖r‖²): the way left in standard deviations of the parameters (Bates and Watts)."""
+        return math.sqrt(max(predicted, 0.0) * self.free / self.square) if self.square > 0 else 0.0
+
+    def _criterion_noise(self) -> float:
+        """Return the standard deviation that the simulation's noise gives to ‖r‖²."""
+        noise = self.problem.noise
+        by_simulation = 2.0 * noise * math.sqrt(self.square) + self.state.residual.size * noise**2
+        return max(by_simulation, self.radius.learnt_noise)
+
+    def _offset_noise(self) -> float:
+        """Return what the simulation's noise alone leaves of the relative offset."""
+        count = self.state.theta.size
+        return self.problem.noise * math.sqrt(count * self.free / self.square) if self.square > 0 else math.inf
+
+    def _record(self, theta: Floats, criterion: float, damping: float, *, accepted: bool) -> Iteration:
+        moved = (theta - self.state.theta) / self.problem.magnitudes(self.state.theta)
+        return Iteration(
+            self.state.iterations,
+            criterion,
+            damping,
+            accepted,
+            theta,
+            math.hypot(*moved.tolist()),
+            self.offset,
+            self.state.central,
+        )
+
+
+def _square(residual: Floats) -> float:
+    with np.errstate(over="ignore"):  # an overflow is a point to reject
+        return float(residual @ residual)

@@ -1,0 +1,364 @@
+"""The result of an identification: estimates, their uncertainty, and how they came about."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from fmuid.arrays import Floats
+from fmuid.data import JointPrior, Normal
+from fmuid.errors import InputError
+from fmuid.estimation.history import History
+from fmuid.estimation.local_model import LocalModel
+
+# Estimates correlated more strongly than this move together: their intervals must not be read one by one.
+STRONG_CORRELATION = 0.95
+
+
+def check_level(level: float, of: str = "an interval") -> None:
+    """Check the level of an interval or a region.
+
+    Raises
+    ------
+    InputError
+        If it is not between 0 and 1.
+    """
+    if not 0.0 < level < 1.0:
+        raise InputError(f"the level of {of} must lie between 0 and 1, not {level!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What an identification found.
+
+    Attributes
+    ----------
+    status : str
+        How the search ended and, where that is needed, the remedy.
+    converged : bool
+        Whether the search converged and every parameter is determined.
+    names : tuple of str
+    values, start : (N,) arrays
+    prior_mean, prior_std : (N,) arrays
+        NaN where there is no prior.
+    covariance : (N, N) array
+        Local covariance of the estimates (1.31); infinite variances where a parameter is not determined.
+    noise_variance : dict of str to float
+        The estimated variance σ̂² of each output's residual, J_j/(K_j − share of N) (1.12).
+    given_variance : dict of str to float
+        The variances of the outputs for which one was given, for the consistency check of docs/method.md section 7.
+    criterion : float
+        The compound criterion (1.37) at the estimate with the variances that the last search used.
+    degrees_of_freedom : float
+        Of the variances behind `covariance`: K − N where they are estimated, infinite where all are given.
+    iterations, simulations : int
+    elapsed_s : float
+    undetermined : tuple of str
+        Directions in which the estimates could be moved without any effect, or along which their standard deviations
+        are so large that they are not determined in effect (`fmuid.estimation.covariance`).
+    weak : tuple of str
+        Directions that are determined to no better than the parameters' own magnitudes.
+    prior_determined : tuple of str
+        Directions that the data alone leave undetermined, and the prior decides.
+    at_bounds : tuple of str
+        Parameters that the data would push beyond a bound.
+    version : str
+        Of fmuid.
+    models : mapping of str to mapping
+        ``name``, ``digest`` and ``run`` (interface, integrator and tolerance in words) of each FMU by its component; a
+        single one is the component ``""``. Empty for problems that are not made of FMUs.
+    sensitivity : str
+        How the derivatives by the parameters were found, in words.
+    local : LocalModel or None
+        The problem made linear at the estimate, which `fmuid.assessment.prior_and_data` and
+        `fmuid.assessment.residuals` start from; with the given noise variances where there are any, else with the
+        estimated ones. None where it was not kept in a file.
+    history : History or None
+        What `trace`, `rounds` and `fit` are made of. None where it was not kept in a file; they are empty then.
+    """
+
+    status: str
+    converged: bool
+    names: tuple[str, ...]
+    values: Floats
+    start: Floats
+    prior_mean: Floats
+    prior_std: Floats
+    covariance: Floats
+    noise_variance: Mapping[str, float]
+    given_variance: Mapping[str, float]
+    criterion: float
+    degrees_of_freedom: float
+    iterations: int
+    simulations: int
+    elapsed_s: float
+    undetermined: tuple[str, ...]
+    weak: tuple[str, ...]
+    prior_determined: tuple[str, ...]
+    at_bounds: tuple[str, ...]
+    version: str
+    models: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    sensitivity: str = ""
+    local: LocalModel | None = None
+    history: History | None = None
+
+    @cached_property
+    def trace(self) -> pd.DataFrame:
+        """One row an iteration: round, iteration, criterion, lambda, accepted, and each parameter."""
+        return pd.DataFrame() if self.history is None else self.history.trace_frame()
+
+    @cached_property
+    def rounds(self) -> pd.DataFrame:
+        """One row a repetition of docs/method.md section 7.
+
+        Columns round, iterations, criterion, and for each output the variance used (``used.<output>``) and the one
+        estimated from the residual (``estimated.<output>``).
+        """
+        return pd.DataFrame() if self.history is None else self.history.rounds_frame()
+
+    @cached_property
+    def fit(self) -> tuple[pd.DataFrame, ...]:
+        """One table an experiment: time, and ``measured.<output>`` and ``simulated.<output>`` for each output."""
+        return () if self.history is None else self.history.fit_frames()
+
+    def __getitem__(self, name: str) -> float:
+        """Return the estimate of one parameter."""
+        return float(self.values[self._index(name)])
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviations of the estimates (N,), infinite where not determined."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def pull(self) -> Floats:
+        """How far each estimate lies from its prior mean, in prior standard deviations (N,); NaN without prior."""
+        return (self.values - self.prior_mean) / self.prior_std
+
+    @property
+    def variance(self) -> dict[str, float]:
+        """The noise variances that weigh the outputs: the given ones and, where there is none, the estimated ones."""
+        return {**self.noise_variance, **self.given_variance}
+
+    @property
+    def correlation(self) -> pd.DataFrame:
+        """Correlation matrix of the estimates (N, N), NaN for those that are not determined."""
+        std = np.where(np.isfinite(self.std) & (self.std > 0), self.std, np.nan)
+        matrix = self.covariance / np.outer(std, std)
+        return pd.DataFrame(matrix, index=list(self.names), columns=list(self.names))
+
+    @property
+    def strong_correlations(self) -> tuple[tuple[str, str, float], ...]:
+        """Pairs of parameters whose correlation exceeds 0.95 in magnitude, the strongest first."""
+        matrix = self.correlation.to_numpy()
+        pairs = [
+            (self.names[i], self.names[j], float(matrix[i, j]))
+            for i in range(len(self.names))
+            for j in range(i + 1, len(self.names))
+            if abs(matrix[i, j]) > STRONG_CORRELATION
+        ]
+        return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
+
+    def intervals(self, level: float = 0.95) -> pd.DataFrame:
+        """Return the confidence interval of each parameter, columns ``lower`` and ``upper``.
+
+        With Student's t for K − N degrees of freedom where noise variances are estimated, with the normal distribution
+        where they are given.
+
+        Parameters
+        ----------
+        level : float
+            Between 0 and 1.
+
+        Raises
+        ------
+        InputError
+            If the level is not between 0 and 1.
+        """
+        check_level(level)
+        tail = 0.5 + level / 2.0
+        exact = not math.isfinite(self.degrees_of_freedom)
+        factor = float(special.ndtri(tail) if exact else special.stdtrit(self.degrees_of_freedom, tail))
+        half = factor * self.std
+        return pd.DataFrame({"lower": self.values - half, "upper": self.values + half}, index=list(self.names))
+
+    @property
+    def estimates(self) -> pd.DataFrame:
+        """The parameters as a table, a row each."""
+        return pd.DataFrame(
+            {
+                "parameter": list(self.names),
+                "value": self.values,
+                "std": self.std,
+                "start": self.start,
+                "prior_mean": self.prior_mean,
+                "prior_std": self.prior_std,
+                "pull": self.pull,
+            }
+        )
+
+    def prior(self, names: Sequence[str] | None = None, *, inflate: float = 1.0) -> JointPrior:
+        """Return these estimates as a joint prior for another identification.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            Which parameters; default all.
+        inflate : float
+            Factor on the standard deviations, for variations to be expected (docs/method.md section 7).
+
+        Raises
+        ------
+        InputError
+            If a parameter is unknown or not determined here, or `inflate` is not positive.
+        """
+        chosen = list(self.names if names is None else names)
+        where = [self._index(name) for name in chosen]
+        for i in where:
+            if not np.isfinite(self.std[i]):
+                raise InputError(f"{self.names[i]!r} is not determined in this result and cannot serve as a prior")
+        if not (math.isfinite(inflate) and inflate > 0):
+            raise InputError(f"inflate must be greater than 0, not {inflate!r}")
+        return JointPrior(chosen, self.values[where], inflate**2 * self.covariance[np.ix_(where, where)])
+
+    def normal(self, name: str, *, inflate: float = 1.0) -> Normal:
+        """Return the estimate of one parameter as a prior of its own, its correlations left out."""
+        joint = self.prior([name], inflate=inflate)
+        return Normal(float(joint.mean[0]), math.sqrt(float(joint.covariance[0, 0])))
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return the content of ``result.json``; what is not a finite number is None."""
+        parameters: dict[str, Any] = {}
+        std, pull = self.std, self.pull
+        for i, name in enumerate(self.names):
+            parameters[name] = {
+                "value": _plain(self.values[i]),
+                "std": _plain(std[i]),
+                "start": _plain(self.start[i]),
+            }
+            if not math.isnan(self.prior_mean[i]):
+                parameters[name] |= {
+                    "prior_mean": _plain(self.prior_mean[i]),
+                    "prior_std": _plain(self.prior_std[i]),
+                    "pull": _plain(pull[i]),
+                }
+        return {
+            "status": self.status,
+            "converged": self.converged,
+            "parameters": parameters,
+            "covariance": {
+                "names": list(self.names),
+                "matrix": [[_plain(value) for value in row] for row in self.covariance],
+            },
+            "noise_variance": {name: _plain(value) for name, value in self.noise_variance.items()},
+            "given_variance": {name: _plain(value) for name, value in self.given_variance.items()},
+            "criterion": _plain(self.criterion),
+            "degrees_of_freedom": _plain(self.degrees_of_freedom),
+            "iterations": self.iterations,
+            "simulations": self.simulations,
+            "elapsed_s": _plain(self.elapsed_s),
+            "undetermined": list(self.undetermined),
+            "weak": list(self.weak),
+            "prior_determined": list(self.prior_determined),
+            "at_bounds": list(self.at_bounds),
+            "version": self.version,
+            "models": {component: dict(model) for component, model in self.models.items()},
+            "sensitivity": self.sensitivity,
+        }
+
+    @classmethod
+    def from_json(cls, path: str | Path) -> Result:
+        """Read a ``result.json``; trace, rounds, fit and local, which are not in it, are empty or None.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read or is not such a result.
+        """
+        path = Path(path)
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{path} is not JSON: {error}; give the result.json of an identification") from None
+        try:
+            return cls._of_json(data)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
+            raise InputError(
+                f"{path} is not a result of fmuid: {what}; give the result.json of an identification"
+            ) from None
+
+    @classmethod
+    def _of_json(cls, data: Any) -> Result:
+        parameters = data["parameters"]
+        names = tuple(parameters)
+        if list(names) != data["covariance"]["names"]:
+            raise ValueError("the names of parameters and covariance differ")
+        covariance = _array(data["covariance"]["matrix"], np.nan).reshape(len(names), len(names))
+        lost = np.isnan(np.diag(covariance))
+        covariance[lost, lost] = np.inf
+        column = {
+            key: _array([parameters[name].get(key) for name in names], np.nan)
+            for key in ("value", "start", "prior_mean", "prior_std")
+        }
+        if any(found.shape != (len(names),) for found in column.values()):
+            raise ValueError("a value of a parameter is no number")
+        if (np.diag(covariance) < 0).any():
+            raise ValueError("a variance is negative")
+        freedom = data.get("degrees_of_freedom")
+        return cls(
+            status=str(data["status"]),
+            converged=bool(data["converged"]),
+            names=names,
+            values=column["value"],
+            start=column["start"],
+            prior_mean=column["prior_mean"],
+            prior_std=column["prior_std"],
+            covariance=covariance,
+            noise_variance=_floats(data["noise_variance"]),
+            given_variance=_floats(data.get("given_variance", {})),
+            criterion=math.nan if data["criterion"] is None else float(data["criterion"]),
+            degrees_of_freedom=math.inf if freedom is None else float(freedom),
+            iterations=int(data["iterations"]),
+            simulations=int(data["simulations"]),
+            elapsed_s=float(data["elapsed_s"]),
+            undetermined=tuple(map(str, data.get("undetermined", ()))),
+            weak=tuple(map(str, data.get("weak", ()))),
+            prior_determined=tuple(map(str, data.get("prior_determined", ()))),
+            at_bounds=tuple(map(str, data.get("at_bounds", ()))),
+            version=str(data["version"]),
+            models={
+                str(c): {key: str(m.get(key, "")) for key in ("name", "digest", "run")}
+                for c, m in data.get("models", {}).items()
+            },
+            sensitivity=str(data.get("sensitivity", "")),
+        )
+
+    def _index(self, name: str) -> int:
+        if name not in self.names:
+            raise InputError(f"the result has no parameter {name!r}; it has {', '.join(self.names)}")
+        return self.names.index(name)
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _floats(values: Any) -> dict[str, float]:
+    return {str(name): float(value) for name, value in values.items()}
+
+
+def _array(values: Any, missing: float) -> Floats:
+    filled = np.array(values, dtype=object)
+    return np.where(filled == None, missing, filled).astype(np.float64)  # noqa: E711

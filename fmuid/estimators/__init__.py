@@ -1,1 +1,0 @@
-"""Estimators: settings frozen, iteration state separate, one loop each."""

@@ -1,0 +1,85 @@
+"""An FMU file: safe unpacking, cached by content (FMI 2.0.4, section 2.3)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+
+from fmuid.errors import InputError
+from fmuid.files import is_file
+from fmuid.fmi.archive import Zipped
+from fmuid.fmi.description import Description, read_description
+from fmuid.fmi.unpacking import file_digest, unpacked
+
+
+class FMU:
+    """An FMU file; nothing is unpacked or loaded before it is needed.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.fmu`` file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no zip archive, refused, without a readable model description, or not
+        FMI 2.0 or 3.0.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.description: Description = read_description(self.path)
+
+    def __repr__(self) -> str:
+        return f"FMU({str(self.path)!r})"
+
+    @property
+    def name(self) -> str:
+        """The model's name."""
+        return self.description.model_name
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the file, the key of the unpacking cache and what identifies the model in results."""
+        return file_digest(self.path)
+
+    @cached_property
+    def platforms(self) -> tuple[str, ...]:
+        """The platform folders below ``binaries/``."""
+        with Zipped(self.path) as archive:
+            parts = [PurePosixPath(name).parts for name in archive.names]
+        return tuple(sorted({p[1] for p in parts if len(p) > 2 and p[0] == "binaries"}))
+
+    @cached_property
+    def directory(self) -> Path:
+        """The folder of the unpacked FMU, in the user's cache.
+
+        Raises
+        ------
+        InputError
+            If the archive is refused, or nothing can be written there.
+        """
+        return unpacked(self.path, self.digest)
+
+    def library(self, identifier: str) -> Path:
+        """Return the shared library of one interface for this platform.
+
+        Raises
+        ------
+        InputError
+            If the FMU has no binary for this platform; the sentence says which it has.
+        """
+        import fmpy
+
+        name = identifier + fmpy.sharedLibraryExtension
+        for folder in (fmpy.platform, fmpy.platform_tuple):
+            path: Path = self.directory / "binaries" / folder / name
+            if is_file(path):
+                return path
+        there = f"it has binaries for {', '.join(self.platforms)}" if self.platforms else "it has no binaries at all"
+        if fmpy.platform in self.platforms:
+            there = f"its folder binaries/{fmpy.platform} has no {name if len(name) < 200 else name[:200] + '…'}"
+        raise InputError(
+            f"{self.path} has no binary for this platform ({fmpy.platform}): {there}; export it for this platform"
+        )

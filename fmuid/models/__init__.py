@@ -1,0 +1,5 @@
+"""What is simulated: components with their numerics, systems of them, SSP packages."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

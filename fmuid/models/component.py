@@ -1,0 +1,155 @@
+"""An FMU in a system, and how it is run: interface, integrator, tolerance, step size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from fmuid.errors import InputError
+from fmuid.fmi import FMU, KINDS
+from fmuid.text import nearest
+
+INTEGRATORS = ("rk4", "rk45", "cvode")
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """How an FMU is run; what is not given is chosen by what the FMU offers (`Component.kind`, `Component.integrator`).
+
+    Parameters
+    ----------
+    interface : "co-simulation" or "model-exchange", optional
+    integrator : "rk4", "rk45" or "cvode", optional
+        For model exchange: Runge–Kutta of order 4 with fixed steps, Dormand–Prince 5(4) with error control, or the
+        stiff BDF methods of SUNDIALS.
+    tolerance : float, optional
+        Relative; for model exchange that of the integrator, for co-simulation what the FMU is told.
+    step_size : float, optional
+        Largest step, s: between communications, and inside an integrator.
+
+    Raises
+    ------
+    InputError
+        If a word is not known or a number not positive.
+    """
+
+    interface: str | None = None
+    integrator: str | None = None
+    tolerance: float | None = None
+    step_size: float | None = None
+
+    def __post_init__(self) -> None:
+        for word, known in (("interface", KINDS), ("integrator", INTEGRATORS)):
+            given = getattr(self, word)
+            if given is not None and given not in known:
+                near = nearest(str(given), known)
+                raise InputError(f"{word} {given!r} is not known{near}: give {' or '.join(known)}")
+        for word, unit in (("tolerance", "number"), ("step_size", "number of seconds")):
+            given = getattr(self, word)
+            if given is not None and not 0 < given < float("inf"):
+                raise InputError(f"{word} must be a positive {unit}, not {given:g}")
+
+    def over(self, others: Numerics) -> Numerics:
+        """Return these, completed by others where nothing is given."""
+        return Numerics(*(getattr(self if getattr(self, f.name) is not None else others, f.name) for f in fields(self)))
+
+
+@dataclass(frozen=True)
+class Isolation:
+    """How a system's FMUs are run in a process of their own, where they can do no harm to the study.
+
+    A simulation that crashes the process, does not end or takes too much memory fails like any other that fails, and
+    the next one is run by a new process. An FMU is native code all the same: it has the rights of its user.
+
+    Parameters
+    ----------
+    time_limit : float, optional
+        How long one simulation may take, s; default: `SLOWER` times the longest so far, at least `LEAST_LIMIT`, and
+        `FIRST_LIMIT` before there was any.
+    memory : float, optional
+        How much resident memory the process may take, MB; default: an equal share of half the machine's memory for
+        each core. What grows by more than `GROWTH` while simulations come and go is replaced by a new process.
+    recycle : int, optional
+        After how many simulations the process is replaced by a new one; default: only for its memory.
+    threads : int, optional
+        How many simulations run at a time; default: one for each core.
+
+    Raises
+    ------
+    InputError
+        If a number is not positive.
+    """
+
+    time_limit: float | None = None
+    memory: float | None = None
+    recycle: int | None = None
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            given = getattr(self, field.name)
+            if given is not None and not 0 < given < float("inf"):
+                raise InputError(f"{field.name} must be a positive number, not {given:g}")
+
+
+AS_OFFERED = Numerics()
+"""Everything chosen by what the FMU offers."""
+
+
+class Component:
+    """An FMU in a system, and how it is run there.
+
+    Parameters
+    ----------
+    fmu : FMU or path
+    numerics : Numerics
+
+    Attributes
+    ----------
+    stiff : bool
+        Whether a simulation has found the model stiff: without an `integrator` given it then runs with "cvode".
+
+    Raises
+    ------
+    InputError
+        If the FMU has no such interface, or the integrator does not go with the interface.
+    """
+
+    def __init__(self, fmu: FMU | str | Path, numerics: Numerics = AS_OFFERED) -> None:
+        self.fmu = fmu if isinstance(fmu, FMU) else FMU(fmu)
+        self.numerics, self.stiff = numerics, False
+        offered = self.fmu.description.interfaces
+        if self.kind not in offered:
+            raise InputError(f"{self.fmu.path} offers no {self.kind} interface; it offers {', '.join(offered)}")
+        if numerics.integrator is not None and self.kind != "model-exchange":
+            raise InputError(
+                f"{self.fmu.path} runs as co-simulation, which has its own integrator; take out integrator = "
+                f'"{numerics.integrator}", or give interface = "model-exchange"'
+            )
+
+    @property
+    def kind(self) -> str:
+        """The interface that is used: the one asked for, else co-simulation where it is offered."""
+        offered = self.fmu.description.interfaces
+        return self.numerics.interface or next(kind for kind in KINDS if kind in offered)
+
+    @property
+    def integrator(self) -> str:
+        """The integrator for model exchange: the one asked for, else "rk45", or "cvode" where that found it stiff."""
+        return self.numerics.integrator or (STIFF_INTEGRATOR if self.stiff else DEFAULT_INTEGRATOR)
+
+    def words(self) -> str:
+        """Return in words how the FMU is run."""
+        given, version = self.numerics, f"FMI {self.fmu.description.fmi_version} {self.kind}"
+        step = f", steps of at most {given.step_size:g} s" if given.step_size else ""
+        if self.kind == "co-simulation":
+            return version + (f", tolerance {given.tolerance:g}" if given.tolerance else "") + step
+        accuracy = "" if self.integrator == "rk4" else f", tolerance {given.tolerance or DEFAULT_TOLERANCE:g}"
+        why = " (rk45 found the model stiff)" if self.stiff and not given.integrator else ""
+        return f"{version}, integrator {self.integrator}{why}{accuracy}{step}"
+
+
+DEFAULT_INTEGRATOR = "rk45"  # no start-up after each step of the inputs; and it finds out where a model is stiff
+STIFF_INTEGRATOR = "cvode"
+# Tight enough that the error stays far below what measurements resolve, and finite differences get good digits.
+DEFAULT_TOLERANCE = 1e-7

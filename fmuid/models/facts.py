@@ -1,0 +1,231 @@
+"""What an FMU of any kind offers to who identifies its parameters: facts as data, for `fmuid info` to print."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import chain
+from math import prod
+from xml.etree.ElementTree import Element
+
+from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Variable, read_text, safe_xml
+from fmuid.models.component import Component
+
+# Elements of an array that are listed singly; more of them share a line.
+SINGLE_ELEMENTS = 4
+
+# A number between brackets, alone or beside others.
+_SUBSCRIPT = re.compile(r"(?<=[\[,])\s*\d+(?=\s*[\],])")
+
+# Attributes of <CoSimulation>, <ModelExchange> and <ScheduledExecution> in words (FMI 2.0.4, sections 3.3.1 and 4.3.1;
+# FMI 3.0.2, section 2.4.8). Where one name has several spellings, each version of the standard has one.
+_CAPABILITIES = {
+    "canHandleVariableCommunicationStepSize": "variable communication steps",
+    "canInterpolateInputs": "interpolates inputs",
+    "hasEventMode": "event mode",
+    "canReturnEarlyAfterIntermediateUpdate": "early return on demand",
+    "mightReturnEarlyFromDoStep": "may return early from a step",
+    "providesIntermediateUpdate": "intermediate update",
+    "needsCompletedIntegratorStep": "is told completed steps",
+    "canGetAndSetFMUstate": "gets and sets its state",
+    "canGetAndSetFMUState": "gets and sets its state",
+    "canSerializeFMUstate": "serialises its state",
+    "canSerializeFMUState": "serialises its state",
+    "providesDirectionalDerivative": "directional derivatives",
+    "providesDirectionalDerivatives": "directional derivatives",
+    "providesAdjointDerivatives": "adjoint derivatives",
+    "canBeInstantiatedOnlyOncePerProcess": "once per process",
+    "needsExecutionTool": "needs its tool",
+}
+_TAGS = {
+    "CoSimulation": "co-simulation",
+    "ModelExchange": "model-exchange",
+    "ScheduledExecution": "scheduled-execution",
+}
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What an FMU declares, sorted for who wants to identify its parameters.
+
+    Attributes
+    ----------
+    fmu : FMU
+    capabilities : mapping of str to tuple of str
+        For each interface, in words, what it can do beyond what all can.
+    here : str or None
+        The folder of binaries that this machine loads; None where the FMU has none for it.
+    machine : str
+        What FMI calls this machine's platform.
+    run_as : str
+        How fmuid runs the FMU where nothing else is asked for.
+    tunable, fixed, calculated, structural : tuple of Variable
+        Parameters: that may change at any time, that are set before the initialisation, that the FMU computes from
+        others and nobody can set, and those that size arrays, which fmuid leaves alone.
+    inputs, outputs, states : tuple of Variable
+    starts : tuple of Variable
+        Other variables whose start values can be set.
+    direct : mapping of str to (tuple of str or None)
+        For each output the inputs that act on it at once; None where the FMU does not say.
+    units : mapping of str to tuple of str
+        Each unit of inputs, outputs and states with the units that a table may have instead.
+    """
+
+    fmu: FMU
+    capabilities: Mapping[str, tuple[str, ...]]
+    here: str | None
+    machine: str
+    run_as: str
+    tunable: tuple[Variable, ...]
+    fixed: tuple[Variable, ...]
+    calculated: tuple[Variable, ...]
+    structural: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    states: tuple[Variable, ...]
+    starts: tuple[Variable, ...]
+    direct: Mapping[str, tuple[str, ...] | None]
+    units: Mapping[str, tuple[str, ...]]
+
+    @property
+    def others(self) -> int:
+        """How many variables are none of these."""
+        known = (*self.tunable, *self.fixed, *self.calculated, *self.structural)
+        known += (*self.inputs, *self.outputs, *self.states, *self.starts)
+        return len(self.fmu.description.variables.keys() - {variable.name for variable in known})
+
+
+def facts(fmu: FMU) -> Facts:
+    """Return the facts of an FMU; nothing of it is unpacked or loaded.
+
+    Parameters
+    ----------
+    fmu : FMU
+        Of FMI 2.0 or 3.0, for any platform.
+    """
+    import fmpy
+
+    described = fmu.description
+    variables = tuple(described.variables.values())
+    groups = {group: tuple(v for v in variables if _group(v) == group) for group in GROUPS}
+    observed = (*groups["inputs"], *groups["outputs"], *(v for v in variables if v.is_state))
+    return Facts(
+        fmu=fmu,
+        capabilities=_capabilities(fmu),
+        here=next((name for name in (fmpy.platform, fmpy.platform_tuple) if name in fmu.platforms), None),
+        machine=fmpy.platform if described.major_version == 2 else fmpy.platform_tuple,
+        run_as=Component(fmu).words(),
+        states=tuple(v for v in variables if v.is_state),
+        direct={v.name: _direct(described, v.name) for v in groups["outputs"]},
+        units={
+            unit: other_units(described, unit) for unit in dict.fromkeys(v.unit for v in observed if v.unit is not None)
+        },
+        **groups,
+    )
+
+
+GROUPS = ("tunable", "fixed", "calculated", "structural", "inputs", "outputs", "starts")
+"""Groups of which a variable is in one at most; a state is in `Facts.states` besides."""
+
+
+def _group(variable: Variable) -> str | None:
+    """Return which of `GROUPS` a variable belongs to."""
+    if variable.variability != "constant":
+        if variable.causality == "parameter":
+            return "tunable" if variable.variability == "tunable" else "fixed"
+        if variable.causality == "structuralParameter":
+            return "structural"
+        if variable.causality == "input":
+            return "inputs"
+    if variable.causality == "output":
+        return "outputs"
+    if variable.causality == "calculatedParameter":
+        return "calculated"
+    if variable.settable:
+        return None if variable.is_state else "starts"
+    # tools export parameters that are computed from others as fixed local variables, too
+    return "calculated" if variable.causality == "local" and variable.variability in ("fixed", "tunable") else None
+
+
+def _capabilities(fmu: FMU) -> dict[str, tuple[str, ...]]:
+    """Return what each interface can do, from the attributes of its element; these stand before the variables."""
+    found: dict[str, tuple[str, ...]] = {}
+    for element in safe_xml.started(read_text(fmu.path), f"{fmu.path}: its {DESCRIPTION_FILE}"):
+        if element.tag == "ModelVariables":
+            break
+        if element.tag in _TAGS:
+            found[_TAGS[element.tag]] = _words(element, fmu.description.major_version)
+    return dict(sorted(found.items()))
+
+
+def _words(element: Element, version: int) -> tuple[str, ...]:
+    true = ("true", "1")
+    given = {name: value.strip() in true for name, value in element.attrib.items()}
+    if element.tag == "ModelExchange" and version == 2:  # FMI 2.0 states the opposite
+        given["needsCompletedIntegratorStep"] = not given.get("completedIntegratorStepNotNeeded", False)
+    words = [word for name, word in _CAPABILITIES.items() if given.get(name, False)]
+    if element.tag == "CoSimulation":
+        if not given.get("canHandleVariableCommunicationStepSize", False):
+            words.insert(0, "communication steps of one length")
+        if element.get("fixedInternalStepSize"):
+            words.append(f"internal steps of {element.get('fixedInternalStepSize')} s")
+        if element.get("maxOutputDerivativeOrder", "0") != "0":
+            words.append(f"derivatives of outputs to order {element.get('maxOutputDerivativeOrder')}")
+    return tuple(dict.fromkeys(words))
+
+
+def _direct(described: Description, output: str) -> tuple[str, ...] | None:
+    depends = described.dependencies.get(output)
+    if depends is None:
+        return None
+    inputs = set(described.inputs)
+    return tuple(name for name in depends if name in inputs)
+
+
+def other_units(described: Description, unit: str) -> tuple[str, ...]:
+    """Return the units that `Description.conversion` converts to a unit: display units, and others of its dimension."""
+    own = described.units.get(unit)
+    if own is None:
+        return ()
+    same = [other.name for other in described.units.values() if own.exponents == other.exponents is not None]
+    return tuple(name for name in dict.fromkeys([*own.display_units, *same]) if name != unit)
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a list of variables: one variable, or many elements of an array.
+
+    Attributes
+    ----------
+    name : str
+        With the ranges of its subscripts where it stands for several: ``A[1..3,1..3]``.
+    variables : tuple of Variable
+    """
+
+    name: str
+    variables: tuple[Variable, ...]
+
+
+def lines(variables: Iterable[Variable]) -> list[Line]:
+    """Return variables as lines: elements of one array, or of like components, share one where there are many.
+
+    FMI 3.0 has arrays; tools that export FMI 2.0 write their elements as variables ``x[1]``, ``cells[1].R``. Elements
+    share a line where they fill a box of subscripts and have the same type, unit, causality and variability.
+    """
+    alike: dict[tuple[object, ...], list[Variable]] = {}
+    for v in variables:
+        alike.setdefault((_SUBSCRIPT.sub("#", v.name), v.type, v.unit, v.causality, v.variability), []).append(v)
+    found: list[Line] = []
+    for some in alike.values():
+        places = [[int(n) for n in _SUBSCRIPT.findall(v.name)] for v in some]
+        ranges = [(min(along), max(along)) for along in zip(*places, strict=True)]
+        size = prod(high - low + 1 for low, high in ranges)
+        if len(some) > SINGLE_ELEMENTS and size == len(some):
+            spans = [f"{low}..{high}" if high > low else str(low) for low, high in ranges]
+            between = _SUBSCRIPT.split(some[0].name)
+            name = "".join(chain.from_iterable(zip(between, [*spans, ""], strict=True)))
+            found.append(Line(name, tuple(some)))
+        else:
+            found += [Line(v.name, (v,)) for v in some]
+    return found

@@ -1,0 +1,109 @@
+"""System structures: coupled FMUs, their connections and parameter values from one .ssp file (SSP 1.0 and 2.0)."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fmuid.errors import InputError
+from fmuid.files import is_file
+from fmuid.fmi import file_digest, unpacked
+from fmuid.models.ssp.bindings import Bindings
+from fmuid.models.ssp.links import ComponentEntry, Link, Package, Port
+from fmuid.models.ssp.parameter_values import Value, children, number, read_xml
+
+STRUCTURE_FILE = "SystemStructure.ssd"
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What an .ssp file says, nested systems flattened.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    name : str
+    components : mapping of str to ComponentEntry
+        One inside nested systems is ``outer.inner``.
+    connections : tuple of Link
+    values : mapping of str to value
+        ``component.variable`` and what parameter bindings set it to, in the unit of the variable.
+    inputs : mapping of str to tuple of Port
+        The system's own input connectors and what each feeds.
+    outputs : mapping of str to Port
+        The system's own output connectors, those that an output of a component feeds.
+    default_experiment : mapping of str to float
+        ``start`` and ``stop``, s, where the file has them.
+    unused : tuple of str
+        Names in parameter bindings that match no variable, which the standard says to ignore (SSP 1.0, 5.3.1).
+    """
+
+    path: Path
+    name: str
+    components: Mapping[str, ComponentEntry]
+    connections: tuple[Link, ...]
+    values: Mapping[str, Value] = field(default_factory=dict)
+    inputs: Mapping[str, tuple[Port, ...]] = field(default_factory=dict)
+    outputs: Mapping[str, Port] = field(default_factory=dict)
+    default_experiment: Mapping[str, float] = field(default_factory=dict)
+    unused: tuple[str, ...] = ()
+
+
+def read_ssp(path: str | Path) -> Structure:
+    """Read a system structure package; it is unpacked into the user's cache.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.ssp`` file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or no archive, has no system structure or lacks a file that this names, if a connection
+        or a binding is wrong, if units do not convert, or if something in it is not supported. What only the FMUs
+        know (causalities, types, units that the structure does not state) is not checked here.
+    """
+    path = Path(path)
+    if not is_file(path):
+        raise InputError(f"{path}: there is no such SSP file; check the path")
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"{path} is not an SSP: it is not a zip archive; export the system again")
+    folder = unpacked(path, file_digest(path))
+    if not (folder / STRUCTURE_FILE).is_file():
+        raise InputError(f"{path} is not an SSP: it has no {STRUCTURE_FILE} at its top level")
+    try:
+        root = read_xml(folder / STRUCTURE_FILE, "SystemStructureDescription", "a system structure")
+    except InputError as error:
+        raise InputError(f"{path}: {str(error).replace(str(folder / STRUCTURE_FILE), STRUCTURE_FILE)}") from None
+    return _structure(Package(path, folder, root))
+
+
+def _structure(package: Package) -> Structure:
+    if not package.entries:
+        raise package.error("the structure has no components; add at least one FMU")
+    bindings, links = Bindings(package), package.links()
+    outputs = {node.connector: package.behind(node) for node in package.own("output")}
+    return Structure(
+        package.path,
+        package.root.get("name", ""),
+        {".".join(element): entry for element, entry in package.entries.items()},
+        tuple(links),
+        bindings.values,
+        {node.connector: tuple(package.fed_by(node)) for node in package.own("input")},
+        {name: port for name, port in outputs.items() if port is not None},
+        _default_experiment(package),
+        tuple(bindings.unused),
+    )
+
+
+def _default_experiment(package: Package) -> dict[str, float]:
+    return {
+        word: number(experiment, key, str(package.path))
+        for experiment in children(package.root, "DefaultExperiment")
+        for word, key in (("start", "startTime"), ("stop", "stopTime"))
+        if experiment.get(key) is not None
+    }

@@ -1,0 +1,361 @@
+"""Parameter values outside a model: SSV files and the mappings (SSM) of their names (SSP 1.0 and 2.0, chapters 6, 7).
+
+Elements are told by their local names, since both versions of SSP share their namespaces, and tools differ in which of
+them they write.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+from fmuid.errors import InputError
+from fmuid.fmi import SI_BASE_UNITS, Unit, safe_xml
+from fmuid.version import __version__
+
+Value = float | int | bool | str
+Element = ElementTree.Element
+
+NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructure"
+"""What the namespaces of all parts of SSP, 1.0 and 2.0, begin with."""
+_REALS = ("Real", "Float64", "Float32")
+_INTEGERS = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
+
+
+class Quantity(NamedTuple):
+    """A value, its unit or None, what is to be said of it, and of an enumeration's item what the items stand for."""
+
+    value: Value
+    unit: str | None = None
+    description: str = ""
+    items: Mapping[str, int] | None = None
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """The content of an SSV file.
+
+    Attributes
+    ----------
+    name : str
+    values : mapping of str to Quantity
+        In the file's order; of an enumeration the name of the item.
+    units : mapping of str to Unit
+        Those that the file defines.
+    """
+
+    name: str
+    values: Mapping[str, Quantity]
+    units: Mapping[str, Unit] = field(default_factory=dict)
+
+
+class MappingEntry(NamedTuple):
+    """One line of an SSM: the parameter `target` is factor · `source` + offset, or what `table` has for `source`."""
+
+    source: str
+    target: str
+    factor: float = 1.0
+    offset: float = 0.0
+    table: Mapping[Value, Value] | None = None
+    suppress_units: bool = False
+
+
+def read_ssv(path: str | Path) -> ParameterSet:
+    """Read an SSV file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is not an SSV file, or has a value that is not of its type.
+    """
+    path = Path(path)
+    return parameter_set(read_xml(path, "ParameterSet", "an SSV file"), str(path))
+
+
+def write_ssv(path: Path, name: str, values: Mapping[str, Quantity], units: Mapping[str, Unit]) -> None:
+    """Write an SSV file of SSP 1.0; numbers read back exactly.
+
+    Parameters
+    ----------
+    path : Path
+    name : str
+        Of the parameter set.
+    values : mapping of str to Quantity
+    units : mapping of str to Unit
+        At least those of the values. A unit without SI exponents cannot be defined in an SSV file: values in it are
+        written without unit.
+
+    Raises
+    ------
+    InputError
+        If a value is not finite.
+    OSError
+        If the file cannot be written.
+    """
+    defined = {q.unit for q in values.values() if q.unit is not None and q.unit in units and units[q.unit].exponents}
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>', "<ssv:ParameterSet"]
+    lines[-1] += f' xmlns:ssv="{NAMESPACE}ParameterValues" xmlns:ssc="{NAMESPACE}Common"'
+    lines[-1] += f' version="1.0" name={quoteattr(name)} generationTool="fmuid {__version__}">'
+    lines += ["  <ssv:Parameters>"]
+    for variable, quantity in values.items():
+        said = f" description={quoteattr(quantity.description)}" if quantity.description else ""
+        lines.append(f"    <ssv:Parameter name={quoteattr(variable)}{said}>{_typed(variable, quantity, defined)}")
+        lines[-1] += "</ssv:Parameter>"
+    lines += ["  </ssv:Parameters>"]
+    if defined:
+        lines += ["  <ssv:Units>", *(_unit_text(units[unit]) for unit in units if unit in defined), "  </ssv:Units>"]
+    path.write_text("\n".join([*lines, "</ssv:ParameterSet>", ""]), encoding="utf-8")
+
+
+def _typed(name: str, quantity: Quantity, defined: set[str]) -> str:
+    value = quantity.value
+    if isinstance(value, bool):
+        return f'<ssv:Boolean value="{str(value).lower()}"/>'
+    if isinstance(value, int):
+        return f'<ssv:Integer value="{value}"/>'
+    if isinstance(value, str):
+        return f"<ssv:String value={quoteattr(value)}/>"
+    if not math.isfinite(value):
+        raise InputError(f"parameter {name!r} is {value}, which no simulation can start from; leave it out")
+    unit = f" unit={quoteattr(quantity.unit)}" if quantity.unit is not None and quantity.unit in defined else ""
+    return f'<ssv:Real value="{float(value)!r}"{unit}/>'
+
+
+def _unit_text(unit: Unit) -> str:
+    exponents = dict(zip(SI_BASE_UNITS, unit.exponents or (), strict=True))
+    given: dict[str, float] = {name: exponent for name, exponent in exponents.items() if exponent}
+    given |= {"factor": unit.factor} if unit.factor != 1.0 else {}
+    given |= {"offset": unit.offset} if unit.offset != 0.0 else {}
+    base = "".join(f' {name}="{number!r}"' for name, number in given.items())
+    return f"    <ssc:Unit name={quoteattr(unit.name)}><ssc:BaseUnit{base}/></ssc:Unit>"
+
+
+# --- what SSV, SSM and SSD files have in common
+
+
+def local(element: Element) -> str:
+    """Return the name of an element without its namespace."""
+    return element.tag.rpartition("}")[2]
+
+
+def children(element: Element | None, *names: str) -> list[Element]:
+    """Return the elements at the end of a path of local names, in the order of the file."""
+    found = [] if element is None else [element]
+    for name in names:
+        found = [child for parent in found for child in parent if local(child) == name]
+    return found
+
+
+def read_xml(path: Path, root: str, what: str) -> Element:
+    """Read an XML file and check the name of its root element and its version.
+
+    Parameters
+    ----------
+    path : Path
+    root : str
+        Local name of the root element.
+    what : str
+        What the file should be, for the message.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is not well-formed, or is something else.
+    """
+    try:
+        with path.open("rb") as file:
+            text = file.read(safe_xml.LARGEST_XML + 1)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}; check the path") from None
+    if len(text) > safe_xml.LARGEST_XML:
+        raise InputError(f"{path} is larger than the {safe_xml.LARGEST_XML} bytes of XML that are read")
+    element = safe_xml.parse(text, str(path))
+    if local(element) != root:
+        raise InputError(f"{path} is not {what}: its root element is {local(element)}, not {root}")
+    version = element.get("version", "")
+    if not version.startswith(("1.", "2.")):
+        raise InputError(f"{path} is {what} of SSP {version or 'of unknown version'}, and only 1.0 and 2.0 are read")
+    return element
+
+
+def number(element: Element, attribute: str, where: str, default: float | None = None) -> float:
+    """Return an attribute as a number.
+
+    Raises
+    ------
+    InputError
+        If it is missing and there is no default, or is not a finite number.
+    """
+    text = element.get(attribute)
+    if text is None and default is not None:
+        return default
+    try:
+        found = float(text or "")
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found):
+        raise InputError(f"{where}: {attribute} of {local(element)} must be a finite number, not {text!r}")
+    return found
+
+
+def units_of(root: Element, where: str) -> dict[str, Unit]:
+    """Return the units that an SSD or SSV file defines (``base = factor · value + offset``)."""
+    found = {}
+    for element in children(root, "Units", "Unit"):
+        name = element.get("name", "")
+        at = f"{where}, unit {name!r}"
+        for base in children(element, "BaseUnit"):
+            exponents = tuple(round(number(base, si, at, 0.0)) for si in SI_BASE_UNITS)
+            factor = number(base, "factor", at, 1.0)
+            if factor == 0:
+                raise InputError(f"{at} has the factor 0, with which nothing can be converted")
+            found[name] = Unit(name, exponents, factor, number(base, "offset", at, 0.0), {})
+    return found
+
+
+def unit_conversion(source: Unit | None, target: Unit | None) -> tuple[float, float] | None:
+    """Return (factor, offset) such that ``target = factor · source + offset``; None where the units do not convert."""
+    if source is None or target is None or source.exponents is None or source.exponents != target.exponents:
+        return None
+    return source.factor / target.factor, (source.offset - target.offset) / target.factor
+
+
+def enumerations_of(root: Element, where: str) -> dict[str, dict[str, int]]:
+    """Return the enumerations that an SSD or SSV file defines: the number of each item by its name."""
+    return {
+        element.get("name", ""): {
+            item.get("name", ""): round(number(item, "value", where)) for item in children(element, "Item")
+        }
+        for element in children(root, "Enumerations", "Enumeration")
+    }
+
+
+def parameter_set(
+    root: Element, where: str, enumerations: Mapping[str, Mapping[str, int]] | None = None
+) -> ParameterSet:
+    """Return the content of a ParameterSet element.
+
+    Parameters
+    ----------
+    root : Element
+    where : str
+        The file, for messages.
+    enumerations : mapping, optional
+        Those that the surrounding SSD file defines.
+
+    Raises
+    ------
+    InputError
+        If a value is missing or not of its type, or a parameter stands there twice.
+    """
+    known = {**(enumerations or {}), **enumerations_of(root, where)}
+    values: dict[str, Quantity] = {}
+    for parameter in children(root, "Parameters", "Parameter"):
+        name = parameter.get("name", "")
+        typed = [child for child in parameter if local(child) != "Annotations"]
+        if len(typed) != 1 or typed[0].get("value") is None:
+            raise InputError(f"{where}: parameter {name!r} needs one value, such as <Real value=...>")
+        if name in values:
+            raise InputError(f"{where}: parameter {name!r} stands there twice; keep one of the two")
+        value = _value(typed[0], f"{where}, parameter {name!r}")
+        items = known.get(typed[0].get("name", "")) if local(typed[0]) == "Enumeration" else None
+        values[name] = Quantity(value, typed[0].get("unit") or None, parameter.get("description", ""), items)
+    return ParameterSet(root.get("name", ""), values, units_of(root, where))
+
+
+def _value(element: Element, where: str) -> Value:
+    kind, text = local(element), element.get("value", "")
+    if kind in _REALS:
+        return number(element, "value", where)
+    if kind in _INTEGERS:
+        return whole(element, "value", where)
+    if kind == "Boolean":
+        return truth(element, "value", where)
+    if kind in ("String", "Enumeration"):
+        return text
+    raise InputError(f"{where}: values of type {kind} are not read; remove it")
+
+
+def whole(element: Element, attribute: str, where: str) -> int:
+    """Return an attribute as an integer.
+
+    Raises
+    ------
+    InputError
+        If it is not one.
+    """
+    try:
+        return int(element.get(attribute, ""))
+    except ValueError:
+        raise InputError(f"{where}: {element.get(attribute)!r} is not an integer") from None
+
+
+def truth(element: Element, attribute: str, where: str) -> bool:
+    """Return an attribute as a truth value; false where it is missing.
+
+    Raises
+    ------
+    InputError
+        If it is not one.
+    """
+    text = element.get(attribute, "false").strip()
+    if text not in ("true", "1", "false", "0"):
+        raise InputError(f"{where}: {attribute} of {local(element)} must be true or false, not {text!r}")
+    return text in ("true", "1")
+
+
+def mapping_entries(root: Element, where: str) -> tuple[MappingEntry, ...]:
+    """Return the content of a ParameterMapping element.
+
+    Raises
+    ------
+    InputError
+        If an entry lacks a name, its transformation cannot be read, or two entries have one target.
+    """
+    entries: list[MappingEntry] = []
+    for element in children(root, "MappingEntry"):
+        source, target = element.get("source"), element.get("target", "")
+        if source is None or not target:  # an empty source is what editors write for what has no value yet
+            raise InputError(f"{where}: a MappingEntry needs both source and target")
+        if target in (entry.target for entry in entries):
+            raise InputError(f"{where}: two entries map to {target!r}; keep one of the two")
+        at = f"{where}, mapping of {source!r}"
+        factor, offset, table = transformation(element, at)
+        suppress = truth(element, "suppressUnitConversion", at)
+        entries.append(MappingEntry(source, target, factor, offset, table, suppress))
+    return tuple(entries)
+
+
+def transformation(element: Element, where: str) -> tuple[float, float, dict[Value, Value] | None]:
+    """Return the factor and offset, or the table, by which a connection or mapping changes values (SSP 1.0, 4.5.2).
+
+    Raises
+    ------
+    InputError
+        If it is of an unknown kind or cannot be read.
+    """
+    for child in element:
+        kind = local(child)
+        if kind == "LinearTransformation":
+            return number(child, "factor", where, 1.0), number(child, "offset", where, 0.0), None
+        if kind.endswith("MappingTransformation"):
+            return 1.0, 0.0, _table(child, kind.removesuffix("MappingTransformation"), where)
+        if kind.endswith("Transformation"):
+            raise InputError(f"{where}: {kind} is not supported; use a LinearTransformation or a table of values")
+    return 1.0, 0.0, None
+
+
+def _table(element: Element, kind: str, where: str) -> dict[Value, Value]:
+    def read(entry: Element, attribute: str) -> Value:
+        if kind == "Boolean":
+            return truth(entry, attribute, where)
+        return whole(entry, attribute, where) if kind == "Integer" else entry.get(attribute, "")
+
+    if kind not in ("Boolean", "Integer", "Enumeration"):
+        raise InputError(f"{where}: {kind}MappingTransformation is not supported; use Boolean, Integer or Enumeration")
+    return {read(entry, "source"): read(entry, "target") for entry in children(element, "MapEntry")}

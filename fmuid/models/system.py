@@ -1,0 +1,362 @@
+"""Components and connections: a system of FMUs that step together; one FMU is a system of one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+from fmuid.errors import InputError
+from fmuid.fmi import FMU, Variable
+from fmuid.models.component import AS_OFFERED, Component, Isolation, Numerics
+from fmuid.text import nearest
+
+MASTERS = ("jacobi", "gauss-seidel")
+
+Port = tuple[str, float, float]
+"""A variable behind a connector of the system, factor and offset."""
+
+
+class Connection(NamedTuple):
+    """An output and the input that it feeds, both as (component, variable name inside the component).
+
+    The input is factor times the output plus offset.
+    """
+
+    source: tuple[str, str]
+    target: tuple[str, str]
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+class System:
+    """FMUs coupled through connections.
+
+    Parameters
+    ----------
+    fmu : FMU or path, optional
+        The only component; its variables keep their names.
+    components : mapping of str to Component, FMU or path
+        Several components; their variables are written ``component.variable``.
+    connections : iterable of (str, str) or (str, str, float, float)
+        (output, input), each as ``component.variable``. Units that differ are converted as the FMUs define it, unless
+        factor and offset are given: then the input is just factor times the output plus offset.
+    numerics : Numerics
+        How components are run that do not say it themselves; `step_size` is the communication step.
+    master : "jacobi" or "gauss-seidel"
+        Whether all components step with the values at the beginning of the step, or each with what those before it,
+        in their given order, have just reached.
+    values : mapping of str to value
+        Start values of variables, as far as the simulation does not set them.
+    connectors : mapping of str to sequence of (str, float, float)
+        Names of the system's own: an input or parameter with the variables that it sets, each factor times it plus
+        offset, or an output with the one variable that, times factor plus offset, it is.
+    isolation : Isolation, optional
+        Runs the FMUs in a process of their own; default: in this one, which an FMU that crashes takes with it.
+
+    Attributes
+    ----------
+    components : dict of str to Component
+        A single FMU is the component ``""``.
+    variables : dict of str to Variable
+        All variables under their names in the system.
+
+    Raises
+    ------
+    InputError
+        If a connection names an unknown variable, the wrong causality, differing types or units that do not convert,
+        or feeds an input twice, or if the connections close a loop of direct feed-through of other than Real variables.
+    """
+
+    def __init__(
+        self,
+        fmu: Component | FMU | str | Path | None = None,
+        *,
+        components: Mapping[str, Component | FMU | str | Path] | None = None,
+        connections: Iterable[tuple[str, str] | tuple[str, str, float, float]] = (),
+        numerics: Numerics = AS_OFFERED,
+        master: str = "jacobi",
+        values: Mapping[str, float | int | bool | str] | None = None,
+        connectors: Mapping[str, Sequence[Port]] | None = None,
+        isolation: Isolation | None = None,
+    ) -> None:
+        if (fmu is None) == (not components):
+            raise InputError("a system needs either one FMU or named components; give exactly one of the two")
+        if master not in MASTERS:
+            raise InputError(f"master {master!r} is not known{nearest(master, MASTERS)}: give {' or '.join(MASTERS)}")
+        given: Mapping[str, Component | FMU | str | Path] = {"": fmu} if fmu is not None else dict(components or {})
+        self.numerics, self.master, self.isolation = numerics, master, isolation
+        self.components = {name: self._component(model, numerics) for name, model in given.items()}
+        for name in self.components:
+            if fmu is None and not name:
+                raise InputError("a component has an empty name; name it")
+        self.connectors = {name: tuple(ports) for name, ports in (connectors or {}).items() if ports}
+        self.connections = tuple(self._connect(*connection) for connection in connections)
+        self._check_fed_once()
+        self._check_connectors()
+        self.exchange_order  # noqa: B018  # a loop that cannot be solved is an error now, not at the first simulation
+        self.values = dict(values or {})
+        for name in self.values:
+            self.variable(name)
+
+    @classmethod
+    def read_ssp(
+        cls,
+        path: str | Path,
+        numerics: Numerics = AS_OFFERED,
+        master: str = "jacobi",
+        isolation: Isolation | None = None,
+    ) -> System:
+        """Return the system that an ``.ssp`` file describes (System Structure and Parameterization 1.0 and 2.0).
+
+        Its own connectors go by their names, all else as ``component.variable``.
+
+        Raises
+        ------
+        InputError
+            If the file or an FMU in it cannot be read, or a connection is wrong.
+        """
+        from fmuid.models.ssp.package import read_ssp
+
+        structure = read_ssp(path)
+        components = {
+            name: Component(FMU(entry.fmu), numerics.over(Numerics(interface=entry.interface)))
+            for name, entry in structure.components.items()
+        }
+        inputs = {
+            name: [(f"{port.component}.{port.variable}", port.factor, port.offset) for port in ports]
+            for name, ports in structure.inputs.items()
+        }
+        outputs = {
+            name: [(f"{port.component}.{port.variable}", port.factor, port.offset)]
+            for name, port in structure.outputs.items()
+        }
+        links: list[tuple[str, str] | tuple[str, str, float, float]] = []
+        for link in structure.connections:
+            ends = ".".join(link.source), ".".join(link.target)
+            links.append((*ends, link.factor, link.offset) if link.units_settled else ends)
+        try:
+            return cls(
+                components=components,
+                connections=links,
+                numerics=numerics,
+                master=master,
+                values=structure.values,
+                connectors=inputs | outputs,
+                isolation=isolation,
+            )
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+    @staticmethod
+    def _component(model: Component | FMU | str | Path, numerics: Numerics) -> Component:
+        if not isinstance(model, Component):
+            return Component(model, numerics)
+        return Component(model.fmu, model.numerics.over(numerics))
+
+    @classmethod
+    def of(
+        cls, model: System | FMU | str | Path, numerics: Numerics = AS_OFFERED, isolation: Isolation | None = None
+    ) -> System:
+        """Return the model itself where it is a system, else the system of one FMU.
+
+        Raises
+        ------
+        InputError
+            If numerics or isolation are given for a system, which says them itself.
+        """
+        if not isinstance(model, System):
+            return cls(model, numerics=numerics, isolation=isolation)
+        if numerics != AS_OFFERED or isolation is not None:
+            raise InputError("a System says interface, integrator, tolerance and isolation itself: give them to it")
+        return model
+
+    def __repr__(self) -> str:
+        return f"System({', '.join(self.components)})" if self.name_prefixed else f"System({self.label})"
+
+    @property
+    def name_prefixed(self) -> bool:
+        """Whether variables carry their component's name."""
+        return "" not in self.components
+
+    @property
+    def label(self) -> str:
+        """The file name of the FMU, or of all components, for messages."""
+        return ", ".join(component.fmu.path.name for component in self.components.values())
+
+    @cached_property
+    def variables(self) -> dict[str, Variable]:
+        """All variables under their names in the system; its own connectors are those of the first variable behind."""
+        found = {
+            self.full_name(component, name): replace(variable, name=self.full_name(component, name))
+            for component, model in self.components.items()
+            for name, variable in model.fmu.description.variables.items()
+        }
+        ports = {name: found[some[0][0]] for name, some in self.connectors.items() if some[0][0] in found}
+        return found | {name: replace(variable, name=name) for name, variable in ports.items()}
+
+    @cached_property
+    def connected_inputs(self) -> frozenset[str]:
+        """Names of the inputs that a connection feeds."""
+        return frozenset(self.full_name(*connection.target) for connection in self.connections)
+
+    @property
+    def can_be_repeated(self) -> bool:
+        """Whether several instances of every component may live in one process."""
+        used = [component.fmu.description.interfaces[component.kind] for component in self.components.values()]
+        return all(not interface.once_per_process and not interface.needs_execution_tool for interface in used)
+
+    def full_name(self, component: str, name: str) -> str:
+        """Return the name of a component's variable in the system."""
+        return f"{component}.{name}" if component else name
+
+    def split(self, name: str) -> tuple[str, str]:
+        """Return (component, name inside it) of a variable's name in the system."""
+        if not self.name_prefixed:
+            return "", name
+        if name in self.connectors:
+            return self.split(self.connectors[name][0][0])
+        known = [component for component in self.components if name.startswith(component + ".")]
+        component = max(known, key=len, default=name.partition(".")[0])
+        return component, name[len(component) + 1 :]
+
+    def targets(self, name: str) -> tuple[Port, ...]:
+        """Return the variables behind a name, with factor and offset: several for an input connector of the system."""
+        return self.connectors.get(name, ((name, 1.0, 0.0),))
+
+    def terms(self, output: str) -> list[str]:
+        """Return the variables whose sum an output is: ``machine.ia + fault.ia``, or just the one of that name."""
+        return [output] if output in self.variables else [term.strip() for term in output.split(" + ")]
+
+    def unit(self, name: str) -> str | None:
+        """Return the unit of a variable or sum of variables."""
+        found = self.variables.get(self.terms(name)[0])
+        return found.unit if found else None
+
+    def variable(self, name: str, role: str = "variable") -> Variable:
+        """Return a variable by its name in the system.
+
+        Raises
+        ------
+        InputError
+            If there is none; the sentence gives the nearest names.
+        """
+        found = self.variables.get(name)
+        if found is None:
+            raise InputError(f"{self.label} has no {role} {name!r}{nearest(name, self.variables)}")
+        return found
+
+    def _connect(self, source: str, target: str, factor: float | None = None, offset: float = 0.0) -> Connection:
+        ends = (self.variable(source, "connected variable"), self.variable(target, "connected variable"))
+        for variable, causality in zip(ends, ("output", "input"), strict=True):
+            if variable.causality != causality:
+                raise InputError(
+                    f"connection {source} -> {target}: {variable.name!r} is of causality {variable.causality!r}; "
+                    f"connect an output to an input"
+                )
+        if ends[0].type != ends[1].type or ends[0].type not in ("Real", "Integer", "Boolean"):
+            raise InputError(f"connection {source} -> {target}: {ends[0].type} cannot feed {ends[1].type}")
+        if factor is None:
+            differ = ends[0].unit and ends[1].unit and ends[0].unit != ends[1].unit
+            factor, offset = self._unit_conversion(source, target) if differ else (1.0, 0.0)
+        return Connection(self.split(source), self.split(target), factor, offset)
+
+    def _unit_conversion(self, source: str, target: str) -> tuple[float, float]:
+        """Return (factor, offset) from the unit of one component's variable to that of another's."""
+        (giving, output), (taking, name) = self.split(source), self.split(target)
+        gives, takes = self.components[giving].fmu.description, self.components[taking].fmu.description
+        has, wants = gives.variables[output].unit or "", takes.variables[name].unit or ""
+        one, other = gives.units.get(has), takes.units.get(wants)
+        if one and other and one.exponents is not None and one.exponents == other.exponents:
+            return one.factor / other.factor, (one.offset - other.offset) / other.factor
+        raise InputError(
+            f"connection {source} -> {target}: the units do not convert ({has} and {wants}); "
+            f"export the models with units of the same dimension"
+        )
+
+    def _check_connectors(self) -> None:
+        for name, ports in self.connectors.items():
+            if any(name == component or name.startswith(component + ".") for component in self.components):
+                raise InputError(f"connector {name!r} is named like a component or its variable; give it another name")
+            behind = [self.variable(port, f"variable behind {name!r}") for port, _, _ in ports]
+            for variable in behind:
+                if variable.name in self.connected_inputs:
+                    raise InputError(f"connector {name!r} sets {variable.name!r}, which a connection feeds; keep one")
+                if variable.causality != behind[0].causality or variable.type != behind[0].type:
+                    raise InputError(
+                        f"connector {name!r} joins {behind[0].name!r} ({behind[0].causality}, {behind[0].type}) and "
+                        f"{variable.name!r} ({variable.causality}, {variable.type}); join variables of one kind"
+                    )
+                if variable.causality == "output" and len(behind) > 1:
+                    raise InputError(f"connector {name!r} joins several outputs; write their sum in the outputs")
+
+    def _check_fed_once(self) -> None:
+        seen = set()
+        for connection in self.connections:
+            if connection.target in seen:
+                raise InputError(f"input {self.full_name(*connection.target)!r} is fed by two connections; keep one")
+            seen.add(connection.target)
+
+    @cached_property
+    def exchange_order(self) -> tuple[tuple[tuple[Connection, ...], bool], ...]:
+        """Connections in the order in which values can be passed on, in groups that may be passed on together.
+
+        With each group goes whether it is a loop of direct feed-through, to be solved. A connection comes after those
+        that feed an input on which its source depends directly (ModelStructure, FMI 2.0.4, section 2.2.8; an FMU that
+        declares no dependencies is taken to depend on all its inputs).
+        """
+        if not self.connections:
+            return ()
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        feeding = {connection.target: i for i, connection in enumerate(self.connections)}
+        needs = [
+            {
+                feeding[connection.source[0], name]
+                for name in self._direct_inputs(*connection.source)
+                if (connection.source[0], name) in feeding
+            }
+            for connection in self.connections
+        ]
+        n = len(needs)
+        edges = [(i, j) for i, needed in enumerate(needs) for j in needed]
+        rows, columns = ([edge[side] for edge in edges] for side in (0, 1))
+        _, labels = connected_components(coo_array(([1] * len(edges), (rows, columns)), (n, n)), connection="strong")
+        members: dict[int, list[int]] = {}
+        for i, label in enumerate(labels.tolist()):
+            members.setdefault(label, []).append(i)
+        groups: list[tuple[tuple[Connection, ...], bool]] = []
+        waiting, done = dict(members), set[int]()
+        while waiting:
+            ready = [label for label, some in waiting.items() if all(needs[i] <= done | {*some} for i in some)]
+            plain = [i for label in ready for i in waiting[label] if not needs[i] & {*waiting[label]}]
+            if plain:
+                groups.append((tuple(sorted(self.connections[i] for i in plain)), False))
+            for label in ready:
+                some = waiting.pop(label)
+                done |= {*some}
+                if some[0] not in plain:
+                    groups.append((self._loop(some), True))
+        return tuple(groups)
+
+    def _loop(self, members: Iterable[int]) -> tuple[Connection, ...]:
+        """Return a loop of direct feed-through, if it can be solved."""
+        loop = tuple(self.connections[i] for i in members)
+        for connection in loop:
+            source = self.full_name(*connection.source)
+            if self.variables[source].type != "Real":
+                through = " -> ".join(self.full_name(*each.source) for each in loop)
+                raise InputError(
+                    f"the connections close a loop of direct feed-through, {through}, in which {source!r} is of type "
+                    f"{self.variables[source].type}: only Real variables can be solved for; break it with a component "
+                    f"whose output does not depend directly on its input"
+                )
+        return loop
+
+    def _direct_inputs(self, component: str, output: str) -> tuple[str, ...]:
+        description = self.components[component].fmu.description
+        declared = description.dependencies.get(output)
+        return description.inputs if declared is None else declared

@@ -1,0 +1,246 @@
+"""What an identification found, carried to other tools: an SSV file, and a copy of the FMU with new start values."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmuid.errors import InputError
+from fmuid.estimation import Result
+from fmuid.files import exists, is_folder, replacing
+from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Unit, Value, Variable, Zipped, with_starts
+from fmuid.models import Quantity, System, read_ssv, unit_conversion, write_ssv
+from fmuid.text import nearest
+
+ESTIMATES_FILE = "parameters.ssv"
+
+
+@dataclass(frozen=True)
+class AppliedValue:
+    """One start value that was replaced, in the unit of the variable; `old` is None where there was none.
+
+    `std` is NaN where it is not known.
+    """
+
+    variable: str
+    old: float | int | bool | str | None
+    new: float | int | bool
+    std: float
+    unit: str | None
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """A value to apply: of a result with its standard deviation, of an SSV file with its unit, None where not given."""
+
+    value: Value
+    std: float = math.nan
+    unit: str | None = None
+
+
+def write_estimates(folder: Path, system: System, result: Result) -> list[Path]:
+    """Write the estimates as ``parameters.ssv`` (SSP 1.0) and return its path, as a list of one.
+
+    Parameters that the data do not determine and those estimated for each experiment are left out: no single value
+    stands for them. Nothing is written, and an earlier file is removed, where no value is left or the search has not
+    converged.
+
+    Parameters
+    ----------
+    folder : Path
+    system : System
+        Of the result.
+    result : Result
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    units, values = _units(system), {}
+    for name, value, std in zip(result.names, result.values.tolist(), result.std.tolist(), strict=True):
+        if name in system.variables and math.isfinite(std) and math.isfinite(value):
+            unit = system.variables[name].unit
+            said = " ".join(filter(None, (f"standard deviation {std:.3g}", unit)))
+            values[name] = Quantity(value, unit, said)
+    path = folder / ESTIMATES_FILE
+    if not values or not result.converged:
+        path.unlink(missing_ok=True)
+        return []
+    with replacing(path) as draft:
+        write_ssv(draft, "estimates", values, units)
+    return [path]
+
+
+def _units(system: System) -> dict[str, Unit]:
+    """Return the units that all FMUs define alike; in one file a name can stand for one unit only."""
+    found: dict[str, Unit] = {}
+    clashing = set()
+    for component in system.components.values():
+        for name, unit in component.fmu.description.units.items():
+            known = found.setdefault(name, unit)
+            if (known.exponents, known.factor, known.offset) != (unit.exponents, unit.factor, unit.offset):
+                clashing.add(name)
+    return {name: unit for name, unit in found.items() if name not in clashing}
+
+
+def apply_result(result: Path, fmu: Path, output: Path, component: str | None = None) -> tuple[AppliedValue, ...]:
+    """Write a copy of an FMU whose start values are the estimates of a result.
+
+    Only the modelDescription.xml differs, and in it the start values and the annotation that names them
+    (`fmuid.fmi.start_values`): the binary has its own start values, and a simulator must set those of the XML.
+
+    Parameters
+    ----------
+    result : Path
+        A ``result.json``, the folder that has one, or an ``.ssv`` file.
+    fmu, output : Path
+        The FMU, and the one to write.
+    component : str, optional
+        Of which component of a system `fmu` is; the values ``component.variable`` are applied then.
+
+    Returns
+    -------
+    tuple of AppliedValue
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read or written, the result has not converged or is of another model, or a value has no
+        variable in the FMU that may start at it.
+    """
+    model = FMU(fmu)
+    estimates, units = _read(result, model.description.model_name, component)
+    if exists(output) and output.samefile(fmu):
+        raise InputError(f"{output} is the FMU itself; choose another name for the copy with --output")
+    description = model.description
+    applied = []
+    for name, estimate in estimates.items():
+        variable = _startable(description, name, fmu)
+        factor, offset = _conversion(description, variable, estimate.unit, units, result)
+        new = _checked(variable, estimate.value, factor, offset, fmu)
+        applied.append(AppliedValue(name, variable.start, new, estimate.std, variable.unit))
+    _copy(fmu, output, {each.variable: each.new for each in applied})
+    return tuple(applied)
+
+
+# --- the values
+
+
+def _read(path: Path, model: str, component: str | None) -> tuple[dict[str, _Estimate], Mapping[str, Unit]]:
+    """Return the values of a result or SSV file by the names in the FMU, and the units that the file defines."""
+    if is_folder(path):
+        path = path / "result.json"
+    if path.suffix.lower() == ".ssv":
+        given = read_ssv(path)
+        found = {name: _Estimate(q.value, unit=q.unit) for name, q in given.values.items()}
+        return _of_component(path, found, component), given.units
+    result = Result.from_json(path)
+    estimates = dict(zip(result.names, map(_Estimate, result.values.tolist(), result.std.tolist()), strict=True))
+    found = _of_component(path, estimates, component, tuple(result.models))
+    identified = result.models.get(component or "", {}).get("name", model)
+    if identified != model:
+        raise InputError(f"{path} is a result for the model {identified}, and the FMU is {model}; give its own FMU")
+    lost = [name for name, estimate in found.items() if not math.isfinite(estimate.std)]
+    if lost:
+        raise InputError(
+            f"{path}: the data do not determine {', '.join(lost)}; hold or give a prior to what is not determined, and "
+            "identify again"
+        )
+    if not result.converged:
+        raise InputError(f"{path} has not converged: {result.status}; continue with fmuid identify --resume")
+    return found, {}
+
+
+def _of_component(
+    path: Path, found: Mapping[str, _Estimate], component: str | None, components: tuple[str, ...] = ()
+) -> dict[str, _Estimate]:
+    """Return the values of one component under their names in it."""
+    if component is None:
+        if any(components):
+            raise InputError(
+                f"{path} is a result of the system of {', '.join(components)}; say with --component which of them the "
+                "FMU is"
+            )
+        chosen = dict(found)
+    else:
+        prefix = f"{component}."
+        chosen = {name.removeprefix(prefix): value for name, value in found.items() if name.startswith(prefix)}
+    if not chosen:
+        known = sorted({name.rpartition(".")[0] for name in found} | set(components)) if component else []
+        whose = f" of the component {component!r}{nearest(component, known)}" if component else ""
+        raise InputError(f"{path} has no parameters{whose}")
+    return chosen
+
+
+# --- what the FMU allows
+
+
+def _startable(description: Description, name: str, fmu: Path) -> Variable:
+    """Return a variable whose start value may be set."""
+    variables = description.variables
+    base = name.rpartition("[")[0]
+    if name not in variables and base in variables:
+        raise InputError(
+            f"{name} was estimated for one experiment, or is no element of {base!r}; an FMU has one start value of "
+            f"{base!r}: take the parameter out of the result, or identify it for all experiments"
+        )
+    if name not in variables:
+        raise InputError(f"{fmu} has no variable {name!r}{nearest(name, variables)}")
+    variable = variables[name]
+    if not variable.settable or variable.causality == "structuralParameter":  # which the sizes of arrays hang on
+        raise InputError(
+            f"{fmu}: the start value of {name!r} may not be set (causality {variable.causality}, variability "
+            f"{variable.variability}, initial {variable.initial or 'not given'})"
+        )
+    return variable
+
+
+def _conversion(
+    description: Description, variable: Variable, unit: str | None, units: Mapping[str, Unit], result: Path
+) -> tuple[float, float]:
+    """Return factor and offset from the unit of a value to that of its variable."""
+    if unit is None or variable.unit is None or unit == variable.unit:
+        return 1.0, 0.0
+    found = unit_conversion({**description.units, **units}.get(unit), description.units.get(variable.unit))
+    if found is None:
+        raise InputError(f"{result}: {variable.name!r} is in {unit!r}, which does not convert to {variable.unit!r}")
+    return found
+
+
+def _checked(variable: Variable, value: Value, factor: float, offset: float, fmu: Path) -> float | int | bool:
+    """Return a value in the unit of its variable, within the limits that the FMU declares."""
+    if isinstance(value, str):
+        raise InputError(f"{variable.name!r} is the text {value!r}; only numbers and truth values can be applied")
+    new: float | int | bool = value
+    if not isinstance(value, bool) and (variable.type == "Real" or (factor, offset) != (1.0, 0.0)):
+        new = factor * value + offset
+    for word, limit, outside in (
+        ("min", variable.min, variable.min is not None and new < variable.min),
+        ("max", variable.max, variable.max is not None and new > variable.max),
+    ):
+        if outside:
+            raise InputError(
+                f"{variable.name!r} = {new:.6g} is beyond the {word} = {limit:.6g} that {fmu} declares; bound the "
+                "parameter in the study"
+            )
+    return new
+
+
+# --- the copy
+
+
+def _copy(fmu: Path, output: Path, values: Mapping[str, float | int | bool]) -> None:
+    """Write a copy of an FMU with other start values; all other entries keep their content, order and attributes."""
+    with Zipped(fmu) as old:
+        try:
+            text = with_starts(old.read(DESCRIPTION_FILE), values)
+        except InputError as error:
+            raise InputError(f"{fmu}: {error}") from None
+        with replacing(output) as draft, zipfile.ZipFile(draft, "w") as new:
+            new.comment = old.comment
+            for entry in old.entries:
+                new.writestr(entry, text if entry.filename == DESCRIPTION_FILE else b"".join(old.chunks(entry)))

@@ -1,0 +1,203 @@
+"""What `fmuid info` and `fmuid validate` print of an FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
+from textwrap import shorten
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from fmuid.fmi import Description, Variable
+from fmuid.models import Facts, Line, lines
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.simulation import Validation
+from fmuid.studies import skeleton
+
+# Inputs that are named where an output depends on them; how many there are besides is said.
+INPUTS_NAMED = 4
+# Remarks of one check on a terminal, and letters of each: FMPy lists all variables of a model in one.
+TERMINAL_REMARKS, REMARK_LENGTH = 5, 300
+# Letters that a description has at least on a terminal; it ends where the line does.
+SHORT_DESCRIPTION = 25
+# Between two columns.
+GAP = 3
+# Into a pipe, where lines are searched: one line a variable, however long.
+PIPE_WIDTH = 1000
+
+Column = Callable[[Variable], str]
+"""What a column of a table says of a variable."""
+
+
+# --- fmuid info -------------------------------------------------------------------------
+
+
+def show_facts(found: Facts) -> None:
+    """Print what an FMU declares, and a study to begin with."""
+    described, out = found.fmu.description, console()
+    if not out.is_terminal:
+        out.width = PIPE_WIDTH
+    remark = described.description.removeprefix(described.model_name).lstrip(": ")
+    out.print(f"[bold]{escape(described.model_name)}[/]" + (f": {escape(remark)}" if remark else ""))
+    out.print(_head(found))
+    for title, variables, columns in (
+        ("Parameters ({}), fixed: set before the initialisation", found.fixed, {}),
+        ("Parameters ({}), tunable: set before the initialisation, too", found.tunable, {}),
+        ("Parameters ({}), calculated from others: they cannot be set", found.calculated, {}),
+        ("Parameters ({}), structural: they size arrays and keep their start values", found.structural, {}),
+        ("Inputs ({})", found.inputs, {"changes": _changes}),
+        ("Outputs ({})", found.outputs, {"depends directly on": _direct(found), "start can be set": _settable}),
+        ("States ({})", found.states, {"start can be set": _settable}),
+        ("Other variables ({}) whose start values can be set", found.starts, {}),
+    ):
+        _show_variables(out, title.format(len(variables)), variables, columns)
+    _show_units(out, found)
+    if found.others:
+        out.print(f"\n{found.others} other variable{'s' * (found.others != 1)}")
+    out.print("\n[bold]A study to begin with[/] [dim](fmuid init FMU TABLE writes a longer one)[/]\n")
+    out.print(skeleton(found.fmu), markup=False, soft_wrap=True, end="")
+
+
+def _head(found: Facts) -> Table:
+    described, platforms = found.fmu.description, found.fmu.platforms
+    rows = Table.grid(padding=(0, 2))
+    rows.add_row("FMI version", described.fmi_version)
+    for kind, words in found.capabilities.items():
+        unused = "" if kind in described.interfaces else " (fmuid does not use it)"
+        rows.add_row(kind, escape(", ".join(words) or "no optional capabilities") + unused)
+    rows.add_row("fmuid runs it as", escape(found.run_as))
+    there = ", ".join(f"{name} (this machine)" if name == found.here else name for name in platforms)
+    if found.here is None:
+        there = f"{there or 'no binaries at all'}; none for this machine ({found.machine})"
+    rows.add_row("platforms", escape(there))
+    if found.states or described.indicators:
+        rows.add_row("continuous states", f"{len(found.states)}, with {described.indicators} event indicators")
+    if described.default_experiment:
+        rows.add_row("default experiment", _default_experiment(described))
+    if described.generation_tool:
+        rows.add_row("made by", escape(described.generation_tool))
+    return rows
+
+
+def _default_experiment(described: Description) -> str:
+    words = {"start": "start {:g} s", "stop": "stop {:g} s", "step_size": "step {:g} s", "tolerance": "tolerance {:g}"}
+    given = described.default_experiment
+    return ", ".join(text.format(given[word]) for word, text in words.items() if word in given)
+
+
+def _show_variables(out: Console, title: str, variables: Sequence[Variable], more: Mapping[str, Column]) -> None:
+    """Print a table of variables, with the columns that some of them have anything to say in."""
+    if not variables:
+        return
+    every = lines(variables)
+    rows = every[:TERMINAL_ROWS] if out.is_terminal else every
+    shown = list(chain.from_iterable(line.variables for line in rows))
+    columns: dict[str, Column] = {"start": lambda v: _plain(v.start), "unit": lambda v: unit_text(v.unit)}
+    if any(v.type != "Real" for v in shown):
+        columns["type"] = lambda v: v.type
+    if any(v.min is not None or v.max is not None for v in shown):
+        columns |= {"min": lambda v: _plain(v.min), "max": lambda v: _plain(v.max)}
+    columns |= {head: column for head, column in more.items() if any(column(v) for v in shown)}
+    columns["description"] = _remark
+    heads = ["name", *columns]
+    cells = [[line.name, *(_cell(line, column) for column in columns.values())] for line in rows]
+    if out.is_terminal:
+        taken = sum(max(len(text) for text in some) + GAP for some in zip(heads, *cells, strict=True)) - GAP
+        room = out.width - taken + max(len(row[-1]) for row in (heads, *cells))
+        for row in cells:
+            row[-1] = shorten(row[-1], max(room, SHORT_DESCRIPTION), placeholder="…")
+    table = table_of("", heads, right=("start", "min", "max"))
+    for row in cells:
+        table.add_row(*(escape(text) for text in row))
+    _print_titled(out, title, table)
+    if len(rows) < len(every):
+        out.print(f"and {len(every) - len(rows)} more; all of them: fmuid info FMU | less")
+
+
+def _cell(line: Line, column: Column) -> str:
+    """Return what the variables of a line say in a column: all the same, a range of numbers, or the first and last."""
+    said = list(dict.fromkeys(column(v) for v in line.variables))
+    if len(said) == 1:
+        return said[0]
+    try:
+        numbers = sorted(said, key=float)
+    except ValueError:
+        return f"{said[0]} … {said[-1]}"
+    return f"{numbers[0]} to {numbers[-1]}"
+
+
+def _plain(value: float | int | bool | str | None) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _remark(variable: Variable) -> str:
+    """Return the description, a free text that FMUs fill as they like, in one line."""
+    constant = " (constant)" if variable.variability == "constant" else ""
+    return (" ".join(variable.description.split()) + constant).strip()
+
+
+def _changes(variable: Variable) -> str:
+    return "continuously" if variable.continuous else "in steps" if variable.variability != "fixed" else "never"
+
+
+def _settable(variable: Variable) -> str:
+    return "yes" if variable.settable else ""
+
+
+def _direct(found: Facts) -> Column:
+    """Return the column that names the inputs which act on an output at once."""
+
+    def words(output: Variable) -> str:
+        names = found.direct.get(output.name)
+        if not found.inputs:
+            return ""
+        if names is None:
+            return "all inputs (nothing is declared)"
+        if len(names) == len(found.inputs) > 1:
+            return "all inputs"
+        more = len(names) - INPUTS_NAMED
+        return ", ".join(names[:INPUTS_NAMED]) + (f" and {more} more" if more > 0 else "") or "none"
+
+    return words
+
+
+def _show_units(out: Console, found: Facts) -> None:
+    others = {unit: names for unit, names in found.units.items() if names}
+    if not others:
+        return
+    table = table_of("", ["unit", "instead"])
+    for unit, names in others.items():
+        table.add_row(escape(unit), escape(", ".join(names)))
+    _print_titled(out, "Units that a table may have instead", table)
+
+
+def _print_titled(out: Console, title: str, table: Table) -> None:
+    """Print a table below a title, which a narrow table's own would wrap."""
+    out.print(f"\n[bold]{title}[/]")
+    out.print(table)
+
+
+# --- fmuid validate ---------------------------------------------------------------------
+
+
+def show_validation(found: Validation) -> None:
+    """Print the checks of an FMU, and a sentence that sums them up."""
+    out = console()
+    table = table_of(str(found.path.name), ["check", "result", "remark"])
+    styles = {"ok": "green", "warning": "yellow", "failed": "bold red"}
+    for check in found.checks:
+        remarks: Sequence[str] = check.remarks
+        if out.is_terminal:
+            remarks = [shorten(text, REMARK_LENGTH, placeholder=" …") for text in remarks[:TERMINAL_REMARKS]]
+        more = len(check.remarks) - len(remarks)
+        text = "\n".join([*remarks, *([f"and {more} more; all of them: fmuid validate FMU | less"] if more else [])])
+        style = styles.get(check.result, "dim")
+        table.add_row(escape(check.name), f"[{style}]{check.result}[/]", escape(text))
+    out.print(table)
+    failed, warned = found.count("failed"), found.count("warning")
+    verdict = f"{failed} of {len(found.checks)} checks failed" if failed else "no problems found"
+    out.print(f"\n{verdict}" + (f", {warned} with warnings" if warned else ""))

@@ -1,0 +1,112 @@
+"""What the command line prints: tables, progress, sentences."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from fmuid.text import has_unit, label
+
+if TYPE_CHECKING:
+    from fmuid.simulation import Fit, Simulator
+    from fmuid.studies import Draft
+
+# Into a file or a pipe, where nobody can widen the window: what a README shows without scrolling.
+PLAIN_WIDTH = 110
+# Rows of a table on a terminal; more scroll away what was first. A pipe gets them all.
+TERMINAL_ROWS = 60
+
+
+def console() -> Console:
+    """Return the console on standard output as it is now."""
+    return Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+
+
+def show_files(paths: Iterable[Path]) -> None:
+    """Say where files went: one line a folder."""
+    folders: dict[Path, list[str]] = {}
+    for path in paths:
+        folders.setdefault(path.parent, []).append(path.name)
+    for folder, names in folders.items():
+        console().print(f"Written to [bold]{escape(str(folder))}/[/]: {escape(', '.join(names))}", soft_wrap=True)
+
+
+def show_remarks(sentences: Iterable[str]) -> None:
+    """Print sentences that are no result and no error, one a line."""
+    for sentence in sentences:
+        console().print(f"[yellow]note:[/] {escape(sentence)}", soft_wrap=True)
+
+
+def unit_text(unit: str | None) -> str:
+    """Return the unit as a cell of a table: nothing where there is none."""
+    return unit if unit is not None and has_unit(unit) else ""
+
+
+def table_of(title: str, heads: Iterable[str], right: Sequence[str] = ()) -> Table:
+    """Return an empty table in the style of all of them: a rule below the heads, no frame."""
+    from rich import box
+
+    table = Table(
+        title=title or None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, header_style="dim"
+    )
+    table.pad_edge = table.show_edge = False
+    for head in heads:
+        table.add_column(head, justify="right" if head in right else "left", overflow="fold")
+    return table
+
+
+# --- fmuid init -------------------------------------------------------------------------
+
+
+def show_draft(draft: Draft, output: Path) -> None:
+    """Say what was matched and what comes next."""
+    out = console()
+    for word, matched, missing in (
+        ("inputs", draft.inputs, draft.missing_inputs),
+        ("outputs", draft.outputs, draft.missing_outputs),
+    ):
+        out.print(f"{word}: {escape(', '.join(matched)) or 'none'}", soft_wrap=True)
+        if missing:
+            out.print(f"  no column of the table: {escape(', '.join(missing))}", soft_wrap=True)
+    if draft.unused:
+        out.print(f"columns that are no input or output: {escape(', '.join(draft.unused))}", soft_wrap=True)
+    out.print(
+        f"Written: [bold]{escape(str(output))}[/]. Next: free the parameters to identify in it, under \\[parameters].",
+        soft_wrap=True,
+    )
+
+
+# --- fmuid simulate ---------------------------------------------------------------------
+
+
+def show_misfits(fits: Sequence[Fit]) -> None:
+    """Print the relative misfit of each output of each experiment."""
+    several = len(fits) > 1
+    heads = [*(["experiment"] if several else []), "output", "misfit", "samples"]
+    table = table_of("Measured against simulated", heads, right=("misfit", "samples"))
+    for fit in fits:
+        for k, (output, misfit) in enumerate(zip(fit.outputs, fit.misfit, strict=True)):
+            counted = int(fit.counted[:, k].sum())
+            cells = [label(output, fit.units[k]), f"{100 * misfit:.3g} %" if counted else "not measured", str(counted)]
+            table.add_row(*(escape(cell) for cell in ([fit.experiment, *cells] if several else cells)))
+    console().print(table)
+
+
+def warn_unfed(simulators: Iterable[Simulator]) -> None:
+    """Say which inputs keep their start values because nothing feeds them."""
+    for simulator in simulators:
+        if simulator.unfed_inputs:
+            names = ", ".join(simulator.unfed_inputs)
+            print(f"note: {simulator.experiment.source} feeds no {names}: kept at the start value", file=sys.stderr)
+
+
+def show_notes(notes: Iterable[str]) -> None:
+    """Print what is to be known of the input, to standard error."""
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)

@@ -1,0 +1,258 @@
+"""What `fmuid identify` prints: estimates, prior and data side by side, residuals, intervals, and what they mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.markup import escape
+from rich.measure import Measurement
+from rich.table import Table
+
+from fmuid.assessment import WRONG_STD
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.text import rounded, with_std
+
+if TYPE_CHECKING:
+    from fmuid.assessment import Uncertainty
+    from fmuid.estimation import GlobalResult, Result
+    from fmuid.reports.findings import Findings
+    from fmuid.simulation import Fit
+
+# Criteria that differ by less are as good as each other: χ² of one degree of freedom is larger in 5 % of all cases.
+RIVAL = 3.84
+# To ask how wide a table would be.
+UNLIMITED = 10_000
+
+
+def show_result(found: Findings) -> None:
+    """Print estimates and their uncertainty, what is to be said of them, noise, and how the search ended."""
+    out, result, fits = console(), found.result, found.fits
+    out.print()
+    if found.search is not None:
+        out.print(_optima(out, found.search))
+        for sentence in _rivals(found.search):
+            out.print(f"[yellow]note:[/] {escape(sentence)}", soft_wrap=True)
+        out.print()
+    out.print(_estimates(out, found))
+    if found.has_prior:
+        out.print()
+        out.print(_reading(out, found))
+    for sentence in _remarks(result):
+        out.print(f"[yellow]note:[/] {escape(sentence)}", soft_wrap=True)
+    for sentence in (*found.reading.words, *found.diagnostics.words):
+        out.print(escape(sentence), soft_wrap=True)
+    out.print(f"Misfit: {escape(_misfit(fits))}", soft_wrap=True)
+    out.print(f"Residual: {escape(_noise(result, fits))}", soft_wrap=True)
+    color = "green" if result.converged else "red"
+    out.print(f"[bold {color}]{escape(result.status[0].upper() + result.status[1:])}[/]", soft_wrap=True)
+    for component, model in result.models.items():
+        out.print(f"[dim]{escape(component or model['name'])} run as {escape(model['run'])}[/]", soft_wrap=True)
+    if result.sensitivity:
+        out.print(f"[dim]sensitivities by {escape(result.sensitivity)}[/]", soft_wrap=True)
+    out.print(
+        f"[dim]{result.iterations} iterations, {result.simulations} simulations, {result.elapsed_s:.2f} s; "
+        f"criterion {result.criterion:.6g}[/]"
+    )
+
+
+def _optima(out: Console, search: GlobalResult) -> Table:
+    """Return the table of the optima found, the best first; of many parameters the first ones that fit."""
+    shown = search.optima[:TERMINAL_ROWS]
+    values = {name: [f"{optimum.theta[i]:.5g}" for optimum in shown] for i, name in enumerate(search.names)}
+    columns = {
+        "criterion": [f"{optimum.criterion:.6g}" for optimum in shown],
+        "found": [f"{optimum.hits} x" for optimum in shown],
+        **values,
+        "note": ["" if optimum.converged else "not converged" for optimum in shown],
+    }
+    if all(optimum.converged for optimum in shown):
+        columns.pop("note")
+    title = f"Optima found by {search.fits} search{'es' if search.fits > 1 else ''}"
+    right = ("criterion", "found", *search.names)
+    return _filled(_narrowed(out, columns, search.names[::-1]), right, title)
+
+
+def _rivals(search: GlobalResult) -> list[str]:
+    """Return a sentence on each optimum that fits as well as the best one."""
+    best = search.optima[0]
+    return [
+        f"another optimum fits as well (criterion higher by {other.criterion - best.criterion:.2g}), "
+        + ", ".join(f"{name} = {value:.5g}" for name, value in zip(search.names, other.theta.tolist(), strict=True))
+        + ": the data do not tell which is true; narrow the bounds, give a prior or measure more"
+        for other in search.optima[1:]
+        if other.criterion - best.criterion < RIVAL
+    ]
+
+
+def _estimates(out: Console, found: Findings) -> Table:
+    """Return the table of estimates; on a narrow console with fewer columns."""
+    return _filled(_narrowed(out, _columns(found), ("start", "rel. std", "note")))
+
+
+def _reading(out: Console, found: Findings) -> Table:
+    """Return prior, data and both side by side, how far the prior is, and what moved the data's optimum by how much."""
+    reading = found.reading
+    rows = {
+        "prior": (reading.prior_mean, reading.prior_std),
+        "data alone": (reading.data, reading.data_std),
+        "both": (reading.combined, reading.combined_std),
+    }
+    columns = {"parameter": list(reading.names)}
+    for head, (values, stds) in rows.items():
+        pairs = zip(values.tolist(), stds.tolist(), strict=True)
+        columns[head] = [_known(value, std) for value, std in pairs]
+    columns["pull"] = [f"{pull:+z.2f} std" if math.isfinite(pull) else "" for pull in reading.pull.tolist()]
+    moves = zip(reading.moved.tolist(), reading.moved_by, strict=True)
+    columns["moved by prior"] = [
+        f"{moved:+z.2f} std ({by})" if math.isfinite(moved) and by else "" for moved, by in moves
+    ]
+    columns["unit"] = [unit_text(unit) for unit in found.units]
+    return _filled(_narrowed(out, columns, ("unit", "moved by prior")), title="Prior and data")
+
+
+def _known(value: float, std: float) -> str:
+    """Return value and standard deviation, nothing where there are none."""
+    if not math.isfinite(value):
+        return ""
+    return with_std(value, std) if std < math.inf else "not determined"
+
+
+def _narrowed(out: Console, columns: dict[str, list[str]], droppable: Iterable[str]) -> dict[str, list[str]]:
+    """Return the columns without those that may be dropped, one after the other, until the console has room."""
+    for name in droppable:
+        if _fits(out, columns):
+            break
+        columns.pop(name, None)
+    return columns
+
+
+def _filled(
+    columns: Mapping[str, Sequence[str]], right: Sequence[str] = ("rel. std", "start", "pull"), title: str = ""
+) -> Table:
+    table = table_of(title, columns, right)
+    for cells in zip(*columns.values(), strict=True):
+        table.add_row(*(escape(cell) for cell in cells))
+    return table
+
+
+def _fits(out: Console, columns: Mapping[str, Sequence[str]]) -> bool:
+    unlimited = out.options.update(max_width=UNLIMITED)
+    return Measurement.get(out, unlimited, _filled(columns)).maximum <= out.width
+
+
+def _columns(found: Findings) -> dict[str, list[str]]:
+    """Return the cells of the table of estimates, column by column."""
+    result = found.result
+    cells: dict[str, list[str]] = {"parameter": list(result.names)}
+    rows = list(zip(result.values.tolist(), result.std.tolist(), strict=True))
+    known = [math.isfinite(std) for _, std in rows]
+    limits = result.intervals(found.level).to_numpy().tolist()
+    # where nothing is known of a value, its digits must not look as if there were
+    cells["value"] = [with_std(value, std) if std < math.inf else f"{value:.2g} ± ?" for value, std in rows]
+    cells["rel. std"] = [f"{100 * std / abs(value):.2g} %" if value and std < math.inf else "" for value, std in rows]
+    cells[_interval_head(found.level)] = [
+        f"{rounded(lower, std)} to {rounded(upper, std)}" if sure else "not determined"
+        for (lower, upper), (_, std), sure in zip(limits, rows, known, strict=True)
+    ]
+    cells["unit"] = [unit_text(unit) for unit in found.units]
+    cells["start"] = [f"{start:.6g}" for start in result.start]
+    notes = [_note(found, name) for name in result.names]
+    return cells | ({"note": notes} if any(notes) else {})
+
+
+def _interval_head(level: float) -> str:
+    return f"{100 * level:.4g} % interval"
+
+
+def _note(found: Findings, name: str) -> str:
+    """Return what the table's last column says of one parameter."""
+    words = []
+    if any(sentence.startswith(f"{name} is at its bound") for sentence in found.result.at_bounds):
+        words.append("at its bound")
+    factor = found.diagnostics.inflation.get(name, math.nan)
+    if factor >= WRONG_STD:
+        words.append(f"std {factor:.2g} x too small")
+    return ", ".join(words)
+
+
+def _remarks(result: Result) -> list[str]:
+    """Return the sentences on what the estimates do not show by themselves."""
+    pairs = [
+        f"{one} and {other} move together (correlation {share:+.3f}): their intervals do not hold one by one"
+        for one, other, share in result.strong_correlations
+    ]
+    prior = [f"without the prior, {sentence}" for sentence in result.prior_determined]
+    return [*pairs, *result.weak, *prior]
+
+
+def show_uncertainty(found: Findings) -> None:
+    """Print the intervals side by side, local, profile and posterior, and what is to be known of them."""
+    there = found.uncertainty
+    if there is None:
+        return
+    out = console()
+    if there.profiles or there.posterior is not None:
+        out.print()
+        out.print(_intervals(out, found, there))
+    factor = max((each for each in found.diagnostics.inflation.values() if math.isfinite(each)), default=1.0)
+    wide = [f"as the residual is not white, all these intervals are too narrow, by up to {factor:.2g}"]
+    for note in (*(wide if factor >= WRONG_STD else []), *there.notes):
+        out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
+    if there.posterior is not None and there.posterior.converged:
+        out.print(f"Posterior: {escape(there.posterior.status)}", soft_wrap=True)
+    if there.interrupted:
+        out.print("[bold red]Interrupted: this is what there is[/]")
+
+
+def _intervals(out: Console, found: Findings, there: Uncertainty) -> Table:
+    limits, posterior = there.intervals(found.result), there.posterior
+    kinds = list(dict.fromkeys(limits.columns.get_level_values(0)))
+    columns: dict[str, list[str]] = {"parameter": list(found.result.names)}
+    values = found.result.values.tolist()
+    for kind in kinds:
+        ends = limits[kind].to_numpy().tolist()
+        columns[kind] = [_interval(lower, upper, value) for (lower, upper), value in zip(ends, values, strict=True)]
+    if posterior is not None:
+        pairs = zip(posterior.mean.tolist(), posterior.std.tolist(), strict=True)
+        columns["posterior mean"] = [with_std(mean, std) for mean, std in pairs]
+    columns["unit"] = [unit_text(unit) for unit in found.units]
+    columns = _narrowed(out, columns, ("unit", "posterior mean"))
+    return _filled(columns, title=f"Intervals at {100 * found.level:.4g} %")
+
+
+def _interval(lower: float, upper: float, value: float) -> str:
+    """Return an interval in words: open where an end is infinite, empty where there is none."""
+    if math.isnan(lower) or math.isnan(upper):
+        return ""
+    if math.isinf(lower) and math.isinf(upper):
+        return "not determined"
+    # about the standard deviation to which an interval of 95 % belongs
+    if math.isinf(upper):
+        return f"above {rounded(lower, 0.5 * (value - lower))}"
+    if math.isinf(lower):
+        return f"below {rounded(upper, 0.5 * (upper - value))}"
+    width = 0.25 * (upper - lower)
+    return f"{rounded(lower, width)} to {rounded(upper, width)}"
+
+
+def _misfit(fits: Sequence[Fit]) -> str:
+    """Return the relative misfit of each output of each experiment."""
+    words = []
+    for fit in fits:
+        shares = [f"{output} {100 * misfit:.3g} %" for output, misfit in zip(fit.outputs, fit.misfit, strict=True)]
+        words.append((f"{fit.experiment}: " if len(fits) > 1 else "") + ", ".join(shares))
+    return "; ".join(words)
+
+
+def _noise(result: Result, fits: Sequence[Fit]) -> str:
+    """Return the standard deviation of each output's residual."""
+    units = {output: unit for fit in fits for output, unit in zip(fit.outputs, fit.units, strict=True)}
+    words = []
+    for output, variance in result.noise_variance.items():
+        given = result.given_variance.get(output)
+        of = f" (given: {math.sqrt(given):.4g})" if given is not None else ""
+        words.append(f"{output} std {math.sqrt(variance):.4g} {unit_text(units[output])}".rstrip() + of)
+    return ", ".join(words)

@@ -1,0 +1,104 @@
+"""What all figures share: the look of them, lines thinned to what a picture can show, and saving.
+
+Figures are drawn with matplotlib's objects directly, without pyplot: no window, no global state, and a faster start.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from fmuid.arrays import Floats
+
+# Wide enough to be read at the width of a README, about 1000 pixels.
+WIDTH, DPI = 9.2, 110
+# More panels than these make a figure nobody reads: the outputs and experiments that fit worst are kept.
+MAX_OUTPUTS, MAX_EXPERIMENTS, MAX_PARAMETERS = 8, 6, 24
+# Lines longer than this are drawn by the least and greatest of each stretch, which looks the same at this resolution.
+MAX_POINTS = 3000
+
+INK, GREY, FAINT, BLUE, RED, AMBER = "#24292f", "#7d8590", "#d8dee4", "#0b61d0", "#c4432b", "#d99a1c"
+STYLE: Any = {
+    "font.size": 9,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.formatter.useoffset": False,
+    "axes.axisbelow": True,
+    "figure.constrained_layout.h_pad": 0.06,
+    "figure.constrained_layout.w_pad": 0.06,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.6,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.3,
+    "text.color": INK,
+}
+
+
+# What the figures of a run are called, before a hyphen where there are several of a kind.
+KINDS = (
+    *("parameters", "criterion", "rounds", "fit", "residuals", "optima", "map", "profiles", "posterior"),
+    *("estimates", "distributions", "swept", "starts"),
+)
+
+
+def clear(folder: Path) -> None:
+    """Remove the figures of an earlier run, which would be taken for this one's; what else is there stays."""
+    for old in folder.glob("*.png"):
+        if old.stem.split("-")[0] in KINDS:
+            old.unlink()
+
+
+def save(figures: dict[str, Figure], folder: Path) -> list[Path]:
+    """Write figures as PNG files into `folder` (made where needed) and return their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    with style():  # ticks take theirs when they are drawn
+        for name, figure in figures.items():
+            path = folder / f"{name}.png"
+            figure.set_dpi(DPI)
+            # what savefig does, without drawing everything twice
+            layout = figure.get_layout_engine()
+            if layout is not None:
+                layout.execute(figure)
+                figure.set_layout_engine("none")
+            canvas: Any = FigureCanvasAgg(figure)
+            canvas.print_png(path)
+            paths.append(path)
+    return paths
+
+
+def style() -> Any:
+    """Return the context in which every figure is drawn."""
+    return matplotlib.rc_context(STYLE)
+
+
+def thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return about `MAX_POINTS` points that draw the same line: the least and greatest of each stretch, in order."""
+    if len(x) <= MAX_POINTS:
+        return x, y
+    step = math.ceil(2 * len(x) / MAX_POINTS)
+    stretches = len(x) // step
+    blocks = y[: stretches * step].reshape(stretches, step)
+    first = np.arange(stretches) * step
+    least = first + np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
+    greatest = first + np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
+    kept = np.unique(np.concatenate([[0], least, greatest, np.arange(stretches * step, len(x)), [len(x) - 1]]))
+    return x[kept], y[kept]

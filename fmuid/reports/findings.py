@@ -1,0 +1,206 @@
+"""What a run says and leaves behind: words and numbers for people, and the files of the output folder."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from fmuid.assessment import LEVEL
+from fmuid.data import ParameterSet
+from fmuid.errors import InputError
+from fmuid.estimation import Result, Status
+from fmuid.files import file_name, replacing, write_table
+from fmuid.simulation import Fit, fit_of
+
+if TYPE_CHECKING:
+    from fmuid.assessment import CriterionMap, Diagnostics, Reading, Uncertainty
+    from fmuid.data import Experiment
+    from fmuid.estimation import GlobalResult
+    from fmuid.models import System
+
+# Tables that not every run writes: those of an earlier run would be taken for this one's.
+_SOMETIMES = ("reading.csv", "optima.csv", "profiles.csv", "posterior.csv", "map-*.csv")
+
+
+def result_fits(system: System, experiments: Sequence[Experiment], result: Result) -> tuple[Fit, ...]:
+    """Return the fits at the estimate, one an experiment."""
+    return tuple(
+        fit_of(system, experiment, frame[[f"simulated.{name}" for name in experiment.output_names]].to_numpy())
+        for experiment, frame in zip(experiments, result.fit, strict=True)
+    )
+
+
+def resumed_start(path: Path, parameters: ParameterSet) -> npt.NDArray[np.float64]:
+    """Return the estimates of an earlier ``result.json`` as a start (N,); parameters new since then keep their own.
+
+    Raises
+    ------
+    InputError
+        If the file is no result or has none of the parameters.
+    """
+    earlier = Result.from_json(path)
+    shared = [name for name in parameters.names if name in earlier.names]
+    if not shared:
+        raise InputError(
+            f"{path} is of another study: its parameters are {', '.join(earlier.names)}, "
+            f"not {', '.join(parameters.names)}"
+        )
+    start = parameters.start.copy()
+    for name in shared:
+        start[parameters.index(name)] = earlier[name]
+    return start
+
+
+def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return the experiments' frames below each other, after a column ``experiment`` where there are several."""
+    if len(frames) == 1:
+        return frames[0]
+    marked = [frame.assign(experiment=name) for name, frame in zip(names, frames, strict=True)]
+    together = pd.concat(marked, ignore_index=True)
+    return together[["experiment", *together.columns.drop("experiment")]]
+
+
+def estimates_frame(result: Result, units: Sequence[str | None], level: float = LEVEL) -> pd.DataFrame:
+    """Return ``estimates.csv``: the result's estimates with units and the limits of their intervals."""
+    intervals = result.intervals(level)
+    frame = result.estimates
+    frame.insert(3, "lower", intervals["lower"].to_numpy())
+    frame.insert(4, "upper", intervals["upper"].to_numpy())
+    frame["unit"] = [unit or "" for unit in units]
+    return frame
+
+
+def at_minimum(result: Result, search: GlobalResult | None) -> bool:
+    """Return whether a search has ended where more can be asked of the criterion, sure or not."""
+    unfinished = tuple(status.value for status in Status if not status.converged)
+    interrupted = search is not None and search.interrupted
+    return not interrupted and not result.status.startswith(unfinished)
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """All that a run has found so far.
+
+    Attributes
+    ----------
+    result : Result
+    units : tuple of str or None
+        Of the parameters.
+    fits : tuple of Fit
+        One an experiment.
+    diagnostics : Diagnostics
+        Of the residuals.
+    reading : Reading
+        What prior and data say, and whether they agree.
+    level : float
+        Of intervals.
+    search : GlobalResult or None
+        Where the whole box was searched.
+    uncertainty : Uncertainty or None
+        Where more than the local covariance was asked for.
+    """
+
+    result: Result
+    units: tuple[str | None, ...]
+    fits: tuple[Fit, ...]
+    diagnostics: Diagnostics
+    reading: Reading
+    level: float = LEVEL
+    search: GlobalResult | None = None
+    uncertainty: Uncertainty | None = None
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether all that was asked for is there and can be trusted."""
+        return self.result.converged and (self.uncertainty is None or self.uncertainty.succeeded)
+
+    @property
+    def has_prior(self) -> bool:
+        """Whether any parameter has a prior."""
+        return bool(np.isfinite(self.result.prior_mean).any())
+
+    @property
+    def estimates(self) -> pd.DataFrame:
+        """The content of ``estimates.csv``."""
+        return estimates_frame(self.result, self.units, self.level)
+
+    @property
+    def unit_of(self) -> dict[str, str | None]:
+        """The unit of each parameter."""
+        return dict(zip(self.result.names, self.units, strict=True))
+
+    @property
+    def output_units(self) -> dict[str, str | None]:
+        """The unit of each output."""
+        return {output: unit for fit in self.fits for output, unit in zip(fit.outputs, fit.units, strict=True)}
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return the content of ``result.json``."""
+        content = self.result.to_json_dict()
+        content |= {"diagnostics": self.diagnostics.to_json_dict(), "consistency": self.reading.to_json_dict()}
+        if self.search is not None:
+            content["optima"] = [
+                {
+                    "criterion": optimum.criterion if math.isfinite(optimum.criterion) else None,
+                    "hits": optimum.hits,
+                    "converged": optimum.converged,
+                    "status": optimum.status,
+                    "parameters": dict(zip(self.search.names, optimum.theta.tolist(), strict=True)),
+                }
+                for optimum in self.search.optima
+            ]
+        return content | (self.uncertainty.to_json_dict() if self.uncertainty is not None else {})
+
+    def maps(self) -> dict[str, CriterionMap]:
+        """Return the maps of the criterion by the names of their files."""
+        if self.uncertainty is None:
+            return {}
+        found = {f"map-{file_name('-'.join(chart.names))}": chart for chart in self.uncertainty.maps}
+        return found | {f"map-{file_name('-'.join(chart.names))}-box": chart for chart in self.uncertainty.box_maps}
+
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """Return the CSV tables by their names."""
+        result = self.result
+        found = {
+            "estimates": self.estimates,
+            "trace": result.trace,
+            "rounds": result.rounds,
+            "fit": stacked([fit.experiment for fit in self.fits], result.fit),
+            "diagnostics": self.diagnostics.table,
+        }
+        if self.has_prior:
+            found["reading"] = self.reading.table
+        if self.search is not None:
+            found["optima"] = self.search.table
+        if self.uncertainty is not None:
+            found |= {name: chart.table for name, chart in self.maps().items()}
+            found |= {"profiles": self.uncertainty.profile_table} if self.uncertainty.profiles else {}
+            posterior = self.uncertainty.posterior
+            found |= {"posterior": posterior.table} if posterior is not None else {}
+        return found
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write ``result.json`` and the tables, and return their paths.
+
+        Parameters
+        ----------
+        folder
+            Made where needed; files of an earlier run are replaced.
+        """
+        path = folder / "result.json"
+        with replacing(path) as draft:
+            text = json.dumps(self.to_json_dict(), indent=2, ensure_ascii=False)
+            draft.write_text(text + "\n", encoding="utf-8")
+        written = [path, *(write_table(folder / f"{name}.csv", frame) for name, frame in self.tables().items())]
+        for old in (old for pattern in _SOMETIMES for old in folder.glob(pattern)):
+            if old not in written:
+                old.unlink()
+        return written

@@ -1,0 +1,1 @@
+"""FMUs in a process of their own."""

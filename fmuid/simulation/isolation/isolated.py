@@ -1,0 +1,313 @@
+"""FMUs in a process of their own: a crash, a hang or runaway memory costs one simulation, not the study.
+
+The process (`fmuid.simulation.isolation.server`) is forked by a server that has all code loaded, so that a new one is
+there within some hundredths of a second. Thetas, outputs and reports are in memory that both sides share; only orders
+and their acknowledgement go through a socket. What the FMU prints goes to a file that is read here.
+
+Which simulation is to blame for an end is settled in a fresh process that runs it alone, so that it does not depend on
+what ran before.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import threading
+import weakref
+from collections.abc import Collection, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.arrays import Floats
+from fmuid.errors import FmuidError, SimulationError
+from fmuid.fmi import Run, codes, shares
+from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
+from fmuid.simulation.isolation.ends import GREW, HUNG, KILLED, End
+from fmuid.simulation.isolation.process import MEASURE_EVERY, Host
+
+SLOWER = 100.0
+"""How much longer than all before a simulation may take by default."""
+LEAST_LIMIT = 5.0
+"""The shortest default time limit, s: machines are busy at times."""
+FIRST_LIMIT = 60.0
+"""The default time limit before any simulation has ended, or one of as many steps, s; and more for each step:"""
+STEP_LIMIT = 1e-4
+"""s of each communication step, far more than a step takes but of a model that computes for long."""
+LEAST_MEMORY = 1e9  # bytes that a process may take by default even on a small machine
+CHUNK = 1 << 25  # bytes of outputs that are shared at a time
+MOST_KILLS = 3  # of the same simulation, from outside; then it is at fault after all
+_log = logging.getLogger("fmuid.fmu")
+_left: list[str] = []  # what FMUs printed whose workers are gone
+_living: weakref.WeakSet[IsolatedWorkers] = weakref.WeakSet()
+
+
+class IsolatedWorkers:
+    """The workers of one system in a process of their own (as `fmuid.simulation.in_process.InProcess` in this one).
+
+    Parameters
+    ----------
+    components : mapping of str to Component
+    limit : int
+        The largest number of simulations at a time.
+    settings : Isolation
+
+    Attributes
+    ----------
+    lock : RLock
+        Held by who runs simulations and asks for their failures.
+    """
+
+    def __init__(self, components: Mapping[str, Component], limit: int, settings: Isolation) -> None:
+        self.lock = threading.RLock()
+        self._components, self._settings = dict(components), settings
+        self._limit = min(limit, settings.threads or limit)
+        self._memory = 1e6 * settings.memory if settings.memory else memory_share()
+        self._hosts: list[Host] = []  # the one that there is, in a list that outlives these workers
+        self._resets: bool | None = None  # False: a reset crashes the FMU
+        self._numbers: weakref.WeakKeyDictionary[Run, int] = weakref.WeakKeyDictionary()
+        self._next, self._known, self._forgotten = 0, set[int](), list[int]()
+        self._longest, self._steps = 0.0, 0  # of all simulations: the longest, and the one of most steps
+        self._text = ""
+        _living.add(self)
+        self._closing = weakref.finalize(self, _shut, self._hosts)
+
+    # --- simulations
+
+    def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+        """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
+
+        Outputs (m, K, n_outputs) and reports (m, 4) are filled in (`fmuid.fmi.kernels.simulate`).
+        """
+        first, largest = 0, max(1, CHUNK // max(1, outputs[:1].nbytes))
+        while first < len(thetas):
+            # the first ones by themselves, so that what they need is known and not taken for growth
+            often = 1 if not self._host().simulations else max(1, int(MEASURE_EVERY / max(self._longest, 1e-6)))
+            most = min(largest, self._limit * often, self._settings.recycle or largest)
+            part = slice(first, first + most)
+            self._run_part(run, thetas[part], outputs[part], reports[part])
+            if self._host().outgrown(self._settings.recycle):
+                self._replace()
+            first = part.stop
+
+    def _run_part(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+        left, suspects = np.arange(len(thetas)), list[int]()
+        kills, unblamed = np.zeros(len(thetas), np.intp), 0
+        while left.size:
+            if suspects:
+                self._replace()  # they run alone, each in a fresh process
+            group = np.array(suspects[:1], np.intp) if suspects else left
+            fresh = self._host().simulations == 0
+            end, undone = self._attempt(run, thetas, outputs, reports, group)
+            if end is None and group is left:
+                return
+            left = np.setdiff1d(left, np.setdiff1d(group, undone), assume_unique=True)
+            suspects = [each for each in suspects if each in left]
+            if end is None:
+                continue
+            doing = self._bury()
+            blamed = self._blamed(group, undone, doing)
+            if not blamed:
+                unblamed = unblamed + 1 if len(undone) == len(group) else 0
+                if (doing == codes.REPEATING).any() and end.kind != KILLED:
+                    self._give_up_reset()
+                elif unblamed == MOST_KILLS or end.kind == HUNG:
+                    self._write(end, left, reports)
+                    return
+            elif end.kind == KILLED and (kills[blamed] < MOST_KILLS).all():
+                kills[blamed] += 1
+            elif len(blamed) == 1 and (end.kind == HUNG or (fresh and len(group) == 1)):
+                self._write(end, np.array(blamed), reports)
+                left = np.setdiff1d(left, blamed, assume_unique=True)
+                suspects = [each for each in suspects if each != blamed[0]]
+            else:
+                suspects = list(dict.fromkeys([*blamed, *suspects]))
+
+    def _attempt(
+        self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp], group: NDArray[np.intp]
+    ) -> tuple[End | None, NDArray[np.intp]]:
+        """Simulate some thetas; return how the process came to an end, if it did, and what is still to be done."""
+        host, end = self._host(), None
+        shape = (len(group), thetas.shape[1], *outputs.shape[1:])
+        (their_reports, their_thetas, their_outputs), size = host.room(shape)
+        their_reports[:] = codes.UNDONE
+        their_thetas[:] = thetas[group]
+        varying = [(each.magnitudes, each.initial, each.steps) for each in run.varying]
+        try:
+            number = self._tell(host, run)
+            host.simulations += len(group)
+            stiff, longest = host.order(
+                "run", number, shape, size, varying, limit=self._time_limit(run), reports=their_reports
+            )
+            self._longest = max(self._longest, longest)
+            self._steps = max(self._steps, _steps(run))
+            for component in stiff:
+                list(self._components.values())[component].stiff = True
+                run.integrate(component, STIFF_INTEGRATOR)
+        except End as ended:
+            end = ended
+        done = their_reports[:, 2] != codes.UNDONE
+        if len(group) == len(outputs) and done.all():
+            outputs[:], reports[:] = their_outputs, their_reports
+            return end, group[:0]
+        outputs[group[done]], reports[group[done]] = their_outputs[done], their_reports[done]
+        return end, group[~done]
+
+    def _blamed(self, group: NDArray[np.intp], undone: NDArray[np.intp], doing: NDArray[np.intp]) -> list[int]:
+        """Return the thetas that were being simulated when the process came to its end."""
+        count, open_ones, found = min(self._limit, len(group)), set(undone.tolist()), []
+        for share, what in zip(shares(len(group), count), doing, strict=False):
+            waiting = [each for each in group[share].tolist() if each in open_ones]
+            if what == codes.SIMULATING and waiting:
+                found.append(waiting[0])
+        return found
+
+    def _time_limit(self, run: Run) -> float:
+        """Return how long a simulation may take, s; one of more steps than all before is like the first of all."""
+        if self._settings.time_limit:
+            return self._settings.time_limit
+        first = FIRST_LIMIT + STEP_LIMIT * _steps(run) if _steps(run) > self._steps else 0.0
+        return max(first, default_limit(self._longest))
+
+    def failure(
+        self,
+        run: Run,
+        theta: Floats,
+        outputs: Floats,
+        report: NDArray[np.intp],
+        parameters: Mapping[str, float],
+        explain: bool = False,
+    ) -> SimulationError | None:
+        """Return what outputs and report of one simulation say as an error; None where it succeeded."""
+        function, kind, number = (int(word) for word in report[:3])
+        if function < 0 and np.isfinite(outputs).all():
+            return None
+        if function != codes.PROCESS:
+            try:
+                host = self._host()
+                words = theta, outputs, report, dict(parameters), explain
+                found: SimulationError | None = host.order(
+                    "failure", self._tell(host, run), *words, limit=self._time_limit(run)
+                )
+                return found
+            except End as end:
+                self._bury()
+                kind, number = end.kind, end.number
+        return SimulationError(self._labels, math.nan, parameters, End(kind, number).words())
+
+    # --- the process
+
+    @property
+    def _labels(self) -> str:
+        return ", ".join(f"{name} ({model.fmu.path})" if name else str(model.fmu.path) for name, model in self._models)
+
+    @property
+    def _models(self) -> list[tuple[str, Component]]:
+        return list(self._components.items())
+
+    def _host(self) -> Host:
+        """Return the process, a new one where there is none."""
+        if self._hosts and self._hosts[0].alive:
+            return self._hosts[0]
+        for _, model in self._models:
+            model.fmu.directory  # noqa: B018  # unpacked here, where what is wrong with it can be said
+        for _ in range(MOST_KILLS):
+            host = Host(modules_for(self._components.values()), self._memory)
+            try:
+                host.order("start", self._components, self._limit, self._resets, limit=FIRST_LIMIT)
+            except End:
+                continue
+            self._hosts[:] = [host]
+            self._known.clear()
+            return host
+        raise FmuidError(f"the process that is to run {self._labels} ends again and again before it has begun")
+
+    def _tell(self, host: Host, run: Run) -> int:
+        """Return the number of a run, which the process knows now."""
+        number = self._numbers.get(run)
+        if number is None:
+            number = self._numbers[run] = self._next
+            self._next += 1
+            weakref.finalize(run, self._forgotten.append, number).atexit = False
+        if number not in self._known:
+            host.order("know", number, run, self._forgotten[:], limit=FIRST_LIMIT)
+            self._forgotten.clear()
+            self._known.add(number)
+        return number
+
+    def _bury(self) -> NDArray[np.intp]:
+        """Part with a process that has ended; return what its workers were doing."""
+        host = self._hosts.pop()
+        self._text += host.printed()
+        return host.states[: self._limit].copy()
+
+    def _replace(self) -> None:
+        """End the process if it has simulated anything."""
+        if self._hosts and self._hosts[0].simulations:
+            host = self._hosts.pop()
+            host.close()
+            self._text += host.printed()
+
+    def _write(self, end: End, indices: NDArray[np.intp], reports: NDArray[np.intp]) -> None:
+        limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory}
+        reports[indices] = codes.PROCESS, end.kind, end.number if limits.get(end.kind, 1) else 0, -1
+
+    def _give_up_reset(self) -> None:
+        self._resets = False
+        _log.warning(
+            "%s: a reset crashes it, so it is instantiated anew for every simulation, which is slow and, for some "
+            "FMUs, fails after a thousand times",
+            self._labels,
+        )
+
+    def printed(self) -> str:
+        """Return and forget what the FMUs printed."""
+        with self.lock:
+            text, self._text = self._text, ""
+            return text + (self._hosts[0].printed() if self._hosts else "")
+
+    def close(self) -> None:
+        """End the process; a later simulation makes a new one."""
+        with self.lock:
+            self._replace()
+
+
+def printed() -> str:
+    """Return and forget what all FMUs printed that nobody has asked their workers for."""
+    text = "".join([*_left, *(workers.printed() for workers in list(_living))])
+    _left.clear()
+    return text
+
+
+def _shut(hosts: list[Host]) -> None:
+    for host in hosts:
+        host.close()
+        _left.extend(filter(None, [host.printed()]))
+    hosts.clear()
+
+
+def default_limit(longest: float) -> float:
+    """Return how long a simulation may take where the longest so far took `longest`, both s; 0 before there was any."""
+    return max(LEAST_LIMIT, SLOWER * longest) if longest else FIRST_LIMIT
+
+
+def _steps(run: Run) -> int:
+    return int(run.grid.substeps.sum())
+
+
+def memory_share() -> float:
+    """Return how much memory a process may take by default, bytes."""
+    import psutil
+
+    return max(LEAST_MEMORY, psutil.virtual_memory().total / (2 * (os.cpu_count() or 1)))
+
+
+def modules_for(models: Collection[Component]) -> list[str]:
+    """Return what a process is to load before it is forked, beside what all need."""
+    found = []
+    if any(model.kind == "model-exchange" for model in models):
+        found += ["fmuid.fmi.model_exchange"]
+    elif any(model.fmu.description.major_version == 3 for model in models):
+        found += ["fmuid.fmi.co_simulation"]
+    return found + (["fmuid.fmi.coupling"] if found or len(models) > 1 else [])

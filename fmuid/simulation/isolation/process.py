@@ -1,0 +1,377 @@
+"""The near side of `server`: the server that forks hosts, and one host with its memory, watched while it works."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import errno
+import fcntl
+import logging
+import mmap
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from fmuid.errors import FmuidError
+from fmuid.fmi import codes
+from fmuid.processes import python_command
+from fmuid.simulation.isolation import server as far
+from fmuid.simulation.isolation.channel import Channel, GarbledError
+from fmuid.simulation.isolation.ends import CRASHED, EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, End
+
+GROWTH = 256e6
+"""Growth of a process beyond its size after its first simulations at which it is replaced, bytes."""
+
+PREPARATION_LIMIT = 120.0  # s; instantiation, and loading code that may first have to be compiled
+CLOSING_LIMIT = 2.0  # s; for freeing instances, after which the process is killed
+LOOK_EVERY = 0.05  # s, whether all is well with a host that works
+MOST_STARTS = 6  # of the server, which may be killed from outside while it loads
+DEATH = 2.0  # s that a process which has closed its socket may take to end
+PRINTED_KEPT = 1 << 16  # bytes of what FMUs print that are kept until they are read
+PRINTED_LARGEST = 1 << 20  # bytes that may pile up in the file before it is cut
+MEASURE_EVERY = 0.25  # s, its memory while simulations come and go
+SLOW_START = 3.0  # s after which it is said that code is being compiled
+
+_log = logging.getLogger("fmuid")
+
+
+class ForkServer:
+    """The server of this process (`fmuid.simulation.isolation.server.Server`), started when it is first needed.
+
+    Attributes
+    ----------
+    notify : callable
+        Told in words what takes long.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._channel: socket.socket | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._owner, self._loaded = 0, False
+        self.notify: Callable[[str], None] = _log.info
+
+    def start(self) -> socket.socket:
+        """Start the server where there is none; it loads its code while this process goes on."""
+        with self._lock:
+            if self._channel is not None and self._owner == os.getpid():
+                return self._channel
+            self._owner, self._loaded = os.getpid(), False
+            self._channel, other = socket.socketpair()
+            self._process = subprocess.Popen(
+                python_command("fmuid.simulation.isolation.server", str(other.fileno())),
+                stdin=subprocess.DEVNULL,
+                pass_fds=[other.fileno()],
+                start_new_session=True,  # Ctrl-C is for this process alone
+                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+            )
+            other.close()
+            return self._channel
+
+    def fork(self, modules: Sequence[str], descriptors: Sequence[int]) -> int:
+        """Return the process id of a new host that has loaded the modules and got the file descriptors."""
+        for _ in range(MOST_STARTS):
+            with self._lock:
+                channel = self.start()
+                began, told = time.monotonic(), False
+
+                def waiting(began: float = began) -> None:
+                    nonlocal told
+                    if not told and time.monotonic() - began > SLOW_START:
+                        told = True
+                        self.notify("compiling the loops that run such FMUs: once after installation, some 10 s")
+
+                try:
+                    socket.send_fds(channel, [pickle.dumps(("fork", list(modules)))], list(descriptors))
+                    found = Channel(channel, SLOW_START).receive(waiting)
+                except (EOFError, ConnectionError):
+                    self.stop()  # somebody has killed it: once more
+                    continue
+                self._loaded = True
+                if isinstance(found, str):
+                    raise FmuidError(f"no process can be made for the FMU: {found}")
+                return int(found)
+        raise FmuidError(
+            f"{sys.executable} -m fmuid.simulation.isolation.server, which starts the processes of FMUs, ends again "
+            "and again as soon as it begins: have FMUs run inside this process"
+        )
+
+    def status(self, pid: int) -> int | None:
+        """Return the status with which a host ended, None if it has not or nobody knows."""
+        with self._lock:
+            if self._channel is None:
+                return None
+            try:
+                self._channel.sendall(pickle.dumps(("wait", pid, DEATH)))
+                status: int | None = Channel(self._channel).receive()
+            except (EOFError, ConnectionError):
+                self.stop()
+                return None
+            return status
+
+    def stop(self) -> None:
+        """End the server, and with it all hosts."""
+        with self._lock:
+            if self._channel is not None:
+                self._channel.close()
+            if self._process is not None and self._owner == os.getpid():
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._process.wait(CLOSING_LIMIT if self._loaded else 0.0)
+                if self._process.returncode is None:
+                    self._process.kill()
+                    self._process.wait()
+            self._channel = self._process = None
+
+
+SERVER = ForkServer()
+atexit.register(SERVER.stop)
+
+
+@dataclass
+class _Progress:
+    """How long a host has done the same: `limit`, `idle_limit` and `reports` as `Host.order` has them."""
+
+    limit: float
+    idle_limit: float | None
+    reports: NDArray[np.intp] | None
+    since: float = field(default_factory=time.monotonic)
+    state: tuple[bytes, int] | None = None
+
+    def limit_passed(self, doing: NDArray[np.intp], stopped: bool) -> float | None:
+        """Return the limit that has passed, s, if one has."""
+        undone = 0 if self.reports is None else int((self.reports[:, 2] == codes.UNDONE).sum())
+        state, now = (doing.tobytes(), undone), time.monotonic()
+        if state != self.state:
+            self.state, self.since = state, now
+        preparing = (doing[::2] == codes.PREPARING).any() and not stopped
+        allowed = max(self.limit, PREPARATION_LIMIT) if preparing else self.limit
+        if self.idle_limit is not None and not doing[::2].any():
+            allowed = self.idle_limit
+        return allowed if now - self.since > allowed else None
+
+
+class Host:
+    """One process that runs the FMUs of one system.
+
+    Parameters
+    ----------
+    modules : sequence of str
+        What it needs to have loaded.
+    memory_limit : float
+        How much resident memory it may take, bytes.
+
+    Attributes
+    ----------
+    doing : (`host.DOING`,) array of intp
+        What each of its workers is doing, and how often it has begun.
+    simulations : int
+        How many it was given.
+    """
+
+    def __init__(self, modules: Sequence[str], memory_limit: float) -> None:
+        self._owner = os.getpid()
+        self._limit = memory_limit
+        self.simulations, self.baseline, self._measured = 0, 0.0, 0.0
+        self._text = ""
+        with contextlib.ExitStack() as made, _refusals():
+            self._file, self._printed = (_file(made, name) for name in ("memory", "printed"))
+            os.set_blocking(self._printed, True)
+            fcntl.fcntl(self._printed, fcntl.F_SETFL, fcntl.fcntl(self._printed, fcntl.F_GETFL) | os.O_APPEND)
+            self._memory, self.doing = self._mapped(8 * far.DOING)
+            own, other = socket.socketpair()
+            made.callback(own.close)
+            with other:
+                self.pid = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
+            made.pop_all()
+        self._channel = Channel(own, LOOK_EVERY)
+
+    def _mapped(self, size: int) -> tuple[mmap.mmap, NDArray[np.intp]]:
+        os.ftruncate(self._file, size)
+        memory = mmap.mmap(self._file, size)
+        return memory, np.frombuffer(memory, np.intp, far.DOING)
+
+    @property
+    def states(self) -> NDArray[np.intp]:
+        """What each of its workers is doing."""
+        return self.doing[::2]
+
+    def room(self, shape: tuple[int, int, int, int]) -> tuple[far.Arrays, int]:
+        """Return reports, thetas and outputs in shared memory that is large enough, and its size."""
+        needed = far.layout(*shape)[-1]
+        if needed > len(self._memory):
+            with _refusals():
+                self._memory, self.doing = self._mapped(needed)
+        return far.arrays(self._memory, shape), len(self._memory)
+
+    def order(
+        self,
+        name: str,
+        *arguments: Any,
+        limit: float,
+        reports: NDArray[np.intp] | None = None,
+        idle_limit: float | None = None,
+    ) -> Any:
+        """Give an order and return the answer.
+
+        Parameters
+        ----------
+        limit : float
+            How long it may take until a worker begins with something else, or one more report is done, s.
+        reports : (m, 4) array, optional
+        idle_limit : float, optional
+            How long it may take while all workers are idle, s; default: `limit`.
+
+        Raises
+        ------
+        End
+            If the host comes to an end over it; it is gone then.
+        """
+        look = partial(self._look, _Progress(limit, idle_limit, reports))
+        try:
+            self._channel.send((name, *arguments), look)
+            kind, answer, said = self._channel.receive(look)
+        except EOFError:
+            raise self._ended() from None
+        except GarbledError:
+            raise self._stopped(GARBLED, 0) from None
+        except BaseException:  # half a message may be on its way
+            self.kill()
+            raise
+        for logger, level, text in said:
+            logging.getLogger(logger).log(level, "%s", text)
+        if kind != "error":
+            return answer
+        if isinstance(answer, OSError | MemoryError):
+            raise self._stopped(REFUSED, getattr(answer, "errno", errno.ENOMEM) or 0)
+        raise answer
+
+    def _look(self, progress: _Progress) -> None:
+        """See whether all is well while it works; what is not ends it."""
+        condition = self._condition()
+        if condition == psutil.STATUS_ZOMBIE:  # and somebody whom it forked keeps the socket open
+            raise self._ended()
+        over = progress.limit_passed(self.doing, stopped=condition == psutil.STATUS_STOPPED)
+        if over is not None:
+            raise self._stopped(HUNG, round(1e3 * over))
+        if self.private_memory() > self._limit:
+            raise self._stopped(GREW, round(self._limit / 1e6))
+        self._cut_printed()
+
+    def private_memory(self) -> float:
+        """Return the resident memory that it does not share with others, bytes."""
+        try:
+            found = psutil.Process(self.pid).memory_info()
+        except psutil.Error:
+            return 0.0
+        return float(found.rss - getattr(found, "shared", 0))
+
+    def outgrown(self, recycle: int | None) -> bool:
+        """Whether it is to be replaced: after so many simulations, or because it has grown since the first of them."""
+        if recycle is not None and self.simulations >= recycle:
+            return True
+        now = time.monotonic()
+        if self.baseline and now - self._measured < MEASURE_EVERY:
+            return False
+        self._measured, size = now, self.private_memory()
+        self.baseline = self.baseline or size
+        return size > self.baseline + GROWTH
+
+    def _condition(self) -> str:
+        try:
+            return str(psutil.Process(self.pid).status())
+        except psutil.Error:
+            return psutil.STATUS_ZOMBIE
+
+    def _stopped(self, kind: int, number: int) -> End:
+        self.kill()
+        return End(kind, number)
+
+    def _ended(self) -> End:
+        status = SERVER.status(self.pid)
+        self.kill()
+        if status is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL):
+            return End(KILLED, signal.SIGKILL)
+        return End(CRASHED, os.WTERMSIG(status)) if os.WIFSIGNALED(status) else End(EXITED, os.WEXITSTATUS(status))
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can be given orders: it was made by this process (not by the one it is a fork of) and lives."""
+        return self._owner == os.getpid() and self._channel.open
+
+    def close(self) -> None:
+        """Let it free its instances and end it."""
+        if self.alive:
+            with contextlib.suppress(End):
+                self.order("close", limit=CLOSING_LIMIT)
+            self.kill()
+
+    def kill(self) -> None:
+        """End it at once; what was printed can be read still."""
+        if not self.alive:
+            return
+        for end in (os.kill, os.killpg):  # with whatever it has started itself
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                end(self.pid, signal.SIGKILL)
+        self._channel.close()
+        SERVER.status(self.pid)
+        self._read_printed()
+        os.close(self._file)
+        os.close(self._printed)
+
+    def printed(self) -> str:
+        """Return and forget what was printed."""
+        if self.alive:
+            self._read_printed()
+        text, self._text = self._text, ""
+        return text
+
+    def _read_printed(self) -> None:
+        size = os.fstat(self._printed).st_size
+        if not size:
+            return
+        data = os.pread(self._printed, PRINTED_KEPT, 0)
+        os.ftruncate(self._printed, 0)
+        lost = "" if size <= PRINTED_KEPT else f"\n[{size - PRINTED_KEPT} bytes more]\n"
+        room = max(0, PRINTED_KEPT - len(self._text))
+        self._text += (data.decode("utf-8", errors="replace") + lost)[:room]
+
+    def _cut_printed(self) -> None:
+        if os.fstat(self._printed).st_size > PRINTED_LARGEST:
+            self._read_printed()
+
+
+def _file(made: contextlib.ExitStack, name: str) -> int:
+    """Return the descriptor of a file in memory that goes with the processes that hold it."""
+    if hasattr(os, "memfd_create"):
+        found = os.memfd_create(f"fmuid-{name}")
+    else:
+        with tempfile.TemporaryFile() as file:
+            found = os.dup(file.fileno())
+    made.callback(os.close, found)
+    return found
+
+
+@contextlib.contextmanager
+def _refusals() -> Iterator[None]:
+    """Say in one sentence what the system refuses this process."""
+    try:
+        yield
+    except OSError as error:
+        raise FmuidError(
+            f"the system refuses what the process of an FMU needs ({error.strerror}): "
+            "free some of it, or have FMUs run inside this process"
+        ) from error

@@ -1,0 +1,229 @@
+"""The simulated outputs of a system over an experiment, as a function of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmuid.data import Experiment
+from fmuid.errors import InputError, SimulationError
+from fmuid.fmi import FMU
+from fmuid.models import Isolation, Numerics, System, Value, column_conversion
+from fmuid.simulation.executor import workers_of
+from fmuid.simulation.plan import PlannedRun
+
+
+@dataclass(frozen=True)
+class Simulations:
+    """Simulations of several thetas.
+
+    Attributes
+    ----------
+    outputs : (m, K, n_outputs) array
+        In the units of the experiment's columns; NaN where the simulation failed.
+    errors : tuple of SimulationError or None
+        One for each theta.
+    """
+
+    outputs: NDArray[np.float64]
+    errors: tuple[SimulationError | None, ...]
+
+
+class Simulator:
+    """Simulate a model over an experiment: ``simulator(theta)``.
+
+    The instances are kept and shared by all simulators of one `System`; several thetas are spread over
+    several instances in threads where the FMU allows it.
+
+    Parameters
+    ----------
+    model : System, FMU or path
+    experiment : Experiment
+        Its inputs drive the model, and the outputs are given at its times, the first at initialisation.
+    parameters : sequence of str
+        The variables that theta sets, in this order.
+    values : mapping of str to float, int, bool or str
+        Variables held at a value.
+    interface, integrator, tolerance : optional
+        How an FMU is run (`fmuid.Numerics`); a System says it itself.
+    step_size : float, optional
+        Largest communication step, s, of all components, and largest step of an integrator; default: what the system
+        says, else from sample to sample.
+    isolation : Isolation, optional
+        Runs an FMU in a process of its own; default: in this one, which an FMU that crashes takes with it.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, of the wrong causality or type, or given twice.
+
+    Examples
+    --------
+    >>> simulator = Simulator("Coil.fmu", experiment, parameters=["R", "L"])  # doctest: +SKIP
+    >>> simulator([4.0, 0.1]).shape  # doctest: +SKIP
+    (1200, 1)
+    """
+
+    def __init__(
+        self,
+        model: System | FMU | str | Path,
+        experiment: Experiment,
+        parameters: Sequence[str] = (),
+        *,
+        values: Mapping[str, Value] | None = None,
+        interface: str | None = None,
+        integrator: str | None = None,
+        tolerance: float | None = None,
+        step_size: float | None = None,
+        isolation: Isolation | None = None,
+    ) -> None:
+        self.system = System.of(model, Numerics(interface, integrator, tolerance), isolation)
+        self.experiment = experiment
+        self.parameters = tuple(parameters)
+        repeated = {name for name in self.parameters if self.parameters.count(name) > 1}
+        if repeated:
+            raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
+        self._given = dict(values or {}), step_size
+        self._targets = [
+            (name, column, factor, offset)
+            for column, parameter in enumerate(self.parameters)
+            for name, factor, offset in self.system.targets(parameter)
+        ]
+        names = [name for name, *_ in self._targets]
+        self._run = PlannedRun(self.system, experiment, names, self._target_values(), step_size)
+        self._workers = workers_of(self.system)
+        self._conversions = self._output_conversions()
+        fed = {*names, *self._target_values(), *self.system.connected_inputs, *self.system.connectors}
+        fed |= {target for name in experiment.input_names for target, _, _ in self.system.targets(name)}
+        self.unfed_inputs = tuple(
+            v.name for v in self.system.variables.values() if v.causality == "input" and v.name not in fed
+        )
+        """Inputs that nothing feeds: they keep their start values."""
+
+    def _target_values(self) -> dict[str, Value]:
+        """Return the values held, those of connectors of the system at the variables behind them."""
+        found: dict[str, Value] = {}
+        for given, value in self._given[0].items():
+            for name, factor, offset in self.system.targets(given):
+                plain = isinstance(value, bool | str) or (factor, offset) == (1.0, 0.0)
+                found[name] = value if plain else factor * float(value) + offset
+        return found
+
+    @property
+    def targets(self) -> tuple[tuple[str, int, float, float], ...]:
+        """The variables that theta sets: name, and factor times which element of theta plus offset it is."""
+        return tuple(self._targets)
+
+    @property
+    def settings(self) -> tuple[dict[str, Value], float | None]:
+        """The variables held at a value, and the largest step, s."""
+        return self._target_values(), self._given[1]
+
+    def _set(self, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values of all variables that thetas (m, N) set."""
+        if len(self._targets) == len(self.parameters) and not self.system.connectors:
+            return thetas
+        columns = np.array([column for _, column, _, _ in self._targets], np.intp)
+        factors, offsets = np.array([each[2:] for each in self._targets], np.float64).reshape(-1, 2).T
+        return np.ascontiguousarray(thetas[:, columns] * factors + offsets)
+
+    def _output_conversions(self) -> dict[int, tuple[float, float]]:
+        """Return for each output that differs from what the FMU gives: factor and offset."""
+        found = {}
+        for j, name in enumerate(self.experiment.output_names):
+            _, factor, offset = self.system.targets(name)[0]
+            if name in self.experiment.units:
+                of_unit, shift = column_conversion(self.system, name, self.experiment.units[name])
+                factor, offset = factor / of_unit, (offset - shift) / of_unit
+            if (factor, offset) != (1.0, 0.0):
+                found[j] = factor, offset
+        return found
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The outputs, in the order of the last axis."""
+        return self.experiment.output_names
+
+    def __call__(self, theta: ArrayLike) -> NDArray[np.float64]:
+        """Simulate one theta (N,) or several (m, N).
+
+        Returns
+        -------
+        (K, n_outputs) or (m, K, n_outputs) array
+
+        Raises
+        ------
+        SimulationError
+            If a simulation fails; it names FMU, time, parameter values, and what the FMU said.
+        """
+        thetas = np.asarray(theta, dtype=np.float64)
+        found = self.many(np.atleast_2d(thetas))
+        for error in found.errors:
+            if error is not None:
+                raise error
+        return found.outputs[0] if thetas.ndim < 2 else found.outputs
+
+    def many(self, thetas: ArrayLike) -> Simulations:
+        """Simulate several thetas (m, N); a failed one does not end the others.
+
+        Raises
+        ------
+        InputError
+            If thetas has another shape or is not finite.
+        """
+        given = np.ascontiguousarray(thetas, dtype=np.float64)
+        if given.ndim != 2 or given.shape[1] != len(self.parameters):
+            raise InputError(
+                f"theta must have {len(self.parameters)} values (one each for {self._names}); "
+                f"its shape is {given.shape}"
+            )
+        if not np.isfinite(given).all():
+            raise InputError(f"theta must be finite; one of the values for {self._names} is not")
+        outputs = np.empty((len(given), self._run.grid.times.size, len(self.output_names)))
+        reports = np.empty((len(given), 4), np.intp)
+        with self._workers.lock:
+            self._workers.run(self._run, self._set(given), outputs, reports)
+            errors = self._explain(given, outputs, reports)
+        for j, (factor, offset) in self._conversions.items():
+            outputs[:, :, j] = factor * outputs[:, :, j] + offset
+        return Simulations(outputs, errors)
+
+    def over(self, experiment: Experiment) -> Simulator:
+        """Return the simulator of another experiment with the same model, parameters and values."""
+        values, step_size = self._given
+        return Simulator(self.system, experiment, self.parameters, values=values, step_size=step_size)
+
+    @property
+    def output_factors(self) -> NDArray[np.float64]:
+        """What a change of each output in the unit of the FMU is in that of the table (n_outputs,)."""
+        return np.array([self._conversions.get(j, (1.0, 0.0))[0] for j in range(len(self.output_names))])
+
+    def close(self) -> None:
+        """Free the instances of the system (also those of its other simulators; they make new ones when needed)."""
+        self._workers.close()
+
+    @property
+    def _names(self) -> str:
+        return ", ".join(self.parameters) or "no parameters"
+
+    def _explain(
+        self, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]
+    ) -> tuple[SimulationError | None, ...]:
+        # a sum is finite only where all its terms are; only then is a closer look needed. After a failure the rest of
+        # the outputs is whatever the memory held
+        with np.errstate(invalid="ignore", over="ignore"):
+            suspect = (reports[:, 0] >= 0) | ~np.isfinite(outputs.sum(axis=(1, 2)))
+        errors: list[SimulationError | None] = [None] * len(thetas)
+        for i in np.flatnonzero(suspect):
+            named = dict(zip(self.parameters, thetas[i].tolist(), strict=True))
+            theta = self._set(thetas[i : i + 1])[0]
+            # what the FMU says costs another simulation: for the first failure
+            explain = not any(errors)
+            errors[i] = self._workers.failure(self._run, theta, outputs[i], reports[i], named, explain)
+            if errors[i] is not None:
+                outputs[i] = np.nan
+        return tuple(errors)

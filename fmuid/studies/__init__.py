@@ -1,0 +1,5 @@
+"""Study files: what they say, checked, as objects of the packages below."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

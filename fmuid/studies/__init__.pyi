@@ -1,0 +1,12 @@
+from .batch import BatchSettings as BatchSettings
+from .batch import NoiseDraws as NoiseDraws
+from .batch import Sample as Sample
+from .batch import Value as Value
+from .draft import Draft as Draft
+from .draft import skeleton as skeleton
+from .draft import write_draft as write_draft
+from .monitoring import monitor_of as monitor_of
+from .monitoring import records_of as records_of
+from .monitoring import rule_of as rule_of
+from .settings import ExperimentSettings as ExperimentSettings
+from .study import Study as Study

@@ -1,0 +1,143 @@
+"""Monitoring and the design of a test as a study describes them: its faults, healthy machine and words for tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fmuid.data import Experiment, read_table
+from fmuid.diagnosis import FALSE_ALARM, MISS, Design, Monitor, Rule
+from fmuid.errors import InputError
+from fmuid.studies.diagnosis import DiagnosisSettings
+from fmuid.studies.study import Study
+
+KINDS = (".csv", ".parquet", ".mat")
+"""The tables that are taken from a folder."""
+
+
+def rule_of(study: Study, window: float | None, transient: float | None, level: float | None, **words: Any) -> Rule:
+    """Return the rule of a monitoring; what is None is as the study says.
+
+    Parameters
+    ----------
+    study : Study
+    window : float or None
+        s; None for each record as one window.
+    transient : float or None
+        s; None for what the study discards.
+    level : float or None
+    words
+        The rest of `Rule`.
+
+    Raises
+    ------
+    InputError
+        If the study has no ``[diagnosis]``, a record is to be cut and nothing says how long the transient is, or the
+        rule is wrong.
+    """
+    settings, discard = _settings(study), study.experiments[0].discard
+    if transient is None and window is not None and not discard:
+        raise InputError(
+            f"{study.path} discards nothing, and windows begin anywhere: say with --transient how long the model takes "
+            "to forget its initial state, 0 for one without states"
+        )
+    return Rule(
+        window, discard if transient is None else transient, settings.level if level is None else level, **words
+    )
+
+
+def monitor_of(study: Study, rule: Rule) -> Monitor:
+    """Return the monitor of the faults that the ``[diagnosis]`` of a study names; its level is the rule's.
+
+    Raises
+    ------
+    InputError
+        If the study has none, or models and healthy result do not fit together.
+    """
+    settings = _settings(study)
+    hypotheses = {name: each.fault(study.system, study.model) for name, each in settings.faults.items()}
+    try:
+        return Monitor(settings.source.result, hypotheses, rule, **_words(study, settings))
+    except InputError as error:
+        raise InputError(f"{settings.source.where}: {error}") from None
+
+
+def design_of(study: Study, fault: str, *, false_alarm: float = FALSE_ALARM, miss: float = MISS) -> Design:
+    """Return the design of a test for one of the faults that the ``[diagnosis]`` of a study names.
+
+    Raises
+    ------
+    InputError
+        If the study has no such fault, or models and healthy result do not fit together.
+    """
+    settings = _settings(study)
+    if fault not in settings.faults:
+        raise InputError(f"{settings.source.where} has no fault {fault!r}, only {', '.join(settings.faults)}")
+    model = settings.faults[fault].fault(study.system, study.model)
+    words = _words(study, settings)
+    return Design(model, settings.source.result, false_alarm=false_alarm, miss=miss, **words)
+
+
+def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -> Iterator[Experiment]:
+    """Read records one after the other, with the words of the study's first experiment.
+
+    Parameters
+    ----------
+    study : Study
+    paths : sequence of Path
+        Tables, and folders whose tables are taken in the order of their names.
+    known : sequence of str
+        Names of records that are left out.
+
+    Raises
+    ------
+    InputError
+        If a table cannot be read or has other columns than the study says, or a folder has none.
+    """
+    given = study.experiments[0]
+    for path in _files(paths):
+        if path.stem in known:
+            continue
+        try:
+            record = replace(given, name=path.stem).experiment(read_table(path, given.time), str(path))
+        except InputError as error:
+            raise InputError(f"{error} (inputs and outputs are those of {study.path})") from None
+        yield record
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    found: list[Path] = []
+    for path in paths:
+        inside = sorted(each for each in path.iterdir() if each.suffix.lower() in KINDS) if path.is_dir() else [path]
+        if not inside:
+            raise InputError(f"{path} has no table: give a folder with files of the kinds {', '.join(KINDS)}")
+        found += inside
+    names: dict[str, Path] = {}
+    for path in found:
+        if path.stem in names:
+            raise InputError(f"{names[path.stem]} and {path} are of one name: records go by it, rename one of the two")
+        names[path.stem] = path
+    return found
+
+
+def _settings(study: Study) -> DiagnosisSettings:
+    if study.diagnosis is None:
+        raise InputError(
+            f'{study.path} has no [diagnosis]: give it, with healthy = "healthy/result.json" and the fault '
+            "models as [diagnosis.faults.<name>]"
+        )
+    return study.diagnosis
+
+
+def _words(study: Study, settings: DiagnosisSettings) -> dict[str, Any]:
+    outputs = tuple(study.experiments[0].outputs)
+    given = dict(zip(outputs, study.noise.known(outputs).tolist(), strict=True))
+    return {
+        "inflate": settings.inflate,
+        "noise_variance": None if any(math.isnan(each) for each in given.values()) else given,
+        "parameters": study.parameters,
+        "values": study.model.values,
+    }

@@ -1,0 +1,393 @@
+"""A study: model, experiments, parameters, priors, noise, estimator, and what is asked of the result, from a TOML file.
+
+`fmuid.studies.settings` and `fmuid.studies.parameters` have the words of the file; `fmuid.studies.toml` checks that
+there are no others.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fmuid.assessment import Step, Uncertainty, UncertaintySettings, explore
+from fmuid.data import Experiment, JointPrior, Noise, Parameter, read_table
+from fmuid.errors import InputError
+from fmuid.estimation import Iteration, Marquardt, Result, identify
+from fmuid.model_problem import Problem
+from fmuid.models import System
+from fmuid.simulation import Fit, Simulator, fit_of
+from fmuid.studies import toml as toml
+from fmuid.studies.parameters import Source, read_parameters
+from fmuid.studies.settings import (
+    ExperimentSettings,
+    ModelSettings,
+    read_estimator,
+    read_experiments,
+    read_isolation,
+    read_loss,
+    read_model,
+    read_noise,
+    read_sensitivity,
+    read_uncertainty,
+)
+from fmuid.studies.toml import Section
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.diagnosis import Diagnosis
+    from fmuid.estimation import GlobalResult, GlobalSearch, GlobalStep
+    from fmuid.studies.batch import BatchSettings
+    from fmuid.studies.diagnosis import DiagnosisSettings
+
+STUDY_KEYS: tuple[str, ...] = ("title", "model", "experiments", "parameters", "prior", "noise", "estimator")
+STUDY_KEYS += ("uncertainty", "diagnosis", "batch", "isolation")
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study file, read and checked; nothing is loaded or simulated before a method asks for it.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    title : str
+        What the file says it is about.
+    model : ModelSettings
+    experiments : tuple of ExperimentSettings
+    parameters : dict of str to Parameter
+        The parameters to identify.
+    noise : Noise
+    estimator : Marquardt or GlobalSearch
+    loss : str
+        How the criterion grows with a residual (`fmuid.data.losses`).
+    joint_prior : JointPrior or None
+        Beside the priors of single parameters.
+    sources : tuple of Source
+        The earlier results that priors are taken from.
+    uncertainty_settings : UncertaintySettings
+        What is asked beyond the local covariance.
+    sensitivity : "finite-difference", "forward" or "fmu"
+        How the derivatives of the outputs by the parameters are found.
+    diagnosis : DiagnosisSettings or None
+        The faults to look for, and what is known of the healthy machine.
+    batch : BatchSettings or None
+        The many identifications that the study spans.
+    data : mapping
+        The content of the file, with what was put in place of its values: `Study.of(data, path)` is the same study.
+    """
+
+    path: Path
+    title: str
+    model: ModelSettings
+    experiments: tuple[ExperimentSettings, ...]
+    parameters: Mapping[str, Parameter]
+    noise: Noise
+    estimator: Marquardt | GlobalSearch
+    loss: str = "linear"
+    joint_prior: JointPrior | None = None
+    sources: tuple[Source, ...] = ()
+    uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
+    sensitivity: str = "finite-difference"
+    diagnosis: DiagnosisSettings | None = None
+    batch: BatchSettings | None = None
+    data: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def read(cls, path: str | Path, overrides: Sequence[str] = (), *, isolated: bool = False) -> Study:
+        """Read a study file.
+
+        Parameters
+        ----------
+        path : path-like
+            The TOML file. Paths in it are relative to it.
+        overrides : sequence of str
+            Values to put in place of the file's, each as ``parameters.Rs.start=9`` (`fmuid.studies.toml.override`).
+        isolated : bool
+            Run the FMUs in a process of their own, as ``[isolation]`` says, which costs little and survives an FMU
+            that crashes, hangs or takes all memory; default: in this process.
+
+        Raises
+        ------
+        InputError
+            If the file or a file it names is missing, a key is unknown, missing or of the wrong kind, or a prior
+            does not fit the parameters.
+        """
+        path = Path(path)
+        data = toml.read_toml(path)
+        for setting in overrides:
+            toml.override(data, setting, str(path))
+        return cls._of(data, path, f"{path} with --set" if overrides else str(path), isolated)
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any], path: str | Path, *, isolated: bool = False) -> Study:
+        """Return the study that the content of a TOML file is.
+
+        Parameters
+        ----------
+        data : mapping
+            As `tomllib` reads it; copied.
+        path, isolated
+            As for `read`; the file need not be there.
+
+        Raises
+        ------
+        InputError
+            As `read`.
+        """
+        return cls._of(copy.deepcopy(dict(data)), Path(path), str(path), isolated)
+
+    @classmethod
+    def _of(cls, data: dict[str, Any], path: Path, file: str, isolated: bool) -> Study:
+        top = Section(file, toml.TOP, data, STUDY_KEYS)
+        isolation = read_isolation(top)  # checked also where it is not asked for
+        model = replace(read_model(top, path.parent), isolation=isolation if isolated else None)
+        experiments = read_experiments(top, path.parent)
+        known = read_parameters(top, path.parent, [given.name for given in experiments], model.values)
+        estimator, asked = read_estimator(top), read_uncertainty(top, known.names)
+        loss, noise = read_loss(top, estimator, asked), read_noise(top)
+        diagnosis: DiagnosisSettings | None = None
+        batch: BatchSettings | None = None
+        if "diagnosis" in data:
+            from fmuid.studies.diagnosis import read_diagnosis  # and all that decides, only where a study asks for it
+
+            diagnosis = read_diagnosis(top, path.parent, model, loss, known)
+        if "batch" in data:
+            from fmuid.studies.batch import read_batch
+
+            batch = read_batch(top, path.parent, known, experiments, noise)
+        return cls(
+            path,
+            top.get("title", toml.text, ""),
+            model,
+            experiments,
+            known.parameters,
+            noise,
+            estimator,
+            loss,
+            known.joint_prior,
+            known.sources,
+            asked,
+            read_sensitivity(top),
+            diagnosis,
+            batch,
+            data,
+        )
+
+    def files(self) -> tuple[Path, ...]:
+        """Return every file that the study refers to, each once: models, tables, results; those of a batch last.
+
+        Raises
+        ------
+        InputError
+            If the tables of ``[batch]`` match no file.
+        """
+        faults = self.diagnosis.faults.values() if self.diagnosis is not None else ()
+        models = [self.model, *(fault.model for fault in faults if fault.model is not None)]
+        found = [path for model in models for path, _ in model.components.values()]
+        found += [given.table for given in self.experiments] + [source.path for source in self._all_sources]
+        return tuple(dict.fromkeys([*found, *(self.batch.records().values() if self.batch is not None else ())]))
+
+    @property
+    def _all_sources(self) -> tuple[Source, ...]:
+        return self.sources if self.diagnosis is None else (*self.sources, self.diagnosis.source)
+
+    @cached_property
+    def system(self) -> System:
+        """The model: its FMUs and their connections.
+
+        Raises
+        ------
+        InputError
+            If an FMU cannot be read, or a connection is wrong.
+        """
+        return self.model.system()
+
+    @cached_property
+    def tables(self) -> tuple[Experiment, ...]:
+        """The experiments with their tables.
+
+        Raises
+        ------
+        InputError
+            If a table cannot be read or has not what the study says.
+        """
+        return tuple(each.experiment(read_table(each.table, each.time), str(each.table)) for each in self.experiments)
+
+    def problem(self) -> Problem:
+        """Return the least-squares problem of the study.
+
+        Raises
+        ------
+        InputError
+            If model, tables and parameters do not fit together, there are no parameters, or a prior is taken from a
+            result of another model.
+        """
+        if not self.parameters:
+            raise InputError(
+                f"{self.path}: no parameters: name at least one to identify under [parameters], "
+                "such as R = { start = 4.0 }"
+            )
+        self.notes  # noqa: B018  # a prior from another model is an error before anything is simulated
+        model = self.model
+        return Problem(
+            self.system,
+            self.tables,
+            self.parameters,
+            noise=self.noise,
+            values=model.values,
+            joint_prior=self.joint_prior,
+            loss=self.loss,
+            sensitivity=self.sensitivity,
+        )
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of the results that priors are taken from, in words.
+
+        Raises
+        ------
+        InputError
+            If one of them is a result of another model.
+        """
+        return tuple(dict.fromkeys(note for source in self._all_sources for note in source.compare(self.system)))
+
+    @property
+    def marquardt(self) -> Marquardt:
+        """The settings of Marquardt's search, also where it comes after a global one."""
+        return self.estimator if isinstance(self.estimator, Marquardt) else self.estimator.marquardt
+
+    @property
+    def known_variance(self) -> dict[str, float]:
+        """The noise variance known of each output: the given one, or that of the results that priors are taken from."""
+        outputs = tuple(dict.fromkeys(name for given in self.experiments for name in given.outputs))
+        known = {
+            name: variance
+            for source in self.sources
+            for name, variance in source.result.noise_variance.items()
+            if name in outputs
+        }
+        given = self.noise.known(outputs)
+        return known | {name: float(value) for name, value in zip(outputs, given, strict=True) if not math.isnan(value)}
+
+    def identify(self, progress: Callable[[Iteration | GlobalStep], None] | None = None) -> Result:
+        """Identify the parameters, by the method that the study names.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with every iteration of the search, or with every `GlobalStep` of a global one.
+
+        Raises
+        ------
+        InputError
+            As `problem`, or if a parameter acts on no output.
+        SimulationError
+            If the simulation at the start fails.
+        """
+        if isinstance(self.estimator, Marquardt):
+            return identify(self.problem(), self.estimator, progress)
+        return self.search_globally(progress).result
+
+    def search_globally(self, progress: Callable[[GlobalStep], None] | None = None) -> GlobalResult:
+        """Search the whole box and list the optima found; with the default settings where the study has others.
+
+        Raises
+        ------
+        InputError
+            As `problem`, if a parameter has neither bounds nor a prior, or all simulations fail.
+        """
+        from fmuid.estimation import GlobalSearch, search_globally
+
+        settings = self.estimator
+        if isinstance(settings, Marquardt):
+            settings = GlobalSearch(marquardt=settings)
+        return search_globally(self.problem(), settings, progress)
+
+    def diagnose(self, progress: Callable[[str], None] | None = None) -> Diagnosis:
+        """Look for the faults that ``[diagnosis]`` names.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with the name of each fault before its model is fitted.
+
+        Raises
+        ------
+        InputError
+            If the study has no ``[diagnosis]``, or models, tables and the healthy result do not fit together.
+        SimulationError
+            If the simulation fails at the healthy estimate.
+        """
+        settings = self.diagnosis
+        if settings is None:
+            raise InputError(
+                f'{self.path} has no [diagnosis]: give it, with healthy = "healthy/result.json" and the fault '
+                "models as [diagnosis.faults.<name>]"
+            )
+        return settings.diagnose(
+            self.tables,
+            self.system,
+            self.model,
+            self.parameters,
+            noise=self.noise,
+            settings=self.marquardt,
+            sensitivity=self.sensitivity,
+            progress=progress,
+        )
+
+    def uncertainty(self, result: Result, progress: Callable[[Step], None] | None = None) -> Uncertainty:
+        """Do what ``[uncertainty]`` asks for around a result of this study: maps, profiles, posterior.
+
+        Parameters
+        ----------
+        result : Result
+        progress : callable, optional
+            Called with a `Step` for every map, point of a profile and step of the sampler.
+
+        Raises
+        ------
+        InputError
+            If the result is of another study.
+        SimulationError
+            If the simulation fails at the result.
+        """
+        box = not isinstance(self.estimator, Marquardt)
+        return explore(self.problem(), result, self.uncertainty_settings, progress, box=box)
+
+    def simulators(self) -> tuple[Simulator, ...]:
+        """Return the simulator of each experiment, as a function of the study's parameters in their order."""
+        names, model = tuple(self.parameters), self.model
+        return tuple(Simulator(self.system, table, names, values=model.values) for table in self.tables)
+
+    def simulate(self) -> list[pd.DataFrame]:
+        """Simulate every experiment at the parameters' starts.
+
+        Returns
+        -------
+        list of DataFrame
+            One per experiment: the column ``time`` (s) and one for each output, by its name in the FMU.
+
+        Raises
+        ------
+        SimulationError
+            If a simulation fails.
+        """
+        return [fit.simulated_frame() for fit in self.fits()]
+
+    def fits(self) -> tuple[Fit, ...]:
+        """Simulate every experiment at the parameters' starts and set the measurements beside.
+
+        Raises
+        ------
+        SimulationError
+            If a simulation fails.
+        """
+        starts = [parameter.start for parameter in self.parameters.values()]
+        return tuple(fit_of(self.system, each.experiment, each(starts)) for each in self.simulators())
