@@ -309,10 +309,15 @@ def test_relation_true_from_the_start_time_on(tmp_path: Path) -> None:
 
 
 def test_events_have_no_sensitivities(tmp_path: Path) -> None:
-    for equation in ("y = if x > 0 then 1 else 0;", "y = noEvent(if x > 0 then 1 else 0);", "y = sign(u);"):
+    for equation in (
+        "y = if x > 0 then 1 else 0;",
+        "y = noEvent(if x > 0 then 1 else 0);",
+        "y = sign(u);",
+        "y = mod(u, 2);",
+    ):
         (tmp_path / "Test.mo").write_text(model(equation))
         with pytest.raises(
-            ModelicaError, match=r"sensitivities jump where relations and sign\(\) do: smooth these"
+            ModelicaError, match="sensitivities jump where relations, sign, floor, ceil and mod do: smooth these"
         ) as caught:
             export_fmu(tmp_path / "Test.mo", sensitivities=["a"])
         assert caught.value.line == 4

@@ -29,6 +29,7 @@ _FORMATS = {
     ca.OP_FMIN: "fmin({}, {})",
     ca.OP_FMAX: "fmax({}, {})",
     ca.OP_FABS: "fabs({})",
+    ca.OP_FLOOR: "floor({})",
     ca.OP_SIGN: "{0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0}",
     ca.OP_LT: "(double)({} < {})",
     ca.OP_LE: "(double)({} <= {})",
@@ -49,9 +50,11 @@ def header(system: System, guid: str) -> str:
     ]
     nominals = [number((each.name, "nominal"), 1.0) for each in system.states]
     names = ", ".join(f'"{name}"' for name in system.names())
-    relations = ", ".join(json.dumps(f"{each.text} (line {each.line})") for each in system.relations)
+    events = [("relation", each) for each in system.relations]
+    events += [("jump of", each) for each in system.integers for _ in ("up", "down")]
+    jumps = ", ".join(json.dumps(f"{kind} {each.text} (line {each.line})") for kind, each in events)
     rates, others, indicators, symbols, cached = _hoist(system)
-    sizes = {"NX": x, "NU": u, "NP": p, "NW": others, "NR": r, "NC": symbols}
+    sizes = {"NX": x, "NU": u, "NP": p, "NW": others, "NC": symbols}
     seeds = [ca.SX.sym(name, each.numel()) for name, each in (("xd", x), ("ud", u), ("pd", p))]
     unknowns = system.plain(ca.vertcat(system.derivatives, system.algebraic, system.indicators))
     unknowns_seed = ca.densify(ca.jtimes(unknowns, ca.vertcat(x, u, p), ca.vertcat(*seeds)))
@@ -62,14 +65,16 @@ def header(system: System, guid: str) -> str:
     return "\n".join(
         [
             f"/* {model.name}, generated: x states, u inputs, p parameters, w other variables, dx = dx/dt, t time,",
-            "   r relations (0 or 1), z event indicators (an event sets r to z > 0), c subexpressions of p alone;",
+            "   r NR relations (0 or 1: an event sets r to z > 0), then NI whole numbers floor(a) (an event sets r so",
+            "   that its two z are r + 1 - a > 0 and r - a <= 0), z event indicators, c subexpressions of p alone;",
             "   names that end in d: derivatives along a direction of x, u, p */",
             "#include <math.h>",
             f'#define MODEL_GUID "{guid}"',
             f"#define MODEL_STEP {model.step!r} /* largest internal step of the co-simulation, s */",
-            f"enum {{ {', '.join(f'{name} = {each.numel()}' for name, each in sizes.items())} }};",
+            f"enum {{ {', '.join(f'{name} = {each.numel()}' for name, each in sizes.items())},",
+            f"       NR = {len(system.relations)}, NI = {len(system.integers)} }};",
             f"static const char *const model_names[] = {{{names}}};",
-            f"static const char *const model_relations[] = {{{relations or 'NULL'}}}; /* r */",
+            f"static const char *const model_jumps[] = {{{jumps or 'NULL'}}}; /* z */",
             f"static const double model_values[] = {{{_numbers(values)}}}; /* u, p */",
             f"static const double model_nominals[] = {{{_numbers(nominals)}}}; /* x */",
             _function("model_cache", {"p": p}, {"c": cached}),

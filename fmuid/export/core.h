@@ -6,8 +6,8 @@
 
 /* A variable's index in State.v is its FMI value reference. */
 enum {
-  V_X = 0, V_U = V_X + NX, V_P = V_U + NU, V_DX = V_P + NP, V_W = V_DX + NX, V_Z = V_W + NW, V_T = V_Z + NR,
-  NV = V_T + 1
+  V_X = 0, V_U = V_X + NX, V_P = V_U + NU, V_DX = V_P + NP, V_W = V_DX + NX, V_Z = V_W + NW,
+  NZ = NR + 2 * NI, V_T = V_Z + NZ, NV = V_T + 1
 };
 
 /* So many events within one internal step are no sequence of events any more. */
@@ -21,7 +21,7 @@ typedef struct {           /* all that get, set and serialise of the FMU state c
   double v[NV];            /* states, inputs, parameters, their derivatives, algebraic variables, indicators, time */
   double slope[NU + 1];    /* time derivatives of the inputs */
   double cache[NC + 1];    /* subexpressions of the parameters alone */
-  double relation[NR + 1]; /* 0 or 1; only events change them */
+  double relation[NR + NI + 1]; /* 0 or 1, then whole numbers; only events change them */
   int mode;                /* a Mode */
   int stale_cache;         /* a parameter was set since the cache (and the start values) were computed */
   int stale_values;        /* something was set since the derivatives and algebraic variables were computed */
@@ -51,15 +51,21 @@ static void indicators(const State *s, double t0, const double *x, double *z) {
   model_indicators(x, u, s->v + V_P, &t, s->relation, s->cache, z);
 }
 
-/* An event: bring the relations up to date. None acts on itself, not even through others: NR + 1 passes are enough. */
+/* An event: bring the relations and whole numbers up to date. None acts on itself, not even through others: a few
+   passes are enough. What was - down loses to rounding, the next pass brings: it starts from a number close by. */
 static void settle(State *s, double t0) {
-  double z[NR + 1];
-  int i, changed = NR;
+  double z[NZ + 1];
+  int i, changed = NZ;
   while (changed) {
     indicators(s, t0, s->v + V_X, z);
     for (changed = i = 0; i < NR; i++) {
       changed |= (z[i] > 0) != (s->relation[i] > 0);
       s->relation[i] = z[i] > 0;
+    }
+    for (i = 0; i < NI; i++) {
+      const double was = s->relation[NR + i], up = z[NR + 2 * i], down = z[NR + 2 * i + 1];
+      if ((up <= 0 || down > 0) && isfinite(down)) s->relation[NR + i] = floor(was - down);
+      changed |= s->relation[NR + i] != was;
     }
   }
 }
@@ -67,14 +73,14 @@ static void settle(State *s, double t0) {
 /* Before anything is evaluated. In continuous-time mode the relations stay as they are. */
 static void prepare(State *s) {
   refresh(s);
-  if (NR > 0 && s->mode != CONTINUOUS) settle(s, 0.0);
+  if (NZ > 0 && s->mode != CONTINUOUS) settle(s, 0.0);
 }
 
 static void evaluate(State *s) {
   if (!s->stale_values) return;
   prepare(s);
   model_evaluate(s->v + V_X, s->v + V_U, s->v + V_P, s->v + V_T, s->relation, s->cache, s->v + V_DX, s->v + V_W);
-  if (NR > 0) indicators(s, 0.0, s->v + V_X, s->v + V_Z);
+  if (NZ > 0) indicators(s, 0.0, s->v + V_X, s->v + V_Z);
   s->stale_values = 0;
 }
 
@@ -106,20 +112,20 @@ static void rk6(const State *s, double t0, double h, double *x) {
 typedef struct {
   double x[NX + 1]; /* the states */
   double beyond;    /* the event indicator that is farthest across zero; below zero before the first event, or NaN */
-  int crossed;      /* the first relation that is not as its indicator says, or whose indicator is not finite; or -1 */
+  int crossed;      /* the first event indicator that demands an event, or is not finite; or -1 */
 } Trial;
 
 static Trial try_step(const State *s, double t0, double h) {
   Trial trial;
-  double z[NR + 1];
+  double z[NZ + 1];
   int i;
   memcpy(trial.x, s->v + V_X, sizeof(double) * NX);
   rk6(s, t0, h, trial.x);
   indicators(s, t0 + h, trial.x, z);
   trial.crossed = -1;
   trial.beyond = -INFINITY;
-  for (i = 0; i < NR; i++) {
-    const int was = s->relation[i] > 0;
+  for (i = 0; i < NZ; i++) {
+    const int was = i < NR ? s->relation[i] > 0 : (i - NR) % 2 == 0;
     if (trial.crossed < 0 && was != (z[i] > 0)) trial.crossed = i;
     trial.beyond = fmax(trial.beyond, was ? -z[i] : z[i]);
     if (!isfinite(z[i])) {
@@ -130,7 +136,7 @@ static Trial try_step(const State *s, double t0, double h) {
   return trial;
 }
 
-/* The shortest step after which a relation has changed, up to rounding, given that it has after *h. The bracket shrinks
+/* The shortest step after which an event is due, up to rounding, given that one is after *h. The bracket shrinks
    by regula falsi, where one end stays its value is halved (the Illinois method), and every third time by bisection. */
 static Trial first_event(const State *s, double t0, double *h, Trial end) {
   double a = 0, b = *h, at_a = try_step(s, t0, 0.0).beyond, at_b = end.beyond;
@@ -156,8 +162,8 @@ static Trial first_event(const State *s, double t0, double *h, Trial end) {
   return end;
 }
 
-/* A step from event to event, each located to rounding. Return -1, or NX plus the relation that changes too often, or
-   NX + NR plus the one whose indicator is not finite; then v has the time of the failure. */
+/* A step from event to event, each located to rounding. Return -1, or NX plus the event indicator that demands events
+   too often, or NX + NZ plus the one that is not finite; then v has the time of the failure. */
 static int step_over_events(State *s, double t0, double h) {
   double done = 0, part;
   int count;
@@ -171,7 +177,7 @@ static int step_over_events(State *s, double t0, double h) {
     settle(s, t0 + done);
     if (count == EVENTS || !isfinite(trial.beyond)) {
       s->v[V_T] += t0 + done;
-      return NX + trial.crossed + (count == EVENTS ? 0 : NR);
+      return NX + trial.crossed + (count == EVENTS ? 0 : NZ);
     }
   }
   return -1;
@@ -187,7 +193,7 @@ static int integrate(State *s, double h) {
   prepare(s);
   for (k = 0; k < n; k++) {
     int bad = -1;
-    if (NR > 0) bad = step_over_events(s, k * (h / n), h / n);
+    if (NZ > 0) bad = step_over_events(s, k * (h / n), h / n);
     else rk6(s, k * (h / n), h / n, s->v + V_X);
     for (i = 0; i < NX; i++)
       if (!isfinite(s->v[V_X + i])) {

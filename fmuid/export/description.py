@@ -42,7 +42,7 @@ def _fmi2(system: System, guid: str) -> list[str]:
         f'<fmiModelDescription fmiVersion="2.0" modelName="{model.name}" guid="{guid}"'
         f"{attribute('description', model.description)}"
         ' generationTool="fmuid" variableNamingConvention="structured"'
-        f' numberOfEventIndicators="{len(system.relations)}">',
+        f' numberOfEventIndicators="{len(system.indicator_names())}">',
         f'<ModelExchange {capabilities} completedIntegratorStepNotNeeded="true">{sources}</ModelExchange>',
         f'<CoSimulation {capabilities} canHandleVariableCommunicationStepSize="true"'
         f' canInterpolateInputs="true">{sources}</CoSimulation>',

@@ -7,6 +7,10 @@ of equations that determines its own unknowns is an algebraic loop: solved toget
 A relation in an if-expression becomes a symbol, 0 or 1, that only an event changes, and an event indicator, which is
 positive where the symbol should be 1: ``a > b`` is 1 where a - b > 0, ``a >= b`` where not b - a > 0. Each indicator
 depends on relations of equations taken earlier, hence never on its own.
+
+``floor(a)`` becomes a symbol that only an event changes, too, and two event indicators: symbol + 1 - a, not positive
+where it should be larger, and symbol - a, positive where it should be smaller. ``ceil(a)`` is -floor(-a),
+``mod(a, b)`` is a - b*floor(a/b).
 """
 
 from __future__ import annotations
@@ -43,10 +47,17 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "not": ca.logic_not,
 }
 
+_WHOLE: dict[str, Callable[..., Any]] = {
+    "floor": lambda floor, a: floor(a),
+    "ceil": lambda floor, a: -floor(-a),
+    "mod": lambda floor, a, b: a - b * floor(a / b),
+}
+"""The functions that are written with floor, given as the first argument."""
+
 
 @dataclass(frozen=True)
 class Relation:
-    """A relation that makes events, as written; `name` is that of its event indicator."""
+    """A relation or floor() that makes events, as written; `name` is that of its event indicator."""
 
     name: str
     text: str
@@ -59,9 +70,10 @@ class System:
 
     The declarations are those of the states x, inputs u, parameters p, other variables w and event indicators z, in
     the order of the elements of the symbols and expressions (SX columns); t is the time, s. The relations r are 0 or 1:
-    an event sets r to z > 0. `reciprocals` are symbols in these expressions and what they stand for, functions
+    an event sets r to z > 0. Behind them, r has the whole numbers floor(counted), for each of which z has two elements.
+    `reciprocals` are symbols in these expressions and what they stand for, functions
     1/(coefficient) of p alone: many evaluations share one. `numbers` are attributes: (variable, "value", "start",
-    "min", "max" or "nominal") -> number. `jumps` is the line of the first relation or sign, 0 if there is none.
+    "min", "max" or "nominal") -> number. `jumps` is the line of the first relation or function that jumps, or 0.
     """
 
     model: Model
@@ -70,6 +82,7 @@ class System:
     parameters: tuple[Declaration, ...]
     others: tuple[Declaration, ...]
     relations: tuple[Relation, ...]
+    integers: tuple[Relation, ...]
     x: Any
     u: Any
     p: Any
@@ -78,6 +91,7 @@ class System:
     derivatives: Any
     algebraic: Any
     indicators: Any
+    counted: Any
     starts: Any
     reciprocals: tuple[tuple[Any, Any], ...]
     numbers: Mapping[tuple[str, str], float]
@@ -86,8 +100,13 @@ class System:
     def names(self) -> list[str]:
         """Names of all variables in the order of their FMI value references."""
         known = [each.name for group in (self.states, self.inputs, self.parameters) for each in group]
-        computed = [each.name for group in (self.others, self.relations) for each in group]
-        return [*known, *(f"der({each.name})" for each in self.states), *computed, "time"]
+        rates, others = [f"der({each.name})" for each in self.states], [each.name for each in self.others]
+        return [*known, *rates, *others, *self.indicator_names(), "time"]
+
+    def indicator_names(self) -> list[str]:
+        """Names of the event indicators."""
+        ends = [f"{each.name}.{end}" for each in self.integers for end in ("up", "down")]
+        return [*(each.name for each in self.relations), *ends]
 
     def plain(self, expression: Any) -> Any:
         """Return the expression with its reciprocals written out."""
@@ -135,7 +154,8 @@ class _Analysis:
         self.reciprocals: dict[str, tuple[Any, Any]] = {}  # coefficient -> symbol, value
         self.parameters: set[str] = set()
         self.relations: dict[str, tuple[Any, Any, Relation]] = {}  # indicator -> symbol, value, relation
-        self.tested: list[Any] = []  # what the present equation takes the sign of
+        self.integers: dict[str, tuple[Any, Any, Relation]] = {}  # argument of floor() -> symbol, value, call
+        self.tested: list[Any] = []  # what the present equation takes the sign or the whole part of
         self.no_event = 0  # how many noEvent() are around
         self.jumps = 0
 
@@ -164,22 +184,26 @@ class _Analysis:
         others = [each for each in variables if each not in states]
         rates = [f"der({each.name})" for each in states]
         self.solve([*rates, *(each.name for each in others)])
-        symbols, indicators, relations = zip(*self.relations.values(), strict=True) if self.relations else ((), (), ())
+        held = [*self.relations.values(), *self.integers.values()]
+        counted = column(value for _, value, _ in self.integers.values())
+        ends = (end for symbol, value, _ in self.integers.values() for end in (symbol + 1 - value, symbol - value))
         return System(
             model=self.model,
             states=tuple(states),
             inputs=tuple(inputs),
             parameters=tuple(parameters),
             others=tuple(others),
-            relations=relations,
+            relations=tuple(relation for _, _, relation in self.relations.values()),
+            integers=tuple(call for _, _, call in self.integers.values()),
             x=x,
             u=u,
             p=p,
             t=t,
-            r=column(symbols),
+            r=column(symbol for symbol, _, _ in held),
             derivatives=column(self.known[name] for name in rates),
             algebraic=column(self.known[each.name] for each in others),
-            indicators=column(indicators),
+            indicators=column([*(value for _, value, _ in self.relations.values()), *ends]),
+            counted=counted,
             starts=starts,
             reciprocals=tuple(self.reciprocals.values()),
             numbers=self.numbers,
@@ -237,6 +261,8 @@ class _Analysis:
         args = [self.expression(arg, demand) for arg in node.args]
         if node.op in ("<", "<=", ">", ">="):
             return self.relation(node, *args)
+        if node.op in _WHOLE:
+            return _WHOLE[node.op](lambda value: self.whole(node, value), *args)
         if node.op == "sign":
             self.tested += args
             self.jumps = self.jumps or node.line
@@ -250,15 +276,28 @@ class _Analysis:
         negated = node.op in ("<=", ">=")
         indicator = left - right if node.op in (">", "<=") else right - left
         value = indicator > 0
-        known = self.parameters | {symbol.name() for symbol, _ in self.reciprocals.values()}
-        self.tested.append(indicator)
-        if not {each.name() for each in ca.symvar(indicator)} <= known:
-            self.jumps = self.jumps or node.line
-            if not self.no_event:
-                name = f"relation[{len(self.relations) + 1}]"
-                entry = ca.SX.sym(name), indicator, Relation(name, node.text, node.line)
-                value = self.relations.setdefault(str(indicator), entry)[0]
+        if self.makes_events(node, indicator):
+            name = f"relation[{len(self.relations) + 1}]"
+            entry = ca.SX.sym(name), indicator, Relation(name, node.text, node.line)
+            value = self.relations.setdefault(str(indicator), entry)[0]
         return ca.logic_not(value) if negated else value
+
+    def whole(self, node: Node, value: Any) -> Any:
+        """Return the symbol of floor(value); where it makes no event, the expression of it."""
+        if not self.makes_events(node, value):
+            return ca.floor(value)
+        name = f"integer[{len(self.integers) + 1}]"
+        entry = ca.SX.sym(name), value, Relation(name, node.text, node.line)
+        return self.integers.setdefault(str(value), entry)[0]
+
+    def makes_events(self, node: Node, tested: Any) -> bool:
+        """Note that a function of an expression jumps; return whether it has to make events of it."""
+        known = self.parameters | {symbol.name() for symbol, _ in self.reciprocals.values()}
+        self.tested.append(tested)
+        if {each.name() for each in ca.symvar(tested)} <= known:
+            return False
+        self.jumps = self.jumps or node.line
+        return not self.no_event
 
     # ---- states
 

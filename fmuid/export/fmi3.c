@@ -195,7 +195,7 @@ fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 dx[], s
 }
 
 fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 z[], size_t n) {
-  return get_block(c, __func__, V_Z, NR, z, n);
+  return get_block(c, __func__, V_Z, NZ, z, n);
 }
 
 fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) {
@@ -207,7 +207,7 @@ fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 x[], si
 }
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *n) {
-  *n = NR;
+  *n = NZ;
   return c ? fmi3OK : fmi3Error;
 }
 

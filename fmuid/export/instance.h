@@ -290,8 +290,8 @@ static inline Status do_step(void *c, const char *function, double time, double 
   if (bad < 0) return OK;
   REQUIRE(bad >= NX, "state %s is not finite at t = %g: parameters or inputs are out of the range of the model, or "
           "make it too fast for its integration step of %g s", model_names[bad], m->s.v[V_T], MODEL_STEP);
-  REQUIRE(bad >= NX + NR, "relation %s chatters at t = %.9g: more than %d events within one integration step of %g s; "
-          "smooth it, as with tanh, or put it into noEvent()", model_relations[bad - NX], m->s.v[V_T], EVENTS,
-          MODEL_STEP);
-  return fail(m, "relation " NOT_FINITE, model_relations[bad - NX - NR], m->s.v[V_T]);
+  REQUIRE(bad >= NX + NZ, "%s chatters at t = %.9g: more than %d events within one integration step of %g s; "
+          "smooth it, as with tanh, put it into noEvent(), or give a shorter Interval", model_jumps[bad - NX],
+          m->s.v[V_T], EVENTS, MODEL_STEP);
+  return fail(m, NOT_FINITE, model_jumps[bad - NX - NZ], m->s.v[V_T]);
 }

@@ -320,7 +320,7 @@ class _Walk:
             if len(arguments) != FUNCTIONS[name]:
                 count = f"{len(arguments)} argument{'s' if len(arguments) != 1 else ''}"
                 raise self.error(rule, f"{name}() with {count}", f"it takes {FUNCTIONS[name]}")
-            return Node(line, name, tuple(arguments))
+            return Node(line, name, tuple(arguments), " ".join(_text(rule).split()))
         raise self.unknown(rule)
 
     def reference(self, rule: Any) -> str:

@@ -29,7 +29,7 @@ def with_sensitivities(system: System, parameters: Sequence[str] | Literal["all"
     InputError
         If the model has no parameter of a name.
     ModelicaError
-        If the model has relations or sign(): there sensitivities would miss what the jumps add.
+        If the model has relations or functions that jump: there sensitivities would miss what the jumps add.
     """
     names = [each.name for each in system.parameters]
     chosen = names if parameters == "all" else list(dict.fromkeys(parameters))
@@ -40,7 +40,7 @@ def with_sensitivities(system: System, parameters: Sequence[str] | Literal["all"
                 f"{nearest(name, names) or ': the parameters are ' + (', '.join(names) or 'none')}"
             )
     if chosen and system.jumps:
-        text = "sensitivities jump where relations and sign() do: smooth these, as with tanh, or export without"
+        text = "sensitivities jump where relations, sign, floor, ceil and mod do: smooth these, or export without"
         raise ModelicaError(system.model.file, system.jumps, text)
     both = ca.vertcat(system.derivatives, system.algebraic)
     extra = _Extra(system)

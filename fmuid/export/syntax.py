@@ -6,7 +6,19 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-FUNCTIONS = {"sin": 1, "cos": 1, "sqrt": 1, "tanh": 1, "abs": 1, "sign": 1, "min": 2, "max": 2}
+FUNCTIONS = {
+    "sin": 1,
+    "cos": 1,
+    "sqrt": 1,
+    "tanh": 1,
+    "abs": 1,
+    "sign": 1,
+    "min": 2,
+    "max": 2,
+    "floor": 1,
+    "ceil": 1,
+    "mod": 2,
+}
 """Functions of the subset and their number of arguments."""
 
 MODIFIERS = {
@@ -25,7 +37,7 @@ class Node:
 
     `op` is "number", "name", "der", an operator + - * / ^, "neg", a function's name, "noEvent", or "if", whose
     arguments are conditions and values by turns and then the last value. In conditions it is a relation < <= > >=,
-    "and", "or", "not". `text` is the source of a relation.
+    "and", "or", "not". `text` is the source of a relation or of a call.
     """
 
     line: int

@@ -78,10 +78,14 @@ def variables(system: System) -> list[Variable]:
 
 def indicators(system: System) -> list[Variable]:
     """Return the event indicators."""
-    first = len(system.names()) - 1 - len(system.relations)
+    names = system.indicator_names()
+    texts = [f"it changes sign with {each.text}" for each in system.relations]
+    for each in system.integers:
+        texts += [f"not positive where {each.text} jumps up", f"positive where {each.text} jumps down"]
+    first = len(system.names()) - 1 - len(names)
     return [
-        Variable(each.name, first + k, "local", f"event indicator: it changes sign with {each.text}", "calculated")
-        for k, each in enumerate(system.relations)
+        Variable(name, first + k, "local", f"event indicator: {text}", "calculated")
+        for k, (name, text) in enumerate(zip(names, texts, strict=True))
     ]
 
 
@@ -110,7 +114,7 @@ def unknowns(system: System) -> dict[str, list[Unknown]]:
     now = ca.vertcat(s.x, _settled(s, computed))
     initially = ca.substitute(now, s.x, s.starts)
     rates = [f"der({d.name})" for d in s.states]
-    names = [*(d.name for d in s.states), *rates, *(d.name for d in s.others), *(each.name for each in s.relations)]
+    names = [*(d.name for d in s.states), *rates, *(d.name for d in s.others), *s.indicator_names()]
     place = {name: k for k, name in enumerate(names)}
     outputs = [d.name for d in s.model.declarations if d.role == "output"]
     knowns, initial_knowns = ({"time", *(d.name for d in (*s.inputs, *more))} for more in (s.states, s.parameters))
@@ -125,15 +129,16 @@ def unknowns(system: System) -> dict[str, list[Unknown]]:
         "outputs": of(outputs, now, knowns),
         "derivatives": of(rates, now, knowns),
         "initial": of(initial, initially, initial_knowns),
-        "indicators": of([each.name for each in s.relations], now, knowns),
+        "indicators": of(s.indicator_names(), now, knowns),
     }
 
 
 def _settled(system: System, expressions: Any) -> Any:
-    """Return the expressions with each relation replaced by what it depends on: an event may change it."""
-    indicators = system.plain(system.indicators)
-    for k in reversed(range(system.r.numel())):
-        expressions = ca.substitute(expressions, system.r[k], indicators[k] > 0)
+    """Return the expressions with each relation and floor() replaced by what it depends on: an event may change it."""
+    signs = [system.indicators[k] > 0 for k in range(len(system.relations))]
+    values = system.plain(ca.vertcat(*signs, ca.floor(system.counted)))
+    while system.r.numel() and ca.depends_on(expressions, system.r):  # relations may depend on others
+        expressions = ca.substitute(expressions, system.r, values)
     return expressions
 
 
