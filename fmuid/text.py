@@ -1,10 +1,35 @@
-"""Numbers and names as people read them: rounding to a standard deviation, units, lists, near names."""
+"""Numbers and names as people read them: rounding to a standard deviation, units, lists, near names.
+
+What is printed comes in part from files that nobody vouches for. A terminal obeys control characters, and characters
+that are not seen or change the direction of writing make a name look like another one (CWE-150, CVE-2021-42574).
+"""
 
 from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Sequence
+
+# All control characters but tab and line feed; what separates lines, joins letters unseen, orders them from right to
+# left or is no character at all (Unicode 16, categories Cc, Cf, Zl, Zp and Cs).
+_UNSEEN = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
+    "\ud800-\udfff\U000e0000-\U000e007f]"
+)
+
+
+def visible(text: str) -> str:
+    """Return a text without what a terminal obeys or a reader cannot see."""
+    return text if text.isprintable() else _UNSEEN.sub("", text)
+
+
+def bounded(text: str, length: int) -> str:
+    """Return a text in one line, without what cannot be seen, and of no more letters than `length`."""
+    if len(text) <= length and text.isprintable():
+        return text
+    line = " ".join(visible(text[: 2 * length]).split())
+    return line if len(line) <= length and len(text) <= 2 * length else line[: length - 1] + "…"
 
 
 def nearest(name: str, known: Iterable[str], count: int = 3) -> str:

@@ -10,16 +10,18 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
+from rich.markup import escape
 
 import fmuid
 from fmuid.cli.app import run
-from fmuid.cli.options import DONE
+from fmuid.cli.options import DONE, WRONG_INPUT
 from fmuid.errors import InputError
 from fmuid.fmi.description import Variable
 from fmuid.models.facts import Facts, facts, lines
 from fmuid.reports.console import fmu as console_fmu
-from fmuid.reports.console.layout import TERMINAL_ROWS
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of
 from fmuid.studies.draft import skeleton
+from fmuid.text import bounded
 from tests.conftest import FMUS
 from tests.fmu_texts import FMI2, FMI3, write_fmu
 
@@ -204,3 +206,60 @@ def test_every_fmu_of_the_house(path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "Parameters (" in text
     (experiment,) = tomllib.loads(text[text.index("[model]") :])["experiments"]
     assert experiment["outputs"]
+
+
+# --- what nobody vouches for ------------------------------------------------------------
+
+UNSEEN = re.compile(
+    "[\\x00-\\x09\\x0b-\\x1f\\x7f-\\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff\U000e0020-\U000e007f]"
+)
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_what_is_printed_of_an_fmu_obeys_nobody_and_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, terminal: bool
+) -> None:
+    """Names that steer a terminal, turn the direction of writing, begin a line of their own, or do not end."""
+    hostile = "&#x202E;R&#x9B;31m&#x2066;&#x200B;&#10;Inputs (9)&#xE0041;"
+    text = FMI2.replace('name="R"', f'name="{hostile}{"x" * 100_000}"').replace('modelName="', f'modelName="{hostile}')
+    text = text.replace('description="', f'description="{hostile}{"y" * 100_000}')
+    found = facts(fmuid.FMU(write_fmu(tmp_path / "Motor.fmu", text)))
+    assert "\u202e" in found.fmu.name
+    out = io.StringIO()
+    shown = type(console())(file=out, force_terminal=terminal, color_system=None, width=200, highlight=False)
+    monkeypatch.setattr(console_fmu, "console", lambda: shown)
+    console_fmu.show_facts(found)
+    assert UNSEEN.search(out.getvalue()) is None
+    assert not re.search("^Inputs .9.", out.getvalue(), re.MULTILINE)
+    assert "R31m" in out.getvalue()
+    assert max(map(len, out.getvalue().splitlines())) < 3000
+
+
+def test_messages_obey_nobody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_fmu(tmp_path / "Motor.fmu", FMI2.replace('modelIdentifier="', 'modelIdentifier="/\u202e\u0085'))
+    assert run(["info", str(path)]) == WRONG_INPUT
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert UNSEEN.search(said.rstrip("\n")) is None
+    show_notes(["a\u202eb\x1b[2J"])
+    assert capsys.readouterr().err == "note: ab[2J\n"
+
+
+def test_bounded_texts() -> None:
+    assert bounded("a" * 9, 9) == "a" * 9
+    assert bounded("a" * 10, 9) == "a" * 8 + "…"
+    assert bounded("a\n  b\u202e", 9) == "a b"
+    assert bounded(" " * 50 + "b", 9) == "…"
+
+
+def test_plain_tables_are_those_of_rich() -> None:
+    """Of large models they are written by lines of our own, which are the same to the letter."""
+    heads, right = ["name", "start", "description"], [False, True, False]
+    rows = [["R", "1.5", "resistance"], ["温度", "273.15", "äöü [b]x[/b]"], ["a_longer_name", "", "é"]]
+    out = io.StringIO()
+    table = table_of("", heads, ["start"])
+    for row in rows:
+        table.add_row(*map(escape, row))
+    Console(file=out, width=200).print(table)
+    expected = [line.rstrip() for line in out.getvalue().splitlines()]
+    assert [line.rstrip("\n") for line in console_fmu._plain_table([heads, *rows], right)] == expected

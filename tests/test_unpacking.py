@@ -25,9 +25,11 @@ from fmuid.fmi.start_values import with_starts
 from fmuid.fmi.unpacking import file_digest, unpacked
 from fmuid.models.ssp.package import read_ssp
 from fmuid.models.ssp.parameter_values import read_ssv
+from fmuid.reports.apply import apply_result
 from fmuid.simulation.validation import _description
 from tests.conftest import FMUS
 from tests.fmu_texts import FMI2, FMI3, write_fmu
+from tests.test_apply import result
 
 COIL = FMUS / "Coil" / "Coil.fmu"
 posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such permissions")
@@ -88,7 +90,10 @@ def headers(content: bytes | bytearray) -> list[int]:
         ("..", "outside"),
         ("a\\..\\evil", "outside"),
         ("\\\\host\\evil", "outside"),
+        ("..\\..\\evil", "outside"),
+        ("\\evil", "outside"),
         ("C:evil", "outside"),
+        ("C:\\evil", "outside"),
         ("a:stream", "outside"),  # of NTFS
         (".. /evil", "outside"),  # Windows drops final spaces and dots
         (".../evil", "outside"),
@@ -108,6 +113,25 @@ def test_names_that_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     assert why in refusal(pack(tmp_path / "a.fmu", ("modelDescription.xml", b""), (name, b"evil")))
 
 
+def test_backslashes_are_separators(tmp_path: Path) -> None:
+    """Some tools on Windows pack so; what is applied to such an FMU is packed with slashes."""
+    with zipfile.ZipFile(COIL) as coil:
+        entries = [(name.replace("/", "\\"), coil.read(name)) for name in coil.namelist()]
+    path = pack(tmp_path / "a.fmu", ("resources\\", b""), *entries)
+    fmu = FMU(path)
+    assert fmu.platforms == FMU(COIL).platforms
+    assert fmu.library(fmu.description.interfaces["co-simulation"].identifier).is_file()
+    assert sorted(each.name for each in fmu.directory.iterdir()) == [
+        "binaries",
+        "modelDescription.xml",
+        "resources",
+        "sources",
+    ]
+    new = tmp_path / "new.fmu"
+    apply_result(result(tmp_path, {"R": (4.25, 0.01)}), path, new)
+    assert "binaries/linux64" in {name.rpartition("/")[0] for name in zipfile.ZipFile(new).namelist()}
+
+
 def test_a_name_that_hides_its_end_is_refused(tmp_path: Path) -> None:
     """After a NUL the rest is shown to nobody; `zipfile` cuts it off."""
     path = pack(tmp_path / "a.fmu", ("modelDescription.xml", b""), ("good#evil", b""))
@@ -116,7 +140,15 @@ def test_a_name_that_hides_its_end_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "names", [("a/file", "a/File"), ("ä", "a\u0308"), ("straße", "STRASSE"), ("file", "file."), ("same", "same")]
+    "names",
+    [
+        ("a/file", "a/File"),
+        ("ä", "a\u0308"),
+        ("straße", "STRASSE"),
+        ("file", "file."),
+        ("same", "same"),
+        ("a/b", "a\\b"),
+    ],
 )
 def test_names_of_one_file_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, names: tuple[str, str]) -> None:
     monkeypatch.setattr(zipped, "STRICT_NAMES", names[0] != names[1])
@@ -124,6 +156,10 @@ def test_names_of_one_file_are_refused(tmp_path: Path, monkeypatch: pytest.Monke
         warnings.simplefilter("ignore")  # of zipfile, to whoever writes that
         path = pack(tmp_path / "a.fmu", (names[0], b"1"), (names[1], b"2"))
     assert "would be the same file" in refusal(path)
+
+
+def test_separators_do_not_tell_files_apart(tmp_path: Path) -> None:
+    assert "would be the same file" in refusal(pack(tmp_path / "a.fmu", ("a/b", b"1"), ("a\\b", b"2")))
 
 
 def test_a_file_packed_twice_is_the_same(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from fmuid.cli import studies as cli_studies
 from fmuid.cli.interruption import handled
 from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import FmuidError, InputError
+from fmuid.text import visible
 from fmuid.version import __version__
 
 app = typer.Typer(
@@ -105,5 +106,5 @@ _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
 
 
 def _refuse(sentence: str, code: int) -> int:
-    print("error: " + " ".join(sentence.split()), file=sys.stderr)
+    print("error: " + visible(" ".join(sentence.split())), file=sys.stderr)
     return code

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 
 def info(fmu: FmuFile) -> int:
     """Show what an FMU declares: capabilities, parameters, inputs, outputs, units; with a study to begin with."""
-    from fmuid.fmi import FMU
+    from fmuid.fmi import FMU, uncollected
     from fmuid.models import facts
     from fmuid.reports.console.fmu import show_facts
 
-    show_facts(facts(FMU(fmu)))
+    with uncollected():
+        show_facts(facts(FMU(fmu)))
     return DONE
 
 

@@ -15,6 +15,7 @@ from .description import Unit as Unit
 from .description import Variable as Variable
 from .description import read_description as read_description
 from .description import read_text as read_text
+from .description import uncollected as uncollected
 from .fmu import FMU as FMU
 from .instance import Instance as Instance
 from .instance import describe_failure as describe_failure

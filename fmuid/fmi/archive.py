@@ -67,7 +67,7 @@ class Zipped:
     Attributes
     ----------
     entries : tuple of ZipInfo
-        In the order of the archive, folders included.
+        In the order of the archive, folders included; backslashes in their names are separators, like slashes.
     names : tuple of str
         Of the files among them.
 
@@ -86,6 +86,8 @@ class Zipped:
         try:
             self._archive = zipfile.ZipFile(self._file)
             self.entries = tuple(self._archive.infolist())
+            for entry in self.entries:  # as some tools on Windows write names, against the format's specification
+                entry.filename = entry.filename.replace("\\", "/")
             self._size = path.stat().st_size
             self._check()
         except _DAMAGES as error:
@@ -94,7 +96,8 @@ class Zipped:
         except InputError as error:
             self._file.close()
             raise self._refused(str(error)) from None
-        self.names = tuple(entry.filename for entry in self.entries if not entry.is_dir())
+        self._files = {entry.filename: entry for entry in self.entries if not entry.is_dir()}
+        self.names = tuple(self._files)
 
     def __enter__(self) -> Self:
         return self
@@ -117,7 +120,7 @@ class Zipped:
             If it is damaged, or larger than `largest`.
         """
         content = io.BytesIO()
-        for chunk in self.chunks(self._archive.getinfo(name), largest):
+        for chunk in self.chunks(self._files[name], largest):
             content.write(chunk)
         return content.getvalue()
 
@@ -217,10 +220,10 @@ def parts_of(entry: zipfile.ZipInfo) -> tuple[str, ...]:
 
 def _check_entry(entry: zipfile.ZipInfo) -> None:
     """Refuse what no FMU needs and what would not become a file in the folder; the sentence goes on from the file."""
-    name, shown = entry.orig_filename, _shown(entry)
+    name, shown = entry.orig_filename.replace("\\", "/"), _shown(entry)
     parts = parts_of(entry)
     mode = entry.external_attr >> 16
-    outside = name.startswith("/") or "\\" in name or ":" in name or any(not part.rstrip(". ") for part in parts)
+    outside = name.startswith("/") or ":" in name or any(not part.rstrip(". ") for part in parts)
     if outside or stat.S_ISLNK(mode):
         raise InputError(f"its entry {shown} would be written outside the archive's folder")
     if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import math
 import re
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -176,6 +178,19 @@ class Description:
         )
 
 
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Do without the collector of cycles, which looks through the objects of large models again and again."""
+    there = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if there:
+            gc.enable()
+
+
+@uncollected()
 def read_description(path: Path) -> Description:
     """Read the model description inside an FMU.
 
@@ -321,7 +336,7 @@ def _scalars(parsed: Any, is_state: bool, enumeration: str) -> list[Variable]:
         text = getattr(parsed, attribute) or (declared and getattr(declared, attribute))
         return float(text) if text else None
 
-    names = _names([parsed])
+    names = _names([parsed]) if parsed.shape else [parsed.name]
     array = tuple(names) if parsed.shape else ()
     starts = [parsed.start]
     if parsed.shape:

@@ -58,7 +58,7 @@ def applied_values(text: bytes) -> dict[str, Value]:
     InputError
         If the text is not well-formed XML.
     """
-    if not any(TOOL.encode(code) in text for code in ("utf-8", "utf-16-le", "utf-16-be")):
+    if not any("Applied".encode(code) in text for code in ("utf-8", "utf-16-le", "utf-16-be")):
         return {}  # the usual case: the text need not be read again
     scan = _Scan(text)
     found = {name: scan.start(name) for name in scan.applied if scan.find(name) is not None}

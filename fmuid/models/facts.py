@@ -108,7 +108,11 @@ def facts(fmu: FMU) -> Facts:
 
     described = fmu.description
     variables = tuple(described.variables.values())
-    groups = {group: tuple(v for v in variables if _group(v) == group) for group in GROUPS}
+    sorted_: dict[str | None, list[Variable]] = {}
+    for v in variables:
+        sorted_.setdefault(_group(v), []).append(v)
+    groups = {group: tuple(sorted_.get(group, ())) for group in GROUPS}
+    inputs = frozenset(described.inputs)
     observed = (*groups["inputs"], *groups["outputs"], *(v for v in variables if v.is_state))
     return Facts(
         fmu=fmu,
@@ -117,7 +121,7 @@ def facts(fmu: FMU) -> Facts:
         machine=fmpy.platform if described.major_version == 2 else fmpy.platform_tuple,
         run_as=Component(fmu).words(),
         states=tuple(v for v in variables if v.is_state),
-        direct={v.name: _direct(described, v.name) for v in groups["outputs"]},
+        direct={v.name: _direct(described, v.name, inputs) for v in groups["outputs"]},
         units={
             unit: other_units(described, unit) for unit in dict.fromkeys(v.unit for v in observed if v.unit is not None)
         },
@@ -175,11 +179,10 @@ def _words(element: Element, version: int) -> tuple[str, ...]:
     return tuple(dict.fromkeys(words))
 
 
-def _direct(described: Description, output: str) -> tuple[str, ...] | None:
+def _direct(described: Description, output: str, inputs: frozenset[str]) -> tuple[str, ...] | None:
     depends = described.dependencies.get(output)
     if depends is None:
         return None
-    inputs = set(described.inputs)
     return tuple(name for name in depends if name in inputs)
 
 
@@ -215,13 +218,17 @@ def lines(variables: Iterable[Variable]) -> list[Line]:
     """
     alike: dict[tuple[object, ...], list[Variable]] = {}
     for v in variables:
-        alike.setdefault((_SUBSCRIPT.sub("#", v.name), v.type, v.unit, v.causality, v.variability), []).append(v)
+        pattern = _SUBSCRIPT.sub("#", v.name) if "[" in v.name else v.name
+        alike.setdefault((pattern, v.type, v.unit, v.causality, v.variability), []).append(v)
     found: list[Line] = []
     for some in alike.values():
+        if len(some) <= SINGLE_ELEMENTS:
+            found += [Line(v.name, (v,)) for v in some]
+            continue
         places = [[int(n) for n in _SUBSCRIPT.findall(v.name)] for v in some]
         ranges = [(min(along), max(along)) for along in zip(*places, strict=True)]
         size = prod(high - low + 1 for low, high in ranges)
-        if len(some) > SINGLE_ELEMENTS and size == len(some):
+        if size == len(some):
             spans = [f"{low}..{high}" if high > low else str(low) for low, high in ranges]
             between = _SUBSCRIPT.split(some[0].name)
             name = "".join(chain.from_iterable(zip(between, [*spans, ""], strict=True)))

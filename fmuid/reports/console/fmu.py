@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from textwrap import shorten
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -15,6 +16,7 @@ from fmuid.models import Facts, Line, lines
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
 from fmuid.simulation import Validation
 from fmuid.studies import skeleton
+from fmuid.text import bounded
 
 # Inputs that are named where an output depends on them; how many there are besides is said.
 INPUTS_NAMED = 4
@@ -24,6 +26,8 @@ TERMINAL_REMARKS, REMARK_LENGTH = 5, 300
 SHORT_DESCRIPTION = 25
 # Between two columns.
 GAP = 3
+# Letters of a name, and of any other text: an FMU can have names of any length.
+NAME_LENGTH, TEXT_LENGTH = 200, 1000
 # Into a pipe, where lines are searched: one line a variable, however long.
 PIPE_WIDTH = 1000
 
@@ -39,8 +43,8 @@ def show_facts(found: Facts) -> None:
     described, out = found.fmu.description, console()
     if not out.is_terminal:
         out.width = PIPE_WIDTH
-    remark = described.description.removeprefix(described.model_name).lstrip(": ")
-    out.print(f"[bold]{escape(described.model_name)}[/]" + (f": {escape(remark)}" if remark else ""))
+    remark = _text(described.description.removeprefix(described.model_name).lstrip(": "))
+    out.print(f"[bold]{escape(_name(described.model_name))}[/]" + (f": {escape(remark)}" if remark else ""))
     out.print(_head(found))
     for title, variables, columns in (
         ("Parameters ({}), fixed: set before the initialisation", found.fixed, {}),
@@ -57,7 +61,16 @@ def show_facts(found: Facts) -> None:
     if found.others:
         out.print(f"\n{found.others} other variable{'s' * (found.others != 1)}")
     out.print("\n[bold]A study to begin with[/] [dim](fmuid init FMU TABLE writes a longer one)[/]\n")
-    out.print(skeleton(found.fmu), markup=False, soft_wrap=True, end="")
+    for line in skeleton(found.fmu).splitlines():
+        out.print(line if len(line) <= TEXT_LENGTH else _text(line), markup=False, soft_wrap=True)
+
+
+def _name(text: str) -> str:
+    return bounded(text, NAME_LENGTH)
+
+
+def _text(text: str) -> str:
+    return bounded(text, TEXT_LENGTH)
 
 
 def _head(found: Facts) -> Table:
@@ -66,18 +79,18 @@ def _head(found: Facts) -> Table:
     rows.add_row("FMI version", described.fmi_version)
     for kind, words in found.capabilities.items():
         unused = "" if kind in described.interfaces else " (fmuid does not use it)"
-        rows.add_row(kind, escape(", ".join(words) or "no optional capabilities") + unused)
-    rows.add_row("fmuid runs it as", escape(found.run_as))
-    there = ", ".join(f"{name} (this machine)" if name == found.here else name for name in platforms)
+        rows.add_row(kind, escape(_text(", ".join(words)) or "no optional capabilities") + unused)
+    rows.add_row("fmuid runs it as", escape(_text(found.run_as)))
+    there = ", ".join(f"{name} (this machine)" if name == found.here else _name(name) for name in platforms)
     if found.here is None:
         there = f"{there or 'no binaries at all'}; none for this machine ({found.machine})"
-    rows.add_row("platforms", escape(there))
+    rows.add_row("platforms", escape(_text(there)))
     if found.states or described.indicators:
         rows.add_row("continuous states", f"{len(found.states)}, with {described.indicators} event indicators")
     if described.default_experiment:
         rows.add_row("default experiment", _default_experiment(described))
     if described.generation_tool:
-        rows.add_row("made by", escape(described.generation_tool))
+        rows.add_row("made by", escape(_name(described.generation_tool)))
     return rows
 
 
@@ -102,22 +115,58 @@ def _show_variables(out: Console, title: str, variables: Sequence[Variable], mor
     columns |= {head: column for head, column in more.items() if any(column(v) for v in shown)}
     columns["description"] = _remark
     heads = ["name", *columns]
-    cells = [[line.name, *(_cell(line, column) for column in columns.values())] for line in rows]
+    texts = [[_cell(line, column) for line in rows] for column in columns.values()]
+    shorter = {text: _text(text) for text in set(chain.from_iterable(texts))}
+    cells = [
+        [_name(line.name), *map(shorter.__getitem__, row)]
+        for line, row in zip(rows, zip(*texts, strict=True), strict=True)
+    ]
+    right = ("start", "min", "max")
     if out.is_terminal:
         taken = sum(max(len(text) for text in some) + GAP for some in zip(heads, *cells, strict=True)) - GAP
         room = out.width - taken + max(len(row[-1]) for row in (heads, *cells))
         for row in cells:
             row[-1] = shorten(row[-1], max(room, SHORT_DESCRIPTION), placeholder="…")
-    table = table_of("", heads, right=("start", "min", "max"))
-    for row in cells:
-        table.add_row(*(escape(text) for text in row))
-    _print_titled(out, title, table)
+        table = table_of("", heads, right)
+        for row in cells:
+            table.add_row(*(escape(text) for text in row))
+        _print_titled(out, title, table)
+    else:
+        out.print(f"\n[bold]{title}[/]")
+        out.file.writelines(_plain_table([heads, *cells], [head in right for head in heads]))
     if len(rows) < len(every):
         out.print(f"and {len(every) - len(rows)} more; all of them: fmuid info FMU | less")
 
 
+def _plain_table(rows: Sequence[Sequence[str]], right: Sequence[bool]) -> Iterator[str]:
+    """Yield the lines of a table whose first row has the heads: of a hundred thousand, Rich takes a minute for them."""
+    widths = [max(map(_width, column)) for column in zip(*rows, strict=True)]
+    template = (" " * GAP).join(
+        f"{{:{'>' if flush else '<'}{width}}}" for width, flush in zip(widths, right, strict=True)
+    )
+    for number, row in enumerate(rows):
+        if all(map(str.isascii, row)):
+            line = template.format(*row)
+        else:  # some letters take two columns, some none
+            line = (" " * GAP).join(_filled(*each) for each in zip(row, widths, right, strict=True))
+        yield line.rstrip() + "\n"
+        if number == 0:
+            yield "─" * (sum(widths) + GAP * (len(widths) - 1)) + "\n"
+
+
+def _width(text: str) -> int:
+    return len(text) if text.isascii() else cell_len(text)
+
+
+def _filled(text: str, width: int, flush_right: bool) -> str:
+    blank = " " * (width - _width(text))
+    return blank + text if flush_right else text + blank
+
+
 def _cell(line: Line, column: Column) -> str:
     """Return what the variables of a line say in a column: all the same, a range of numbers, or the first and last."""
+    if len(line.variables) == 1:
+        return column(line.variables[0])
     said = list(dict.fromkeys(column(v) for v in line.variables))
     if len(said) == 1:
         return said[0]
@@ -171,7 +220,7 @@ def _show_units(out: Console, found: Facts) -> None:
         return
     table = table_of("", ["unit", "instead"])
     for unit, names in others.items():
-        table.add_row(escape(unit), escape(", ".join(names)))
+        table.add_row(escape(_name(unit)), escape(_text(", ".join(names))))
     _print_titled(out, "Units that a table may have instead", table)
 
 

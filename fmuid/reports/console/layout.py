@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
-from fmuid.text import has_unit, label
+from fmuid.text import has_unit, label, visible
 
 if TYPE_CHECKING:
     from fmuid.simulation import Fit, Simulator
@@ -23,9 +24,16 @@ PLAIN_WIDTH = 110
 TERMINAL_ROWS = 60
 
 
+class _Console(Console):
+    """A console that prints nothing that a terminal obeys or a reader cannot see, but for its own styles."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(visible(text), **options)
+
+
 def console() -> Console:
     """Return the console on standard output as it is now."""
-    return Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+    return _Console(highlight=False, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
 
 
 def show_files(paths: Iterable[Path]) -> None:
@@ -103,10 +111,10 @@ def warn_unfed(simulators: Iterable[Simulator]) -> None:
     for simulator in simulators:
         if simulator.unfed_inputs:
             names = ", ".join(simulator.unfed_inputs)
-            print(f"note: {simulator.experiment.source} feeds no {names}: kept at the start value", file=sys.stderr)
+            show_notes([f"{simulator.experiment.source} feeds no {names}: kept at the start value"])
 
 
 def show_notes(notes: Iterable[str]) -> None:
     """Print what is to be known of the input, to standard error."""
     for note in notes:
-        print(f"note: {note}", file=sys.stderr)
+        print(visible(f"note: {note}"), file=sys.stderr)
