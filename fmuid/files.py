@@ -6,6 +6,7 @@ not there.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from collections.abc import Iterator
@@ -17,6 +18,9 @@ from fmuid.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+# No space, quota used up, file too large for a limit.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def is_file(path: Path) -> bool:
@@ -67,6 +71,20 @@ def make_folder(folder: Path) -> None:
         raise InputError(f"{folder} cannot be written to; choose another folder with --output")
 
 
+_noted: list[Path] | None = None
+
+
+@contextmanager
+def noted() -> Iterator[list[Path]]:
+    """Give a list of the files that are written meanwhile by `replacing`, in their order."""
+    global _noted
+    before, _noted = _noted, []
+    try:
+        yield _noted
+    finally:
+        _noted = before
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a path beside `path` to write to, and put it in place of `path` when all of it is written.
@@ -82,11 +100,14 @@ def replacing(path: Path) -> Iterator[Path]:
         try:
             yield draft
             draft.replace(path)
+            if _noted is not None:
+                _noted.append(path)
         finally:
             draft.unlink(missing_ok=True)
     except OSError as error:
+        remedy = "make room, or choose" if error.errno in _FULL else "choose"
         raise InputError(
-            f"{path} cannot be written: {error.strerror or error}; choose another folder with --output"
+            f"{path} cannot be written: {error.strerror or error}; {remedy} another folder with --output"
         ) from None
 
 

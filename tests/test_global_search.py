@@ -327,32 +327,47 @@ def test_progress(method: Method) -> None:
     assert found.simulations == found.result.simulations == problem.simulations >= steps[-1].simulations
 
 
-def interrupting(calls: int) -> LeastSquares:
-    """Return the sinusoid whose user presses Ctrl-C once, after some simulations."""
-    count = itertools.count(1)
+def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
+    """Return the sinusoid whose user presses Ctrl-C once, after some simulations, and where it was simulated."""
+    seen: list[float] = []
 
     def simulate(theta: Floats) -> Floats:
-        if next(count) == calls:
+        seen.append(theta[0])
+        if len(seen) == calls:
             raise KeyboardInterrupt
         return np.asarray(np.sin(theta[0] * TIMES))
 
-    return LeastSquares.from_function(simulate, sinusoid().measured, {"w": Parameter(12.0, min=RANGE[0], max=RANGE[1])})
+    parameters = {"w": Parameter(12.0, min=RANGE[0], max=RANGE[1])}
+    return LeastSquares.from_function(simulate, sinusoid().measured, parameters), seen
 
 
-@pytest.mark.parametrize(("method", "calls"), [("evolution", 150), ("multistart", 150), ("multistart", 600)])
-def test_interruption_keeps_what_is_found(method: Method, calls: int) -> None:
-    found = search_globally(interrupting(calls), GlobalSearch(method, starts=40))
+@pytest.mark.parametrize(
+    ("method", "calls", "complete", "fitted"),
+    [
+        ("evolution", 150, 120, False),
+        ("evolution", 800, 120, True),
+        ("multistart", 48, 40, False),
+        ("multistart", 700, 40, False),
+        ("multistart", 2400, 2300, True),
+    ],
+)
+def test_interruption_keeps_what_is_found(method: Method, calls: int, complete: int, fitted: bool) -> None:
+    """It is no worse than any point of a generation or fit that was complete, with its uncertainty if a fit has it."""
+    problem, seen = interrupting(calls)
+    found = search_globally(problem, GlobalSearch(method, starts=40))
     assert found.interrupted
+    assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
     assert not found.result.converged
-    assert "interrupted" in found.result.status
-    assert 1 <= found.fits < 40
-    assert sum(o.hits for o in found.optima) == found.fits
-    assert np.isfinite(found.result.values).all()
+    assert found.result.status.startswith("interrupted: these are the best values so far of a global search, after ")
+    assert sum(o.hits for o in found.optima) == found.fits < 40
+    squares = [((np.sin(w * TIMES) - problem.measured) ** 2).sum() for w in seen[:complete]]
+    assert ((np.sin(found.result["w"] * TIMES) - problem.measured) ** 2).sum() <= 1.0001 * min(squares)
+    assert np.isfinite(found.result.std).all() == fitted == (found.result.local is not None)
 
 
 def test_interruption_before_anything_is_found() -> None:
     with pytest.raises(KeyboardInterrupt):
-        search_globally(interrupting(3))
+        search_globally(interrupting(3)[0])
 
 
 def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,6 +22,7 @@ from fmuid.studies.monitoring import design_of, monitor_of, rule_of
 from tests.exported import export_text
 from tests.test_diagnosis import COLUMNS, PHASES, PLATE, STD, TRUTH, identified
 from tests.test_diagnosis import record as plate_record
+from tests.test_interruption import SIGNALS, command, killing
 
 RULE = Rule(window=1.0, transient=0.2)
 
@@ -321,6 +322,31 @@ def test_appending_gives_what_one_run_gives(folder: Path, forgetting: str, capsy
     capsys.readouterr()
     assert run(["monitor", study, str(records), *other]) == 2
     assert "another rule" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_interrupted_inside_a_record(
+    folder: Path, number: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The records before it are kept, which is told, and appending examines the whole of it."""
+    words: list[str | Path] = [folder / "study.toml", folder / "records"]
+    words += ["--window", "1", "--transient", "0.2", "--forgetting", "0.6"]
+
+    def when(_: object, record: str, window: int, *__: object) -> bool:
+        return (record, window) == ("day1", 2)
+
+    with monkeypatch.context() as disturbed:
+        disturbed.setattr(Monitor, "_row", killing(number, when, Monitor._row))
+        assert command("monitor", *words, "-o", folder / "grown") == 1
+    out, error = capsys.readouterr()
+    saying = "interrupted: saving the records examined so far, with which --append goes on"
+    assert error.splitlines() == [saying, "error: interrupted"]
+    assert "monitoring.csv" in out
+    assert set(pd.read_csv(folder / "grown" / "monitoring.csv")["record"]) == {"day0"}
+    for name, more in (("grown", ["--append"]), ("whole", [])):
+        assert command("monitor", *words, "-o", folder / name, *more) == 1
+    for name in ("monitoring.csv", "monitoring.json"):
+        assert (folder / "grown" / name).read_bytes() == (folder / "whole" / name).read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -314,10 +314,10 @@ class _DataAlone:
 def _search_data(problem: LeastSquares, result: Result, local: LocalModel) -> tuple[Floats, LocalModel] | str:
     """Return the optimum of the data alone and the local model there, or a sentence on why there is none."""
     variance = np.array([result.variance[name] for name in problem.output_names])
-    alone = _DataAlone(prepare(problem, result.start).criterion.reweighted(variance))
     state = State(result.values.copy(), local.residual, local.jacobian, fresh=False)
     why = "interrupted"
     try:
+        alone = _DataAlone(prepare(problem, result.start).criterion.reweighted(variance))
         for _ in search(alone, state, Marquardt()):
             pass
         if not state.fresh:

@@ -79,6 +79,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else list(arguments)
     try:
         code: Any = app(given or ["--help"], standalone_mode=False, prog_name="fmuid")
+        sys.stdout.flush()
     except InputError as error:
         return _refuse(str(error), WRONG_INPUT)
     except FmuidError as error:
@@ -92,7 +93,11 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _refuse("interrupted", NOT_SUCCEEDED)
     except BrokenPipeError:  # as in `fmuid info model.fmu | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _forget_output()
+        return NOT_SUCCEEDED
+    except OSError as error:  # a full disk behind the standard output, or wherever a library writes
+        _refuse(f"{error.filename or 'the standard output'}: {error.strerror or error}", NOT_SUCCEEDED)
+        _forget_output()
         return NOT_SUCCEEDED
     if code == _TYPER_INTERRUPTED:
         return _refuse("interrupted", NOT_SUCCEEDED)
@@ -103,6 +108,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
 _TYPER_INTERRUPTED = 130
 # Click's exception of wrong usage, wherever this version of typer keeps click.
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
+
+
+def _forget_output() -> None:
+    """Have what cannot be written to the standard output raise no error at the end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _refuse(sentence: str, code: int) -> int:

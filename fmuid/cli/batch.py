@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmuid.cli.interruption import answering
-from fmuid.cli.options import DONE, NOT_SUCCEEDED, Overrides, StudyFile
+from fmuid.cli.options import DONE, NOT_SUCCEEDED, Overrides, StudyFile, telling_files
 
 if TYPE_CHECKING:
     from fmuid.batches import Batch, BatchResult
@@ -60,7 +60,8 @@ def batch(
     with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):
         with BatchProgress() as progress:
             found = job.run(progress)
-        return _show(job, found)
+        with telling_files():
+            return _show(job, found)
 
 
 def _show(job: Batch, found: BatchResult) -> int:

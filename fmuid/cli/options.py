@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from fmuid.files import noted
 
 DONE, NOT_SUCCEEDED, WRONG_INPUT = 0, 1, 2
 """Exit codes: done; it ran but did not succeed; something given is wrong."""
@@ -26,6 +30,20 @@ InProcess = Annotated[
     bool,
     typer.Option("--in-process", help="Run FMUs inside this process: one that crashes takes it along."),
 ]
+
+
+@contextmanager
+def telling_files() -> Iterator[None]:
+    """Say which files were written before something went wrong."""
+    with noted() as written:
+        try:
+            yield
+        except (Exception, KeyboardInterrupt):
+            if written:
+                from fmuid.reports.console.layout import show_files
+
+                show_files(dict.fromkeys(written))
+            raise
 
 
 def folder_of(output: Path | None, study: Path) -> Path:

@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fmuid.cli.options import DONE, NOT_SUCCEEDED, Folder, InProcess, Overrides, StudyFile, folder_of
+from fmuid.cli.interruption import answering, stopping
+from fmuid.cli.options import DONE, NOT_SUCCEEDED, Folder, InProcess, Overrides, StudyFile, folder_of, telling_files
+from fmuid.errors import FmuidError, InputError
+from fmuid.files import replacing
 
 if TYPE_CHECKING:
     from fmuid.estimation import GlobalResult, Result
     from fmuid.model_problem import Problem
+    from fmuid.reports import Findings
     from fmuid.studies import Study
 
 FMU_LOG = "fmu.log"
@@ -61,54 +65,98 @@ def identify(
     """Identify the parameters of a study and write result, tables and figures."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
-        from dataclasses import replace
-
         from fmuid import files
-        from fmuid.assessment import examine_residuals, explore, read_result
         from fmuid.reports import findings as report
-        from fmuid.reports import write_estimates
         from fmuid.reports.console import layout as console
         from fmuid.reports.console import result as console_result
-        from fmuid.reports.console.progress import Work
         from fmuid.reports.figures import run as figures_run
         from fmuid.reports.figures import style as plots
-        from fmuid.simulation import fit
 
         problem = read.problem()
         start = report.resumed_start(folder / "result.json", problem.parameters) if resume else None
         files.make_folder(folder)
         console.show_notes(read.notes)
         console.warn_unfed(read.simulators())
-        result, search = _search(read, problem, start)
-        if problem.parameters.prior_whitening.size and result.elapsed_s > QUICK:
-            console.show_notes(["searching the optimum of the data alone, for comparison; Ctrl-C leaves it out"])
-        ended, diagnostics = report.at_minimum(result, search), examine_residuals(problem, result)
-        found = report.Findings(
-            result,
-            fit.parameter_units(read.system, result.names),
-            report.result_fits(read.system, read.tables, result),
-            diagnostics,
-            read_result(problem, result, search_data=ended, healthy=read.known_variance, diagnostics=diagnostics),
-            read.uncertainty_settings.level,
-            search,
-        )
-        written = [*found.write(folder), *write_estimates(folder, read.system, result)]
-        console_result.show_result(found)
-        plots.clear(folder / "figures")
-        written += plots.save(figures_run.draw(found), folder / "figures")
-        if read.uncertainty_settings.any:
-            if not ended:
-                console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
-            else:
-                with Work(result.names) as work:
-                    box = search is not None
-                    there = explore(problem, result, read.uncertainty_settings, work, box=box)
-                found = replace(found, uncertainty=there)
-                written += found.write(folder)
-                console_result.show_uncertainty(found)
-                written += plots.save(figures_run.draw_uncertainty(found), folder / "figures")
+        with answering("saving what has been found (Ctrl-C again ends it without)"):
+            result, search = _search(read, problem, start)
+            if result.local is None:
+                return _save_point(read, result, folder)
+            found, written = _found(read, problem, result, search, folder)
+            console_result.show_result(found)
+            plots.clear(folder / "figures")
+            written += plots.save(figures_run.draw(found), folder / "figures")
+            if read.uncertainty_settings.any:
+                found, more = _explored(read, problem, found, folder)
+                written += more
         console.show_files(dict.fromkeys(written))
         return DONE if found.succeeded else NOT_SUCCEEDED
+
+
+def _found(
+    read: Study, problem: Problem, result: Result, search: GlobalResult | None, folder: Path
+) -> tuple[Findings, list[Path]]:
+    """Examine a result, and write what is found."""
+    from fmuid.assessment import examine_residuals, read_result
+    from fmuid.reports import findings as report
+    from fmuid.reports import write_estimates
+    from fmuid.reports.console import layout as console
+    from fmuid.simulation import fit
+
+    if problem.parameters.prior_whitening.size and result.elapsed_s > QUICK:
+        console.show_notes(["searching the optimum of the data alone, for comparison; Ctrl-C leaves it out"])
+    ended, diagnostics = report.at_minimum(result, search), examine_residuals(problem, result)
+    found = report.Findings(
+        result,
+        fit.parameter_units(read.system, result.names),
+        report.result_fits(read.system, read.tables, result),
+        diagnostics,
+        read_result(problem, result, search_data=ended, healthy=read.known_variance, diagnostics=diagnostics),
+        read.uncertainty_settings.level,
+        search,
+    )
+    return found, [*found.write(folder), *write_estimates(folder, read.system, result)]
+
+
+def _explored(read: Study, problem: Problem, found: Findings, folder: Path) -> tuple[Findings, list[Path]]:
+    """Find out what the study asks for beyond the local covariance, and show and write it."""
+    from dataclasses import replace
+
+    from fmuid.assessment import Uncertainty, explore
+    from fmuid.reports import findings as report
+    from fmuid.reports.console import layout as console
+    from fmuid.reports.console import result as console_result
+    from fmuid.reports.console.progress import Work
+    from fmuid.reports.figures import run as figures_run
+    from fmuid.reports.figures import style as plots
+
+    settings = read.uncertainty_settings
+    if not report.at_minimum(found.result, found.search):
+        console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
+        return found, []
+    there = Uncertainty(settings.level, (), (), (), None, interrupted=True)
+    if not stopping():
+        with Work(found.result.names) as work:
+            there = explore(problem, found.result, settings, work, box=found.search is not None)
+    found = replace(found, uncertainty=there)
+    written = found.write(folder)
+    console_result.show_uncertainty(found)
+    return found, written + plots.save(figures_run.draw_uncertainty(found), folder / "figures")
+
+
+def _save_point(read: Study, result: Result, folder: Path) -> int:
+    """Write the best point of a search that was interrupted before a fit began from it, of which no more is known."""
+    from fmuid.reports import findings as report
+    from fmuid.reports import write_estimates
+    from fmuid.reports.console import layout as console
+    from fmuid.reports.figures import style as plots
+    from fmuid.simulation import fit
+
+    written = report.write_point(folder, result, fit.parameter_units(read.system, result.names))
+    written += write_estimates(folder, read.system, result)
+    plots.clear(folder / "figures")
+    console.show_point(result)
+    console.show_files(written)
+    return NOT_SUCCEEDED
 
 
 def _search(read: Study, problem: Problem, start: Any) -> tuple[Result, GlobalResult | None]:
@@ -116,14 +164,17 @@ def _search(read: Study, problem: Problem, start: Any) -> tuple[Result, GlobalRe
     from fmuid.estimation import Marquardt, identify
     from fmuid.reports.console.progress import Progress, Work
 
-    if isinstance(read.estimator, Marquardt) or start is not None:
-        with Progress(problem.parameters.names, problem.parameters.start if start is None else start) as progress:
-            return identify(problem, read.marquardt, progress, start), None
-    from fmuid.estimation import search_globally
+    try:
+        if isinstance(read.estimator, Marquardt) or start is not None:
+            with Progress(problem.parameters.names, problem.parameters.start if start is None else start) as progress:
+                return identify(problem, read.marquardt, progress, start), None
+        from fmuid.estimation import search_globally
 
-    with Work(problem.parameters.names) as work:
-        found = search_globally(problem, read.estimator, work.searched)
-    return found.result, found
+        with Work(problem.parameters.names) as work:
+            found = search_globally(problem, read.estimator, work.searched)
+        return found.result, found
+    except KeyboardInterrupt:
+        raise FmuidError("interrupted before anything better than the start was found: nothing is written") from None
 
 
 def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in_process: InProcess = False) -> int:
@@ -194,7 +245,8 @@ def monitor(
             found.resume(folder)
         console.show_notes(read.notes)
         files.make_folder(folder)
-        with console.console().status("reading") as status:
+        saving = "saving the records examined so far, with which --append goes on"
+        with answering(saving), console.console().status("reading") as status:
             try:
                 for record in records_of(read, tables, found.records):
                     status.update(record.name)
@@ -215,7 +267,8 @@ def _opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path)
     if in_process or not AVAILABLE:
         from fmuid.studies import Study
 
-        yield Study.read(study, set_ or (), isolated=not in_process)
+        with telling_files():
+            yield Study.read(study, set_ or (), isolated=not in_process)
         return
     from fmuid.reports.console.layout import show_notes
     from fmuid.simulation import SERVER
@@ -228,13 +281,20 @@ def _opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path)
 
     printed()
     try:
-        yield Study.read(study, set_ or (), isolated=True)
+        with telling_files():
+            yield Study.read(study, set_ or (), isolated=True)
     finally:
-        log = folder / FMU_LOG
-        text = printed()
-        if text:
-            folder.mkdir(parents=True, exist_ok=True)
-            log.write_text(text, encoding="utf-8")
-            show_notes([f"what the FMUs printed is in {log}"])
-        elif log.is_file():
-            log.unlink()  # of an earlier run
+        show_notes(_write_log(folder / FMU_LOG, printed()))
+
+
+def _write_log(log: Path, text: str) -> list[str]:
+    """Write what FMUs printed, and return what is to be said of it; nothing that goes wrong here ends a command."""
+    if not text:
+        log.unlink(missing_ok=True)  # of an earlier run
+        return []
+    try:
+        with replacing(log) as draft:
+            draft.write_text(text, encoding="utf-8")
+    except InputError as error:
+        return [f"what the FMUs printed is lost: {error}"]
+    return [f"what the FMUs printed is in {log}"]

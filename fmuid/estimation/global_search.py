@@ -42,10 +42,10 @@ from scipy.stats import qmc
 from fmuid.arrays import Floats
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimation.box import Box
-from fmuid.estimation.identification import identify
+from fmuid.estimation.identification import identify, point_result
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.search import Marquardt, Status
-from fmuid.estimation.misfit import misfits, refuse_loss, variances
+from fmuid.estimation.misfit import Misfits, fitted, misfits, refuse_loss, variances
 from fmuid.estimation.result import Result
 from fmuid.text import nearest
 
@@ -145,7 +145,8 @@ class GlobalResult:
     Attributes
     ----------
     result : Result
-        Of the best fit; its `simulations` and `elapsed_s` are those of the whole search.
+        Of the best fit; its `simulations` and `elapsed_s` are those of the whole search. Where the search was
+        interrupted, of the best of all points tried; if no fit has led there, with nothing but its values.
     optima : tuple of Optimum
         All that were found, each once, the best first.
     names : tuple of str
@@ -217,7 +218,8 @@ def search_globally(
     Returns
     -------
     GlobalResult
-        Also where the search was interrupted from the keyboard after it had found something.
+        Also where the search was interrupted from the keyboard after it had found something; nothing more is simulated
+        then.
 
     Raises
     ------
@@ -240,21 +242,26 @@ class _Search:
         self.thetas = np.empty((0, len(problem.parameters)))
         self.values = np.empty(0)
         self.results: list[Result] = []
+        self.ends: list[Misfits] = []  # of the results, each of one point
+        self.reached: list[float] = []  # the criterion there, as in `values`
 
     def run(self) -> GlobalResult:
         interrupted = False
         try:
-            starts = self._evolve() if self.settings.method == "evolution" else self._spread()
+            self._fit(self._evolve() if self.settings.method == "evolution" else self._spread())
+            self._finish()
         except KeyboardInterrupt:
             if not np.isfinite(self.values).any():
                 raise
-            interrupted, starts = True, self.thetas[[np.argmin(self.values)]]
-        interrupted = self._fit(starts) or interrupted
+            interrupted = True
         return self._conclude(interrupted)
 
     def _evaluate(self, thetas: Floats) -> Floats:
         """Return the concentrated criterion at thetas (m, N), +inf where the simulation failed, and remember it."""
-        values = misfits(self.problem, thetas).concentrated(self.problem)
+        return self._remember(thetas, misfits(self.problem, thetas))
+
+    def _remember(self, thetas: Floats, found: Misfits) -> Floats:
+        values = found.concentrated(self.problem)
         values = np.where(np.isnan(values), np.inf, values)
         self.thetas, self.values = np.vstack([self.thetas, thetas]), np.append(self.values, values)
         return values
@@ -324,8 +331,14 @@ class _Search:
         lows = np.flatnonzero(np.isfinite(values) & (values <= values[near].min(axis=1)))
         return self.thetas[first[lows[np.argsort(values[lows])]]]
 
-    def _fit(self, starts: Floats) -> bool:
-        """Fit from every start; return whether the keyboard interrupted it."""
+    def _fit(self, starts: Floats) -> None:
+        """Fit from every start.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If that ends a fit; how far it came is kept.
+        """
         settings = self.settings.marquardt
         short = dataclasses.replace(settings, max_iterations=min(FIT_ITERATIONS, settings.max_iterations))
         error: FmuidError | None = None
@@ -333,21 +346,21 @@ class _Search:
             try:
                 if self.settings.method == "evolution" and self._known(start):
                     continue
-                result = identify(self.problem, short, start=start)
-                self.results.append(result)
-                if result.status.startswith(Status.INTERRUPTED.value):
-                    return True
-                self._evaluate(result.values[None])
-            except KeyboardInterrupt:
-                if not self.results:
-                    raise
-                return True
+                self._keep(identify(self.problem, short, start=start))
             except (InputError, SimulationError) as caught:  # a start from which nothing moves, for instance
                 error = error or caught
             self._report("fits", number, len(starts))
         if not self.results and error is not None:
             raise error
-        return False
+
+    def _keep(self, result: Result) -> None:
+        """Keep the result of a fit and the criterion there, which is known from the fit itself."""
+        end = fitted(self.problem, result)
+        self.results.append(result)
+        self.ends.append(end)
+        self.reached.append(float(self._remember(result.values[None], end)[0]))
+        if result.status.startswith(Status.INTERRUPTED.value):
+            raise KeyboardInterrupt
 
     def _known(self, start: Floats) -> bool:
         """Whether no fit is needed from a point: it lies in the valley of an optimum, or enough are made."""
@@ -359,21 +372,17 @@ class _Search:
         return bool((values <= self._evaluate(start[None])).all(axis=0).any())
 
     def _conclude(self, interrupted: bool) -> GlobalResult:
-        """Put the fits in order, merge those that ended at one optimum, and finish the best."""
+        """Put the fits in order, and merge those that ended at one optimum; nothing is simulated for it."""
         problem = self.problem
-        if not interrupted:
-            self._finish()
-        ends = misfits(problem, np.array([result.values for result in self.results]))
-        best = self.results[int(np.argmin(ends.concentrated(problem)))]
-        criteria = ends.compound(variances(problem, best))
-        optima = sorted(
-            (self._optimum(group, criteria) for group in self._groups(criteria)), key=lambda found: found[0].criterion
-        )
+        optima: list[tuple[Optimum, Result]] = []
+        if self.results:
+            ends = Misfits(np.vstack([e.squares for e in self.ends]), np.concatenate([e.prior for e in self.ends]))
+            criteria = ends.compound(variances(problem, self.results[int(np.argmin(self.reached))]))
+            optima = [self._optimum(group, criteria) for group in self._groups(criteria)]
+            optima.sort(key=lambda found: found[0].criterion)
         elapsed, simulations = time.perf_counter() - self.clock, problem.simulations - self.simulations
-        result = dataclasses.replace(optima[0][1], simulations=simulations, elapsed_s=elapsed)
-        if interrupted and result.converged:
-            words = f"the global search was interrupted after {len(self.results)} fits: this is the best so far"
-            result = dataclasses.replace(result, status=words, converged=False)
+        result = self._best_so_far() if interrupted else optima[0][1]
+        result = dataclasses.replace(result, simulations=simulations, elapsed_s=elapsed)
         return GlobalResult(
             result,
             tuple(optimum for optimum, _ in optima),
@@ -384,12 +393,23 @@ class _Search:
             interrupted,
         )
 
+    def _best_so_far(self) -> Result:
+        """Return the best of all points tried: as its fit found it, or by itself where none has led there."""
+        best = int(np.argmin(self.values))
+        count = len(self.results)
+        words = f"{Status.INTERRUPTED.value} of a global search, after {count} fit{'' if count == 1 else 's'}"
+        if self.results and min(self.reached) <= self.values[best]:
+            result = self.results[int(np.argmin(self.reached))]
+            return dataclasses.replace(result, status=words, converged=False)
+        return point_result(self.problem, self.thetas[best], words)
+
     def _finish(self) -> None:
         """Go on with the best fit where only its few iterations ended it."""
-        ends = misfits(self.problem, np.array([result.values for result in self.results]))
-        best = int(np.argmin(ends.concentrated(self.problem)))
+        best = int(np.argmin(self.reached))
         if self.results[best].status.startswith(Status.ITERATION_LIMIT.value):
-            self.results[best] = identify(self.problem, self.settings.marquardt, start=self.results[best].values)
+            self._keep(identify(self.problem, self.settings.marquardt, start=self.results[best].values))
+            for kept in (self.results, self.ends, self.reached):
+                del kept[best]
 
     def _groups(self, criteria: Floats) -> list[list[int]]:
         """Return the fits that ended at one optimum, the best of each first."""

@@ -52,7 +52,8 @@ def identify(
     Returns
     -------
     Result
-        Also where the search did not converge or was interrupted from the keyboard: its status says so.
+        Also where the search did not converge or was interrupted from the keyboard: its status says so. Then nothing
+        more is simulated, and samples that do not count are NaN in `Result.fit`.
 
     Raises
     ------
@@ -60,8 +61,49 @@ def identify(
         If the simulation at the start fails.
     InputError
         If a parameter without prior acts on no output.
+    KeyboardInterrupt
+        If that comes before the first step: there is no better point than the start then.
     """
     return _Identification(problem, settings or Marquardt(), progress, start).run()
+
+
+def point_result(problem: LeastSquares, theta: Floats, status: str) -> Result:
+    """Return a point as a result, of which nothing but its values is known: nothing is simulated.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    theta : (N,) array
+    status : str
+    """
+    parameters = problem.parameters
+    covariance = np.full((len(parameters), len(parameters)), np.nan)
+    np.fill_diagonal(covariance, np.inf)
+    given = np.flatnonzero(~np.isnan(problem.variance))
+    return Result(
+        status=status,
+        converged=False,
+        names=parameters.names,
+        values=theta.copy(),
+        start=parameters.start.copy(),
+        prior_mean=parameters.prior_mean,
+        prior_std=parameters.prior_std,
+        covariance=covariance,
+        noise_variance={},
+        given_variance={problem.output_names[j]: float(problem.variance[j]) for j in given},
+        criterion=math.nan,
+        degrees_of_freedom=math.inf,
+        iterations=0,
+        simulations=0,
+        elapsed_s=0.0,
+        undetermined=(),
+        weak=(),
+        prior_determined=(),
+        at_bounds=(),
+        version=__version__,
+        models=problem.models,
+        sensitivity=problem.sensitivity_words,
+    )
 
 
 class _Identification:
@@ -269,5 +311,6 @@ class _Identification:
     def _history(self) -> History:
         state, problem = self.state, self.problem
         predicted = problem.measured - self.criterion.unwhiten(state.residual)
-        simulated = tuple(problem.outputs(state.theta, predicted))
+        ended = self._status is not Status.INTERRUPTED  # who interrupts a slow search waits for no simulation
+        simulated = tuple(problem.outputs(state.theta, predicted, simulate=ended))
         return History(problem.parameters.names, tuple(self.trace), tuple(self.rounds), problem.experiments, simulated)

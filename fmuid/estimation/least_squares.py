@@ -234,7 +234,7 @@ class LeastSquares:
             "fmu": "outputs of the FMU",
         }[self.sensitivity]
 
-    def outputs(self, theta: ArrayLike, predicted: Floats | None = None) -> list[Floats]:
+    def outputs(self, theta: ArrayLike, predicted: Floats | None = None, *, simulate: bool = True) -> list[Floats]:
         """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed.
 
         Parameters
@@ -242,6 +242,8 @@ class LeastSquares:
         theta : (N,) array
         predicted : (n,) array, optional
             Its counted samples, as `predict` gave them: experiments all of whose samples count are not simulated again.
+        simulate : bool
+            False: nothing is simulated where `predicted` is given, and samples that do not count are NaN.
         """
         thetas = np.array(theta, dtype=np.float64)[None]
         found, last = [], 0
@@ -250,6 +252,10 @@ class LeastSquares:
             shape = experiment.output_values.shape
             if predicted is not None and kept.size == experiment.output_values.size:
                 found.append(predicted[first:last].reshape(shape))
+            elif predicted is not None and not simulate:
+                known = np.full(experiment.output_values.size, np.nan)
+                known[kept] = predicted[first:last]
+                found.append(known.reshape(shape))
             else:
                 found.append(self._outputs(index, thetas)[0])
         return found

@@ -64,6 +64,17 @@ def misfits(problem: LeastSquares, thetas: Floats) -> Misfits:
     return Misfits(squares, np.sum(problem.parameters.prior_residual(thetas) ** 2, axis=1))
 
 
+def fitted(problem: LeastSquares, result: Result) -> Misfits:
+    """Return the criterion's parts at a result of this problem, from its fit: nothing is simulated."""
+    assert result.history is not None, "not of a result that was read from a file"
+    squares = np.zeros((1, problem.counts.size))
+    for experiment, simulated in zip(result.history.experiments, result.history.simulated, strict=True):
+        errors = np.where(experiment.counted, experiment.output_values - simulated, 0.0)
+        where = [problem.output_names.index(name) for name in experiment.output_names]
+        squares[0, where] += (errors**2).sum(axis=0)
+    return Misfits(squares, np.sum(problem.parameters.prior_residual(result.values[None]) ** 2, axis=1))
+
+
 def least_variance(problem: LeastSquares) -> Floats:
     """Return the variance of each output (n_outputs,) below which a residual is as good as none."""
     least = LEAST_RESIDUAL**2 * problem.output_variances(problem.measured)

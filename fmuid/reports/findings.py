@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +26,11 @@ if TYPE_CHECKING:
     from fmuid.estimation import GlobalResult
     from fmuid.models import System
 
-# Tables that not every run writes: those of an earlier run would be taken for this one's.
-_SOMETIMES = ("reading.csv", "optima.csv", "profiles.csv", "posterior.csv", "map-*.csv")
+# Tables that a run may write: those of an earlier run would be taken for this one's.
+_TABLES = (
+    *("trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "reading.csv", "optima.csv"),
+    *("profiles.csv", "posterior.csv", "map-*.csv"),
+)
 
 
 def result_fits(system: System, experiments: Sequence[Experiment], result: Result) -> tuple[Fit, ...]:
@@ -195,12 +198,21 @@ class Findings:
         folder
             Made where needed; files of an earlier run are replaced.
         """
-        path = folder / "result.json"
-        with replacing(path) as draft:
-            text = json.dumps(self.to_json_dict(), indent=2, ensure_ascii=False)
-            draft.write_text(text + "\n", encoding="utf-8")
-        written = [path, *(write_table(folder / f"{name}.csv", frame) for name, frame in self.tables().items())]
-        for old in (old for pattern in _SOMETIMES for old in folder.glob(pattern)):
-            if old not in written:
-                old.unlink()
-        return written
+        return _write(folder, self.to_json_dict(), self.tables())
+
+
+def write_point(folder: Path, result: Result, units: Sequence[str | None]) -> list[Path]:
+    """Write what is known of a point where a search was interrupted, its values, and return the paths."""
+    return _write(folder, result.to_json_dict(), {"estimates": estimates_frame(result, units)})
+
+
+def _write(folder: Path, content: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> list[Path]:
+    path = folder / "result.json"
+    with replacing(path) as draft:
+        text = json.dumps(content, indent=2, ensure_ascii=False)
+        draft.write_text(text + "\n", encoding="utf-8")
+    written = [path, *(write_table(folder / f"{name}.csv", frame) for name, frame in tables.items())]
+    for old in (old for pattern in _TABLES for old in folder.glob(pattern)):
+        if old not in written:
+            old.unlink()
+    return written

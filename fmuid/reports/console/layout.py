@@ -15,6 +15,7 @@ from rich.text import Text
 from fmuid.text import has_unit, label, visible
 
 if TYPE_CHECKING:
+    from fmuid.estimation import Result
     from fmuid.simulation import Fit, Simulator
     from fmuid.studies import Draft
 
@@ -88,6 +89,15 @@ def show_draft(draft: Draft, output: Path) -> None:
         f"Written: [bold]{escape(str(output))}[/]. Next: free the parameters to identify in it, under \\[parameters].",
         soft_wrap=True,
     )
+
+
+# --- fmuid identify ---------------------------------------------------------------------
+
+
+def show_point(result: Result) -> None:
+    """Say where a search was interrupted, where nothing but the values is known."""
+    values = ", ".join(f"{name} = {result[name]:.6g}" for name in result.names)
+    console().print(f"{escape(values)}\n{escape(result.status[0].upper() + result.status[1:])}", soft_wrap=True)
 
 
 # --- fmuid simulate ---------------------------------------------------------------------

@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fmuid.arrays import Floats
+from fmuid.files import replacing
 
 # Wide enough to be read at the width of a README, about 1000 pixels.
 WIDTH, DPI = 9.2, 110
@@ -67,8 +68,13 @@ def clear(folder: Path) -> None:
 
 
 def save(figures: dict[str, Figure], folder: Path) -> list[Path]:
-    """Write figures as PNG files into `folder` (made where needed) and return their paths."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write figures as PNG files into `folder` (made where needed) and return their paths.
+
+    Raises
+    ------
+    InputError
+        If one cannot be written.
+    """
     paths = []
     with style():  # ticks take theirs when they are drawn
         for name, figure in figures.items():
@@ -80,7 +86,8 @@ def save(figures: dict[str, Figure], folder: Path) -> list[Path]:
                 layout.execute(figure)
                 figure.set_layout_engine("none")
             canvas: Any = FigureCanvasAgg(figure)
-            canvas.print_png(path)
+            with replacing(path) as draft:
+                canvas.print_png(draft)
             paths.append(path)
     return paths
 
