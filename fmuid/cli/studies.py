@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -273,8 +272,7 @@ def _opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path)
     from fmuid.reports.console.layout import show_notes
     from fmuid.simulation import SERVER
 
-    if sys.stderr.isatty():
-        SERVER.notify = lambda text: show_notes([text])
+    SERVER.notify = lambda text: show_notes([text])
     SERVER.start()  # it loads its code while this process loads its own
     from fmuid.simulation import printed
     from fmuid.studies import Study
