@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
+import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,9 +19,11 @@ import pytest
 from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError
 from fmuid.models.component import Isolation
+from fmuid.simulation.executor import workers_of
 from fmuid.simulation.isolation.ends import REFUSED, End
+from fmuid.simulation.isolation.family import Footprint, family
 from fmuid.simulation.simulator import Simulator
-from tests.isolated import NAMES, RECORD, check_costs_only_its_own, expected, thetas
+from tests.isolated import NAMES, RECORD, check_costs_only_its_own, expected, processes, thetas
 from tests.misbehaving import Mode, misbehaving_fmu
 
 pytestmark = [
@@ -126,3 +131,72 @@ def test_words_of_an_end(end: End, words: str) -> None:
 def test_what_is_written_into_the_connection_is_told(folder: Path) -> None:
     words = "it wrote into the connection of its process with fmuid"
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(Mode.GARBLE), words, Isolation(time_limit=20.0))
+
+
+# --- memory and relatives
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells")
+
+
+@linux
+@pytest.mark.parametrize("mode", [Mode.SHARE, Mode.BROOD])
+def test_memory_that_is_shared_or_that_of_children_counts(folder: Path, mode: Mode) -> None:
+    words = "its process took more than 300 MB and was stopped"
+    check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), words, Isolation(time_limit=60.0, memory=300.0))
+
+
+@linux
+def test_what_fmuid_itself_gives_a_process_does_not_count(folder: Path) -> None:
+    """Record and outputs take 56 MB: more than the limit leaves above what the process takes without them."""
+    times = 1e-3 * np.arange(1_000_000)
+    frame = pd.DataFrame({"time": times, "u": 1.0, "x": 0.0})
+    record = Experiment(frame, ["u"], ["x"], interpolation="hold")
+    simulator = Simulator(misbehaving_fmu(folder), record, NAMES, isolation=Isolation(threads=1))
+    some = [[2.0, 0.5, 0.0]] * 4
+    before = simulator(some)
+    workers: Any = workers_of(simulator.system)
+    host = workers._host()
+    host._limit = Footprint(host.pid).read() - 56e6 + 25e6
+    assert np.array_equal(simulator(some), before)
+    assert workers._host() is host
+
+
+@linux
+@pytest.mark.parametrize("how", ["closed", "crashed"])
+def test_what_has_left_its_session_ends_too(folder: Path, how: str) -> None:
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
+    some = thetas(Mode.SOUND)
+    simulator(some)
+    there = {process.pid for process in processes()}
+    some[5, 2] = Mode.ESCAPE
+    assert np.array_equal(simulator(some), expected(folder, some))
+    escaped = [process for process in processes() if process.pid not in there]
+    assert [os.getsid(process.pid) == os.getsid(process.ppid()) for process in escaped] == [False]
+    if how == "closed":
+        simulator.close()
+    else:
+        simulator.many([[1.0, 1.0, Mode.ABORT]])
+    _, left = psutil.wait_procs(escaped, timeout=5)
+    assert not left
+
+
+@linux
+def test_what_is_shared_counts_once(tmp_path: Path) -> None:
+    """Four processes that share 200 MB take 200 MB, of which each seems to have all."""
+    script = tmp_path / "share.py"
+    script.write_text(
+        "import mmap, os, signal\nroom = mmap.mmap(-1, 200 << 20)\nfor i in range(0, 200 << 20, 4096): room[i] = 1\n"
+        "for i in range(3):\n    if os.fork() == 0:\n        sum(room[i] for i in range(0, 200 << 20, 4096))\n"
+        "        os.write(1, b'there'); signal.pause()\nos.write(1, b'there')\nsignal.pause()\n"
+    )
+    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, start_new_session=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.read(20) == 4 * b"there"
+            assert len(family(process.pid)) == 4
+            footprint = Footprint(process.pid)
+            assert 200 < footprint.read() / 2**20 < 260
+            assert footprint.exceeds(200 << 20)
+            assert not footprint.exceeds(260 << 20)
+        finally:
+            os.killpg(process.pid, signal.SIGKILL)

@@ -67,8 +67,9 @@ class Isolation:
         How long one simulation may take, s; default: `SLOWER` times the longest so far, at least `LEAST_LIMIT`, and
         `FIRST_LIMIT` before there was any.
     memory : float, optional
-        How much resident memory the process may take, MB; default: an equal share of half the machine's memory for
-        each core. What grows by more than `GROWTH` while simulations come and go is replaced by a new process.
+        How much memory the process may take with all that it starts, MB; default: an equal share of half the machine's
+        memory for each core. One that grows by more than `GROWTH` while simulations come and go is replaced by a new
+        one.
     recycle : int, optional
         After how many simulations the process is replaced by a new one; default: only for its memory.
     threads : int, optional

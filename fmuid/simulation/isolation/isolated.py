@@ -231,8 +231,12 @@ class IsolatedWorkers:
             self._next += 1
             weakref.finalize(run, self._forgotten.append, number).atexit = False
         if number not in self._known:
-            host.order("know", number, run, self._forgotten[:], limit=FIRST_LIMIT)
-            self._forgotten.clear()
+            forgotten = self._forgotten[:]
+            host.order("know", number, run, forgotten, limit=FIRST_LIMIT)
+            host.records[number] = host.sent
+            for each in forgotten:
+                host.records.pop(each, None)
+            del self._forgotten[: len(forgotten)]
             self._known.add(number)
         return number
 

@@ -32,6 +32,7 @@ from fmuid.processes import python_command
 from fmuid.simulation.isolation import server as far
 from fmuid.simulation.isolation.channel import Channel, GarbledError
 from fmuid.simulation.isolation.ends import CRASHED, EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, End
+from fmuid.simulation.isolation.family import Footprint, family
 
 GROWTH = 256e6
 """Growth of a process beyond its size after its first simulations at which it is replaced, bytes."""
@@ -43,6 +44,7 @@ MOST_STARTS = 6  # of the server, which may be killed from outside while it load
 DEATH = 2.0  # s that a process which has closed its socket may take to end
 PRINTED_KEPT = 1 << 16  # bytes of what FMUs print that are kept until they are read
 PRINTED_LARGEST = 1 << 20  # bytes that may pile up in the file before it is cut
+MOST_RELATIVES = 100  # processes below it, also ended ones, for which nobody there waits
 MEASURE_EVERY = 0.25  # s, its memory while simulations come and go
 SLOW_START = 3.0  # s after which it is said that code is being compiled
 
@@ -172,7 +174,7 @@ class Host:
     modules : sequence of str
         What it needs to have loaded.
     memory_limit : float
-        How much resident memory it may take, bytes.
+        How much memory it may take with all that it starts, bytes (`family`).
 
     Attributes
     ----------
@@ -180,6 +182,10 @@ class Host:
         What each of its workers is doing, and how often it has begun.
     simulations : int
         How many it was given.
+    records : dict of int to int
+        Bytes of the large arrays of each run that it knows.
+    sent : int
+        Bytes of the large arrays of the last order.
     """
 
     def __init__(self, modules: Sequence[str], memory_limit: float) -> None:
@@ -197,7 +203,9 @@ class Host:
             with other:
                 self.pid = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
             made.pop_all()
-        self._channel = Channel(own, LOOK_EVERY)
+        self._channel, self._footprint = Channel(own, LOOK_EVERY), Footprint(self.pid)
+        self.records: dict[int, int] = {}
+        self.sent = 0
 
     def _mapped(self, size: int) -> tuple[mmap.mmap, NDArray[np.intp]]:
         os.ftruncate(self._file, size)
@@ -242,7 +250,7 @@ class Host:
         """
         look = partial(self._look, _Progress(limit, idle_limit, reports))
         try:
-            self._channel.send((name, *arguments), look)
+            self.sent = self._channel.send((name, *arguments), look)
             kind, answer, said = self._channel.receive(look)
         except EOFError:
             raise self._ended() from None
@@ -267,17 +275,14 @@ class Host:
         over = progress.limit_passed(self.doing, stopped=condition == psutil.STATUS_STOPPED)
         if over is not None:
             raise self._stopped(HUNG, round(1e3 * over))
-        if self.private_memory() > self._limit:
+        if self._footprint.exceeds(self._limit + self._given):
             raise self._stopped(GREW, round(self._limit / 1e6))
         self._cut_printed()
 
-    def private_memory(self) -> float:
-        """Return the resident memory that it does not share with others, bytes."""
-        try:
-            found = psutil.Process(self.pid).memory_info()
-        except psutil.Error:
-            return 0.0
-        return float(found.rss - getattr(found, "shared", 0))
+    @property
+    def _given(self) -> float:
+        """What of its memory `fmuid` itself has given it, bytes: it is not the FMU's."""
+        return len(self._memory) + sum(self.records.values())
 
     def outgrown(self, recycle: int | None) -> bool:
         """Whether it is to be replaced: after so many simulations, or because it has grown since the first of them."""
@@ -286,9 +291,9 @@ class Host:
         now = time.monotonic()
         if self.baseline and now - self._measured < MEASURE_EVERY:
             return False
-        self._measured, size = now, self.private_memory()
+        self._measured, size = now, max(1.0, self._footprint.read() - self._given)
         self.baseline = self.baseline or size
-        return size > self.baseline + GROWTH
+        return size > self.baseline + GROWTH or len(family(self.pid)) > MOST_RELATIVES
 
     def _condition(self) -> str:
         try:

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 
 from fmuid.simulation.isolation.channel import Channel
+from fmuid.simulation.isolation.family import adopt_orphans, children
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -38,6 +39,7 @@ DOING = 512
 """Words at the beginning of the shared memory: two for each worker, what it is doing and how often it has begun."""
 
 ORDER_BYTES = 4096  # of an order to the server
+ORPHANS_TAKE = 2.0  # s at most to end
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 _IOLBF = 1  # of setvbuf: lines are written when they are complete
 
@@ -191,6 +193,7 @@ def _become_host(descriptors: Sequence[int], parent: int) -> None:
         ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
         if os.getppid() != parent:
             return
+    adopt_orphans()
     os.setpgid(0, 0)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     nothing = os.open(os.devnull, os.O_RDONLY)
@@ -250,6 +253,8 @@ class Server:
                 for end in (os.kill, os.killpg):
                     with contextlib.suppress(OSError):
                         end(host, signal.SIGKILL)
+            self._hosts.clear()
+            self._end_orphans()
 
     def _fork(self, descriptors: Sequence[int], modules: Sequence[str]) -> int | str:
         """Return the process id of a new host, or why there cannot be one."""
@@ -277,16 +282,34 @@ class Server:
             found, status = os.waitpid(pid, os.WNOHANG)
             if found:
                 self._hosts.discard(pid)
+                self._end_orphans()
                 return status
             if time.monotonic() > until:
                 return None
             time.sleep(0.001)
         return None
 
+    def _end_orphans(self) -> None:
+        """End what hosts that are gone have started: it has come to be below this process, and is no host.
+
+        A host that lives adopts what is below itself.
+        """
+        until = time.monotonic() + ORPHANS_TAKE
+        while time.monotonic() < until:
+            orphans = [pid for pid in children(os.getpid()) if pid not in self._hosts]
+            if not orphans:
+                return
+            for pid in orphans:  # whose own children come here in their turn
+                with contextlib.suppress(OSError):
+                    os.kill(pid, signal.SIGKILL)
+                    os.waitpid(pid, os.WNOHANG)
+            time.sleep(0.001)
+
 
 def main(arguments: Sequence[str]) -> None:
     """Be the server at the socket with the given file descriptor."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    adopt_orphans()
     importlib.import_module("fmuid.simulation.in_process")
     Server(socket.socket(fileno=int(arguments[0]))).serve()
 

@@ -1,0 +1,116 @@
+"""A process with all those below it, and the memory that they take together.
+
+On Linux that is their proportional set size (proc_pid_smaps(5)), in which a page that several processes share is
+counted once in all, be it a library, memory that was there before a fork, or memory that is shared on purpose; and what
+of them was swapped out. Reading it costs a walk over all pages, so that it is only done where the resident size, which
+is never smaller, does not settle the question. Elsewhere it is the resident size of the process itself.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import time
+
+import psutil
+
+SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
+SHARE = 0.1  # of the time that reading the proportional set size may take, at most
+
+
+def adopt_orphans() -> None:
+    """Become the parent of all processes below this one whose own parents end (Linux)."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(SUBREAPER, 1, 0, 0, 0)
+
+
+def children(pid: int) -> list[int]:
+    """Return the children of a process, also those that have ended and were not waited for; none where nobody knows."""
+    found: list[int] = []
+    for task in _listed(f"/proc/{pid}/task"):
+        found += map(int, _text(f"/proc/{pid}/task/{task}/children").split())
+    return found
+
+
+def family(pid: int) -> list[int]:
+    """Return a process and all below it."""
+    found = [pid]
+    for each in found:  # which grows meanwhile
+        found += children(each)
+    return found
+
+
+class Footprint:
+    """The memory of a process and all below it.
+
+    Parameters
+    ----------
+    pid : int
+    """
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
+        self._resident, self._proportional = 0.0, 0.0  # when both were last read
+        self._next = 0.0
+
+    def exceeds(self, limit: float) -> bool:
+        """Whether it is more than a limit, bytes.
+
+        Proportional set size does not grow by more than resident size, which is therefore read first.
+        """
+        relatives = family(self._pid)
+        resident = sum(map(_resident, relatives))
+        if self._proportional + max(0.0, resident - self._resident) <= limit:
+            return False
+        known = self._proportional if time.monotonic() < self._next else self._read(relatives, resident)
+        return known > limit
+
+    def read(self) -> float:
+        """Return it, bytes."""
+        relatives = family(self._pid)
+        return self._read(relatives, sum(map(_resident, relatives)))
+
+    def _read(self, relatives: list[int], resident: float) -> float:
+        began = time.monotonic()
+        self._resident, self._proportional = resident, sum(map(_proportional, relatives))
+        now = time.monotonic()
+        self._next = now + (now - began) / SHARE
+        return self._proportional
+
+
+def _resident(pid: int) -> float:
+    """Return the resident size of a process and what of it was swapped out, bytes."""
+    if sys.platform == "linux":
+        return _sum(f"/proc/{pid}/status", ("VmRSS", "VmSwap"))
+    try:
+        return float(psutil.Process(pid).memory_info().rss)
+    except psutil.Error:
+        return 0.0
+
+
+def _proportional(pid: int) -> float:
+    """Return the proportional set size of a process and what of it was swapped out, bytes."""
+    return _sum(f"/proc/{pid}/smaps_rollup", ("Pss", "SwapPss")) or _resident(pid)
+
+
+def _sum(path: str, names: tuple[str, ...]) -> float:
+    """Return the sum of some lines of a file of the kernel, as ``Pss:   212 kB``, in bytes."""
+    lines = (line.partition(":") for line in _text(path).splitlines())
+    return sum(1024.0 * float(rest.split()[0]) for name, _, rest in lines if name in names)
+
+
+def _text(path: str) -> str:
+    """Return what a file of the kernel says: nothing where its process has ended."""
+    try:
+        with open(path, encoding="ascii", errors="replace") as file:  # noqa: PTH123  # a few of these every 50 ms
+            return file.read()
+    except OSError:
+        return ""
+
+
+def _listed(path: str) -> list[str]:
+    try:
+        return os.listdir(path)  # noqa: PTH208
+    except OSError:
+        return []
