@@ -367,7 +367,8 @@ def test_names_that_no_file_has(folder: Path, capsys: pytest.CaptureFixture[str]
         assert name in refused(capsys, *command)
 
 
-RESULT = """{"status": "converged", "converged": true, "parameters": {"R": {"value": 4.0, "std": 0.1, "start": 3.0}},
+RESULT = """{"status": "converged", "outcome": "converged", "converged": true,
+"parameters": {"R": {"value": 4.0, "std": 0.1, "start": 3.0}},
 "covariance": {"names": ["R"], "matrix": [[0.01]]}, "noise_variance": {"i": 1e-6}, "criterion": 1.0, "iterations": 1,
 "simulations": 2, "elapsed_s": 0.1, "version": "0"}"""
 

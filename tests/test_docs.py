@@ -22,9 +22,9 @@ from fmuid.batches.cases import Cases
 from fmuid.diagnosis.decision import STRONG
 from fmuid.diagnosis.procedure import UNEXPLAINED_SHARE
 from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
-from fmuid.estimation.finite_differences import NOISE_POINTS
 from fmuid.estimation.identification import MOVED
 from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
+from fmuid.estimation.numerical_noise import NOISE_POINTS
 from fmuid.models.component import DEFAULT_TOLERANCE
 from fmuid.simulation.isolation.isolated import FIRST_LIMIT, LEAST_LIMIT, SLOWER
 from fmuid.simulation.plan import LINEAR_SUBSTEPS

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from scipy.optimize import minimize
 from scipy.signal import lfilter
+from scipy.stats import norm
 
 import fmuid
 from fmuid.arrays import Floats
@@ -69,6 +70,42 @@ def test_the_variances_settle_whatever_their_start() -> None:
         last = result.rounds.iloc[-1]
         assert last["estimated.i"] == pytest.approx(last["used.i"], rel=0.02)
         np.testing.assert_allclose(result.values, results[0].values, atol=0.02 * results[0].std.min())
+
+
+def densities(result: Result, **std: float) -> float:
+    """Return the sum of the normal log densities of the residuals of result.fit."""
+    fit = result.fit[0]
+    rows = [(fit[f"measured.{n}"] - fit[f"simulated.{n}"], s) for n, s in std.items()]
+    return float(sum(norm.logpdf(residual[residual.notna()], scale=s).sum() for residual, s in rows))
+
+
+def test_the_log_likelihood_is_that_of_the_data() -> None:
+    """Whatever is known of the noise, and however many outputs; a prior is no part of it."""
+    priors: dict[str, Any] = {"parameters": {"k": Parameter(0.8, prior=Normal(1.4, 0.05))}}
+    known = {"u": 20.0, "i": 1e-4}
+    variances = {name: std**2 for name, std in known.items()}
+    for words in ({}, priors):
+        given = identify(two_output_problem(noise=Noise(variances), **words))
+        assert given.log_likelihood == pytest.approx(densities(given, **known), rel=1e-12)
+        free = identify(two_output_problem(**words))
+        likely = {
+            n: math.sqrt(float(np.mean((free.fit[0][f"measured.{n}"] - free.fit[0][f"simulated.{n}"]) ** 2)))
+            for n in known
+        }
+        assert free.log_likelihood == pytest.approx(densities(free, **likely), rel=1e-12)
+        mixed = identify(two_output_problem(noise=Noise({"i": 1e-8}), **words))
+        # one estimated variance is never less likely than a known one
+        assert given.log_likelihood < mixed.log_likelihood < free.log_likelihood < given.log_likelihood + 3.0
+
+
+def test_the_log_likelihood_compares_where_the_criterion_does_not() -> None:
+    results = [identify(two_output_problem(noise=Noise(start=start))) for start in (1e-4, 1e4)]
+    assert results[0].log_likelihood == pytest.approx(results[1].log_likelihood, abs=1e-3)
+    content = results[0].to_json_dict()
+    assert content["log_likelihood"] == results[0].log_likelihood
+    robust = identify(two_output_problem(loss="huber"))
+    assert math.isnan(robust.log_likelihood)
+    assert robust.to_json_dict()["log_likelihood"] is None
 
 
 def test_given_variances_are_used_as_they_are() -> None:

@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fmuid.arrays import Floats
-from fmuid.estimation.finite_differences import FiniteDifferences, SensitivityError, noise_level
+from fmuid.estimation.finite_differences import FiniteDifferences, SensitivityError
+from fmuid.estimation.numerical_noise import noise_level
 
 Function = Callable[[Floats], Floats]
 Method = Literal["RK45", "BDF", "LSODA", "DOP853"]

@@ -44,6 +44,7 @@ def earlier(folder: Path, **changes: Any) -> None:
     """Write a result of the coil, with some of its entries changed."""
     content: dict[str, Any] = {
         "status": "converged",
+        "outcome": "converged",
         "converged": True,
         "parameters": {"R": {"value": 4.0, "std": 0.02, "start": 5.0}, "L": {"value": 0.1, "std": 1e-4, "start": 0.1}},
         "covariance": {"names": ["R", "L"], "matrix": COVARIANCE},

@@ -77,6 +77,14 @@ class Conditional:
         self.whole_jacobian = self._criterion.jacobian(self.whole(theta), residual, central=central)
         return self.whole_jacobian[:, self.others]
 
+    def measure_noise(self, theta: Floats, residual: Floats, steps: Floats) -> tuple[float, bool]:
+        """Measure the simulation's noise anew, in steps (N − 1,) of the others."""
+        whole = np.zeros(self._theta.size)
+        whole[self.others] = steps
+        found = self._criterion.measure_noise(self.whole(theta), residual, whole)
+        self.noise = self._criterion.noise
+        return found
+
     def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
         """Return the norm of the error in each of its columns (N − 1,)."""
         return self._criterion.jacobian_error(self.whole(theta), residual, central=central)[self.others]

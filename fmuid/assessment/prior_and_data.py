@@ -306,6 +306,12 @@ class _DataAlone:
         """Return the derivative (n, N)."""
         return self._criterion.jacobian(theta, residual, central=central)[: self._rows]
 
+    def measure_noise(self, theta: Floats, residual: Floats, steps: Floats) -> tuple[float, bool]:
+        """Measure the simulation's noise anew."""
+        found = self._criterion.measure_noise(theta, residual, steps)
+        self.noise = self._criterion.noise
+        return found
+
     def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
         """Return the norm of the error in each of its columns (N,)."""
         return self._criterion.jacobian_error(theta, residual, central=central)

@@ -140,7 +140,7 @@ class CaseRunner:
         settings = self.study.estimator
         if isinstance(settings, Marquardt):
             result = identify(problem, settings)
-            interrupted = result.status.startswith(Status.INTERRUPTED.value)
+            interrupted = result.outcome is Status.INTERRUPTED
         else:
             from fmuid.estimation import search_globally
 

@@ -278,7 +278,7 @@ def _starts(problem: Problem, healthy: Result, fault: Fault) -> list[np.ndarray]
 def _ended(result: Result) -> bool:
     """Whether a search has ended where nothing more is to be gained, whatever it determines."""
     unfinished = (Status.ITERATION_LIMIT, Status.STALLED, Status.FAILING, Status.INTERRUPTED)
-    return not result.status.startswith(tuple(each.value for each in unfinished))
+    return result.outcome not in unfinished
 
 
 def _colour(diagnostics: Diagnostics, fault: Fault) -> float:

@@ -35,8 +35,9 @@ UNDETERMINED_STD = 10.0
 # Estimates wander about as far as their standard deviations, and so hide how large these are: a direction is not
 # determined in effect either where they exceed so many times the magnitude at the start and the estimate too.
 ASTRAY_STD = 100.0
-# Singular values are zero where they are below so many times the error that finite differences may have made.
-JACOBIAN_ERRORS = 5.0
+# Singular values are zero where they are below so many times the error that finite differences may have made along
+# their direction: where nothing is determined they come out at 0.1 to 1 times what is foreseen of it.
+JACOBIAN_ERRORS = 2.0
 # Parameters with less than this share of a direction's largest component are left out of its words ...
 WORTH_NAMING = 0.05
 # ... and are no longer considered part of an undetermined direction below this share.
@@ -115,7 +116,10 @@ def local_covariance(
     _, values, directions = np.linalg.svd(reduced)
     values = np.concatenate([values, np.zeros(len(names) - values.size)])
     rounding = np.finfo(float).eps * max(jacobian.shape) * values[0]
-    unseen = values <= max(rounding, JACOBIAN_ERRORS * float(np.linalg.norm(jacobian_error * magnitudes)))
+    # the errors of the columns have nothing to do with each other
+    unseen = values <= np.maximum(
+        rounding, JACOBIAN_ERRORS * np.linalg.norm(directions * jacobian_error * magnitudes, axis=1)
+    )
     prior = jacobian[len(jacobian) - prior_rows :] * magnitudes
     by_prior = np.linalg.norm(prior @ directions.T, axis=0)
     values = np.where(unseen, by_prior, values)

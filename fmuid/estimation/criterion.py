@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import FmuidError, InputError
-from fmuid.estimation.finite_differences import FiniteDifferences, NoiseLevel, SensitivityError, noise_level
+from fmuid.estimation.finite_differences import FiniteDifferences, SensitivityError
+from fmuid.estimation.influence import idle_parameters, waking_point
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.model_derivatives import Derivatives, ModelSensitivities
+from fmuid.estimation.numerical_noise import NoiseLevel, noise_along, noise_level, shares_of, table_noise
 
 # Of data that are fitted to the last digits of double precision, the residual says nothing about their noise: its
 # standard deviation counts as this share of the measured values at least.
 LEAST_NOISE = 2.0**-47
+# Noise that is measured again counts where it is so many times what was known.
+MORE_NOISE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,11 +158,48 @@ class Criterion:
         base = self.problem.measured - self.unwhiten(residual)
         return self._completed(self._derivatives.jacobian(theta, base, central=central), residual)
 
-    def first_jacobian(self, theta: Floats, residual: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return the Jacobian at the start, and which parameters act on any output (N,)."""
-        base = self.problem.measured - self.unwhiten(residual)
+    def first_jacobian(self, theta: Floats, base: Floats, residual: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the Jacobian at the start, and which parameters act on any output (N,).
+
+        The simulation itself is `base` (n,): made of the residual, its rounding would pass for an effect.
+        """
         derivatives, acting = self._derivatives.first_jacobian(theta, base)
         return self._completed(derivatives, residual), acting
+
+    def measure_noise(self, theta: Floats, residual: Floats, steps: Floats) -> tuple[float, bool]:
+        """Measure the simulation's noise anew at theta, and take it and steps of differences to match if it is larger.
+
+        Parameters
+        ----------
+        theta, residual : (N,) and (n_rows,) arrays
+        steps : (N,) array
+            Between the seven points of the table: noise is what is seen at this distance.
+
+        Returns
+        -------
+        noise : float
+            Standard deviation of the noise of ‖residual‖², 0 where none is seen.
+        larger : bool
+            Whether the simulation's noise is larger than was known.
+        """
+        problem, base = self.problem, self.problem.measured - self.unwhiten(residual)
+        room = np.minimum(self.upper - theta, theta - self.lower)
+        table = noise_along(problem.predict, theta, base, steps, room)
+        if table is None:
+            return 0.0, False
+        # the prior is left at theta: its rows are smooth
+        rows = self.whiten(np.tile(theta, (len(table), 1)), table)
+        of_square = table_noise(np.sum(rows**2, axis=1)[:, None], np.ones((1, 1)))
+        outputs = table_noise(table, shares_of(problem.groups, problem.counts.size))
+        larger = bool((outputs > MORE_NOISE * self._level.outputs).any())
+        if larger:
+            outputs = np.maximum(outputs, self._level.outputs)
+            self.least_variance = np.maximum(self.least_variance, outputs**2)
+            self._level = NoiseLevel(outputs, self._level.simulations + len(table) - 1)
+            weighed = outputs[problem.groups] * self._weights
+            self._start, self._size = base, _rms(base * self._weights)
+            self.noise, self._derivatives = _rms(weighed), self._derivatives.renoised(weighed, self._size)
+        return float(of_square[0]), larger
 
     def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
         """Return the norm of the error in each column of a Jacobian at theta (N,).
@@ -210,16 +251,21 @@ class Start:
         Residual and central Jacobian there.
     noise : NoiseLevel
         Of the simulation itself.
+    moved : tuple of str
+        Parameters that change no output at the theta given, and were moved to where they do.
     """
 
     theta: Floats
     criterion: Criterion
     evaluation: Evaluation
     noise: NoiseLevel
+    moved: tuple[str, ...] = ()
 
 
 def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> Start:
     """Simulate the start, measure the simulation's noise, choose variances and steps, check influence.
+
+    Where parameters act on nothing at the start but elsewhere in their box, that is where the search sets out from.
 
     Parameters
     ----------
@@ -237,6 +283,19 @@ def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> Start:
     parameters = problem.parameters
     at = parameters.start if theta is None else np.array(theta, dtype=np.float64)
     _check_inside(problem, at)
+    ready, acting = _prepared(problem, at)
+    idle = idle_parameters(problem, acting)
+    if not idle.size:
+        return ready
+    noise = ready.noise.outputs[problem.groups]
+    there = waking_point(problem, at, idle, noise, 1.0 / np.sqrt(ready.criterion.variance[problem.groups]))
+    names = tuple(parameters.names[i] for i in idle if there[i] != at[i])
+    return replace(_prepared(problem, there)[0], moved=names)
+
+
+def _prepared(problem: LeastSquares, at: Floats) -> tuple[Start, NDArray[np.bool_]]:
+    """Return a problem made ready at a theta (N,), and which parameters act there."""
+    parameters = problem.parameters
     base, noise = noise_level(
         problem.predict,
         at,
@@ -258,14 +317,13 @@ def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> Start:
     criterion = Criterion(problem, variance, noise, least, base)
     residual = criterion.whiten(at[None], base[None])[0]
     try:
-        jacobian, acting = criterion.first_jacobian(at, residual)
+        jacobian, acting = criterion.first_jacobian(at, base, residual)
     except SensitivityError as error:
         raise InputError(
             f"the simulation succeeds at the start, but not with {parameters.names[error.index]!r} moved to either "
             f"side of {at[error.index]:g}; start from where the model is sound, or give bounds"
         ) from None
-    _check_influence(problem, acting, at)
-    return Start(at, criterion, Evaluation(residual, jacobian), noise)
+    return Start(at, criterion, Evaluation(residual, jacobian), noise), acting
 
 
 def _failure(problem: LeastSquares, theta: Floats, remedy: str) -> FmuidError:
@@ -287,16 +345,3 @@ def _check_inside(problem: LeastSquares, theta: Floats) -> None:
             f"the start {theta[i]:g} of {parameters.names[i]!r} lies outside its bounds, "
             f"{parameters.lower[i]:g} to {parameters.upper[i]:g}"
         )
-
-
-def _check_influence(problem: LeastSquares, acting: NDArray[np.bool_], theta: Floats) -> None:
-    known = (problem.parameters.prior_whitening != 0).any(axis=0)
-    idle = np.flatnonzero(~acting & ~known)
-    if idle.size == 0:
-        return
-    names = ", ".join(f"{problem.parameters.names[i]!r} (start {theta[i]:g})" for i in idle)
-    said, them = (f"parameters {names} change", "them") if idle.size > 1 else (f"parameter {names} changes", "it")
-    raise InputError(
-        f"{said} no measured output at the start; check that the model uses what is set, start elsewhere, "
-        f"measure an output that depends on {them}, give a prior, or hold {them} at a value"
-    )

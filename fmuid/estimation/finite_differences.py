@@ -2,8 +2,9 @@
 
 A simulator with an adaptive integrator inside is not a smooth function: between neighbouring parameter values its
 steps and iterations change, and the outputs jump by something near its tolerance. A difference over a step that is
-blind to this differentiates the jumps. So the noise is measured first (`noise_level`), and the steps balance it
-against the curvature of the simulation itself (`FiniteDifferences`):
+blind to this differentiates the jumps. So the noise is measured first
+(`fmuid.estimation.numerical_noise`), and the steps balance it against the curvature of the simulation itself
+(`FiniteDifferences`):
 
 - forward: the error is at most 2 ε/h + |f″| h/2, least at h = 2 (ε/|f″|)^(1/2);
 - central: the error is at most ε/h + |f‴| h²/6, least at h = (3 ε/|f‴|)^(1/3),
@@ -12,7 +13,6 @@ with ε the noise and f″, f‴ the derivatives, all as root mean squares over 
 
 References
 ----------
-J. J. Moré, S. M. Wild, "Estimating computational noise", SIAM J. Sci. Comput. 33 (3), 2011 (the difference table);
 J. J. Moré, S. M. Wild, "Estimating derivatives of noisy simulations", ACM Trans. Math. Softw. 38 (3), 2012;
 P. E. Gill, W. Murray, M. A. Saunders, M. H. Wright, "Computing forward-difference intervals for numerical
 optimization", SIAM J. Sci. Stat. Comput. 4 (2), 1983 (the balance of the errors).
@@ -23,33 +23,13 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import FmuidError
-
-Predict = Callable[[Floats], Floats]
-"""Simulates thetas (m, N) and gives stacked outputs (m, n); the rows of failed simulations hold NaN."""
-
-# Points of the difference table, the first being the point itself: seven suffice (Moré and Wild 2011, section 5).
-NOISE_POINTS = 7
-# Distance of these points, relative to the parameters: wide enough that an adaptive integrator takes other decisions
-# from point to point, narrow enough that sixth differences of the smooth part (its sixth power) drown in rounding.
-NOISE_SPACING = 3e-4
-# Where sixth differences still fall this fast against fifth ones, the smooth part hides the noise ...
-STILL_FALLING = 0.5
-# ... which matters unless what is left is this small against the output; the table is then laid closer ...
-NEGLIGIBLE_NOISE = 1e-13
-CLOSER = 1.0 / 30.0
-# ... at most this often.
-NOISE_TABLES = 3
-# A value whose derivatives' squares would overflow counts as a simulation that failed.
-HUGE = 1e100
-# Rounding of a stored output, half a unit in the last place of double precision.
-ROUNDING = 2.0**-53
+from fmuid.estimation.numerical_noise import Predict, usable
 
 # Steps relative to a parameter's magnitude: a difference over more than a tenth says little about a derivative, and
 # below the least one the parameter itself has too few digits left.
@@ -84,100 +64,6 @@ class SensitivityError(FmuidError):
     def __init__(self, index: int) -> None:
         super().__init__(f"every simulation with parameter number {index} moved to either side fails")
         self.index = index
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseLevel:
-    """The noise of the simulation itself.
-
-    Attributes
-    ----------
-    outputs : (G,) array
-        Standard deviation of each output's noise, in the output's unit.
-    simulations : int
-        How many thetas were simulated to find it.
-    """
-
-    outputs: Floats
-    simulations: int
-
-
-def noise_level(
-    predict: Predict,
-    theta: Floats,
-    magnitudes: Floats,
-    lower: Floats,
-    upper: Floats,
-    groups: NDArray[np.intp],
-    count: int,
-) -> tuple[Floats, NoiseLevel]:
-    """Measure the noise of a simulation near theta by a table of differences (ECnoise of Moré and Wild 2011).
-
-    All parameters move together along one direction in equal steps. The kth differences of a smooth function fall
-    with the kth power of the step, those of noise do not: γ_k mean (Δᵏf)² with γ_k = (k!)²/(2k)! estimates ε² plus
-    what is smooth, so the least of them over k is taken, with the mean over an output's samples.
-
-    Parameters
-    ----------
-    predict : callable
-    theta : (N,) array
-        A point that can be simulated.
-    magnitudes : (N,) array
-        How large each parameter is.
-    lower, upper : (N,) arrays
-        Bounds, which no point leaves.
-    groups : (n,) array of int
-        To which of the `count` outputs each sample belongs.
-
-    Returns
-    -------
-    base : (n,) array
-        The simulation at theta, NaN if it failed (the level is then meaningless).
-    level : NoiseLevel
-    """
-    above, below = upper - theta, theta - lower
-    direction, room = np.where(above >= below, 1.0, -1.0), np.maximum(above, below)
-    steps = np.minimum(NOISE_SPACING * magnitudes, room / (NOISE_POINTS - 1))
-    shares = (groups[:, None] == np.arange(count)) / np.maximum(np.bincount(groups, minlength=count), 1)
-    level = np.full(count, np.inf)
-    base = predict(theta[None])[0]  # by itself: where it fails, the others are not worth a simulation
-    simulated = 1
-    if not usable(base):
-        return np.full_like(base, np.nan), NoiseLevel(level, simulated)
-    rounding = ROUNDING * np.sqrt(base**2 @ shares)
-    for _ in range(NOISE_TABLES):
-        points = theta + np.arange(1, NOISE_POINTS)[:, None] * (steps * direction)
-        table = np.vstack([base, predict(points)])
-        simulated += len(points)
-        if usable(table).all():
-            deviations = _difference_table(table, shares)
-            level = np.maximum(np.minimum(level, deviations.min(axis=0)), rounding)
-            falling = deviations[-1] < STILL_FALLING * deviations[-2]
-            hidden = falling & (level > NEGLIGIBLE_NOISE / ROUNDING * rounding)
-            if not hidden.any():
-                break
-        steps = steps * CLOSER
-    else:
-        # every table met a failing simulation: with nothing known, the rounding of single precision
-        level = np.where(np.isfinite(level), level, np.sqrt(ROUNDING) * np.sqrt(base**2 @ shares))
-    return base, NoiseLevel(level, simulated)
-
-
-def _difference_table(table: Floats, shares: Floats) -> Floats:
-    """Return the deviations sqrt(γ_k mean (Δᵏf)²) of every order k and output, (NOISE_POINTS − 1, count).
-
-    `shares` (n, count) takes the mean over each output's samples.
-    """
-    deviations = []
-    table, squares = table.copy(), np.empty_like(table)  # in place: fresh memory costs more than the differences
-    for order in range(1, len(table)):
-        left = len(table) - order
-        for i in range(left):
-            np.subtract(table[i + 1], table[i], out=table[i])
-        np.square(table[:left], out=squares[:left])
-        gamma = math.factorial(order) ** 2 / math.factorial(2 * order)
-        deviations.append(np.sqrt(gamma * np.mean(squares[:left] @ shares, axis=0)))
-    return np.array(deviations)
 
 
 class FiniteDifferences:
@@ -221,11 +107,15 @@ class FiniteDifferences:
         self._predict, self._lower, self._upper, self._magnitudes = predict, lower, upper, magnitudes
         # a quarter of the distance of the bounds leaves room for two steps to one side wherever theta is
         self._longest = self._upper / 4.0 - self._lower / 4.0
+        self._size = size
         self._set_weights(weights, noise)
-        first = (3.0 * self._rms / size) ** (1.0 / 3.0) if size > 0 else LARGEST_STEP
-        self.central_steps = np.full(lower.shape, min(max(first, SMALLEST_STEP), LARGEST_STEP))
+        self._plan_first()
+
+    def _plan_first(self) -> None:
+        first = (3.0 * self._rms / self._size) ** (1.0 / 3.0) if self._size > 0 else LARGEST_STEP
+        self.central_steps = np.full(self._lower.shape, min(max(first, SMALLEST_STEP), LARGEST_STEP))
         self.forward_steps = self.central_steps.copy()
-        self._forward_error = self._central_error = np.zeros(lower.size)
+        self._forward_error = self._central_error = np.zeros(self._lower.size)
 
     def _set_weights(self, weights: float | Floats, noise: Floats) -> None:
         self._weights, self._noise = weights, noise
@@ -237,6 +127,14 @@ class FiniteDifferences:
         other._set_weights(weights, noise)
         scale = other._rms / self._rms if self._rms > 0 else 1.0
         other._forward_error, other._central_error = scale * self._forward_error, scale * self._central_error
+        return other
+
+    def renoised(self, noise: Floats, size: float) -> FiniteDifferences:
+        """Return the same for another noise (n,) and size, with steps that are planned from the beginning."""
+        other = copy.copy(self)
+        other._size = size
+        other._set_weights(self._weights, noise)
+        other._plan_first()
         return other
 
     def jacobian(self, theta: Floats, base: Floats, *, central: bool) -> Floats:
@@ -378,11 +276,6 @@ class FiniteDifferences:
         self._forward_error = norm * (2.0 * self._rms / self.forward_steps + 0.5 * curvature * self.forward_steps)
         # the third derivative is the one for which the planned step would be the best
         self._central_error = norm * self._rms * (1.0 / share + share**2 / (2.0 * self.central_steps**3))
-
-
-def usable(values: Floats) -> NDArray[np.bool_]:
-    """Return whether all values (..., n) are finite, and small enough that their squares are (...)."""
-    return np.asarray((values.max(axis=-1) < HUGE) & (values.min(axis=-1) > -HUGE))
 
 
 def _rms(values: Floats) -> Floats:

@@ -359,7 +359,7 @@ class _Search:
         self.results.append(result)
         self.ends.append(end)
         self.reached.append(float(self._remember(result.values[None], end)[0]))
-        if result.status.startswith(Status.INTERRUPTED.value):
+        if result.outcome is Status.INTERRUPTED:
             raise KeyboardInterrupt
 
     def _known(self, start: Floats) -> bool:
@@ -400,13 +400,13 @@ class _Search:
         words = f"{Status.INTERRUPTED.value} of a global search, after {count} fit{'' if count == 1 else 's'}"
         if self.results and min(self.reached) <= self.values[best]:
             result = self.results[int(np.argmin(self.reached))]
-            return dataclasses.replace(result, status=words, converged=False)
+            return dataclasses.replace(result, status=words, outcome=Status.INTERRUPTED, converged=False)
         return point_result(self.problem, self.thetas[best], words)
 
     def _finish(self) -> None:
         """Go on with the best fit where only its few iterations ended it."""
         best = int(np.argmin(self.reached))
-        if self.results[best].status.startswith(Status.ITERATION_LIMIT.value):
+        if self.results[best].outcome is Status.ITERATION_LIMIT:
             self._keep(identify(self.problem, self.settings.marquardt, start=self.results[best].values))
             for kept in (self.results, self.ends, self.reached):
                 del kept[best]
@@ -427,7 +427,7 @@ class _Search:
         # away from the best optimum residuals are larger than their variances, and standard deviations too small
         excess = max(1.0, criteria[best] / max(self.problem.measured.size - len(self.problem.parameters), 1))
         there = self.results[best].values
-        stds = SAME_STDS * math.sqrt(excess) * self.results[best].std
+        stds = SAME_STDS * math.sqrt(excess) * np.nan_to_num(self.results[best].std, nan=0.0, posinf=np.inf)
         reach = np.maximum(stds, SAME_SHARE * self.problem.parameters.magnitudes(there))
         near = (np.abs(self.results[i].values - there) <= reach).all()
         return bool(near and criteria[i] - criteria[best] <= SAME_CRITERION * excess)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from fmuid.arrays import Floats
 from fmuid.data import Loss
 from fmuid.estimation.covariance import LocalCovariance, local_covariance
-from fmuid.estimation.criterion import prepare
+from fmuid.estimation.criterion import Criterion, prepare
 from fmuid.estimation.history import History
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.local_model import LocalModel
@@ -60,7 +60,7 @@ def identify(
     SimulationError
         If the simulation at the start fails.
     InputError
-        If a parameter without prior acts on no output.
+        If a parameter without prior acts on no output, neither at the start nor at some points of its box.
     KeyboardInterrupt
         If that comes before the first step: there is no better point than the start then.
     """
@@ -82,6 +82,7 @@ def point_result(problem: LeastSquares, theta: Floats, status: str) -> Result:
     given = np.flatnonzero(~np.isnan(problem.variance))
     return Result(
         status=status,
+        outcome=Status.INTERRUPTED,
         converged=False,
         names=parameters.names,
         values=theta.copy(),
@@ -92,6 +93,7 @@ def point_result(problem: LeastSquares, theta: Floats, status: str) -> Result:
         noise_variance={},
         given_variance={problem.output_names[j]: float(problem.variance[j]) for j in given},
         criterion=math.nan,
+        log_likelihood=math.nan,
         degrees_of_freedom=math.inf,
         iterations=0,
         simulations=0,
@@ -115,7 +117,7 @@ class _Identification:
         self.problem, self.settings, self.progress = problem, settings, progress
         self.clock, self.simulations = time.perf_counter(), problem.simulations
         ready = prepare(problem, start)
-        self.start, self.criterion = ready.theta, ready.criterion
+        self.start, self.criterion, self.moved_start = ready.theta, ready.criterion, ready.moved
         self.state = State(ready.theta, ready.evaluation.residual, ready.evaluation.jacobian)
         self.trace: list[tuple[int, Iteration]] = []
         self.rounds: list[dict[str, float]] = []
@@ -151,7 +153,7 @@ class _Identification:
     def _end_round(self, number: int) -> None:
         """Estimate each output's variance from the residual (1.12), and note what this round used and found."""
         state, problem = self.state, self.problem
-        self.local = self._covariance(state.jacobian)
+        self.local = self._covariance(self.criterion, state.residual, state.jacobian)
         leverage = self.local.leverage(state.jacobian)[: problem.measured.size]
         self.shares: Floats = np.zeros(problem.counts.size)
         self.shares += np.bincount(problem.groups, weights=leverage, minlength=problem.counts.size)
@@ -199,14 +201,16 @@ class _Identification:
 
     # --- the result
 
-    def _covariance(self, jacobian: Floats, spread: Floats | None = None) -> LocalCovariance:
-        """Analyse a Jacobian at the point found, with or without the prior's rows."""
+    def _covariance(
+        self, criterion: Criterion, residual: Floats, jacobian: Floats, spread: Floats | None = None
+    ) -> LocalCovariance:
+        """Analyse a Jacobian at the point found, with or without the prior's rows; the residual is the criterion's."""
         theta, parameters = self.state.theta, self.problem.parameters
         return local_covariance(
             parameters.names,
             jacobian,
             parameters.magnitudes(theta),
-            self.criterion.jacobian_error(theta, self.state.residual, central=self.state.central),
+            criterion.jacobian_error(theta, residual, central=self.state.central),
             len(jacobian) - self.problem.measured.size,
             theta=theta,
             scale=parameters.scale,
@@ -217,16 +221,18 @@ class _Identification:
         """Make the problem linear at the point found, with the final variances."""
         state, data = self.state, self.problem.measured.size
         residual, jacobian, combined, spread = state.residual, state.jacobian, self.local, None
-        variance, loss = self._next_variance(), self.problem.loss
+        whole = residual
+        variance, loss, final = self._next_variance(), self.problem.loss, self.criterion
         if loss is not None or (variance != self.criterion.variance).any():
             final = self.criterion.reweighted(variance)
-            residual, jacobian = self.criterion.converted(final, residual, jacobian)
+            whole, jacobian = self.criterion.converted(final, residual, jacobian)
+            residual = whole
             if loss is not None:
                 residual, jacobian, spread = self._weighed(loss, *final.unrooted(residual, jacobian))
-            combined = self._covariance(jacobian, spread)
+            combined = self._covariance(final, whole, jacobian, spread)
         alone = combined
         if len(jacobian) > data:
-            alone = self._covariance(jacobian[:data], None if spread is None else spread[:data])
+            alone = self._covariance(final, whole, jacobian[:data], None if spread is None else spread[:data])
         magnitudes = self.problem.parameters.magnitudes(state.theta)
         return LocalModel(
             residual[:data],
@@ -267,29 +273,37 @@ class _Identification:
             f"{parameters.names[i]} is at its bound {state.theta[i]:g}" for i in np.flatnonzero(state.held)
         )
         given = ~np.isnan(problem.variance)
+        # away from a minimum the Jacobian, made where the simulation jumps, says nothing of the parameters
+        stalled = self._status is Status.STALLED
+        undetermined = () if stalled else local.undetermined
         return Result(
-            status=self._words(settled, local.undetermined, at_bounds),
-            converged=self._status.converged and settled and not local.undetermined,
+            status=self._words(settled, undetermined, at_bounds),
+            outcome=self._status,
+            converged=self._status.converged and settled and not undetermined,
             names=parameters.names,
             values=state.theta.copy(),
             start=self.start.copy(),
             prior_mean=parameters.prior_mean,
             prior_std=parameters.prior_std,
-            covariance=local.covariance,
+            covariance=np.full_like(local.covariance, np.nan) if stalled else local.covariance,
             noise_variance=dict(zip(problem.output_names, self.estimated.tolist(), strict=True)),
             given_variance={problem.output_names[j]: float(problem.variance[j]) for j in np.flatnonzero(given)},
             criterion=float(state.residual @ state.residual),
+            log_likelihood=problem.log_likelihood(
+                self.criterion.unwhiten(state.residual), self.criterion.least_variance
+            ),
             degrees_of_freedom=math.inf if given.all() else float(problem.counts.sum() - self.shares.sum()),
             iterations=state.iterations,
             simulations=problem.simulations - self.simulations,
             elapsed_s=time.perf_counter() - self.clock,
-            undetermined=local.undetermined,
-            weak=local.weak,
-            prior_determined=() if model.data is local else model.data.undetermined,
+            undetermined=undetermined,
+            weak=() if stalled else local.weak,
+            prior_determined=() if stalled or model.data is local else model.data.undetermined,
             at_bounds=at_bounds,
             version=__version__,
             models=problem.models,
             sensitivity=problem.sensitivity_words,
+            moved_start=self.moved_start,
             local=model,
             history=history,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -21,7 +22,7 @@ from fmuid.data import (
 )
 from fmuid.data import Noise as Noise
 from fmuid.errors import InputError
-from fmuid.estimation.finite_differences import HUGE
+from fmuid.estimation.numerical_noise import HUGE
 
 
 class LeastSquares:
@@ -301,6 +302,25 @@ class LeastSquares:
         sums = np.bincount(self.groups, weights=residual**2, minlength=self.counts.size)
         free = self.counts - (0.0 if shares is None else shares)
         return np.asarray(sums / np.maximum(free, np.finfo(float).eps), dtype=np.float64)
+
+    def log_likelihood(self, residual: Floats, least: Floats) -> float:
+        """Return the logarithm of the density of the data, Σ −(ln 2πσ_j² + r²/σ_j²)/2, its constant included.
+
+        With the variances that were given, and where none was with the most likely one, J_j/K_j: runs on the same data
+        compare whatever they take the noise for. Priors are no part of it; NaN with a robust loss, which is none.
+
+        Parameters
+        ----------
+        residual : (n,) array
+            Measured − simulated, in the outputs' units.
+        least : (n_outputs,) array
+            The least that an estimated variance may be.
+        """
+        if self.loss is not None:
+            return math.nan
+        sums = np.bincount(self.groups, weights=residual**2, minlength=self.counts.size)
+        variance = np.where(np.isnan(self.variance), np.maximum(sums / self.counts, least), self.variance)
+        return -0.5 * float(np.sum(self.counts * np.log(2.0 * math.pi * variance) + sums / variance))
 
     def noise_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
         """Return the noise variance of each output that a residual tells of, (n_outputs,).

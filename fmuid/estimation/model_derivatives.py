@@ -32,6 +32,9 @@ class Derivatives(Protocol):
     def weighted(self, weights: float | Floats, noise: Floats) -> Derivatives:
         """Return the same with other weights."""
 
+    def renoised(self, noise: Floats, size: float) -> Derivatives:
+        """Return the same for another noise (n,) and size."""
+
     def jacobian(self, theta: Floats, base: Floats, *, central: bool) -> Floats:
         """Return the derivatives of the weighted function at theta, (N, n)."""
 
@@ -83,6 +86,12 @@ class ModelSensitivities:
         other._differences = self._differences.weighted(weights, noise)
         scale = _rms(noise) / _rms(self._noise) if _rms(self._noise) > 0 else 1.0
         other._error = scale * self._error
+        return other
+
+    def renoised(self, noise: Floats, size: float) -> ModelSensitivities:
+        """Return the same for another noise (n,) and size."""
+        other = copy.copy(self)
+        other._noise, other._differences = noise, self._differences.renoised(noise, size)
         return other
 
     def jacobian(self, theta: Floats, base: Floats, *, central: bool) -> Floats:

@@ -19,6 +19,7 @@ from fmuid.data import JointPrior, Normal
 from fmuid.errors import InputError
 from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
+from fmuid.estimation.marquardt.records import Status
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
@@ -44,6 +45,8 @@ class Result:
     ----------
     status : str
         How the search ended and, where that is needed, the remedy.
+    outcome : Status
+        How the search ended; what decisions are made by.
     converged : bool
         Whether the search converged and every parameter is determined.
     names : tuple of str
@@ -51,13 +54,17 @@ class Result:
     prior_mean, prior_std : (N,) arrays
         NaN where there is no prior.
     covariance : (N, N) array
-        Local covariance of the estimates (1.31); infinite variances where a parameter is not determined.
+        Local covariance of the estimates (1.31); infinite variances where a parameter is not determined, NaN
+        throughout where the search stalled: away from a minimum it says nothing.
     noise_variance : dict of str to float
         The estimated variance σ̂² of each output's residual, J_j/(K_j − share of N) (1.12).
     given_variance : dict of str to float
         The variances of the outputs for which one was given, for the consistency check of docs/method.md section 7.
     criterion : float
         The compound criterion (1.37) at the estimate with the variances that the last search used.
+    log_likelihood : float
+        Of the data at the estimate, its constant included, without priors (`LeastSquares.log_likelihood`): what
+        compares between runs on the same data. NaN with a robust loss.
     degrees_of_freedom : float
         Of the variances behind `covariance`: K − N where they are estimated, infinite where all are given.
     iterations, simulations : int
@@ -78,6 +85,8 @@ class Result:
         single one is the component ``""``. Empty for problems that are not made of FMUs.
     sensitivity : str
         How the derivatives by the parameters were found, in words.
+    moved_start : tuple of str
+        Parameters that change no output at the start that was given; `start` is another one, where they do.
     local : LocalModel or None
         The problem made linear at the estimate, which `fmuid.assessment.prior_and_data` and
         `fmuid.assessment.residuals` start from; with the given noise variances where there are any, else with the
@@ -87,6 +96,7 @@ class Result:
     """
 
     status: str
+    outcome: Status
     converged: bool
     names: tuple[str, ...]
     values: Floats
@@ -97,6 +107,7 @@ class Result:
     noise_variance: Mapping[str, float]
     given_variance: Mapping[str, float]
     criterion: float
+    log_likelihood: float
     degrees_of_freedom: float
     iterations: int
     simulations: int
@@ -108,6 +119,7 @@ class Result:
     version: str
     models: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     sensitivity: str = ""
+    moved_start: tuple[str, ...] = ()
     local: LocalModel | None = None
     history: History | None = None
 
@@ -253,6 +265,7 @@ class Result:
                 }
         return {
             "status": self.status,
+            "outcome": self.outcome.name.lower(),
             "converged": self.converged,
             "parameters": parameters,
             "covariance": {
@@ -262,6 +275,7 @@ class Result:
             "noise_variance": {name: _plain(value) for name, value in self.noise_variance.items()},
             "given_variance": {name: _plain(value) for name, value in self.given_variance.items()},
             "criterion": _plain(self.criterion),
+            "log_likelihood": _plain(self.log_likelihood),
             "degrees_of_freedom": _plain(self.degrees_of_freedom),
             "iterations": self.iterations,
             "simulations": self.simulations,
@@ -273,6 +287,7 @@ class Result:
             "version": self.version,
             "models": {component: dict(model) for component, model in self.models.items()},
             "sensitivity": self.sensitivity,
+            "moved_start": list(self.moved_start),
         }
 
     @classmethod
@@ -307,7 +322,8 @@ class Result:
             raise ValueError("the names of parameters and covariance differ")
         covariance = _array(data["covariance"]["matrix"], np.nan).reshape(len(names), len(names))
         lost = np.isnan(np.diag(covariance))
-        covariance[lost, lost] = np.inf
+        outcome = Status[str(data["outcome"]).upper()]
+        covariance[lost, lost] = np.nan if outcome is Status.STALLED else np.inf
         column = {
             key: _array([parameters[name].get(key) for name in names], np.nan)
             for key in ("value", "start", "prior_mean", "prior_std")
@@ -316,9 +332,10 @@ class Result:
             raise ValueError("a value of a parameter is no number")
         if (np.diag(covariance) < 0).any():
             raise ValueError("a variance is negative")
-        freedom = data.get("degrees_of_freedom")
+        freedom, likelihood = data.get("degrees_of_freedom"), data.get("log_likelihood")
         return cls(
             status=str(data["status"]),
+            outcome=outcome,
             converged=bool(data["converged"]),
             names=names,
             values=column["value"],
@@ -329,6 +346,7 @@ class Result:
             noise_variance=_floats(data["noise_variance"]),
             given_variance=_floats(data.get("given_variance", {})),
             criterion=math.nan if data["criterion"] is None else float(data["criterion"]),
+            log_likelihood=math.nan if likelihood is None else float(likelihood),
             degrees_of_freedom=math.inf if freedom is None else float(freedom),
             iterations=int(data["iterations"]),
             simulations=int(data["simulations"]),
@@ -343,6 +361,7 @@ class Result:
                 for c, m in data.get("models", {}).items()
             },
             sensitivity=str(data.get("sensitivity", "")),
+            moved_start=tuple(map(str, data.get("moved_start", ()))),
         )
 
     def _index(self, name: str) -> int:

@@ -144,7 +144,7 @@ def _read(path: Path, model: str, component: str | None) -> tuple[dict[str, _Est
     identified = result.models.get(component or "", {}).get("name", model)
     if identified != model:
         raise InputError(f"{path} is a result for the model {identified}, and the FMU is {model}; give its own FMU")
-    lost = [name for name, estimate in found.items() if not math.isfinite(estimate.std)]
+    lost = [name for name, estimate in found.items() if math.isinf(estimate.std)]
     if lost:
         raise InputError(
             f"{path}: the data do not determine {', '.join(lost)}; hold or give a prior to what is not determined, and "

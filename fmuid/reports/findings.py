@@ -83,9 +83,9 @@ def estimates_frame(result: Result, units: Sequence[str | None], level: float = 
 
 def at_minimum(result: Result, search: GlobalResult | None) -> bool:
     """Return whether a search has ended where more can be asked of the criterion, sure or not."""
-    unfinished = tuple(status.value for status in Status if not status.converged)
     interrupted = search is not None and search.interrupted
-    return not interrupted and not result.status.startswith(unfinished)
+    undetermined = result.outcome is Status.RUNAWAY and bool(result.undetermined)
+    return not interrupted and (result.outcome.converged or undetermined)
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,12 +47,17 @@ class LeastSquares(Protocol):
     def jacobian_error(self, theta: Floats, residual: Floats, *, central: bool) -> Floats:
         """Return the norm of the error in each of its columns (N,)."""
 
+    def measure_noise(self, theta: Floats, residual: Floats, steps: Floats) -> tuple[float, bool]:
+        """Measure the simulation's noise anew, in steps (N,), and use it; return that of ‖residual‖² and if it grew."""
+
 
 class Status(Enum):
     """How a search ended; the text says what to do about it."""
 
     CONVERGED = "converged"
-    NOISE = "converged to the noise of the simulation: make it more accurate (step_size, its tolerance) for more digits"
+    ACCURACY = (
+        "converged to the accuracy of the simulation: make it more accurate (step_size, its tolerance) for more digits"
+    )
     ITERATION_LIMIT = "stopped at the iteration limit: raise max_iterations or start nearer"
     RUNAWAY = (
         "stopped: parameters run away by orders of magnitude, and the fit gains nothing by it: "
@@ -71,7 +76,7 @@ class Status(Enum):
     @property
     def converged(self) -> bool:
         """Whether the point reached is a minimum as far as the simulation can tell."""
-        return self in (Status.CONVERGED, Status.NOISE)
+        return self in (Status.CONVERGED, Status.ACCURACY)
 
 
 @dataclass(frozen=True)

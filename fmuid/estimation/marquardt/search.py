@@ -28,6 +28,7 @@ from fmuid.estimation.marquardt.records import LeastSquares as LeastSquares
 from fmuid.estimation.marquardt.records import Marquardt as Marquardt
 from fmuid.estimation.marquardt.records import State as State
 from fmuid.estimation.marquardt.records import Status as Status
+from fmuid.estimation.marquardt.stagnation import SLOW, WORTHLESS, Stagnation
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
 
 # The search ends where, all together, the parameters have no more than this share of their standard deviations to go.
@@ -45,6 +46,12 @@ SUSPICIOUS_REJECTIONS = 6
 # After so many failing simulations in a row the search feels its way along the edge of what can be simulated, with one
 # parameter after the other held; after this many more it gives up.
 EDGE_FAILURES, HOPELESS_FAILURES = 2, 12
+# A search that no longer gains anything has converged where the linear model leaves no more than this share of the
+# standard deviations to go: what makes it no better is the simulation, not the way.
+IN_VAIN = 0.3
+# Where a search is doubted, the simulation's noise is measured as far apart as the way that is left, or one standard
+# deviation, along what the data determine least, but no farther than this against the parameters.
+WIDEST_NOISE, CLOSEST_NOISE = 3e-3, 1e-9
 # A step this short against the parameters changes hardly anything in double precision.
 VANISHING_STEP = 1e-13
 # The noise that the simulation leaves in the offset is known within about this factor.
@@ -88,6 +95,8 @@ class _Search:
         self.predicted = math.inf
         self.offset = self.fresh_offset = self.previous_offset = math.inf
         self.change = self.fresh_change = math.inf
+        self.stagnation = Stagnation(self.square)
+        self.seen_noise = 0.0, 1.0  # of the criterion, measured where the search was doubted, and the criterion there
         # the largest parameters so far (N,), and the criterion, when the fit last gained anything
         self.grown_from, self.gained_at = problem.magnitudes(state.theta), self.square
 
@@ -108,6 +117,9 @@ class _Search:
             if self._outdated():
                 self._renew()
                 continue
+            if self.stagnation.stuck:
+                self._doubt()
+                continue
             state.iterations += 1
             step, theta, residual = self._try(newton, low, high)
             square = _square(residual)
@@ -115,6 +127,7 @@ class _Search:
             record = self._record(theta, square, step.damping, accepted=accepted)
             if accepted:
                 self._move(theta, residual, square)
+            self._watch(step)
             yield record
             if accepted and not self.near:
                 self._renew_after_step()
@@ -171,11 +184,11 @@ class _Search:
         else:
             self._renew()
 
-    def _renew(self) -> None:
-        """Make the Jacobian anew: by central differences where they are needed and worth their price."""
+    def _renew(self, *, central: bool = False) -> None:
+        """Make the Jacobian anew: by central differences where they are asked for, or needed and worth their price."""
         state = self.state
         close = self._close(self.offset if state.fresh else state.rate * self.fresh_offset)
-        central = (close and not self._suffices()) or self.radius.rejections > SUSPICIOUS_REJECTIONS
+        central = central or (close and not self._suffices()) or self.radius.rejections > SUSPICIOUS_REJECTIONS
         try:
             state.jacobian = self.problem.jacobian(state.theta, state.residual, central=central)
         except SensitivityError:
@@ -225,6 +238,39 @@ class _Search:
         if self.gained_at - square > min(1.0 / self.free, NO_GAIN) * self.gained_at:
             self.grown_from, self.gained_at = np.maximum(self.grown_from, np.abs(theta)), square
 
+    # --- the doubt
+
+    def _watch(self, step: Step) -> None:
+        """Take note of what the last step has brought."""
+        if not self.radius.failures:
+            worth = max(self._worthless(), SLOW * self.predicted)
+            self.stagnation.note(step.predicted, self.square, worth)
+
+    def _doubt(self) -> None:
+        """Measure the simulation's noise anew, and begin afresh with steps of differences to match if it is larger."""
+        state = self.state
+        self.stagnation.doubt()
+        noise, larger = self.problem.measure_noise(state.theta, state.residual, self._doubtful_steps())
+        self.seen_noise = noise, self.square
+        if larger:
+            self.lengths = np.zeros(state.theta.size)  # columns that were noise are no measure
+            self.radius.reopen(fully=False)
+            self._renew(central=True)
+            self.radius = Radius(self.settings.first_radius * self._length(self.problem.magnitudes(state.theta)))
+            self.stagnation = Stagnation(self.square)
+
+    def _doubtful_steps(self) -> Floats:
+        """Return the distance of points (N,) among which noise matters: along what the data determine least."""
+        magnitudes = self.problem.magnitudes(self.state.theta)
+        _, values, directions = np.linalg.svd(self.reduced[:, :-1] * magnitudes)
+        way = math.sqrt(self.square / self.free) * max(1.0, self.offset)
+        share = max(way / values[-1], CLOSEST_NOISE) if way < WIDEST_NOISE * values[-1] else WIDEST_NOISE
+        return np.asarray(share * magnitudes * directions[-1])
+
+    def _worthless(self) -> float:
+        """Return what fall of the criterion is no gain: its noise, or a hundredth of a standard deviation."""
+        return max(self._criterion_noise(), WORTHLESS * self.square / self.free)
+
     # --- the end
 
     def _measure(self, newton: Step) -> None:
@@ -260,17 +306,25 @@ class _Search:
         if self.accurate and self.predicted <= self._criterion_noise():
             settled = state.fresh and self.offset > SETTLED * self.previous_offset
             if settled or offset <= NOISE_MARGIN * self._offset_noise():
-                return Status.CONVERGED if self.offset <= NEAR else Status.NOISE
+                return Status.CONVERGED if self.offset <= NEAR else Status.ACCURACY
+        if self._in_vain():
+            little = self.offset <= IN_VAIN or self.predicted <= NOISE_SURPRISE * self._criterion_noise()
+            return Status.ACCURACY if little else Status.STALLED
         if self.radius.failures >= HOPELESS_FAILURES:
             return Status.FAILING
         if rejections > SUSPICIOUS_REJECTIONS and state.central and self.near:
             return Status.CONVERGED
         size = self._length(self.problem.magnitudes(state.theta))
         if state.central and rejections and self.radius.value <= VANISHING_STEP * size:
-            return Status.NOISE if self.predicted <= NOISE_SURPRISE * self._criterion_noise() else Status.STALLED
+            return Status.ACCURACY if self.predicted <= NOISE_SURPRISE * self._criterion_noise() else Status.STALLED
         if (np.abs(state.theta) > RUNAWAY * self.grown_from).any():
             return Status.RUNAWAY
         return Status.ITERATION_LIMIT if state.iterations >= self.settings.max_iterations else None
+
+    def _in_vain(self) -> bool:
+        """Whether the search gains nothing although the noise was measured anew."""
+        stagnation = self.stagnation
+        return stagnation.doubted and stagnation.stuck and stagnation.vain and stagnation.fall <= self._worthless()
 
     # --- numbers
 
@@ -285,7 +339,8 @@ class _Search:
         """Return the standard deviation that the simulation's noise gives to ‖r‖²."""
         noise = self.problem.noise
         by_simulation = 2.0 * noise * math.sqrt(self.square) + self.state.residual.size * noise**2
-        return max(by_simulation, self.radius.learnt_noise)
+        noise, square = self.seen_noise
+        return max(by_simulation, self.radius.learnt_noise, noise * math.sqrt(self.square / square))
 
     def _offset_noise(self) -> float:
         """Return what the simulation's noise alone leaves of the relative offset."""

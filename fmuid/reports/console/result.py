@@ -12,6 +12,7 @@ from rich.measure import Measurement
 from rich.table import Table
 
 from fmuid.assessment import WRONG_STD
+from fmuid.estimation import Status
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
 from fmuid.text import rounded, with_std
 
@@ -52,9 +53,10 @@ def show_result(found: Findings) -> None:
         out.print(f"[dim]{escape(component or model['name'])} run as {escape(model['run'])}[/]", soft_wrap=True)
     if result.sensitivity:
         out.print(f"[dim]sensitivities by {escape(result.sensitivity)}[/]", soft_wrap=True)
+    likelihood = f", log-likelihood {result.log_likelihood:.7g}" if math.isfinite(result.log_likelihood) else ""
     out.print(
         f"[dim]{result.iterations} iterations, {result.simulations} simulations, {result.elapsed_s:.2f} s; "
-        f"criterion {result.criterion:.6g}[/]"
+        f"criterion {result.criterion:.6g}{likelihood}[/]"
     )
 
 
@@ -151,12 +153,14 @@ def _columns(found: Findings) -> dict[str, list[str]]:
     known = [math.isfinite(std) for _, std in rows]
     limits = result.intervals(found.level).to_numpy().tolist()
     # where nothing is known of a value, its digits must not look as if there were
-    cells["value"] = [with_std(value, std) if std < math.inf else f"{value:.2g} ± ?" for value, std in rows]
-    cells["rel. std"] = [f"{100 * std / abs(value):.2g} %" if value and std < math.inf else "" for value, std in rows]
-    cells[_interval_head(found.level)] = [
-        f"{rounded(lower, std)} to {rounded(upper, std)}" if sure else "not determined"
-        for (lower, upper), (_, std), sure in zip(limits, rows, known, strict=True)
-    ]
+    cells["value"] = [f"{value:.2g} ± ?" if std == math.inf else with_std(value, std) for value, std in rows]
+    if result.outcome is not Status.STALLED:  # which has no intervals
+        shares = [f"{100 * std / abs(value):.2g} %" if value and std < math.inf else "" for value, std in rows]
+        cells["rel. std"] = shares
+        cells[_interval_head(found.level)] = [
+            f"{rounded(lower, std)} to {rounded(upper, std)}" if sure else "not determined"
+            for (lower, upper), (_, std), sure in zip(limits, rows, known, strict=True)
+        ]
     cells["unit"] = [unit_text(unit) for unit in found.units]
     cells["start"] = [f"{start:.6g}" for start in result.start]
     notes = [_note(found, name) for name in result.names]
@@ -184,8 +188,13 @@ def _remarks(result: Result) -> list[str]:
         f"{one} and {other} move together (correlation {share:+.3f}): their intervals do not hold one by one"
         for one, other, share in result.strong_correlations
     ]
+    moved = [
+        f"{name} changes no output at the start that was given: the search set out from {name} = {result.start[i]:g}"
+        for i, name in enumerate(result.names)
+        if name in result.moved_start
+    ]
     prior = [f"without the prior, {sentence}" for sentence in result.prior_determined]
-    return [*pairs, *result.weak, *prior]
+    return [*moved, *pairs, *result.weak, *prior]
 
 
 def show_uncertainty(found: Findings) -> None:

@@ -1,0 +1,101 @@
+"""Parameters that change nothing where the search begins: friction at rest, a dead zone, and what acts nowhere."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmuid.arrays import Floats
+from fmuid.data.parameters import Parameter
+from fmuid.errors import InputError
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.result import Result
+
+TIMES = np.arange(0.0, 6.0, 0.01)
+SLIDE = {"m": 0.8, "Fc": 1.0, "d": 0.4}
+DRIVE = 2.0 * np.sin(TIMES) + np.sin(3.1 * TIMES)
+
+
+def slide(theta: Floats) -> Floats:
+    """A mass with Coulomb and viscous friction under a force of at most 4, by an implicit step that sticks exactly."""
+    m, dry, viscous = theta.tolist()
+    out, v = np.empty(TIMES.size), 0.0
+    for i, t in enumerate(TIMES.tolist()):
+        out[i] = v
+        free = v + 0.01 * (3.0 * np.sin(1.5 * t) + np.sin(4.0 * t) - viscous * v) / m
+        stop = 0.01 * dry / m
+        v = max(free - stop, 0.0) + min(free + stop, 0.0)
+    return out
+
+
+def dead_zone(theta: Floats) -> Floats:
+    gain, width, drift = theta[:3]
+    return np.asarray(gain * (np.maximum(DRIVE - width, 0.0) + np.minimum(DRIVE + width, 0.0)) + drift * TIMES)
+
+
+def noisy(y: Floats) -> Floats:
+    return np.asarray(y + 0.02 * np.random.default_rng(1).standard_normal(y.size))
+
+
+def check(result: Result, truth: list[float]) -> None:
+    assert result.converged, result.status
+    assert (np.abs(result.values - truth) < 4.0 * result.std).all()
+    assert result.simulations < 400
+
+
+@pytest.mark.parametrize("bounds", [{}, {"min": 0.0}, {"min": 0.0, "max": 20.0}])
+@pytest.mark.parametrize("start", [(2.0, 8.0, 1.0), (0.5, 5.0, 0.1)])
+def test_friction_at_rest(bounds: dict[str, Any], start: tuple[float, ...]) -> None:
+    """Nothing moves at the start: neither friction nor mass shows until the Coulomb friction is less."""
+    parameters = {name: Parameter(value, **bounds) for name, value in zip(SLIDE, start, strict=True)}
+    assert not slide(np.array(start)).any()
+    result = identify(LeastSquares.from_function(slide, noisy(slide(np.array(list(SLIDE.values())))), parameters))
+    check(result, list(SLIDE.values()))
+    assert "Fc" in result.moved_start
+    assert result.start[1] < 4.0
+    assert result.to_json_dict()["moved_start"] == list(result.moved_start)
+
+
+@pytest.mark.parametrize("bounds", [{}, {"min": 0.0, "max": 10.0}])
+def test_a_dead_zone_that_nothing_leaves(bounds: dict[str, Any]) -> None:
+    parameters = {"gain": Parameter(1.0), "width": Parameter(6.0, **bounds), "drift": Parameter(0.2)}
+    result = identify(LeastSquares.from_function(dead_zone, noisy(dead_zone(np.array([1.5, 0.7, 0.1]))), parameters))
+    check(result, [1.5, 0.7, 0.1])
+    assert result.moved_start == ("width",)
+    assert result.start[[0, 2]].tolist() == [1.0, 0.2]
+
+
+def test_the_same_points_are_tried_every_time() -> None:
+    parameters = {name: Parameter(value) for name, value in zip(SLIDE, (2.0, 8.0, 1.0), strict=True)}
+    y = noisy(slide(np.array(list(SLIDE.values()))))
+    first, second = (identify(LeastSquares.from_function(slide, y, parameters)) for _ in range(2))
+    assert first.start.tolist() == second.start.tolist()
+    assert first.values.tolist() == second.values.tolist()
+
+
+def test_what_acts_nowhere_is_refused_and_what_was_tried_is_said() -> None:
+    parameters = {"gain": Parameter(1.0), "width": Parameter(6.0), "drift": Parameter(0.2), "idle": Parameter(3.0)}
+    y = noisy(dead_zone(np.array([1.5, 0.7, 0.1])))
+    problem = LeastSquares.from_function(dead_zone, y, parameters)
+    with pytest.raises(InputError) as caught:
+        identify(problem)
+    assert str(caught.value) == (
+        "parameter 'idle' (start 3) changes no measured output at the start, nor at 40 other points of its box; check "
+        "that the model uses what is set, start elsewhere, measure an output that depends on it, give a prior, or hold "
+        "it at a value"
+    )
+    assert problem.simulations < 120
+
+
+def test_where_simulations_fail_no_influence_is_seen() -> None:
+    """Points of the box that cannot be simulated are no reason to refuse, nor to set out from there."""
+
+    def fragile(theta: Floats) -> Floats:
+        if theta[1] < 0.5:
+            raise ZeroDivisionError
+        return dead_zone(theta)
+
+    parameters = {"gain": Parameter(1.0), "width": Parameter(6.0, min=0.0, max=10.0), "drift": Parameter(0.2)}
+    result = identify(LeastSquares.from_function(fragile, noisy(dead_zone(np.array([1.5, 0.9, 0.1]))), parameters))
+    check(result, [1.5, 0.9, 0.1])
