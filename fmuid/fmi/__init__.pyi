@@ -30,6 +30,8 @@ from .layout import Run as Run
 from .layout import Sensitivities as Sensitivities
 from .layout import shares as shares
 from .loop import Loop as Loop
+from .sharing import Custody as Custody
+from .sharing import in_threads as in_threads
 from .start_values import Value as Value
 from .start_values import with_starts as with_starts
 from .unpacking import file_digest as file_digest

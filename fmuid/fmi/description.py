@@ -113,6 +113,7 @@ class Interface:
     interpolates_inputs: bool = False
     event_mode: bool = False
     completed_step: bool = True
+    declared_repeatable: bool = False  # it says, rather than leaves unsaid, that it is not `once_per_process`
 
 
 @dataclass(frozen=True)
@@ -211,9 +212,8 @@ def read_description(path: Path) -> Description:
         parsed = read_model_description(archive_of({DESCRIPTION_FILE: text}), validate=False)
         if parsed.coSimulation is None and parsed.modelExchange is None:
             raise InputError(f"{path} offers neither co-simulation nor model exchange; export it as one of these")
-        # FMPy reads this attribute of FMI 2.0 only
-        directional = {e.tag for e in root if e.get("providesDirectionalDerivatives") in ("true", "1")}
-        return replace(_convert(parsed, directional), applied=applied_values(text))
+        elements = {element.tag: element for element in root}
+        return replace(_convert(parsed, elements), applied=applied_values(text))
     except InputError as error:
         said = str(error)
         raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None
@@ -248,7 +248,7 @@ def _checked_root(path: Path, text: bytes) -> Element:
     return root
 
 
-def _convert(parsed: Any, directional: set[str]) -> Description:
+def _convert(parsed: Any, elements: Mapping[str, Element]) -> Description:
     states = {unknown.variable.derivative.name for unknown in parsed.derivatives if unknown.variable.derivative}
     _check_names(parsed)
     _check_size(parsed)
@@ -267,7 +267,7 @@ def _convert(parsed: Any, directional: set[str]) -> Description:
         },
         units={unit.name: _unit(unit) for unit in parsed.unitDefinitions},
         interfaces={
-            kind: _interface(kind, element, type(element).__name__ in directional)
+            kind: _interface(kind, element, elements[type(element).__name__])
             for kind, element in zip(KINDS, (parsed.coSimulation, parsed.modelExchange), strict=True)
             if element is not None
         },
@@ -389,15 +389,18 @@ def _unit(parsed: Any) -> Unit:
     )
 
 
-def _interface(kind: str, parsed: Any, directional: bool) -> Interface:
+def _interface(kind: str, parsed: Any, element: Element) -> Interface:
     identifier = parsed.modelIdentifier
     if not identifier or set("/\\:\0") & set(identifier):  # it names the binary: a path would lead to another one
         raise InputError(f"its modelIdentifier is {identifier!r}, which is no name of a binary in it; export it again")
+    # FMPy reads this attribute of FMI 2.0 only, and takes what is not said for what is said
+    directional = element.get("providesDirectionalDerivatives") in ("true", "1")
     return Interface(
         kind=kind,
         identifier=identifier,
         needs_execution_tool=bool(parsed.needsExecutionTool),
         once_per_process=bool(parsed.canBeInstantiatedOnlyOncePerProcess),
+        declared_repeatable=element.get("canBeInstantiatedOnlyOncePerProcess") in ("false", "0"),
         get_set_state=bool(parsed.canGetAndSetFMUstate),
         serialize_state=bool(parsed.canSerializeFMUstate),
         directional_derivatives=directional or bool(parsed.providesDirectionalDerivative),

@@ -44,6 +44,7 @@ from fmuid.fmi.codes import (
 )
 from fmuid.fmi.float_environment import kept
 from fmuid.fmi.fmu import FMU
+from fmuid.fmi.sharing import Residents, residents
 
 MESSAGES_KEPT = 20  # of one simulation: the first say what went wrong, the rest repeat it
 STATUS_WORDS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
@@ -198,17 +199,22 @@ class Instance:
         self.event_mode = self.version == 3 and kind == "co-simulation" and interface.event_mode
         self.messages: list[tuple[int, str]] = []
         library = fmu.library(interface.identifier)
+        self._residents = residents(fmu, kind)
+        if self._residents:
+            self._residents.arrive()
         try:
             with _loading, kept():
                 self._load(interface.identifier, library)
         except Exception as error:
+            if self._residents:
+                self._residents.leave()
             said = "; ".join(text for _, text in self.messages)
             raise InputError(
                 _missing_library(fmu, str(error))
                 or f"{fmu.path} cannot be instantiated: {error}" + (f' (the FMU says: "{said}")' if said else "")
             ) from error
         _spent.add(fmu.digest)
-        self._finalizer = weakref.finalize(self, _free, self._native)
+        self._finalizer = weakref.finalize(self, _free, self._native, self._residents, threading.get_ident())
         self.handle = int(self._native.component)
         self.addresses = self._find_functions()
 
@@ -285,16 +291,22 @@ class Instance:
 
     def close(self, fatal: bool = False) -> None:
         """Free the instance; after a fatal error it must not be touched any more (FMI 2.0.4, section 2.1.3)."""
-        if fatal:
-            self._finalizer.detach()
-        else:
+        if not fatal:
             self._finalizer()
+        elif self._finalizer.detach() and self._residents:
+            self._residents.leave()
 
 
-def _free(native: Any) -> None:
-    free_instance = native.fmi3FreeInstance if isinstance(native, _FMU3) else native.fmi2FreeInstance
-    with kept():
-        free_instance(native.component)
+def _free(native: Any, those_there: Residents | None, thread: int) -> None:
+    def free_now() -> None:
+        free_instance = native.fmi3FreeInstance if isinstance(native, _FMU3) else native.fmi2FreeInstance
+        with kept():
+            free_instance(native.component)
+
+    if those_there:
+        those_there.leave(thread, free_now)
+    else:
+        free_now()
 
 
 def _missing_library(fmu: FMU, error: str) -> str | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fmuid.errors import InputError
-from fmuid.fmi import FMU, Variable
+from fmuid.fmi import FMU, Variable, in_threads
 from fmuid.models.component import AS_OFFERED, Component, Isolation, Numerics
 from fmuid.text import nearest
 
@@ -207,6 +207,11 @@ class System:
         """Whether several instances of every component may live in one process."""
         used = [component.fmu.description.interfaces[component.kind] for component in self.components.values()]
         return all(not interface.once_per_process and not interface.needs_execution_tool for interface in used)
+
+    @property
+    def can_run_in_threads(self) -> bool:
+        """Whether several instances of every component may be at work in one process at once."""
+        return all(in_threads(model.fmu.description, model.kind) for model in self.components.values())
 
     def full_name(self, component: str, name: str) -> str:
         """Return the name of a component's variable in the system."""

@@ -69,7 +69,7 @@ def threads() -> int:
 
 
 def _made_for(system: System) -> Workers:
-    limit = threads() if system.can_be_repeated else 1
+    limit = threads() if system.can_run_in_threads else 1
     if system.isolation is not None:
         if AVAILABLE:
             from fmuid.simulation.isolation.isolated import IsolatedWorkers  # for Linux and macOS only

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import SimulationError
-from fmuid.fmi import Instance, Loop, Run, codes, describe_failure, shares, status_word, warn
+from fmuid.fmi import Custody, Instance, Loop, Run, codes, describe_failure, shares, status_word, warn
 from fmuid.models import STIFF_INTEGRATOR, Component
 
 _log = logging.getLogger("fmuid.fmu")
@@ -317,6 +317,7 @@ class InProcess:
         self.lock = threading.RLock()
         self._components, self._limit, self._resets = components, limit, resets
         self._workers = [Worker(components, 0, resets)]
+        self._custody = Custody((model.fmu, model.kind) for model in components.values())
         self._doing: NDArray[np.intp] | None = None
 
     def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
@@ -324,11 +325,12 @@ class InProcess:
 
         Outputs (m, K, n_outputs) and reports (m, 4) are filled in (`fmuid.fmi.kernels.simulate`).
         """
-        self._run_shares(run, thetas, outputs, reports)
-        if any(run.plan.integrations) and self._found_stiff(run, reports):
-            for worker in self._workers:
-                worker.forget(run)
+        with self._custody.turn(self):
             self._run_shares(run, thetas, outputs, reports)
+            if any(run.plan.integrations) and self._found_stiff(run, reports):
+                for worker in self._workers:
+                    worker.forget(run)
+                self._run_shares(run, thetas, outputs, reports)
 
     def _found_stiff(self, run: Run, reports: NDArray[np.intp]) -> bool:
         """Mark the models that the default integrator has found stiff; return whether there are any."""
@@ -374,7 +376,10 @@ class InProcess:
         """
         worker = self._workers[0]
         known = worker.error(run, outputs, report, parameters)
-        return known and ((worker.explain(run, theta, parameters) if explain else None) or known)
+        if known is None or not explain:
+            return known
+        with self._custody.turn(self):
+            return worker.explain(run, theta, parameters) or known
 
     @property
     def longest(self) -> float:
@@ -391,6 +396,10 @@ class InProcess:
     def printed(self) -> str:
         """Return what the FMUs printed: unknown in this process, whose own output it joins."""
         return ""
+
+    def vacate(self, abandon: bool) -> None:
+        """Free the instances for others that cannot live beside them, or leave them alone, never to be used again."""
+        self._workers[0].close(fatal=abandon)
 
     def close(self) -> None:
         """Free all instances; a later simulation makes new ones."""

@@ -92,6 +92,7 @@ def misbehaving_fmu(
     token: str = "lag",
     version: int = 2,
     at_loading: Mode | None = None,
+    tool: str = "",
     extra: int = 0,
     **attributes: str,
 ) -> Path:
@@ -102,21 +103,31 @@ def misbehaving_fmu(
     folder : Path
     token : str
         With ``at-instantiation-<mode>`` it misbehaves when instantiated; with ``shared`` its state is one for all
-        instances.
+        instances; with ``alone`` it survives neither threads nor both interfaces nor that some instances are freed.
     version : int
         Of FMI, 2 or 3.
     at_loading : Mode, optional
         What it does when its library is loaded.
+    tool : str
+        Its generationTool.
     extra : int
         How many more parameters it declares (FMI 2.0), which do nothing.
     attributes : str
         Further ones of <CoSimulation>.
     """
     library = _library(folder, version, at_loading)
-    words = [token, *attributes, *([] if at_loading is None else [at_loading.name]), *([str(extra)] if extra else [])]
+    words = [
+        token,
+        tool,
+        *attributes,
+        *([] if at_loading is None else [at_loading.name]),
+        *([str(extra)] if extra else []),
+    ]
     path = folder / f"misbehaving{version}-{'-'.join(words)}.fmu"
     with zipfile.ZipFile(path, "w") as archive:
-        description = _description2(token, attributes, extra) if version == 2 else _description3(token, attributes)
+        description = (
+            _description2(token, tool, attributes, extra) if version == 2 else _description3(token, tool, attributes)
+        )
         archive.writestr("modelDescription.xml", description)
         system = fmpy.platform if version == 2 else fmpy.platform_tuple
         archive.writestr(f"binaries/{system}/misbehaving{fmpy.sharedLibraryExtension}", library)
@@ -131,7 +142,7 @@ def lag(times: NDArray[np.float64], u: NDArray[np.float64], gain: float, T: floa
     return x
 
 
-def _description2(token: str, attributes: Mapping[str, Any], extra: int) -> str:
+def _description2(token: str, tool: str, attributes: Mapping[str, Any], extra: int) -> str:
     lines = [
         f'<ScalarVariable name="{name}" valueReference="{i}" causality="parameter" variability="tunable">'
         f'<Real start="{start!r}"/></ScalarVariable>'
@@ -153,7 +164,8 @@ def _description2(token: str, attributes: Mapping[str, Any], extra: int) -> str:
     said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
     return (
         f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="2.0" modelName="Misbehaving" '
-        f'guid="{token}" numberOfEventIndicators="0"><ModelExchange modelIdentifier="misbehaving"/>'
+        f'guid="{token}" generationTool="{tool}" numberOfEventIndicators="0">'
+        f'<ModelExchange modelIdentifier="misbehaving" {said}/>'
         f'<CoSimulation modelIdentifier="misbehaving" canHandleVariableCommunicationStepSize="true" {said}/>'
         f"<ModelVariables>{''.join(lines)}</ModelVariables><ModelStructure>"
         '<Outputs><Unknown index="10" dependencies=""/></Outputs><Derivatives><Unknown index="11"/></Derivatives>'
@@ -161,7 +173,7 @@ def _description2(token: str, attributes: Mapping[str, Any], extra: int) -> str:
     )
 
 
-def _description3(token: str, attributes: Mapping[str, Any]) -> str:
+def _description3(token: str, tool: str, attributes: Mapping[str, Any]) -> str:
     lines = [
         f'<Float64 name="{name}" valueReference="{i}" causality="parameter" variability="tunable" start="{start!r}"/>'
         for i, (name, start) in enumerate(START_VALUES.items())
@@ -174,7 +186,7 @@ def _description3(token: str, attributes: Mapping[str, Any]) -> str:
     said = " ".join(f'{key}="{value}"' for key, value in attributes.items())
     return (
         f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="3.0" modelName="Misbehaving" '
-        f'instantiationToken="{token}"><ModelExchange modelIdentifier="misbehaving"/>'
+        f'instantiationToken="{token}" generationTool="{tool}"><ModelExchange modelIdentifier="misbehaving" {said}/>'
         f'<CoSimulation modelIdentifier="misbehaving" canHandleVariableCommunicationStepSize="true" {said}/>'
         f"<ModelVariables>{''.join(lines)}</ModelVariables><ModelStructure>"
         '<Output valueReference="9" dependencies=""/><ContinuousStateDerivative valueReference="10"/>'

@@ -3,8 +3,9 @@
    exchange.
 
    It misbehaves in the way of `mode`, rounded, where bad_from <= gain <= bad_to: in the steps from the time `at` on, or
-   in the call that `where` names. The token (GUID) can hold two more words: "at-instantiation-<mode>", and "shared",
-   with which the state stands outside the instances. MODES is the list of the modes; -DAT_LOADING=<mode> misbehaves
+   in the call that `where` names. The token (GUID) can hold more words: "at-instantiation-<mode>"; "shared", with which
+   the state stands outside the instances; and "alone", with which two threads in it at once are a fatal error, freeing
+   one instance spoils all others, and so does making one with the other interface. MODES is the list of the modes; -DAT_LOADING=<mode> misbehaves
    when the library is loaded. */
 #include <fenv.h>
 #include <math.h>
@@ -41,10 +42,12 @@ enum { GAIN, T, MODE, AT, BAD_FROM, BAD_TO, WHERE, AMOUNT, U, X, DX, N_REALS };
 typedef struct {
   double r[N_REALS], time;
   int shared, done; /* done: what is done once a simulation */
+  int alone, generation;
 } Model;
 
 static const long most = 2048; /* MB that it takes at most, so that a test that fails does no harm */
 static double shared_state;
+static int inside, generation, last_kind; /* of those that are alone */
 static void *volatile sink;
 static volatile unsigned long spins;
 static const char noise[64] = "no message";
@@ -175,21 +178,37 @@ __attribute__((constructor)) static void load(void) { misbehave(AT_LOADING, 4); 
 
 /* ---- both kinds */
 
-static Model *make(const char *token) {
+static STATUS crowded(const Model *m) {
+  if (!m->alone) return OK;
+  const int others = __atomic_fetch_add(&inside, 1, __ATOMIC_SEQ_CST);
+  usleep(20);
+  __atomic_fetch_sub(&inside, 1, __ATOMIC_SEQ_CST);
+  return others ? STATUS_FATAL : OK;
+}
+static double spoilt(const Model *m) { return m->alone && m->generation != generation; } /* its memory is gone */
+static Model *make(const char *token, int kind) {
   const char *told = strstr(token, "at-instantiation-");
   Model *m;
   if (told) misbehave(atoi(told + strlen("at-instantiation-")), 4);
   m = malloc(sizeof *m);
   m->shared = strstr(token, "shared") != 0;
+  m->alone = strstr(token, "alone") != 0;
+  if (m->alone) generation += kind != last_kind, last_kind = kind;
+  m->generation = generation;
   set_defaults(m);
   return m;
 }
 STATUS NAME(Reset)(INSTANCE c) {
   const STATUS status = where(c, IN_RESET);
   set_defaults(c);
-  return status;
+  return status > crowded(c) ? status : crowded(c);
 }
-void NAME(FreeInstance)(INSTANCE c) { where(c, IN_FREEING), free(c); }
+void NAME(FreeInstance)(INSTANCE c) {
+  Model *m = c;
+  where(m, IN_FREEING);
+  generation += m->alone;
+  free(m);
+}
 STATUS NAME(Terminate)(INSTANCE c) { (void)c; return OK; }
 STATUS NAME(ExitInitializationMode)(INSTANCE c) { return where(c, IN_INITIALIZATION); }
 static STATUS set(Model *m, const REFERENCE r[], size_t n, const double v[]) {
@@ -198,12 +217,13 @@ static STATUS set(Model *m, const REFERENCE r[], size_t n, const double v[]) {
 }
 static STATUS derivative(Model *m, double *d) {
   *d = is_nan(m, m->time) ? NAN : (m->r[GAIN] * m->r[U] - *state(m)) / m->r[T];
-  return within(m, m->time);
+  const STATUS status = crowded(m);
+  return status ? status : within(m, m->time);
 }
 static STATUS get(Model *m, const REFERENCE r[], size_t n, double v[]) {
   for (size_t i = 0; i < n; i++) {
     if (r[i] == DX) derivative(m, v + i);
-    else v[i] = r[i] == X ? *state(m) : m->r[r[i]];
+    else v[i] = r[i] == X ? *state(m) + spoilt(m) : m->r[r[i]];
   }
   return where(m, IN_GETTING);
 }
@@ -213,7 +233,8 @@ static STATUS step(Model *m, double t, double h) {
   const STATUS status = within(m, t + h);
   *x = is_nan(m, t + h) ? NAN : end + (*x - end) * exp(-h / m->r[T]);
   m->time = t + h;
-  return status;
+  const STATUS others = crowded(m);
+  return others ? others : status;
 }
 STATUS NAME(SetTime)(INSTANCE c, double t) { ((Model *)c)->time = t; return OK; }
 STATUS NAME(SetContinuousStates)(INSTANCE c, const double x[], size_t n) { return (void)n, *state(c) = *x, OK; }
@@ -231,7 +252,8 @@ STATUS NAME(CompletedIntegratorStep)(INSTANCE c, FLAG none, FLAG *event, FLAG *t
 #if FMI == 2
 INSTANCE fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, fmi2String resources,
                          const fmi2CallbackFunctions *callbacks, FLAG visible, FLAG logging) {
-  return (void)name, (void)type, (void)resources, (void)callbacks, (void)visible, (void)logging, make(token);
+  (void)name, (void)resources, (void)callbacks, (void)visible, (void)logging;
+  return make(token, type == fmi2CoSimulation);
 }
 STATUS fmi2SetupExperiment(INSTANCE c, FLAG tolerant, double tolerance, double start, FLAG stops, double stop) {
   return (void)tolerant, (void)tolerance, (void)stops, (void)stop, ((Model *)c)->time = start, OK;
@@ -251,12 +273,12 @@ INSTANCE fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3Stri
                                      fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
                                      fmi3IntermediateUpdateCallback update) {
   (void)name, (void)resources, (void)visible, (void)logging, (void)events, (void)early, (void)r, (void)n;
-  return (void)environment, (void)log, (void)update, make(token);
+  return (void)environment, (void)log, (void)update, make(token, 1);
 }
 INSTANCE fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, FLAG visible,
                                       FLAG logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log) {
   (void)name, (void)resources, (void)visible, (void)logging, (void)environment, (void)log;
-  return make(token);
+  return make(token, 0);
 }
 STATUS fmi3EnterInitializationMode(INSTANCE c, FLAG tolerant, double tolerance, double start, FLAG stops, double stop) {
   return (void)tolerant, (void)tolerance, (void)stops, (void)stop, ((Model *)c)->time = start, OK;
