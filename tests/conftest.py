@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -16,13 +16,13 @@ import pandas as pd
 import pytest
 
 from experiments.induction_machine import make_table
+from tests.support.paths import HERE
+from tests.support.probe_fmu import ProbeMaker
 
 # Shells start background jobs with Ctrl-C ignored, which the processes of these tests would inherit.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-HERE = Path(__file__).parent
-FMUS = HERE.parent / "fmus"
 
 _VARIABLES = """
 <ScalarVariable name="gain" valueReference="0" causality="parameter" variability="tunable"><Real start="1"/></ScalarVariable>
@@ -72,9 +72,6 @@ def nothing_said(capfd: pytest.CaptureFixture[str]) -> Iterator[None]:
     yield
     said = capfd.readouterr()
     assert (said.out, said.err) == ("", "")
-
-
-ProbeMaker = Callable[..., Path]
 
 
 @pytest.fixture(scope="session")

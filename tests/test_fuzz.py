@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests import fuzz_cases as fuzz
+from tests.support import fuzz_cases as fuzz
 
 MORE = int(os.environ.get("FMUID_FUZZ", "1"))
 EXAMPLES = {"study": 60, "override": 40, "nested": 8, "table": 70, "fmu": 50, "result": 50, "package": 40, "batch": 60}

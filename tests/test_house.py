@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -121,3 +122,11 @@ def test_imports_nothing_heavy(module: str) -> None:
     loaded = set(run.stdout.split())
     assert "fmuid" in loaded
     assert not loaded & {"numpy", "pandas", "numba", "matplotlib", "fmpy", "scipy", "pyarrow", "pydantic", *EXTRAS}
+
+
+def test_tests_mirror_the_packages() -> None:
+    tests = Path(__file__).parent
+    packages = {path.parent.name for path in PACKAGE.glob("*/__init__.py")} | {"support", "experiments", "fmus"}
+    assert {path.name for path in tests.iterdir() if path.is_dir() and path.name != "__pycache__"} <= packages
+    for path in tests.rglob("*.py"):
+        assert not re.search(r"^\s*(from|import) tests\.[\w.]*test_", path.read_text(encoding="utf-8"), re.M), path

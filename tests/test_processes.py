@@ -11,7 +11,7 @@ import pytest
 
 import fmuid
 from fmuid.processes import python_command, search_path
-from tests.test_cli import COIL, STUDY, coil_table
+from tests.support.coil_study import COIL, STUDY, coil_table
 
 SPOILT = 'from pathlib import Path\nPath(__file__).with_name("marker").touch()\nraise ImportError("a stranger")\n'
 NAMES = ("bisect.py", "random.py", "numpy.py", "logging.py", "distributed.py")

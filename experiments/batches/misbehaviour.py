@@ -25,7 +25,7 @@ from experiments.batches.campaign import family, left_over, rows
 from fmuid.batches.batch import Batch
 from fmuid.batches.run_case import VOLATILE, CaseRunner
 from fmuid.studies.study import Study
-from tests.misbehaving import Mode, Where, misbehaving_fmu
+from tests.support.misbehaving import Mode, Where, misbehaving_fmu
 
 GAIN, T, NOISE, SAMPLES, STEP = 2.5, 0.6, 0.02, 100, 0.05
 BAND = 3.0, 4.2  # gains on the way from the start to the truth

@@ -1,0 +1,337 @@
+"""Residual diagnostics: rows and gaps, tests and their words, the scatter of estimates in coloured noise, figures."""
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid.arrays import Floats
+from fmuid.assessment.residual_series import ResidualSeries
+from fmuid.assessment.residuals import Diagnostics, examine_residuals
+from fmuid.data.experiment import Experiment
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter
+from fmuid.data.predictors import FunctionPredictor, Table
+from fmuid.errors import InputError
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.reports.figures.residuals import residuals
+from fmuid.text import listed
+from tests.support.problems import ar1
+
+COUNT = 1000
+TIMES: Floats = 0.01 * np.arange(float(COUNT))
+INPUT = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], COUNT // 10), 10)
+REGRESSORS = np.column_stack([np.ones(COUNT), np.sin(2.0 * TIMES), np.sin(200.0 * TIMES)])
+TRUTH = np.array([2.0, 1.0, 0.5])
+
+
+def examined(errors: Floats, **words: Any) -> Diagnostics:
+    """Examine the residuals of a model linear in its parameters whose one output is measured with `errors`."""
+    problem, result = identified(errors, **words)
+    return examine_residuals(problem, result)
+
+
+def identified(errors: Floats, **words: Any) -> tuple[LeastSquares, Result]:
+    frame = pd.DataFrame({"time": TIMES, "u": INPUT, "y": REGRESSORS @ TRUTH + errors})
+    experiment = Experiment(frame, inputs=["u"], outputs=["y"], discard=words.pop("discard", 0.0))
+    predictor = FunctionPredictor(lambda theta: REGRESSORS @ theta, (COUNT, 1))
+    parameters = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
+    problem = LeastSquares([predictor], [experiment], parameters | words.pop("parameters", {}), **words)
+    return problem, identify(problem)
+
+
+def white(seed: int) -> Floats:
+    return np.random.default_rng(seed).standard_normal(COUNT)
+
+
+def only(found: Diagnostics) -> ResidualSeries:
+    (series,) = found.series
+    return series
+
+
+def test_of_white_noise_words_say_what_was_tested() -> None:
+    found = examined(white(1))
+    (sentence,) = found.words
+    assert sentence == (
+        "The residual of y looks like white normal noise that has nothing to do with the inputs, as far as was tested: "
+        "whiteness (Ljung–Box over 25 lags), mean, correlation with u and normality (Jarque–Bera), each at a level of "
+        "1 %, with 1000 samples; nothing more was tested, and an error of the model that the parameters make up for "
+        "does not show there"
+    )
+    assert found.inflation == {name: pytest.approx(1.0, abs=0.15) for name in ("level", "slow", "fast")}
+    series = only(found)
+    assert series.samples == COUNT
+    assert series.std == pytest.approx(1.0, rel=0.1)
+    assert series.tested_lags == 25
+
+
+def test_words_are_rarely_wrong() -> None:
+    """Of 100 draws of white normal noise, hardly any is called anything else."""
+    quiet = "The residual of y looks like white normal noise"
+    wrong = [words for seed in range(100) if not (words := examined(white(seed)).words)[0].startswith(quiet)]
+    assert len(wrong) <= 2
+
+
+def test_the_scatter_of_estimates_in_coloured_noise() -> None:
+    """The factor on each standard deviation is the scatter over 1500 draws of the noise against what is stated.
+
+    Noise with a = 0.9 has 19 samples of correlation time, which the level and the slow regressor feel; the fast one
+    sees less noise than white noise of the same variance has.
+    """
+    solve = np.linalg.pinv(REGRESSORS)
+    rng = np.random.default_rng(2)
+    scatter = np.std([solve @ ar1(rng, 0.9, COUNT) for _ in range(1500)], axis=0)
+    stated = np.sqrt(np.diag(np.linalg.inv(REGRESSORS.T @ REGRESSORS)))
+    expected = scatter / stated
+    assert expected[0] > 4.0
+    assert expected[2] < 0.5
+    draws = [examined(ar1(np.random.default_rng(100 + seed), 0.9, COUNT)).inflation for seed in range(12)]
+    found = np.mean([list(each.values()) for each in draws], axis=0)
+    np.testing.assert_allclose(found, expected, rtol=0.1)
+
+
+def test_coloured_noise_in_words() -> None:
+    found = examined(ar1(np.random.default_rng(3), 0.9, COUNT))
+    far, factor = found.words
+    assert far.startswith("The residual of y is far from white (autocorrelation 0.9")
+    assert far.endswith("at a lag of 1 sample): the model or the noise has dynamics of its own")
+    assert "the stated standard deviations of level and slow are too small, by a factor of about 4" in factor
+    assert only(found).correlation_samples == pytest.approx(19.0, rel=0.4)
+    assert found.table["correlation_time"][0] == pytest.approx(0.19, rel=0.4)
+
+
+def test_slightly_coloured_noise_is_no_matter() -> None:
+    """With 1000 samples an autocorrelation of 0.2 is significant and said, but costs little precision."""
+    found = examined(ar1(np.random.default_rng(4), 0.2, COUNT))
+    assert only(found).whiteness_probability < 0.01
+    assert found.words[0].startswith("The residual of y is not white (autocorrelation 0.1")
+    assert found.words[1] == "For the estimates this makes little difference: the stated standard deviations hold"
+
+
+def test_what_is_significant_but_slight_is_not_called_white() -> None:
+    """Of 20 000 samples, an autocorrelation of 0.07 and a correlation of 0.05 with the input."""
+    series = only(examined(white(1)))
+    u = dataclasses.replace(series.inputs[0], correlation=0.05, probability=1e-9)
+    correlations = np.concatenate([[1.0, 0.07], np.zeros(24)])
+    slight = dataclasses.replace(
+        series, samples=20_000, autocorrelation=correlations, whiteness_probability=1e-9, inputs=(u,)
+    )
+    first, second = Diagnostics((slight,), {"level": 1.0}).words
+    assert first == (
+        "The residual of y has an autocorrelation of 0.07 at a lag of 1 sample and a correlation of +0.05 with the "
+        "input u: significant, but slight"
+    )
+    assert second.startswith("The residual of y looks otherwise like white normal noise")
+
+
+@pytest.mark.parametrize(
+    ("probability", "sentence"),
+    [
+        (1e-9, "Since neighbouring samples are not independent, the stated standard deviations of level are too small"),
+        (0.02, "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: "),
+    ],
+)
+def test_no_residual_is_called_white_where_standard_deviations_are_too_small(probability: float, sentence: str) -> None:
+    """Small autocorrelations over many lags, none of them worth a sentence, add up where sensitivities are slow."""
+    series = dataclasses.replace(only(examined(white(1))), whiteness_probability=probability)
+    (said,) = Diagnostics((series,), {"level": 1.3, "slow": 1.0}).words
+    assert said.startswith(sentence)
+    assert said.endswith(" too small, by a factor of about 1.3")
+
+
+def test_standard_deviations_that_are_too_large() -> None:
+    """A sine of ω radians a sample meets noise of the spectral density (1 − a²)/(1 + a² − 2 a cos ω)."""
+    share = -0.8
+    found = examined(ar1(np.random.default_rng(5), share, COUNT))
+    for name, omega in (("level", 0.0), ("slow", 0.02), ("fast", 2.0)):
+        density = (1.0 - share**2) / (1.0 + share**2 - 2.0 * share * math.cos(omega))
+        assert found.inflation[name] == pytest.approx(math.sqrt(density), rel=0.2)
+    assert "tend to cancel, the stated standard deviations are too large, by a factor of 1." in found.words[1]
+
+
+def test_a_prior_feels_no_colour() -> None:
+    """An estimate that rests on its prior does not scatter with the noise."""
+    noise = ar1(np.random.default_rng(6), 0.9, COUNT)
+    alone = examined(noise).inflation
+    prior = {"level": Parameter(1.0, prior=Normal(2.0, 1e-4))}
+    with_prior = examined(noise, parameters=prior).inflation
+    assert alone["level"] > 3.0
+    assert with_prior["level"] == pytest.approx(1.0, abs=0.01)
+    assert with_prior["slow"] == pytest.approx(alone["slow"], rel=0.05)
+
+
+def test_a_robust_loss_keeps_the_factors() -> None:
+    """What the colour of the noise does to the estimates is nearly the same for Huber's loss."""
+    assert max(examined(white(12), loss="huber").inflation.values()) < 1.15
+    noise = ar1(np.random.default_rng(6), 0.9, COUNT)
+    plain, robust = examined(noise).inflation, examined(noise, loss="huber").inflation
+    assert robust["level"] == pytest.approx(plain["level"], rel=0.05)
+
+
+def test_a_long_record_with_a_long_memory_takes_no_time() -> None:
+    """A drifting residual of 200 000 samples: all lags count, and are transformed rather than summed one by one."""
+    count = 200_000
+    drift = np.cumsum(np.random.default_rng(13).standard_normal(count))
+    times = np.arange(float(count))
+    frame = pd.DataFrame({"time": times, "u": np.sin(1e-3 * times), "y": 1e4 + drift})
+    experiment = Experiment(frame, inputs=["u"], outputs=["y"])
+    predictor = FunctionPredictor(lambda theta: np.full((count, 1), theta[0]), (count, 1))
+    problem = LeastSquares([predictor], [experiment], {"level": Parameter(1e4)})
+    found = examine_residuals(problem, identify(problem))
+    assert found.inflation["level"] > 50.0
+    assert not any("input" in line for line in found.words)
+
+
+def test_an_offset_is_named() -> None:
+    """Without a parameter for the level, an offset stays in the residual."""
+    frame = pd.DataFrame({"time": TIMES, "y": REGRESSORS[:, 1] + 0.5 + white(7)})
+    predictor = FunctionPredictor(lambda theta: REGRESSORS[:, 1] * theta[0], (COUNT, 1))
+    problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"slow": Parameter(2.0)})
+    found = examine_residuals(problem, identify(problem))
+    assert any(line.startswith("The residual of y has the mean 0.4") for line in found.words)
+    assert only(found).mean_probability < 1e-10
+
+
+def test_a_forgotten_input_is_named() -> None:
+    noise = white(8)
+    noise[5:] += 0.6 * INPUT[:-5]
+    found = examined(noise)
+    (one,) = only(found).inputs
+    assert one.input == "u"
+    assert one.lag == pytest.approx(0.05)
+    assert one.correlation == pytest.approx(0.6 / math.sqrt(1.36), abs=0.08)
+    assert any("is correlated with the input u (+0.4" in line and "0.05 s later" in line for line in found.words)
+    assert found.inputs["lag"].tolist() == [one.lag]
+    assert found.table["input"].tolist() == ["u"]
+
+
+def test_outliers_are_named() -> None:
+    noise = white(9)
+    noise[::100] *= 12.0
+    found = examined(noise)
+    assert any("has heavy tails, unlike normal noise" in line and "robust loss" in line for line in found.words)
+    assert 5 <= only(found).outliers <= 10
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [(np.exp, "is lopsided and has heavy tails"), (lambda z: z**3, "has heavy tails"), (np.sign, "has light tails")],
+)
+def test_distributions_in_words(shape: Any, said: str) -> None:
+    found = examined(shape(white(10)))
+    assert any(said in line for line in found.words)
+
+
+def test_what_cannot_be_examined_is_said() -> None:
+    (sentence,) = examined(np.zeros(COUNT), noise=Noise(1.0)).words
+    assert sentence == "The residual of y is too short, or nothing but rounding, to be examined"
+    series = only(examined(white(1), discard=TIMES[-1] - 0.1))
+    assert series.samples == 11
+    assert not series.examined
+    assert math.isnan(series.ljung_box)
+
+
+def several() -> tuple[LeastSquares, Result]:
+    """Two experiments of two outputs each, with gaps and a transient that does not count."""
+    rng = np.random.default_rng(11)
+    experiments = []
+    for name in ("first", "second"):
+        y = np.column_stack([REGRESSORS @ TRUTH, 100.0 * REGRESSORS @ TRUTH]) + rng.standard_normal((COUNT, 2)) * [
+            1,
+            30,
+        ]
+        y[rng.random(y.shape) < 0.1] = np.nan
+        frame = pd.DataFrame({"time": TIMES, "u": INPUT, "a": y[:, 0], "b": y[:, 1]})
+        experiments.append(Experiment(frame, inputs=["u"], outputs=["a", "b"], discard=0.5, name=name))
+    predictor = FunctionPredictor(lambda t: np.column_stack([REGRESSORS @ t, 100.0 * REGRESSORS @ t]), (COUNT, 2))
+    parameters = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
+    problem = LeastSquares([predictor, predictor], experiments, parameters)
+    return problem, identify(problem)
+
+
+def test_rows_of_several_outputs_and_experiments() -> None:
+    problem, result = several()
+    found = examine_residuals(problem, result)
+    assert [(each.experiment, each.output) for each in found.series] == [
+        (experiment, output) for experiment in ("first", "second") for output in ("a", "b")
+    ]
+    assert result.local is not None
+    rows = np.concatenate([each.rows for each in found.series])
+    assert sorted(rows.tolist()) == list(range(problem.measured.size))
+    for each in found.series:
+        assert np.isnan(each.residual[each.times < 0.5]).all()
+        whitened = each.residual[np.isfinite(each.residual)] / math.sqrt(result.variance[each.output])
+        np.testing.assert_allclose(whitened, result.local.residual[each.rows], rtol=1e-9)
+        kept = np.flatnonzero(np.isfinite(each.residual))
+        np.testing.assert_array_equal(each.places, kept - kept[0])
+        assert each.step == pytest.approx(0.01)
+    assert "residuals of a in first, b in first, a in second and b in second look like white" in found.words[0]
+
+
+def test_an_output_that_one_experiment_lacks() -> None:
+    """Tables that are no experiments may have outputs without a sample that counts."""
+    y = REGRESSORS @ TRUTH + white(14)
+    values = np.column_stack([y, np.full(COUNT, np.nan)])
+    tables = [
+        Table(name, TIMES, ("a", "b"), v, np.isfinite(v)) for name, v in (("one", values), ("two", values[:, ::-1]))
+    ]
+    predictor = FunctionPredictor(lambda theta: np.column_stack([REGRESSORS @ theta] * 2), (COUNT, 2))
+    parameters = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
+    problem = LeastSquares([predictor, predictor], tables, parameters)
+    found = examine_residuals(problem, identify(problem))
+    assert [(each.experiment, each.output) for each in found.series] == [("one", "a"), ("two", "b")]
+    np.testing.assert_allclose(found.gram(np.ones((2 * COUNT, 1))), 2.0 * COUNT, rtol=0.5)
+
+
+def test_written_and_read() -> None:
+    problem, result = several()
+    found = examine_residuals(problem, result)
+    written = json.loads(json.dumps(found.to_json_dict(), allow_nan=False))
+    assert written["words"] == list(found.words)
+    assert set(written["inflation"]) == {"level", "slow", "fast"}
+    assert [row["output"] for row in written["residuals"]] == found.table["output"].tolist()
+    assert written["residuals"][3]["inputs"][0]["input"] == "u"
+    assert written["residuals"][0]["std"] == found.table["std"][0]
+    with pytest.raises(InputError, match="identify the study again"):
+        examine_residuals(problem, dataclasses.replace(result, local=None))
+
+
+def test_words_in_a_list() -> None:
+    assert [listed(list(words)) for words in ("a", "ab", "abc")] == ["a", "a and b", "a, b and c"]
+
+
+def test_one_figure_an_experiment() -> None:
+    problem, result = several()
+    figures = residuals(examine_residuals(problem, result), {"a": "A", "b": "V"})
+    assert list(figures) == ["residuals-first", "residuals-second"]
+    axes = figures["residuals-first"].axes
+    assert len(axes) == 8
+    assert [panel.get_ylabel() for panel in (axes[0], axes[4])] == ["a (A)", "b (V)"]
+    assert [panel.get_title(loc="left") for panel in axes[:4]] == [
+        "residual",
+        "distribution",
+        "autocorrelation",
+        "cross-correlation",
+    ]
+
+
+def test_the_figure_shows_what_was_found() -> None:
+    found = examined(ar1(np.random.default_rng(3), 0.9, COUNT))
+    (figure,) = residuals(found).values()
+    over_time, histogram, correlation, inputs = figure.axes
+    np.testing.assert_array_equal(over_time.lines[0].get_ydata(), only(found).residual)
+    assert sum(bar.get_height() * bar.get_width() for bar in histogram.patches) == pytest.approx(1.0)  # type: ignore[attr-defined]
+    assert correlation.get_ylim()[1] > 0.9
+    assert inputs.lines[0].get_label() == "u"
+
+
+def test_the_figure_of_nothing_to_examine() -> None:
+    (figure,) = residuals(examined(np.zeros(COUNT), noise=Noise(1.0))).values()
+    assert len(figure.axes) == 3
+    assert not figure.axes[1].axison

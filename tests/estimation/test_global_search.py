@@ -1,0 +1,405 @@
+"""Global search: against dense grids and closed forms, on criteria with known secondary optima."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from fmuid.arrays import Floats
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter, ParameterSet
+from fmuid.errors import InputError
+from fmuid.estimation import global_search
+from fmuid.estimation.box import Box
+from fmuid.estimation.global_search import GlobalResult, GlobalSearch, GlobalStep, Method, search_globally
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.misfit import misfits
+from fmuid.model_problem import Problem
+from tests.support.paths import ROOT
+
+METHODS: tuple[Method, ...] = ("evolution", "multistart")
+TIMES = np.linspace(0.0, 1.0, 120)
+FREQUENCY = 37.0
+RANGE = (2.0, 80.0)
+# Minima lie 2 to 8 rad/s apart; at the flattest ones, with large residuals, the search ends within this.
+NEAR = 0.05
+
+
+def sinusoid(start: float = 12.0, noise: Noise | None = None) -> LeastSquares:
+    """Return the estimation of one angular frequency: its criterion has a secondary optimum every few rad/s."""
+    measured = np.sin(FREQUENCY * TIMES) + 0.2 * np.random.default_rng(4).normal(size=TIMES.size)
+    parameter = Parameter(start, min=RANGE[0], max=RANGE[1])
+    return LeastSquares.from_function(lambda theta: np.sin(theta[0] * TIMES), measured, {"w": parameter}, noise=noise)
+
+
+def dense_minima() -> tuple[Floats, Floats]:
+    """Return where the sum of squares of `sinusoid` has its minima, by a grid of 1e-3 rad/s, and its values there."""
+    grid = np.arange(RANGE[0], RANGE[1], 1e-3)
+    squares = np.sum((sinusoid().measured - np.sin(grid[:, None] * TIMES)) ** 2, axis=1)
+    lows = 1 + np.flatnonzero((squares[1:-1] < squares[:-2]) & (squares[1:-1] < squares[2:]))
+    return grid[lows], squares[lows]
+
+
+def frequencies(found: GlobalResult) -> Floats:
+    return found.table["w"].to_numpy()
+
+
+# --- what is found ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("method", "seed"), [("evolution", 0), ("evolution", 1), ("multistart", 0)])
+def test_finds_the_best_of_many_optima(method: Method, seed: int) -> None:
+    """Marquardt's search alone ends in the nearest secondary optimum."""
+    minima, squares = dense_minima()
+    best = minima[np.argmin(squares)]
+    assert minima.size > 10
+    alone = identify(sinusoid())
+    assert alone.converged
+    assert np.abs(alone["w"] - minima[minima != best]).min() < 2e-3
+    found = search_globally(sinusoid(), GlobalSearch(method, seed=seed))
+    assert found.result.converged
+    assert found.result["w"] == pytest.approx(best, abs=2e-3)
+    assert found.result["w"] == frequencies(found)[0]
+    assert found.names == ("w",)
+
+
+def test_multistart_lists_all_optima_in_order() -> None:
+    """The grid's minima and the ends of the box, each once, their criterion being the grid's sums of squares."""
+    minima, squares = dense_minima()
+    found = search_globally(sinusoid(noise=Noise(0.04)), GlobalSearch("multistart", starts=100))
+    inside = [o for o in found.optima if RANGE[0] < o.theta[0] < RANGE[1]]
+    order = np.argsort(squares)
+    np.testing.assert_allclose([o.theta[0] for o in inside], minima[order], atol=NEAR)
+    np.testing.assert_allclose([o.criterion for o in inside], squares[order] / 0.04, rtol=1e-5)
+    assert sum(o.hits for o in found.optima) == found.fits == 100
+    assert len(found.optima) <= minima.size + 2
+    assert all(o.converged and o.status for o in found.optima)
+    criteria = found.table["criterion"].to_numpy()
+    assert (np.diff(criteria) >= 0).all()
+
+
+def test_evolution_lists_secondary_optima_once() -> None:
+    minima, _ = dense_minima()
+    found = search_globally(sinusoid())
+    assert len(found.optima) >= 3
+    for w in frequencies(found):
+        inside = RANGE[0] < w < RANGE[1]
+        assert np.abs(w - minima).min() < NEAR or not inside
+    gaps = [abs(a - b) for a, b in itertools.combinations(frequencies(found), 2)]
+    assert min(gaps) > 1.0
+
+
+def test_criterion_of_estimated_variance_is_relative_to_the_best() -> None:
+    """With σ̂² = J/(K − 1) of the best, its criterion is K − 1 and the others' are in proportion."""
+    minima, squares = dense_minima()
+    found = search_globally(sinusoid(), GlobalSearch("multistart", starts=30))
+    first, second = (squares[np.argmin(np.abs(minima - o.theta[0]))] for o in found.optima[:2])
+    assert found.optima[0].criterion == pytest.approx(TIMES.size - 1, rel=1e-6)
+    assert found.optima[1].criterion == pytest.approx((TIMES.size - 1) * second / first, rel=1e-4)
+
+
+def test_the_start_takes_part() -> None:
+    """One start alone is the parameters' own, and gives what an identification gives."""
+    found = search_globally(sinusoid(), GlobalSearch("multistart", starts=1))
+    alone = identify(sinusoid())
+    assert found.result["w"] == alone["w"]
+    assert found.result.start[0] == 12.0
+
+
+def test_prior_decides_between_equal_optima() -> None:
+    """Y = θ² t has the optima ±θ̂; a prior around one of them makes them differ by its own rows only (1.37)."""
+    measured = 4.0 * TIMES + 0.1 * np.random.default_rng(1).normal(size=TIMES.size)
+    parameter = Parameter(-1.0, min=-5.0, max=5.0, prior=Normal(2.5, 1.0))
+    problem = LeastSquares.from_function(lambda theta: theta**2 * TIMES, measured, {"a": parameter}, noise=Noise(0.01))
+    found = search_globally(problem, GlobalSearch("multistart", starts=16))
+    assert len(found.optima) == 2
+    right, left = (o.theta[0] for o in found.optima)
+    assert (right, left) == pytest.approx((2.0, -2.0), abs=0.05)
+    rows = (left - 2.5) ** 2 - (right - 2.5) ** 2
+    data = [np.sum((measured - o.theta[0] ** 2 * TIMES) ** 2) / 0.01 for o in found.optima]
+    assert found.optima[1].criterion - found.optima[0].criterion == pytest.approx(rows + data[1] - data[0])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_valley_is_one_optimum(method: Method) -> None:
+    """Of y = a b t only a b is determined: wherever in the valley the fits end is one optimum, and not converged."""
+    problem = LeastSquares.from_function(
+        lambda theta: theta[0] * theta[1] * TIMES,
+        2.0 * TIMES + 0.1 * np.random.default_rng(2).normal(size=TIMES.size),
+        {"a": Parameter(1.0, min=0.5, max=4.0), "b": Parameter(1.0, min=0.5, max=4.0)},
+    )
+    found = search_globally(problem, GlobalSearch(method, starts=12))
+    (optimum,) = found.optima
+    assert optimum.hits == found.fits >= (12 if method == "multistart" else 1)
+    assert not optimum.converged
+    assert not found.result.converged
+    assert "undetermined" in optimum.status
+    assert optimum.theta[0] * optimum.theta[1] == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_perfect_data_give_one_optimum(method: Method) -> None:
+    """Without noise the criteria of the fits differ by orders of magnitude, being rounding; they are one optimum."""
+    problem = LeastSquares.from_function(
+        lambda theta: theta[0] * np.exp(-theta[1] * TIMES),
+        3.0 * np.exp(-5.0 * TIMES),
+        {"a": Parameter(1.0, min=0.1, max=10.0), "k": Parameter(1.0, min=0.1, max=50.0)},
+    )
+    found = search_globally(problem, GlobalSearch(method, starts=20))
+    assert len(found.optima) == 1
+    np.testing.assert_allclose(found.result.values, [3.0, 5.0], rtol=1e-5)
+
+
+def test_induction_machine_from_a_wide_box() -> None:
+    """From four boxes of a decade and more, the same estimates as from a start beside the truth."""
+    from fmuid.data.experiment import Experiment
+
+    table = ROOT / "experiments" / "induction_machine" / "table.csv"
+    experiment = Experiment.read(table, inputs=["uds", "uqs", "w"], outputs=["ids", "iqs"])
+    box = {"Rs": (1.0, 50.0), "Rr": (0.5, 20.0), "Lm": (0.05, 2.0), "Lf": (0.005, 0.5)}
+    truth = np.array([9.8, 3.8, 0.436, 0.0762])
+    problem = Problem(
+        ROOT / "fmus" / "InductionMachine" / "InductionMachine.fmu",
+        experiment,
+        {name: Parameter(start=high, min=low, max=high) for name, (low, high) in box.items()},
+    )
+    found = search_globally(problem, GlobalSearch(starts=32))
+    assert found.result.converged
+    assert (np.abs(found.result.values - truth) < 4.0 * found.result.std).all()
+    local = identify(problem, start=truth)
+    assert (np.abs(found.result.values - local.values) < 0.01 * local.std).all()
+    assert not (found.table["criterion"][1:] < found.optima[0].criterion + 1.0).any()
+
+
+# --- the criterion that is compared -----------------------------------------------------
+
+
+def test_concentrated_criterion_is_the_least_over_the_variance() -> None:
+    """Σ K ln s² + K is the least of J/σ² + K ln σ² over σ² (minus twice the logarithm of the likelihood)."""
+    problem = sinusoid()
+    thetas = np.array([[5.0], [FREQUENCY]])
+    got = misfits(problem, thetas).concentrated(problem)
+    for theta, value in zip(thetas[:, 0], got, strict=True):
+        squares = np.sum((problem.measured - np.sin(theta * TIMES)) ** 2)
+
+        def negative(log: float, squares: float = squares) -> float:
+            return float(squares * np.exp(-log) + TIMES.size * log)
+
+        assert value + TIMES.size == pytest.approx(minimize_scalar(negative, (-8.0, 3.0)).fun, rel=1e-9)
+
+
+def test_given_variances_and_priors_enter_the_criterion() -> None:
+    """One output of known variance, one of unknown, and a prior."""
+    rng = np.random.default_rng(3)
+    measured = rng.normal(size=(30, 2))
+    problem = LeastSquares.from_function(
+        lambda theta: np.full((30, 2), theta[0]),
+        measured,
+        {"a": Parameter(1.0, prior=Normal(0.5, 0.2))},
+        outputs=("x", "y"),
+        noise=Noise({"x": 0.3}),
+    )
+    x, y = np.sum((measured - 0.7) ** 2, axis=0)
+    expected = x / 0.3 + 30 * np.log(y / 30) + (0.7 - 0.5) ** 2 / 0.2**2
+    assert misfits(problem, np.array([[0.7]])).concentrated(problem)[0] == pytest.approx(expected)
+
+
+# --- the box ----------------------------------------------------------------------------
+
+
+def box(**parameters: Parameter) -> Box:
+    return Box(ParameterSet(parameters))
+
+
+def test_box_is_logarithmic_over_decades() -> None:
+    found = box(
+        wide=Parameter(1.0, min=0.1, max=10.0),
+        narrow=Parameter(1.0, min=1.0, max=9.0),
+        signed=Parameter(1.0, min=-10.0, max=10.0),
+        zero=Parameter(1.0, min=0.0, max=10.0),
+    )
+    assert found.logarithmic.tolist() == [True, False, False, False]
+    np.testing.assert_allclose(found.thetas(np.full((1, 4), 0.5)), [[1.0, 5.0, 0.0, 5.0]])
+    corners = found.thetas(np.array([np.zeros(4), np.ones(4)]))
+    np.testing.assert_allclose(corners, [found.lower, found.upper], rtol=1e-15)
+    assert (corners >= found.lower).all()
+    assert (corners <= found.upper).all()
+    units = np.random.default_rng(0).uniform(size=(50, 4))
+    np.testing.assert_allclose(found.units(found.thetas(units)), units, atol=1e-12)
+    np.testing.assert_array_equal(found.units(np.array([[100.0, -1.0, -11.0, 5.0]])), [[1.0, 0.0, 0.0, 0.5]])
+
+
+def test_box_from_a_prior() -> None:
+    found = box(a=Parameter(1.0, prior=Normal(2.0, 0.1)), b=Parameter(1.0, min=0.0, prior=Normal(2.0, 1.0)))
+    np.testing.assert_allclose(found.lower, [1.5, 0.0])
+    np.testing.assert_allclose(found.upper, [2.5, 7.0])
+
+
+@pytest.mark.parametrize(("loose", "word"), [(Parameter(1.0, min=0.0), "max"), (Parameter(1.0, max=9.0), "min")])
+def test_box_needs_bounds(loose: Parameter, word: str) -> None:
+    with pytest.raises(InputError, match=f"parameter 'Lf' has no {word}: give it min and max, or a prior"):
+        box(Rs=Parameter(1.0, min=0.0, max=2.0), Lf=loose)
+
+
+# --- failing simulations ----------------------------------------------------------------
+
+
+def fragile(limit: float) -> LeastSquares:
+    """Return the sinusoid with a simulation that fails below a frequency."""
+
+    def simulate(theta: Floats) -> Floats:
+        if theta[0] < limit:
+            raise FloatingPointError("too slow")
+        return np.asarray(np.sin(theta[0] * TIMES))
+
+    return LeastSquares.from_function(simulate, sinusoid().measured, {"w": Parameter(5.0, min=RANGE[0], max=RANGE[1])})
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_failing_simulations_are_passed_over(method: Method) -> None:
+    steps: list[GlobalStep] = []
+    found = search_globally(fragile(30.0), GlobalSearch(method, starts=30), steps.append)
+    assert np.isfinite([step.criterion for step in steps]).all()
+    minima, squares = dense_minima()
+    assert found.result["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
+    if method == "multistart":
+        assert found.fits == 30, "starts that fail are replaced"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_nothing_but_failures(method: Method) -> None:
+    with pytest.raises(InputError, match=r"all \d+ simulations of the global search fail: narrow.*too slow"):
+        search_globally(fragile(100.0), GlobalSearch(method, starts=6))
+
+
+def test_explosions_are_no_error() -> None:
+    """Outputs beyond 1e154 cannot be squared; that is as bad as it gets, and no warning."""
+    problem = LeastSquares.from_function(
+        lambda theta: np.exp(theta[0] * TIMES),
+        np.exp(2.0 * TIMES) + 0.01 * np.sin(50 * TIMES),
+        {"a": Parameter(1.0, min=-700.0, max=700.0)},
+    )
+    assert search_globally(problem, GlobalSearch(starts=20)).result["a"] == pytest.approx(2.0, abs=0.01)
+
+
+def test_error_where_no_fit_is_possible() -> None:
+    problem = LeastSquares.from_function(
+        lambda theta: theta[0] * TIMES, TIMES, {"a": Parameter(0.5, min=0.1, max=2.0), "idle": Parameter(1, 0.5, 2)}
+    )
+    with pytest.raises(InputError, match=r"'idle'.* changes no measured output"):
+        search_globally(problem, GlobalSearch("multistart", starts=3))
+
+
+# --- seeds, progress, interruption, settings --------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_seed_makes_it_repeatable(method: Method) -> None:
+    steps: dict[int, list[float]] = {}
+    tables = []
+    for run, seed in enumerate((5, 5, 6)):
+        seen: list[GlobalStep] = []
+        tables.append(search_globally(sinusoid(), GlobalSearch(method, starts=20, seed=seed), seen.append).table)
+        steps[run] = [step.criterion for step in seen]
+    assert steps[0] == steps[1] != steps[2]
+    assert tables[0].equals(tables[1])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_progress(method: Method) -> None:
+    steps: list[GlobalStep] = []
+    problem = sinusoid()
+    found = search_globally(problem, GlobalSearch(method, starts=10), steps.append)
+    first = "evolution" if method == "evolution" else "spread"
+    assert [phase for phase, _ in itertools.groupby(s.phase for s in steps)] == [first, "fits"]
+    for _, phase in itertools.groupby(steps, lambda s: s.phase):
+        done = [s.done for s in phase]
+        assert done == sorted(set(done))
+    assert all(s.done <= s.total for s in steps)
+    assert (np.diff([s.criterion for s in steps]) <= 0).all()
+    assert steps[-1].theta[0] == pytest.approx(found.result["w"], rel=1e-6)
+    assert found.simulations == found.result.simulations == problem.simulations >= steps[-1].simulations
+
+
+def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
+    """Return the sinusoid whose user presses Ctrl-C once, after some simulations, and where it was simulated."""
+    seen: list[float] = []
+
+    def simulate(theta: Floats) -> Floats:
+        seen.append(theta[0])
+        if len(seen) == calls:
+            raise KeyboardInterrupt
+        return np.asarray(np.sin(theta[0] * TIMES))
+
+    parameters = {"w": Parameter(12.0, min=RANGE[0], max=RANGE[1])}
+    return LeastSquares.from_function(simulate, sinusoid().measured, parameters), seen
+
+
+@pytest.mark.parametrize(
+    ("method", "calls", "complete", "fitted"),
+    [
+        ("evolution", 150, 120, False),
+        ("evolution", 800, 120, True),
+        ("multistart", 48, 40, False),
+        ("multistart", 700, 40, False),
+        ("multistart", 2400, 2300, True),
+    ],
+)
+def test_interruption_keeps_what_is_found(method: Method, calls: int, complete: int, fitted: bool) -> None:
+    """It is no worse than any point of a generation or fit that was complete, with its uncertainty if a fit has it."""
+    problem, seen = interrupting(calls)
+    found = search_globally(problem, GlobalSearch(method, starts=40))
+    assert found.interrupted
+    assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
+    assert not found.result.converged
+    assert found.result.status.startswith("interrupted: these are the best values so far of a global search, after ")
+    assert sum(o.hits for o in found.optima) == found.fits < 40
+    squares = [((np.sin(w * TIMES) - problem.measured) ** 2).sum() for w in seen[:complete]]
+    assert ((np.sin(found.result["w"] * TIMES) - problem.measured) ** 2).sum() <= 1.0001 * min(squares)
+    assert np.isfinite(found.result.std).all() == fitted == (found.result.local is not None)
+
+
+def test_interruption_before_anything_is_found() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        search_globally(interrupting(3)[0])
+
+
+def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits get few iterations, but what they leave of the best one's way is gone after them."""
+    monkeypatch.setattr(global_search, "FIT_ITERATIONS", 1)
+    found = search_globally(sinusoid(), GlobalSearch("multistart"))
+    assert found.result.converged
+    assert not all(o.converged for o in found.optima)
+    minima, squares = dense_minima()
+    assert found.result["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
+    limited = search_globally(sinusoid(), GlobalSearch("multistart", marquardt=Marquardt(max_iterations=1)))
+    assert not limited.result.converged
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ({"method": "evolutoin"}, "must be 'evolution' or 'multistart', not 'evolutoin'.*did you mean 'evolution'"),
+        ({"starts": 4}, "starts of a global search must be a whole number from 5 on, not 4"),
+        ({"starts": 0, "method": "multistart"}, "starts .* from 1 on, not 0"),
+        ({"starts": 5.5}, "starts .* not 5.5"),
+        ({"seed": -1}, "seed .* from 0 on, not -1"),
+        ({"generations": True}, "generations .* not True"),
+    ],
+)
+def test_wrong_settings(settings: dict[str, object], match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        GlobalSearch(**settings)  # type: ignore[arg-type]
+
+
+def test_a_robust_loss_is_refused() -> None:
+    problem = LeastSquares.from_function(
+        lambda theta: theta * TIMES, TIMES, {"w": Parameter(1.0, 0.5, 2.0)}, loss="huber"
+    )
+    with pytest.raises(InputError, match="a global search knows plain squares only"):
+        search_globally(problem)

@@ -1,0 +1,228 @@
+"""Stacking, masks, whitening, priors, and what is refused before the search."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fmuid.arrays import Floats
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import JointPrior, Normal, Parameter
+from fmuid.data.predictors import Table
+from fmuid.errors import InputError, SimulationError
+from fmuid.estimation.criterion import prepare
+from fmuid.estimation.least_squares import LeastSquares
+from tests.support.problems import TIMES, Fake, simulate
+
+
+def table(name: str = "run", counted: NDArray[np.bool_] | None = None, values: Floats | None = None) -> Table:
+    measured = simulate(1.5, 2.0) if values is None else values
+    return Table(name, TIMES, ("a", "b"), measured, ~np.isnan(measured) if counted is None else counted)
+
+
+def two_runs() -> tuple[LeastSquares, list[Fake]]:
+    fakes = [Fake(), Fake()]
+    counted = np.ones((50, 2), dtype=np.bool_)
+    counted[:10] = False
+    counted[20, 1] = False
+    problem = LeastSquares(
+        fakes,
+        [table("first"), table("second", counted)],
+        {"k": Parameter(1.0), "gain": Parameter(3.0, per_experiment=True)},
+        noise=Noise({"a": 4.0, "b": 1e-6}),
+    )
+    return problem, fakes
+
+
+def test_samples_are_stacked_and_whitened_each_with_its_own_sigma() -> None:
+    problem, _ = two_runs()
+    assert problem.parameters.names == ("k", "gain[first]", "gain[second]")
+    assert problem.counts.tolist() == [90, 89]
+    theta = np.array([1.2, 2.1, 1.9])
+    residual = prepare(problem).criterion.residuals(theta[None])[0]
+    sigma = np.array([2.0, 1e-3])
+    first = (simulate(1.5, 2.0) - simulate(1.2, 2.1)) / sigma
+    second = (simulate(1.5, 2.0) - simulate(1.2, 1.9)) / sigma
+    expected = [*first.ravel(), *second[10:20].ravel(), second[20, 0], *second[21:].ravel()]
+    np.testing.assert_allclose(residual, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_evaluation_is_a_pure_function_with_the_derivative_of_the_residual() -> None:
+    problem, _ = two_runs()
+    criterion = prepare(problem).criterion
+    theta = np.array([1.2, 2.1, 1.9])
+    evaluation, again = criterion.evaluate(theta), criterion.evaluate(theta)
+    np.testing.assert_array_equal(evaluation.residual, again.residual)
+    assert evaluation.jacobian.shape == (179, 3)
+    sensitivity = np.column_stack(
+        [-2.1e3 * TIMES * np.exp(-1.2 * TIMES) / 2.0, 2.1e-3 * TIMES * np.cos(1.2 * TIMES) / 1e-3]
+    )
+    np.testing.assert_allclose(evaluation.jacobian[:100, 0], -sensitivity.ravel(), rtol=1e-6, atol=1e-4)
+    assert (evaluation.jacobian[:100, 2] == 0).all()
+    assert (evaluation.jacobian[100:, 1] == 0).all()
+
+
+def test_an_experiment_is_not_simulated_again_for_the_parameters_of_others() -> None:
+    problem, fakes = two_runs()
+    prepare(problem)
+    assert problem.simulations == sum(len(thetas) for fake in fakes for thetas in fake.taken)
+    before = problem.simulations
+    problem.predict(np.array([[1.0, 2.0, 3.0], [1.0, 2.0, 4.0], [1.0, 2.5, 3.0]]))
+    assert problem.simulations - before == 4
+    assert fakes[0].taken[-1].tolist() == [[1.0, 2.0], [1.0, 2.5]]
+
+
+def test_prior_rows_follow_the_data() -> None:
+    """The compound criterion (1.37), and its rows' derivative −W."""
+    parameters = {"k": Parameter(1.0, prior=Normal(1.4, 0.1)), "gain": Parameter(3.0)}
+    problem = LeastSquares([Fake()], [table()], parameters, noise=Noise(1.0))
+    evaluation = prepare(problem).criterion.evaluate([1.2, 2.0])
+    assert evaluation.residual[100:] == pytest.approx([2.0])
+    assert evaluation.jacobian[100:].tolist() == [[-10.0, 0.0]]
+
+
+def test_first_variances() -> None:
+    """Given ones as they are, others from the residual at the start or from where the user starts them."""
+    measured = simulate(1.5, 2.0)
+    parameters = {"k": Parameter(1.0), "gain": Parameter(3.0)}
+
+    def variance(noise: Noise) -> list[float]:
+        problem = LeastSquares([Fake()], [table()], parameters, noise=noise)
+        return list(prepare(problem).criterion.variance)
+
+    residual = np.mean((measured - simulate(1.0, 3.0)) ** 2, axis=0)
+    assert variance(Noise()) == pytest.approx(residual)
+    assert variance(Noise({"b": 7.0})) == pytest.approx([residual[0], 7.0])
+    assert variance(Noise(5.0)) == [5.0, 5.0]
+    assert variance(Noise(start={"a": 3.0})) == pytest.approx([3.0, residual[1]])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ({"variance": 0.0}, "noise variance must be positive and finite, not 0"),
+        ({"variance": {"a": -1.0}}, "noise variance of output 'a' must be positive"),
+        ({"variance": "guess"}, 'a positive number or "estimate"'),
+        ({"start": "estimate"}, "noise start must be a positive number"),
+        ({"start": float("inf")}, "positive and finite"),
+        ({"variance": True}, "must be a positive number"),
+    ],
+)
+def test_bad_noise(words: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        Noise(**words)  # type: ignore[arg-type]
+
+
+def test_noise_of_an_unknown_output() -> None:
+    with pytest.raises(InputError, match="names 'bb', which is no measured output"):
+        LeastSquares([Fake()], [table()], {"k": Parameter(1.0)}, noise=Noise({"bb": 1.0}))
+
+
+def without_samples() -> LeastSquares:
+    counted = np.ones((50, 2), dtype=np.bool_)
+    counted[:, 1] = False
+    return LeastSquares([Fake()], [table(counted=counted)], {"k": Parameter(1.0)})
+
+
+def without_outputs() -> LeastSquares:
+    empty = Table("run", TIMES, (), np.zeros((50, 0)), np.zeros((50, 0), dtype=np.bool_))
+    return LeastSquares([Fake()], [empty], {"k": Parameter(1.0)})
+
+
+def too_few_samples() -> LeastSquares:
+    return LeastSquares.from_function(lambda theta: theta[:2], [1.0, 2.0], {n: Parameter(1.0) for n in "abc"})
+
+
+def no_freedom() -> LeastSquares:
+    return LeastSquares.from_function(lambda theta: theta, [1.0, 2.0], {n: Parameter(1.0) for n in "ab"})
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (without_samples, "output 'b' has no sample that counts"),
+        (without_outputs, "no outputs are measured"),
+        (too_few_samples, "2 counted samples are too few for 3 parameters"),
+        (no_freedom, "2 counted samples are too few for 2 parameters"),
+        (lambda: LeastSquares([], [], {"k": Parameter(1.0)}), "no experiments"),
+        (lambda: LeastSquares([Fake()], [table()], {}), "no parameters"),
+        (
+            lambda: LeastSquares.from_function(np.sin, np.ones((5, 2)), {"k": Parameter(1.0)}),
+            "one column for each of y",
+        ),
+        (
+            lambda: LeastSquares.from_function(np.sin, np.ones(5), {"k": Parameter(1.0)}, times=[1.0]),
+            "times must have 5",
+        ),
+        (
+            lambda: LeastSquares.from_function(
+                np.sin, np.ones(5), {"k": Parameter(1.0)}, joint_prior=JointPrior(["kk"], [1.0], [[1.0]])
+            ),
+            "'kk' is not a parameter",
+        ),
+    ],
+)
+def test_impossible_problems(make: Callable[[], LeastSquares], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        make()
+
+
+def test_a_function_of_another_length_is_refused() -> None:
+    problem = LeastSquares.from_function(lambda theta: theta[0] * np.ones(4), np.ones(5), {"k": Parameter(1.0)})
+    with pytest.raises(InputError, match="must return outputs of shape"):
+        prepare(problem)
+
+
+def test_a_start_that_cannot_be_simulated_says_why() -> None:
+    parameters = {"k": Parameter(-1.0), "gain": Parameter(3.0)}
+    problem = LeastSquares([Fake()], [table()], parameters)
+    with pytest.raises(SimulationError, match="fmi2DoStep returned fmi2Error"):
+        prepare(problem)
+
+
+def test_a_start_without_neighbours_that_can_be_simulated() -> None:
+    def lonely(theta: Floats) -> Floats:
+        return np.full(5, theta[1] if theta[0] == 2.0 else np.nan)
+
+    problem = LeastSquares.from_function(lonely, np.ones(5), {"k": Parameter(2.0), "gain": Parameter(1.0)})
+    with pytest.raises(InputError, match="not with 'k' moved to either side of 2"):
+        prepare(problem)
+
+
+def test_a_start_outside_the_bounds() -> None:
+    problem = LeastSquares.from_function(
+        lambda theta: theta[0] * np.ones(5), np.ones(5), {"k": Parameter(2.0, max=3.0)}
+    )
+    with pytest.raises(InputError, match="the start 4 of 'k' lies outside its bounds"):
+        prepare(problem, [4.0])
+    with pytest.raises(InputError, match="must have 1 values"):
+        prepare(problem, [1.0, 2.0])
+
+
+def test_parameters_without_influence_are_named_before_the_search() -> None:
+    def function(theta: Floats) -> Floats:
+        return np.asarray(theta[0] * TIMES)
+
+    parameters = {"gain": Parameter(1.0), "idle": Parameter(3.0), "odd": Parameter(0.0, nominal=1.0)}
+    problem = LeastSquares.from_function(function, TIMES, parameters)
+    with pytest.raises(InputError, match=r"parameters 'idle' \(start 3\), 'odd' \(start 0\) change no measured output"):
+        prepare(problem)
+    del parameters["odd"]
+    with pytest.raises(
+        InputError, match=r"parameter 'idle' \(start 3\) changes no measured output .* hold it at a value"
+    ):
+        prepare(LeastSquares.from_function(function, TIMES, parameters))
+
+
+def test_a_prior_makes_up_for_missing_influence() -> None:
+    parameters = {"gain": Parameter(1.0), "idle": Parameter(3.0, prior=Normal(2.5, 0.5))}
+    start = prepare(LeastSquares.from_function(lambda theta: theta[0] * TIMES, 2.0 * TIMES, parameters))
+    assert start.evaluation.residual[-1] == pytest.approx(-1.0)
+
+
+def test_influence_at_a_start_where_the_derivative_vanishes() -> None:
+    """An even function at its centre: the central difference is zero, the outputs still change."""
+    parameters = {"gain": Parameter(1.0), "bend": Parameter(0.0, nominal=1.0)}
+    start = prepare(LeastSquares.from_function(lambda theta: theta[0] * TIMES + theta[1] ** 2, 2.0 * TIMES, parameters))
+    assert np.linalg.norm(start.evaluation.jacobian[:, 1]) < 1e-6 * np.linalg.norm(start.evaluation.jacobian[:, 0])

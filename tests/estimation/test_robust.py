@@ -1,0 +1,327 @@
+"""Robust losses: against scipy's, against outliers, and how often their intervals hold the truth."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq, least_squares
+
+import fmuid
+from experiments.induction_machine import make_table
+from fmuid.arrays import Floats
+from fmuid.assessment.profile import profiles
+from fmuid.data.losses import LOSSES, NORMAL_SHARE, Loss, robust_variance
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter
+from fmuid.errors import InputError
+from fmuid.estimation.criterion import prepare
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.result import Result
+from tests.support.paths import FMUS
+
+ROBUST = ["soft_l1", "huber", "cauchy"]
+
+TIMES = np.linspace(0.0, 3.0, 200)
+TRUTH = np.array([3.0, 1.2, 0.5])
+STD = 0.05
+STARTS = {"a": Parameter(1.0), "k": Parameter(3.0), "c": Parameter(-1.0)}
+
+
+def decay(theta: Floats) -> Floats:
+    a, k, c = theta
+    return np.asarray(a * np.exp(-k * TIMES) + c, dtype=np.float64)
+
+
+def decay_jacobian(theta: Floats) -> Floats:
+    a, k, _ = theta
+    falling = np.exp(-k * TIMES)
+    return np.column_stack([falling, -a * TIMES * falling, np.ones_like(TIMES)])
+
+
+def clean(seed: int) -> Floats:
+    return decay(TRUTH) + STD * np.random.default_rng(seed).standard_normal(TIMES.size)
+
+
+def contaminated(seed: int, share: float = 0.05, *, lopsided: bool = False) -> Floats:
+    """Return the same with gross errors in a share of the samples: 20 standard deviations, or 100 to one side."""
+    rng = np.random.default_rng([seed, 1])
+    gross = STD * rng.standard_normal(TIMES.size)
+    return clean(seed) + np.where(
+        rng.random(TIMES.size) < share, 100.0 * np.abs(gross) if lopsided else 20.0 * gross, 0
+    )
+
+
+def loss_of(name: str) -> Loss:
+    loss = LOSSES[name]
+    assert loss is not None
+    return loss
+
+
+def fit(y: Floats, loss: str, noise: float | None = STD**2, tolerance: float = 1e-6) -> Result:
+    known = Noise() if noise is None else Noise(noise)
+    return identify(
+        LeastSquares.from_function(decay, y, STARTS, loss=loss, noise=known), Marquardt(tolerance=tolerance)
+    )
+
+
+# --- the losses -------------------------------------------------------------------------
+
+DEFINITIONS: dict[str, Callable[[Floats], Floats]] = {
+    "soft_l1": lambda z: np.asarray(2.0 * (np.sqrt(1.0 + z) - 1.0)),
+    "huber": lambda z: np.where(z <= 1.0, z, 2.0 * np.sqrt(z) - 1.0),
+    "cauchy": lambda z: np.asarray(np.log1p(z)),
+}
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_the_definitions_of_scipy(name: str) -> None:
+    """ρ(f²) as its documentation gives it; ψ and ψ′ against differences of it."""
+    loss, f = loss_of(name), np.linspace(-6.0, 6.0, 400)
+    h = 1e-5
+
+    def half(f: Floats) -> Floats:
+        return 0.5 * DEFINITIONS[name](f**2)
+
+    np.testing.assert_allclose(loss.root(f) ** 2, DEFINITIONS[name](f**2), rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(np.sign(loss.root(f)), np.sign(f))
+    np.testing.assert_allclose(loss.influence(f), (half(f + h) - half(f - h)) / (2 * h), atol=1e-8)
+    away = np.abs(np.abs(f) - 1.0) > 2 * h  # from the corner of huber
+    bend = (loss.influence(f + h) - loss.influence(f - h)) / (2 * h)
+    np.testing.assert_allclose(loss.curvature(f)[away], bend[away], atol=1e-8)
+    np.testing.assert_allclose(loss.slope(f), (loss.root(f + h) - loss.root(f - h)) / (2 * h), atol=2e-5)
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_roots_come_back(name: str) -> None:
+    loss = loss_of(name)
+    f = np.concatenate([[0.0, 1e-100, 1e-12, 1.0], np.geomspace(1e-3, 1e8, 200)])
+    f = np.concatenate([f, -f])
+    np.testing.assert_allclose(loss.unroot(loss.root(f)), f, rtol=1e-9)
+    assert loss.slope(np.zeros(1)).tolist() == [1.0]
+    assert np.isfinite(loss.root(np.array([1e140]))).all()
+    huge = loss.root(np.array([1e200]))  # no warning; what it gives is refused or very large
+    assert huge[0] > 5.0
+
+
+def test_unknown_loss() -> None:
+    with pytest.raises(InputError, match=r"loss must be one of linear, .*, not 'hubert' \(did you mean 'huber'\?\)"):
+        LeastSquares.from_function(decay, clean(1), STARTS, loss="hubert")
+
+
+# --- estimates against scipy ------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ROBUST)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_estimates_of_scipy(name: str, seed: int) -> None:
+    y = contaminated(seed, lopsided=True)
+
+    def rows(theta: Floats) -> Floats:
+        return np.asarray((decay(theta) - y) / STD)
+
+    def jacobian(theta: Floats) -> Floats:
+        return np.asarray(decay_jacobian(theta) / STD)
+
+    reference = least_squares(rows, TRUTH, jacobian, loss=cast(Any, name), xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    result = fit(y, name)
+    assert result.converged
+    assert (np.abs(result.values - reference.x) < 1e-3 * result.std).all()
+    assert result.criterion == pytest.approx(2.0 * reference.cost, rel=1e-9)
+    np.testing.assert_allclose(fit(y, name, tolerance=1e-8).values, reference.x, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_priors_stay_squares(name: str) -> None:
+    """Compared with scipy by a loss that is the robust one for the data's rows and plain for the prior's."""
+    y = contaminated(4)
+    prior = Normal(1.0, 0.01)
+    problem = LeastSquares.from_function(
+        decay, y, STARTS | {"k": Parameter(3.0, prior=prior)}, loss=name, noise=Noise(STD**2)
+    )
+    loss = loss_of(name)
+
+    def rows(theta: Floats) -> Floats:
+        return np.append((decay(theta) - y) / STD, (theta[1] - prior.mean) / prior.std)
+
+    def jacobian(theta: Floats) -> Floats:
+        return np.vstack([decay_jacobian(theta) / STD, [0.0, 1.0 / prior.std, 0.0]])
+
+    def mixed(z: Floats) -> Floats:
+        f = np.sqrt(z)
+        first = loss.influence(f) / np.where(f > 0, f, 1.0) + (f == 0)
+        second = (loss.curvature(f) - first) / (2.0 * np.where(z > 0, z, 1.0))
+        rho = np.array([loss.root(f) ** 2, first, second])
+        rho[:, -1] = z[-1], 1.0, 0.0
+        return rho
+
+    reference = least_squares(
+        rows, [3.0, 1.0, 0.5], jacobian, loss=cast(Any, mixed), xtol=1e-15, ftol=1e-15, gtol=1e-12
+    )
+    result = identify(problem, Marquardt(tolerance=1e-8))
+    assert result.converged
+    np.testing.assert_allclose(result.values, reference.x, rtol=1e-6)
+    assert result.pull[1] > 1.5  # the prior disagrees, and is not taken for an outlier
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_the_jacobian_is_that_of_the_rows(name: str) -> None:
+    """Of the roots ±√ρ, whose sum of squares has the gradient 2 Σ ψ J."""
+    y = contaminated(5)
+    criterion = prepare(LeastSquares.from_function(decay, y, STARTS, loss=name, noise=Noise(1.0))).criterion
+    at = criterion.evaluate([2.5, 1.0, 0.4])
+    f = (y - decay(np.array([2.5, 1.0, 0.4]))) / np.sqrt(criterion.variance[0])
+    plain = -decay_jacobian(np.array([2.5, 1.0, 0.4])) / np.sqrt(criterion.variance[0])
+    np.testing.assert_allclose(at.residual, loss_of(name).root(f), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(at.jacobian, loss_of(name).slope(f)[:, None] * plain, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(at.jacobian.T @ at.residual, plain.T @ loss_of(name).influence(f), rtol=1e-5)
+
+
+def test_a_distant_start_is_not_taken_for_outliers() -> None:
+    """Where every sample is far off, the slope of cauchy tells little; the search sets out from larger variances."""
+    y = contaminated(6)
+    far = {"a": Parameter(40.0), "k": Parameter(4.0), "c": Parameter(-20.0)}
+    result = identify(LeastSquares.from_function(decay, y, far, loss="cauchy", noise=Noise(STD**2)))
+    assert result.converged
+    np.testing.assert_allclose(result.values, fit(y, "cauchy").values, rtol=1e-5)
+    assert result.rounds["used.y"].iloc[0] > 100.0 * STD**2
+    assert result.rounds["used.y"].iloc[-1] == STD**2
+
+
+# --- outliers ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ROBUST)
+@pytest.mark.parametrize("noise", [STD**2, None])
+def test_outliers_hardly_move_the_estimates(name: str, noise: float | None) -> None:
+    """Five per cent gross errors to one side: plain least squares is thrown off by several standard deviations."""
+    reference = fit(clean(7), "linear")
+    y = contaminated(7, lopsided=True)
+    plain, robust = fit(y, "linear", noise), fit(y, name, noise)
+    off = np.abs(plain.values - reference.values) / reference.std
+    moved = np.abs(robust.values - reference.values) / reference.std
+    assert off.max() > 8.0
+    assert moved.max() < 1.5
+    assert robust.std.max() < 1.5 * reference.std.max()
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_outliers_hardly_inflate_the_noise_variance(name: str) -> None:
+    y = contaminated(8)
+    assert fit(y, "linear", None).noise_variance["y"] > 10.0 * STD**2
+    assert fit(y, name, None).noise_variance["y"] == pytest.approx(STD**2, rel=0.4)
+    assert fit(clean(8), name, None).noise_variance["y"] == pytest.approx(STD**2, rel=0.25)
+
+
+def test_currents_with_spikes() -> None:
+    """The induction machine with 3 % of the samples of both currents off by 20 A, both noise variances estimated."""
+    clean = fmuid.read_table(Path(make_table.__file__).parent / "table.csv")
+    spiky, rng = clean.copy(), np.random.default_rng(10)
+    for name in ("ids", "iqs"):
+        spiky.loc[rng.random(len(spiky)) < 0.03, name] += 20.0
+    parameters = {name: Parameter(1.2 * value, min=0.0) for name, value in make_table.TRUTH.items()}
+    system = fmuid.System(FMUS / "InductionMachine" / "InductionMachine.fmu")
+    reference, plain, robust = (
+        identify(
+            fmuid.Problem(system, fmuid.Experiment(frame, ["uds", "uqs", "w"], ["ids", "iqs"]), parameters, loss=loss)
+        )
+        for frame, loss in ((clean, "linear"), (spiky, "linear"), (spiky, "huber"))
+    )
+    assert robust.converged
+    assert (np.abs(robust.values - reference.values) < reference.std).all()
+    assert (np.abs(plain.values - reference.values) > 3.0 * reference.std).any()
+    assert (robust.std < 1.2 * reference.std).all()
+    for variance in robust.noise_variance.values():
+        assert variance == pytest.approx(make_table.NOISE_VARIANCE, rel=0.2)
+
+
+# --- the scale --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [4, 50, 3001])
+def test_proposal_2(count: int) -> None:
+    """Against a root finder, with gross errors, and with ties."""
+    rng = np.random.default_rng(count)
+    for residual in (rng.standard_normal(count), rng.standard_t(1, count), np.round(rng.standard_normal(count), 1)):
+        free = count - 2.0
+
+        def excess(variance: float, residual: Floats = residual, free: float = free) -> float:
+            return float(np.minimum(residual**2 / variance, 1.0).sum() - free * NORMAL_SHARE)
+
+        expected = brentq(excess, 1e-12, 1e12, xtol=1e-300, rtol=1e-14)
+        assert robust_variance(residual, free) == pytest.approx(expected, rel=1e-9)
+
+
+def test_proposal_2_is_the_variance_of_normal_noise() -> None:
+    draws = 3.0 * np.random.default_rng(11).standard_normal(100_000)
+    assert robust_variance(draws, draws.size) == pytest.approx(9.0, rel=0.02)
+    x = np.linspace(-9.0, 9.0, 200_001)
+    density = np.exp(-(x**2) / 2.0) / math.sqrt(2.0 * math.pi)
+    assert pytest.approx(np.trapezoid(np.minimum(x**2, 1.0) * density, x), rel=1e-6) == NORMAL_SHARE
+
+
+def test_proposal_2_of_hardly_any_residual() -> None:
+    assert robust_variance(np.zeros(5), 4.0) == 0.0
+    assert robust_variance(np.array([0.0, 0.0, 0.0, 1.0, 2.0]), 5.0) == 0.0
+
+
+# --- intervals --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "share"), [("soft_l1", 0.05), ("huber", 0.1), ("cauchy", 0.1), ("huber", 0.0)])
+def test_intervals_cover_as_often_as_they_say(name: str, share: float) -> None:
+    """200 draws; 95 % of 200 is 190 ± 3. Plain least squares covers too, with intervals several times as wide."""
+    covered, wider = np.zeros(3), np.zeros(3)
+    for seed in range(200):
+        y = contaminated(seed, share)
+        result = fit(y, name, None)
+        assert result.converged
+        interval = result.intervals()
+        covered += (interval["lower"] < TRUTH) & (interval["upper"] > TRUTH)
+        if share and seed < 20:
+            wider += fit(y, "linear", None).std / result.std / 20.0
+    assert (covered >= 180).all()
+    assert (covered <= 198).all()
+    assert share == 0.0 or (wider > 2.0).all()
+
+
+def test_covariance_of_a_linear_model() -> None:
+    """σ² mean ψ²/(mean ψ′)² (XᵀX)⁻¹ of Huber (1981, section 7.6) where all samples share one noise."""
+    rng = np.random.default_rng(12)
+    phi = np.column_stack([np.ones(300), np.linspace(0.0, 1.0, 300)])
+    y = phi @ [1.0, 2.0] + 0.1 * rng.standard_t(2, 300)
+    result = identify(
+        LeastSquares.from_function(
+            lambda theta: phi @ theta, y, {"a": Parameter(1.0), "b": Parameter(1.0)}, loss="huber", noise=Noise(0.01)
+        )
+    )
+    f = (y - phi @ result.values) / 0.1
+    inside = np.abs(f) <= 1.0
+    power = np.sum(np.where(inside, f, np.sign(f)) ** 2) / 298.0
+    expected = 0.01 * power / np.mean(inside) ** 2 * np.linalg.inv(phi.T @ phi)
+    np.testing.assert_allclose(result.covariance, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_profiles_agree_with_the_local_intervals(name: str) -> None:
+    """As they do for plain squares, in the mean of some draws: the rise is measured by how the estimates scatter."""
+    ratios = []
+    for seed in range(12):
+        problem = LeastSquares.from_function(decay, contaminated(seed, 0.1), STARTS, loss=name)
+        result = identify(problem)
+        (profile,) = profiles(problem, result, ["a"])
+        lower, upper = result.intervals().to_numpy()[0]
+        ratios.append((profile.upper - profile.lower) / (upper - lower))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.04)
+    assert np.std(ratios) < 0.1
+
+
+def test_outliers_everywhere_leave_wide_intervals() -> None:
+    """A variance given far too small makes cauchy's curvature negative; the covariance stays one."""
+    result = fit(clean(13), "cauchy", (STD / 30.0) ** 2)
+    assert np.isfinite(result.std).all()
+    assert (result.std > fit(clean(13), "linear", (STD / 30.0) ** 2).std).all()

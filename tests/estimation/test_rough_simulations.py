@@ -1,0 +1,186 @@
+"""Searches through simulations that are not smooth: kinks, chatter, the jumps of adaptive integrators."""
+
+import json
+import zlib
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from fmuid.arrays import Floats
+from fmuid.data.parameters import Parameter
+from fmuid.errors import InputError
+from fmuid.estimation.finite_differences import FiniteDifferences
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.records import Status
+from fmuid.estimation.result import Result
+from fmuid.reports.apply import apply_result
+from tests.support.paths import FMUS
+
+Function = Callable[[Floats], Floats]
+
+HOURS = np.linspace(0.0, 12.0, 60)
+GROWTH_START, GROWTH_TRUTH = (0.2, 0.4, 0.8), np.array([0.1, 0.6, 0.5])
+PUSH_TRUTH = np.array([2.0, 2.0, 0.6])
+
+
+def growth(theta: Floats, rtol: float = 1e-8) -> Floats:
+    """Monod's growth of biomass X on substrate S by X0, mu_max and Y_XS; coarse tolerances make it rough."""
+    initial, rate, yield_ = theta.tolist()
+
+    def slope(_t: float, x: Floats) -> list[float]:
+        grown = rate * max(x[1], 0.0) / (0.5 + max(x[1], 0.0)) * x[0]
+        return [grown, -grown / yield_]
+
+    method: Literal["RK23", "LSODA"] = "RK23" if rtol > 1e-6 else "LSODA"
+    found = solve_ivp(slope, (0.0, 12.0), [initial, 10.0], method, HOURS, rtol=rtol, atol=0.1 * rtol)
+    return np.asarray(found.y.T)
+
+
+def chattering(amplitude: float) -> Function:
+    """Return the growth with noise of its own at every theta, which is hardly there at the start of the search."""
+
+    def simulate(theta: Floats) -> Floats:
+        exact, rng = growth(theta), np.random.default_rng(zlib.crc32(theta.tobytes()))
+        way = float(np.linalg.norm(np.log(theta / GROWTH_START)))
+        return np.asarray(
+            exact * (1.0 + amplitude * min(1.0, 10.0 ** (8.0 * way - 4.0)) * rng.standard_normal(exact.shape))
+        )
+
+    return simulate
+
+
+def push(theta: Floats, rtol: float = 1e-3) -> Floats:
+    """A mass on a spring, pushed by a force that saturates, and braked in one direction only: min and max."""
+    spring, limit, brake = theta.tolist()
+
+    def slope(t: float, x: Floats) -> list[float]:
+        force = min(max(3.0 * np.sin(1.3 * t) + np.sin(4.1 * t), -limit), limit)
+        return [x[1], force - spring * x[0] - brake * max(x[1], 0.0) - 0.1 * min(x[1], 0.0)]
+
+    times = np.linspace(0.0, 10.0, 400)
+    return np.asarray(solve_ivp(slope, (0.0, 10.0), [0.0, 0.0], "RK45", times, rtol=rtol, atol=0.01 * rtol).y[0])
+
+
+def fit(function: Function, y: Floats, starts: Sequence[float]) -> Result:
+    parameters = {name: Parameter(start) for name, start in zip("abc", starts, strict=False)}
+    outputs = ["X", "S"][: y.ndim] if y.ndim > 1 else ["y"]
+    return identify(LeastSquares.from_function(function, y, parameters, outputs=outputs))
+
+
+def noisy(y: Floats, std: float, seed: int = 0) -> Floats:
+    return np.asarray(y + std * np.random.default_rng(seed).standard_normal(y.shape))
+
+
+@cache
+def smooth(std: float) -> tuple[Floats, Result]:
+    """Return measurements of the growth and their identification with a simulation that is smooth."""
+    y = noisy(growth(GROWTH_TRUTH), std)
+    return y, fit(growth, y, GROWTH_TRUTH.tolist())
+
+
+def test_a_search_that_gains_nothing_ends() -> None:
+    """An integrator's jumps right at the optimum: the search used to hop around it to the iteration limit."""
+    y = noisy(growth(GROWTH_TRUTH, 1e-3), 0.01)
+    result = fit(lambda theta: growth(theta, 1e-3), y, GROWTH_START)
+    assert result.converged
+    assert result.simulations < 300
+    assert result.iterations < 60
+    assert (np.abs(result.values - GROWTH_TRUTH) < 4.0 * result.std).all()
+
+
+@pytest.mark.parametrize("amplitude", [1e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("std", [0.1, 0.01])
+def test_noise_that_was_not_there_at_the_start(amplitude: float, std: float) -> None:
+    """The optimum and the standard deviations of the smooth simulation, and nothing that cannot be told apart."""
+    y, reference = smooth(std)
+    result = fit(chattering(amplitude), y, GROWTH_START)
+    assert result.converged, result.status
+    assert result.outcome in (Status.CONVERGED, Status.ACCURACY)
+    assert (np.abs(result.values - reference.values) < 0.3 * reference.std).all()
+    np.testing.assert_allclose(result.std, reference.std, rtol=0.1)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_kinks_seen_through_an_adaptive_integrator(seed: int) -> None:
+    """min and max: steps of differences that fit the noise at the start end the search far from any optimum."""
+    result = fit(lambda theta: push(theta, 1e-4), noisy(push(PUSH_TRUTH, 1e-9), 0.1, seed), (1.5, 1.5, 0.8))
+    assert result.outcome.converged, result.status
+    assert (np.abs(result.values - PUSH_TRUTH) < 4.0 * result.std).all()
+
+
+@pytest.mark.parametrize("amplitude", [1e-6, 1e-4, 1e-3])
+@pytest.mark.parametrize("std", [0.1, 1e-3])
+def test_noise_determines_nothing(amplitude: float, std: float) -> None:
+    """Only the quotient of a and b acts; what differences see beside it is the simulation's noise."""
+
+    def simulate(theta: Floats) -> Floats:
+        times = np.linspace(0.0, 3.0, 120)
+        rng = np.random.default_rng(zlib.crc32(theta.tobytes()))
+        smooth = theta[0] / theta[1] * np.exp(-theta[2] * times) + 0.5 * theta[2] * times
+        return np.asarray(smooth * (1.0 + amplitude * rng.standard_normal(times.size)))
+
+    result = fit(simulate, noisy(simulate(np.array([1.2, 1.1, 0.8])), std), (1.0, 1.3, 1.0))
+    assert not result.converged
+    assert np.isinf(result.std[:2]).all()
+    assert np.isfinite(result.std[2])
+
+
+# --- a search that stalls ----------------------------------------------------------------
+
+
+@pytest.fixture
+def stalled(monkeypatch: pytest.MonkeyPatch) -> Result:
+    """Every slope has the wrong sign, so that no step keeps its promise."""
+    central, forward = FiniteDifferences.first_jacobian, FiniteDifferences.jacobian
+
+    def first(self: FiniteDifferences, theta: Floats, base: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        found, acting = central(self, theta, base)
+        return -found, acting
+
+    def later(self: FiniteDifferences, theta: Floats, base: Floats, **how: bool) -> Floats:
+        return -forward(self, theta, base, **how)
+
+    monkeypatch.setattr(FiniteDifferences, "first_jacobian", first)
+    monkeypatch.setattr(FiniteDifferences, "jacobian", later)
+    times = np.linspace(0.0, 3.0, 50)
+    y = noisy(5.0 * np.exp(-0.7 * times), 0.1)
+    parameters = {"R": Parameter(2.0), "L": Parameter(1.0)}
+    return identify(LeastSquares.from_function(lambda theta: theta[0] * np.exp(-theta[1] * times), y, parameters))
+
+
+def test_a_stalled_search_claims_nothing(stalled: Result, tmp_path: Path) -> None:
+    assert stalled.outcome is Status.STALLED
+    assert not stalled.converged
+    assert np.isnan(stalled.std).all()
+    assert stalled.intervals().isna().to_numpy().all()
+    assert stalled.undetermined == stalled.weak == ()
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(stalled.to_json_dict(), allow_nan=False))
+    again = Result.from_json(path)
+    assert again.outcome is Status.STALLED
+    assert np.isnan(again.std).all()
+    with pytest.raises(InputError, match="has not converged: stalled"):
+        apply_result(path, FMUS / "Coil" / "Coil.fmu", tmp_path / "new.fmu")
+
+
+def test_what_is_as_accurate_as_the_simulation_may_be_applied(tmp_path: Path) -> None:
+    y = noisy(push(PUSH_TRUTH, 1e-9), 0.1, 1)
+    parameters = {"R": Parameter(1.5), "L": Parameter(1.5), "brake": Parameter(0.8)}
+    result = identify(LeastSquares.from_function(lambda theta: push(theta, 1e-4), y, parameters))
+    assert result.outcome is Status.ACCURACY
+    content = result.to_json_dict()
+    assert content["outcome"] == "accuracy"
+    assert content["status"].startswith("converged to the accuracy of the simulation: make it more accurate")
+    del content["parameters"]["brake"]
+    content["covariance"] = {"names": ["R", "L"], "matrix": np.eye(2).tolist()}
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(content))
+    applied = apply_result(path, FMUS / "Coil" / "Coil.fmu", tmp_path / "new.fmu")
+    assert [each.new for each in applied] == pytest.approx(result.values[:2])

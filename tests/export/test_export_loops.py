@@ -1,0 +1,301 @@
+"""Powers and linear algebraic loops in exported models, against closed forms, linear algebra and scipy."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy.linalg
+from scipy.integrate import solve_ivp
+
+from fmuid.export.loops import first_loop, solve_linear
+from tests.support.exported import Running, export_text, running
+
+both_versions = pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+
+# ---- powers
+
+DECAY = """model Decay "dx/dt = -x^a"
+  parameter Real a = 2.5, x_start = 2;
+  output Real x(start=x_start, fixed=true);
+equation
+  der(x) = -x^a;
+  annotation(experiment(StopTime=1, Interval=0.01));
+end Decay;
+"""
+
+
+def decay(t: float, a: complex, start: complex) -> complex:
+    return (start ** (1 - a) + (a - 1) * t) ** (1 / (1 - a))
+
+
+@both_versions
+def test_powers_against_the_closed_form(tmp_path: Path, fmi: str) -> None:
+    """Its derivatives are those of the closed form along imaginary steps, which have no error of their own."""
+    fmu = export_text(tmp_path, DECAY, fmi=fmi, sensitivities="all")
+    with running(fmu) as model:
+        model.initialise({"a": 1.7})
+        model.run(*[0.1] * 10)
+        expected = [decay(1.0, 1.7, 2.0), decay(1.0, 1.7 + 1e-20j, 2.0), decay(1.0, 1.7, 2.0 + 1e-20j)]
+        found = model.get("x", "sens.a.x", "sens.x_start.x")
+        assert found == pytest.approx([expected[0].real, *(each.imag / 1e-20 for each in expected[1:])], rel=1e-10)
+    with running(fmu, model_exchange=True) as model:
+        model.initialise({"a": 1.7})
+        model.update()
+        model.at(0.0, 3.0, 0.0, 1.0)
+        assert model.derivatives() == pytest.approx([-(3.0**1.7), -np.log(3.0) * 3.0**1.7, -1.7 * 3.0**0.7], rel=1e-15)
+
+
+def test_values_and_derivatives_of_powers(tmp_path: Path) -> None:
+    """Whole exponents serve negative numbers; a power with a parameter as exponent has derivatives at 0, too."""
+    text = """model Powers parameter Real a = 3; parameter Real b = 1.5; constant Real c = 2^3; input Real u;
+  output Real y1, y2, y3, y4, y5, y6, y7;
+equation
+  y1 = -u^2; y2 = (u - 1)^3 + 2*u^0; y3 = (u + 5)^(-2); y4 = u^a; y5 = abs(u)^b; y6 = c^u; y7 = 4^0.5*u^1;
+end Powers;
+"""
+    with running(export_text(tmp_path, text)) as model:
+        model.initialise()
+        names = [f"y{k}" for k in range(1, 8)]
+        references = [model.references[name] for name in names]
+        for u in (-2.0, 0.0, 0.5):
+            model.set({"u": u})
+            expected = [-(u**2), (u - 1) ** 3 + 2, (u + 5) ** -2, u**3, abs(u) ** 1.5, 8**u, 2 * u]
+            assert model.get(*names) == pytest.approx(expected, rel=1e-15)
+            slopes = [-2 * u, 3 * (u - 1) ** 2, -2 * (u + 5) ** -3, 3 * u**2]
+            slopes += [1.5 * abs(u) ** 0.5 * np.sign(u), np.log(8) * 8**u, 2]
+            found = model.fmu.getDirectionalDerivative(references, [model.references["u"]], [1.0])
+            assert found == pytest.approx(slopes, rel=1e-14)
+            by_exponent = model.fmu.getDirectionalDerivative(references[4:5], [model.references["b"]], [1.0])
+            assert by_exponent == pytest.approx([np.log(abs(u)) * abs(u) ** 1.5 if u else 0.0], rel=1e-14)
+
+
+# ---- loops: which equations, their solution
+
+
+def test_first_loop_is_the_smallest_that_needs_no_other() -> None:
+    assert first_loop([{"a", "b", "c"}, {"b", "c"}, {"c", "b"}]) == [1, 2]
+    assert first_loop([{"d", "a"}, {"a", "b"}, {"c", "d", "a"}, {"b", "a"}]) == [1, 3]
+    assert first_loop([{"a", "b"}, {"b", "c"}, {"c", "a"}]) == [0, 1, 2]
+    assert first_loop([{"a", "b"}, {"c", "d"}, {"a", "b"}, {"d", "c"}]) == [0, 2]
+    assert first_loop([{"a", "b", "c"}, {"d", "e"}, {"d", "e"}, {"d", "e"}, {"a", "b"}]) == []
+    assert first_loop([{"a", "b"}, {"a", "b"}, {"a", "b"}]) == []
+
+
+def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return what the expressions of the solution give for these numbers."""
+    count = len(right)
+    a, b = ca.SX.sym("a", count, count), ca.SX.sym("b", count)
+    return np.array(ca.Function("solution", [a, b], [ca.vertcat(*solve_linear(a, b))])(matrix, right)).ravel()
+
+
+def exact(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the solution in rational numbers, rounded once at the end."""
+    rows = [[Fraction(x) for x in (*row, value)] for row, value in zip(matrix.tolist(), right.tolist(), strict=True)]
+    count = len(rows)
+    for k in range(count):
+        pivot = next(i for i in range(k, count) if rows[i][k])
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        rows[k] = [x / rows[k][k] for x in rows[k]]
+        for i in range(count):
+            if i != k:
+                rows[i] = [x - rows[i][k] * y for x, y in zip(rows[i], rows[k], strict=True)]
+    return np.array([float(row[-1]) for row in rows])
+
+
+def inductances(leakage: float) -> np.ndarray:
+    """Two times three windings of a machine, turned against each other by 0.3 rad."""
+    angles = np.array([0, 2, 4, 0.3 * 3 / np.pi, 2 + 0.3 * 3 / np.pi, 4 + 0.3 * 3 / np.pi]) * np.pi / 3
+    matrix = np.cos(angles[:, None] - angles)
+    matrix[:3, :3] += 0.2
+    return np.asarray(0.4 * matrix + leakage * np.diag([1.0, 1.1, 0.9, 1.2, 1.0, 0.8]))
+
+
+def test_tightly_coupled_windings_are_solved_as_well_as_their_condition_allows() -> None:
+    rng = np.random.default_rng(1)
+    matrix = inductances(2e-7)
+    assert 1e6 < np.linalg.cond(matrix) < 1e7
+    for _ in range(20):
+        flux = matrix @ rng.uniform(-5, 5, 6)
+        expected = exact(matrix, flux)
+        size = np.abs(expected).max()
+        assert np.abs(solved(matrix, flux) - expected).max() / size < 1e-9  # condition x rounding; squared: 1e-3
+        scales = 10.0 ** rng.integers(-12, 12, 6)  # equations in other units
+        order = rng.permutation(6)
+        found = solved((matrix * scales[:, None])[order], (flux * scales)[order])
+        assert np.abs(found - expected).max() / size < 1e-9
+
+
+def test_pivots_that_vanish_are_avoided() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        count = int(rng.integers(2, 6))
+        matrix = rng.integers(-1, 2, (count, count)).astype(float)
+        right = rng.uniform(-1, 1, count)
+        if abs(np.linalg.det(matrix)) > 0.5:
+            np.testing.assert_allclose(solved(matrix, right), exact(matrix, right), rtol=1e-13, atol=1e-14)
+    assert np.all(np.isfinite(solved(np.array([[1e-300, 1.0], [1.0, 1.0]]), np.array([1.0, 2.0]))))
+
+
+# ---- models
+
+COILS = """model Coils "Two coupled coils, fluxes as states"
+  parameter Real L1(unit="H") = 0.3, L2(unit="H") = 0.5, M(unit="H") = 0.35;
+  parameter Real R1(unit="Ohm") = 2, R2(unit="Ohm") = 3;
+  input Real u;
+  output Real i1(unit="A"), i2(unit="A");
+  Real psi1(start=0.1, fixed=true), psi2(start=0, fixed=true);
+equation
+  der(psi1) = u - R1*i1;
+  der(psi2) = -R2*i2;
+  psi1 = L1*i1 + M*i2;
+  psi2 = M*i1 + L2*i2;
+  annotation(experiment(StopTime=1, Interval=0.002));
+end Coils;
+"""
+COIL_VALUES = {"L1": 0.3, "L2": 0.5, "M": 0.35, "R1": 2.0, "R2": 3.0}
+
+
+def coil_currents(t: float, u: float, values: dict[str, float]) -> np.ndarray:
+    """Return the currents at time t by the matrix exponential, u being constant."""
+    L = np.array([[values["L1"], values["M"]], [values["M"], values["L2"]]])
+    R = np.diag([values["R1"], values["R2"]])
+    end = np.linalg.solve(R, [u, 0.0])
+    return np.asarray(end + scipy.linalg.expm(-np.linalg.solve(L, R) * t) @ (np.linalg.solve(L, [0.1, 0.0]) - end))
+
+
+@both_versions
+def test_coupled_coils_and_their_sensitivities(tmp_path: Path, fmi: str) -> None:
+    with running(export_text(tmp_path, COILS, fmi=fmi, sensitivities="all")) as coils:
+        coils.initialise({"u": 4.0})
+        coils.run(*[0.02] * 15)
+        assert coils.get("i1", "i2") == pytest.approx(coil_currents(0.3, 4.0, COIL_VALUES), rel=1e-10)
+        for name, value in COIL_VALUES.items():
+            h = 1e-4 * value
+            ends = [coil_currents(0.3, 4.0, COIL_VALUES | {name: value + k * h}) for k in (-2, -1, 1, 2)]
+            slope = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * h)
+            assert coils.get(f"sens.{name}.i1", f"sens.{name}.i2") == pytest.approx(slope, rel=1e-8)
+
+
+def check_derivatives(coils: Running, values: dict[str, float], i: list[float]) -> None:
+    """Check the directional derivatives of the currents: di = L⁻¹ (dpsi - dL i)."""
+    L = np.array([[values["L1"], values["M"]], [values["M"], values["L2"]]])
+    changes = {"L1": [[1, 0], [0, 0]], "L2": [[0, 0], [0, 1]], "M": [[0, 1], [1, 0]]}
+    unknown = [coils.references[name] for name in ("i1", "i2")]
+
+    def derivative(name: str) -> list[float]:
+        known = [coils.references[name]]
+        if coils.fmi3:
+            return list(coils.fmu.getDirectionalDerivative(unknown, known, [1.0], 2))
+        return list(coils.fmu.getDirectionalDerivative(unknown, known, [1.0]))
+
+    for name, change in changes.items():
+        assert derivative(name) == pytest.approx(-np.linalg.solve(L, np.array(change) @ i), rel=1e-12)
+    for k, name in enumerate(("psi1", "psi2")):
+        assert derivative(name) == pytest.approx(np.linalg.solve(L, np.eye(2)[k]), rel=1e-12)
+    assert derivative("R1") == [0.0, 0.0]
+
+
+def test_coupled_coils_in_model_exchange(tmp_path: Path) -> None:
+    """With inductances of either order of size, and with none on the diagonal: the other coil's flux alone."""
+    with running(export_text(tmp_path, COILS), model_exchange=True) as coils:
+        for changed in ({}, {"L1": 0.001, "M": 0.01}, {"L1": 0.0, "L2": 0.0}):
+            values = COIL_VALUES | changed
+            coils.initialise(values)
+            coils.update()
+            coils.set({"u": 2.0})
+            psi = [0.2, -0.4]
+            coils.at(0.1, *psi)
+            i = np.linalg.solve([[values["L1"], values["M"]], [values["M"], values["L2"]]], psi)
+            assert coils.get("i1", "i2") == pytest.approx(i, rel=1e-14)
+            assert coils.derivatives() == pytest.approx([2.0 - 2.0 * i[0], -3.0 * i[1]], rel=1e-14)
+            check_derivatives(coils, values, i.tolist())
+            coils.fmu.reset()
+
+
+def test_matrix_that_becomes_singular(tmp_path: Path) -> None:
+    with running(export_text(tmp_path, COILS)) as coils:
+        coils.initialise({"L1": 1.0, "L2": 1.0, "M": 1.0, "u": 1.0})
+        assert "i1 is not finite at t = 0" in coils.refused(lambda: coils.get("i1"))
+
+
+def machine(leakage: float) -> str:
+    """Return a slip-ring machine with fluxes as states: six currents from six fluxes and the angle."""
+    phases = [f"{side}{phase}" for side in "sr" for phase in "abc"]
+
+    def coupling(row: str, other: str) -> str:
+        shift = f"({'abc'.index(row[1]) - 'abc'.index(other[1])})*g"
+        if row[0] != other[0]:
+            return f"M*cos({'' if row[0] == 's' else '-'}th - {shift})"
+        return f"M*cos({shift})" + (" + Ll" if row == other else "")
+
+    fluxes = "\n".join(
+        f"  psi{row} = {' + '.join(f'({coupling(row, other)})*i{other}' for other in phases)};" for row in phases
+    )
+    rates = "\n".join(
+        f"  der(psi{row}) = {f'u*cos(w0*time - {k}*g) - Rs' if row[0] == 's' else '-Rr'}*i{row};"
+        for k, row in enumerate(phases)
+    )
+    return f"""model Machine
+  parameter Real M = 0.2, Ll = {leakage}, Rs = 1.5, Rr = 1.2, w0 = 100; constant Real g = 2.0943951023931953;
+  input Real u;
+  output Real {", ".join(f"i{each}" for each in phases)};
+  Real {", ".join(f"psi{each}(start={0.1 * k}, fixed=true)" for k, each in enumerate(phases))}, th;
+equation
+  th = 80*time + 1;
+{fluxes}
+{rates}
+  annotation(experiment(StopTime=0.1, Interval=2e-4));
+end Machine;
+"""
+
+
+def test_windings_that_turn_against_each_other(tmp_path: Path) -> None:
+    """Six by six, the matrix a function of the angle: against scipy and a linear solver."""
+    g, M, Ll = 2 * np.pi / 3, 0.2, 0.01
+
+    def currents(t: float, psi: np.ndarray) -> np.ndarray:
+        at = np.concatenate([np.arange(3) * g, np.arange(3) * g + 80 * t + 1])
+        return np.asarray(np.linalg.solve(M * np.cos(at[:, None] - at) + Ll * np.eye(6), psi))
+
+    def rates(t: float, psi: np.ndarray) -> np.ndarray:
+        voltages = np.concatenate([200 * np.cos(100 * t - np.arange(3) * g), np.zeros(3)])
+        return np.asarray(voltages - np.array([1.5] * 3 + [1.2] * 3) * currents(t, psi))
+
+    names = [f"i{side}{phase}" for side in "sr" for phase in "abc"]
+    with running(export_text(tmp_path, machine(Ll))) as drive:
+        drive.initialise({"u": 200.0})
+        drive.run(*[0.01] * 5)
+        found = drive.get(*names)
+    exact = solve_ivp(rates, (0, 0.05), 0.1 * np.arange(6), method="DOP853", rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(found, currents(0.05, exact.y[:, -1]), rtol=1e-8)
+
+
+def test_loops_one_after_the_other_with_branches_and_derivatives(tmp_path: Path) -> None:
+    """Mutual inductances in front of derivatives; then a loop that needs their result and has an event."""
+    text = """model Two
+  parameter Real L = 2, M = 1; input Real u;
+  output Real i(start=0, fixed=true), j(start=0.5, fixed=true), a, b;
+equation
+  a + (if time > 0.5 then 2 else 1)*b = der(i);
+  L*der(i) + M*der(j) = u - i;
+  a - b = 3*i + der(j);
+  M*der(i) + L*der(j) = -j;
+  annotation(experiment(StopTime=1, Interval=0.01));
+end Two;
+"""
+    with running(export_text(tmp_path, text)) as two:
+        two.initialise({"u": 1.0})
+        for time, factor in ((0.0, 1.0), (1.0, 2.0)):
+            i, j = two.get("i", "j")
+            rates = np.linalg.solve([[2, 1], [1, 2]], [1 - i, -j])
+            expected = np.linalg.solve(np.array([[1, factor], [1, -1]]), [rates[0], 3 * i + rates[1]])
+            assert two.get("der(i)", "der(j)", "a", "b") == pytest.approx([*rates, *expected], rel=1e-13)
+            if not time:
+                two.run(0.3, 0.3, 0.4)
+        A = -np.linalg.inv([[2, 1], [1, 2]])
+        end = np.array([1.0, 0.0])
+        assert two.get("i", "j") == pytest.approx(end + scipy.linalg.expm(A) @ (np.array([0, 0.5]) - end), rel=1e-11)

@@ -1,0 +1,126 @@
+"""Models exported with sensitivity outputs: the derivatives of the outputs with respect to parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmuid.errors import InputError
+from fmuid.export import export_fmu
+from fmuid.export.sensitivities import _quotient
+from tests.support.exported import Running, export_text, running
+from tests.support.modelica import DRIVE
+from tests.support.paths import FMUS
+
+PARAMETERS = {"R": 1.5, "L": 0.2, "k": 0.7, "J": 0.05, "i0": 0.4}
+
+
+def simulate(drive: Running, names: list[str], values: dict[str, float]) -> np.ndarray:
+    """Return variables at samples 30 ms apart under a voltage that changes from one to the next."""
+    rng = np.random.default_rng(4)
+    drive.initialise(values)
+    rows = []
+    for k in range(40):
+        drive.set({"u": rng.uniform(-10, 10)})
+        rows.append(drive.get(*names))
+        drive.run(0.03, start=0.03 * k)
+    drive.fmu.reset()
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_against_central_differences_of_whole_simulations(tmp_path: Path, fmi: str) -> None:
+    names = ["i", "p"]
+    with (
+        running(export_text(tmp_path, DRIVE.replace("Drive", "Plain"), fmi=fmi)) as plain,
+        running(export_text(tmp_path, DRIVE, fmi=fmi, sensitivities="all")) as drive,
+    ):
+        found = simulate(drive, [*names, *(f"sens.{p}.{y}" for p in PARAMETERS for y in names)], {})
+        np.testing.assert_array_equal(found[:, :2], simulate(plain, names, {}))  # they change nothing
+        for k, (name, value) in enumerate(PARAMETERS.items()):
+
+            def difference(h: float, name: str = name, value: float = value) -> Any:
+                ends = [simulate(plain, names, {name: value + sign * h}) for sign in (1, -1)]
+                return (ends[0] - ends[1]) / (2 * h)
+
+            expected = (4 * difference(1e-4 * value) - difference(2e-4 * value)) / 3
+            scale = np.abs(expected).max(0)
+            assert np.all(scale > 1e-2)
+            np.testing.assert_array_less(np.abs(found[:, 2 + 2 * k : 4 + 2 * k] - expected).max(0) / scale, 1e-6)
+
+
+def test_against_the_closed_form(tmp_path: Path) -> None:
+    """A coil at rest under a constant voltage, in its start and along its course."""
+    fmu = export_fmu(FMUS / "Coil" / "Coil.mo", tmp_path / "Coil.fmu", sensitivities=["R", "i_start", "R"])
+    with running(fmu) as coil:
+        R, L, i0, u = 4.0, 0.1, 2.0, 3.0
+        coil.initialise({"u": u, "i_start": i0})
+        assert coil.get("sens.R.i", "sens.i_start.i", "der(sens.R.i)") == [0.0, 1.0, -i0 / L]
+        t = coil.run(*[0.001] * 30)
+        decay = np.exp(-R / L * t)
+        by_R = -u / R**2 * (1 - decay) - t / L * (i0 - u / R) * decay
+        assert coil.get("i", "sens.R.i", "sens.i_start.i") == pytest.approx(
+            [u / R + (i0 - u / R) * decay, by_R, decay], rel=1e-10
+        )
+
+
+def test_names_units_and_roles(tmp_path: Path) -> None:
+    fmu = export_text(tmp_path, DRIVE, sensitivities=["k", "J"])
+    with running(fmu) as drive:
+        found = {v.name: v for v in drive.description.modelVariables if v.name.startswith("sens.")}
+    assert {name: (v.causality, v.unit) for name, v in found.items()} == {
+        "sens.k.i": ("output", "A.rad/(V.s)"),
+        "sens.k.w": ("local", "rad.rad/(s.V.s)"),
+        "sens.k.p": ("output", "W.rad/(V.s)"),
+        "sens.J.i": ("output", None),
+        "sens.J.w": ("local", None),
+        "sens.J.p": ("output", None),
+    }
+    assert found["sens.k.i"].description == "derivative of current with respect to k"
+    assert found["sens.k.i"].nominal == "6.0"
+
+
+@pytest.mark.parametrize(
+    ("numerator", "denominator", "expected"),
+    [
+        ("A", "Ohm", "A/Ohm"),
+        ("A", "A", "1"),
+        ("V.s/m2", "V", "s/m2"),
+        ("rad/s", "N.m.s/rad", "rad.rad/(s.N.m.s)"),
+        ("1/s", "1/(V.s)", "V"),
+        ("1", "1", "1"),
+        ("1", "H", "1/H"),
+        ("A", None, None),
+        (None, "A", None),
+    ],
+)
+def test_units_of_quotients(numerator: str | None, denominator: str | None, expected: str | None) -> None:
+    assert _quotient(numerator, denominator) == expected
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        (["R", "l"], r"Coil\.mo: no sensitivities to 'l', which is no parameter of the model \(did you mean 'L'\?\)"),
+        (["u"], r"no sensitivities to 'u', which is no parameter of the model: the parameters are R, L, i_start"),
+    ],
+)
+def test_unknown_parameters(tmp_path: Path, names: list[str], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        export_fmu(FMUS / "Coil" / "Coil.mo", tmp_path / "Coil.fmu", sensitivities=names)
+
+
+def test_models_without_states_or_parameters(tmp_path: Path) -> None:
+    text = (
+        "model Gain {} input Real u; output Real y; equation y = {}*u;\n"
+        "annotation(experiment(StopTime=1, Interval=1)); end Gain;"
+    )
+    with running(export_text(tmp_path, text.format("parameter Real a = 3;", "a*a"), sensitivities="all")) as gain:
+        gain.initialise({"u": 2.0})
+        assert gain.get("y", "sens.a.y") == [18.0, 12.0]
+    plain = export_text(tmp_path, text.replace("Gain", "None").format("", "2"), sensitivities="all")
+    with running(plain) as gain:
+        assert {*gain.references} == {"u", "y"}

@@ -1,0 +1,119 @@
+"""The fault models at zero fault, against the windings they stand for, and beside a machine in a system.
+
+Their equations as such are held in tests/fmus/test_models.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+
+import fmuid
+from experiments.machine_faults import models
+from tests.support.paths import FMUS
+
+Array = npt.NDArray[np.floating]
+
+MACHINE = {"Rs": 8.5, "Rr": 4.4, "Lm": 0.39, "Lf": 0.081}
+INPUTS = ["uds", "uqs", "w"]
+
+
+def path(model: str) -> Path:
+    return FMUS / model / f"{model}.fmu"
+
+
+@pytest.fixture(scope="module")
+def frame() -> pd.DataFrame:
+    """Voltages and speed of a machine at about 50 Hz, the angle that belongs to them, and some of each phase."""
+    rng = np.random.default_rng(1)
+    times = 7e-4 * np.arange(200)
+    angle = 300.0 * times
+    speed = 290.0 + 3.0 * rng.standard_normal(200)
+    ud, uq = 280.0 * np.cos(angle - 290.0 * times), 280.0 * np.sin(angle - 290.0 * times)
+    columns = {"time": times, "uds": ud, "uqs": uq, "w": speed, "theta": 290.0 * times, "u": ud / 100.0}
+    return pd.DataFrame(columns)
+
+
+def run(model: Any, frame: pd.DataFrame, inputs: list[str], outputs: list[str], values: dict[str, float]) -> Array:
+    wanted = frame.assign(**dict.fromkeys(outputs, 0.0))
+    return fmuid.Simulator(model, fmuid.Experiment(wanted, inputs, outputs), values=values)([])
+
+
+def test_zero_fault_is_the_healthy_coil(frame: pd.DataFrame) -> None:
+    values = {"R": 3.3, "L": 0.08, "i_start": 0.4}
+    healthy = run(path("Coil"), frame, ["u"], ["i"], values)
+    assert np.ptp(healthy) > 0.1
+    np.testing.assert_array_equal(run(path("FaultyCoil"), frame, ["u"], ["i"], values), healthy)
+    faulty = run(path("FaultyCoil"), frame, ["u"], ["i"], values | {"dR": 0.01})
+    assert np.abs(faulty - healthy).max() > 1e-4
+
+
+@pytest.mark.parametrize("theta0", [0.0, 1.1])
+def test_zero_fault_is_the_healthy_rotor(frame: pd.DataFrame, theta0: float) -> None:
+    outputs = ["ids", "iqs", "phidr", "phiqr"]
+    healthy = run(path("InductionMachine"), frame, INPUTS, outputs, MACHINE)
+    found = run(path("InductionMachineRotorFault"), frame, INPUTS, outputs, MACHINE | {"theta0": theta0})
+    np.testing.assert_allclose(found, healthy, rtol=0, atol=1e-11 * np.abs(healthy).max())
+    values = MACHINE | {"theta0": theta0, "eta0": 0.1}
+    assert np.abs(run(path("InductionMachineRotorFault"), frame, INPUTS, outputs, values) - healthy).max() > 1e-2
+
+
+def test_zero_fault_is_the_healthy_stator(frame: pd.DataFrame) -> None:
+    """Beside a machine (figure 1.7), by the connectors of the system: the machine's currents, to the bit."""
+    outputs = ["machine.ids + fault.ids", "machine.iqs + fault.iqs"]
+    healthy = run(path("InductionMachine"), frame, INPUTS, ["ids", "iqs"], MACHINE)
+    found = run(models.stator(), frame, [*INPUTS, "theta"], outputs, MACHINE)
+    np.testing.assert_array_equal(found, healthy)
+
+
+def test_the_sum_is_that_of_both(frame: pd.DataFrame) -> None:
+    """Machine and fault alone, added by hand: one name sets the resistance of both, one the voltages."""
+    ratios = {"eta_a": 0.02, "eta_b": 0.01, "eta_c": 0.03}
+    outputs = ["machine.ids + fault.ids", "machine.iqs + fault.iqs"]
+    values = MACHINE | {f"fault.{name}": ratio for name, ratio in ratios.items()}
+    found = run(models.stator(), frame, [*INPUTS, "theta"], outputs, values)
+    healthy = run(path("InductionMachine"), frame, INPUTS, ["ids", "iqs"], MACHINE)
+    fault_values = ratios | {"Rs": MACHINE["Rs"]}
+    fault = run(path("StatorShortCircuit"), frame, ["uds", "uqs", "theta"], ["ids", "iqs"], fault_values)
+    assert np.abs(fault).max() > 0.1
+    np.testing.assert_allclose(found, healthy + fault, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("phase", range(3))
+def test_shorted_turns_of_one_phase(frame: pd.DataFrame, phase: int) -> None:
+    """A current η u/R_s in one phase alone, u being the voltage of that phase, transformed by the table's own way."""
+    phases = fmuid.data.transforms.inverse_park(frame, ["uds", "uqs"], ["ua", "ub", "uc"])
+    ratio, names = 0.03, ["ia", "ib", "ic"]
+    voltage = phases[["ua", "ub", "uc"]].to_numpy()[:, phase]
+    currents = np.zeros((len(frame), 3))
+    currents[:, phase] = ratio / MACHINE["Rs"] * voltage
+    expected = fmuid.park(phases.assign(**dict(zip(names, currents.T, strict=True))), names, ["d", "q"])
+    values = {"Rs": MACHINE["Rs"], f"eta_{'abc'[phase]}": ratio}
+    found = run(path("StatorShortCircuit"), frame, ["uds", "uqs", "theta"], ["ids", "iqs"], values)
+    np.testing.assert_allclose(found, expected[["d", "q"]], rtol=0, atol=1e-12)
+
+
+def test_broken_bars_of_a_cage() -> None:
+    """R_eq is the inverse of the conductance of the 28 bars less one, all between rings of equal potential."""
+    bars, broken, Rr = 28, 5, 4.4
+    angles = 2 * np.pi * 2 * np.arange(bars) / bars
+    axes = np.array([np.cos(angles), np.sin(angles)])
+    there = np.arange(bars) != broken
+    resistance = np.linalg.inv(2 / bars / Rr * axes[:, there] @ axes[:, there].T)
+    state = {"ids_start": 1.3, "iqs_start": -0.6, "phidr_start": 0.4, "phiqr_start": 0.7}
+    values = MACHINE | state | {"eta0": 3 / bars, "theta0": float(angles[broken])}
+    fmu = fmpy.read_model_description(str(path("InductionMachineRotorFault")))
+    assert {v.name: v.nominal for v in fmu.modelVariables if v.name in ("eta0", "theta0")} == {
+        "eta0": "0.1",
+        "theta0": "1.0",
+    }
+    frame = pd.DataFrame({"time": [0.0, 1e-6], "uds": 0.0, "uqs": 0.0, "w": 0.0})
+    fluxes = run(path("InductionMachineRotorFault"), frame, INPUTS, ["phidr", "phiqr"], values)
+    currents = np.array([1.3, -0.6]) - np.array([0.4, 0.7]) / MACHINE["Lm"]
+    np.testing.assert_allclose(np.diff(fluxes, axis=0)[0] / 1e-6, resistance @ currents, rtol=1e-3)

@@ -1,0 +1,324 @@
+"""System structures: what an .ssp file says, flattened; what it says wrongly is one sentence."""
+
+# ruff: noqa: E501  # the table of wrong structures reads best one case a line
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid.data.experiment import Experiment
+from fmuid.errors import InputError
+from fmuid.models.ssp.links import Link, Port
+from fmuid.models.ssp.package import read_ssp
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
+from tests.support.ssp_texts import (
+    CONTROLLER,
+    DRIVE,
+    LENGTHS,
+    LOOP,
+    TYPES,
+    Maker,
+    add_types,
+    binding,
+    connection,
+    connector,
+    content,
+    controller,
+    drive,
+    element,
+    in_ssv,
+    linear,
+    pack,
+    parameter,
+    table,
+    units,
+)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("platformdirs.user_cache_dir", lambda name: str(tmp_path / "cache" / name))
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Maker:
+    return partial(pack, tmp_path)
+
+
+# --- what is read
+
+
+def test_a_closed_loop_simulates_as_the_same_system_put_together_by_hand(package: Maker) -> None:
+    inputs = connector("reference", "input", "m")
+    path = package(
+        content(drive() + controller(), LOOP + connection("reference", "controller.qg")),
+        inputs,
+        rest=LENGTHS + '<ssd:DefaultExperiment startTime="0.5" stopTime="2"/>',
+    )
+    structure = read_ssp(path)
+    assert structure.name == "loop"
+    assert {name: entry.fmu.name for name, entry in structure.components.items()} == {
+        "drive": "Drive.fmu", "controller": "Controller.fmu"
+    }  # fmt: skip
+    assert structure.components["drive"].fmu.read_bytes() == DRIVE.read_bytes()
+    assert structure.default_experiment == {"start": 0.5, "stop": 2.0}
+    assert structure.inputs == {"reference": (Port("controller", "qg"),)}
+    assert structure.values == {}
+    by_hand = System(
+        components={"drive": DRIVE, "controller": CONTROLLER},
+        connections=[("drive.q", "controller.q"), ("drive.dq", "controller.dq"), ("controller.v", "drive.v")],
+    )
+    times = np.arange(200) * 1e-3
+    frame = pd.DataFrame({"time": times, "r": 0.01 * np.sin(20 * times), "q": 0.0, "v": 0.0})
+    experiment = Experiment(frame, {"controller.qg": "r"}, {"drive.q": "q", "controller.v": "v"}, interpolation="hold")
+    simulated = Simulator(System.read_ssp(path), experiment)([])
+    assert np.abs(simulated).max() > 1e-3
+    np.testing.assert_array_equal(simulated, Simulator(by_hand, experiment)([]))
+
+
+def test_start_and_end_do_not_tell_the_direction(package: Maker) -> None:
+    pairs = [
+        ("drive.q", "controller.q"),
+        ("controller.v", "drive.v"),
+        ("reference", "controller.qg"),
+        ("drive.q", "where"),
+    ]
+    ports = connector("reference", "input") + connector("where", "output")
+    forth, back = (
+        read_ssp(package(content(drive() + controller(), "".join(joined)), ports))
+        for joined in ([connection(a, b) for a, b in pairs], [connection(b, a) for a, b in pairs])
+    )
+    assert forth.connections == back.connections
+    assert set(forth.connections) == {
+        Link(("drive", "q"), ("controller", "q")), Link(("controller", "v"), ("drive", "v"))
+    }  # fmt: skip
+    assert forth.inputs == back.inputs == {"reference": (Port("controller", "qg"),)}
+    assert forth.outputs == back.outputs == {"where": Port("drive", "q")}
+
+
+def test_nested_systems_are_flattened_and_transformations_composed(package: Maker) -> None:
+    """The drive is two systems deep; q goes out through x -> 2x + 1 and in through x -> 3x - 4."""
+    inner = element(
+        "System", "inner", connector("out", "output") + connector("u", "input"),
+        content(drive(), connection("drive.q", "out", linear(2.0, 1.0)) + connection("u", "drive.v")),
+    )  # fmt: skip
+    outer = element(
+        "System", "outer", connector("out", "output") + connector("u", "input"),
+        content(inner, connection("inner.out", "out") + connection("u", "inner.u")),
+    )  # fmt: skip
+    joined = connection("outer.out", "controller.q", linear(3.0, -4.0)) + connection("u", "outer.u", linear(5.0))
+    joined += connection("u", "controller.qg") + connection("outer.out", "position")
+    path = package(content(outer + controller(), joined), connector("u", "input") + connector("position", "output"))
+    structure = read_ssp(path)
+    assert set(structure.components) == {"outer.inner.drive", "controller"}
+    # 3 (2 q + 1) - 4
+    assert structure.connections == (Link(("outer.inner.drive", "q"), ("controller", "q"), 6.0, -1.0, True),)
+    assert set(structure.inputs["u"]) == {Port("outer.inner.drive", "v", 5.0), Port("controller", "qg")}
+    assert structure.outputs == {"position": Port("outer.inner.drive", "q", 2.0, 1.0)}
+    assert System.read_ssp(path).connections[0].factor == 6.0
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "inside", "suppress", "expected"),
+    [
+        ("m", "mm", "", False, (1000.0, 0.0, True)),
+        ("mm", "m", "", False, (0.001, 0.0, True)),
+        ("mm", "", "", False, (0.001, 0.0, True)),  # the controller's variable is in m
+        ("", "mm", "", False, (1000.0, 0.0, True)),  # and so is the drive's
+        ("m", "m", "", False, (1.0, 0.0, True)),
+        ("", "", "", False, (1.0, 0.0, False)),
+        ("", "", "", True, (1.0, 0.0, True)),
+        ("m", "mm", "", True, (1.0, 0.0, True)),
+        ("m", "mm", linear(2.0, 5.0), False, (2000.0, 5.0, True)),  # the transformation follows the conversion
+        ("m", "mm", linear(2.0, 5.0), True, (2.0, 5.0, True)),
+        ("m", "V", linear(2.0), False, (2.0, 0.0, True)),  # a transformation may lead to another dimension
+    ],
+)
+def test_units_along_a_connection(
+    package: Maker, source: str, target: str, inside: str, suppress: bool, expected: tuple[float, float, bool]
+) -> None:
+    joined = connection("drive.q", "controller.q", inside, suppress)
+    structure = read_ssp(package(content(drive(unit=source) + controller(unit=target), joined), rest=LENGTHS))
+    assert structure.connections[0][2:] == pytest.approx(expected, rel=1e-12)
+
+
+def test_units_with_offsets_along_a_chain(package: Maker) -> None:
+    """A temperature in K goes through a connector in degF, where it is doubled, and on in K."""
+    inner = element(
+        "System", "inner", connector("t", "output", "degF"),
+        content(drive(unit="K"), connection("drive.q", "t", linear(2.0))),
+    )  # fmt: skip
+    joined = connection("inner.t", "controller.q")
+    scales = units(K=("K", 1.0, 0.0), degF=("K", 5 / 9, 459.67 * 5 / 9))
+    link = read_ssp(package(content(inner + controller(unit="K"), joined), rest=scales)).connections[0]
+    doubled = 2 * (300.0 * 9 / 5 - 459.67)
+    assert link.factor * 300.0 + link.offset == pytest.approx((doubled + 459.67) * 5 / 9, rel=1e-14)
+
+
+def test_a_connector_without_unit_passes_the_unit_on(package: Maker) -> None:
+    """The structure defines mm alone; that the controller's variable is in m, and what this is, its FMU says."""
+    inner = element(
+        "System", "inner", connector("out", "output"), content(drive(unit="mm"), connection("drive.q", "out"))
+    )
+    path = package(
+        content(inner + controller(), connection("inner.out", "controller.q")), rest=units(mm=("m", 1e-3, 0.0))
+    )
+    assert read_ssp(path).connections[0][2:] == pytest.approx((1e-3, 0.0, True), rel=1e-14)
+
+
+def test_a_bus_passes_on_what_is_written_to_it(package: Maker) -> None:
+    dictionary = (
+        '<ssd:SignalDictionary name="Bus"><ssb:SignalDictionary version="1.0"><ssb:DictionaryEntry name="position">'
+        "<ssc:Real/></ssb:DictionaryEntry></ssb:SignalDictionary></ssd:SignalDictionary>"
+    )
+    here, inside = (
+        element("SignalDictionaryReference", name, connector("position", "inout"), dictionary="Bus")
+        for name in ("bus", "same")
+    )
+    inner = element("System", "inner", "", content(controller() + inside, connection("controller.q", "same.position")))
+    joined = connection("drive.q", "bus.position", linear(2.0))
+    structure = read_ssp(package(content(drive() + here + inner, joined, dictionary)))
+    assert structure.connections == (Link(("drive", "q"), ("inner.controller", "q"), 2.0, 0.0, True),)
+
+
+def test_names_of_elements_may_have_dots_and_sources_escapes(package: Maker) -> None:
+    part = element("Component", "a.b", connector("M", "parameter"), source="resources/My%20drive.fmu")
+    path = package(content(drive("a") + part), bindings=binding(parameter("a.b.M", 7.0)), check=False)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.write(DRIVE, "resources/My drive.fmu")
+    structure = read_ssp(path)
+    assert structure.values == {"a.b.M": 7.0}
+    assert System.read_ssp(path).values == {"a.b.M": 7.0}
+
+
+def test_the_interface_that_is_asked_for(package: Maker) -> None:
+    path = package(content(drive(implementation="ModelExchange") + drive("second", implementation="CoSimulation")))
+    interfaces = [entry.interface for entry in read_ssp(path).components.values()]
+    assert interfaces == ["model-exchange", "co-simulation"]
+
+
+def test_ssp_2_is_read(package: Maker) -> None:
+    ports = connector("v", "input", of="Float64") + connector("q", "output", of="Float64")
+    part = element("Component", "drive", ports, source="resources/Drive.fmu")
+    path = package(content(part, connection("drive.q", "drive.v", linear(-1.0))), version="2.0", check=False)
+    assert read_ssp(path).connections == (Link(("drive", "q"), ("drive", "v"), -1.0, 0.0, True),)
+
+
+# --- what is refused
+
+BOTH = drive() + controller()
+INNER = element("System", "inner", connector("p", "calculatedParameter"), content(drive()))
+BAD = [
+    (content(drive(source="x" * 300)), "component 'drive' needs the file 'x*', which the archive does not have"),
+    (content(drive(source="resources/Drvie.fmu")), "component 'drive' needs the file 'resources/Drvie.fmu', which the archive does not have .*'resources/Drive.fmu'"),
+    (content(drive(source="../Drive.fmu")), r"component 'drive' has the source '\.\./Drive.fmu'; only files inside"),
+    (content(drive(source="file:///Drive.fmu")), "only files inside the archive"),
+    (content(drive(source="#other")), "only files inside the archive"),
+    (content(drive(source="SystemStructure.ssd")), "component 'drive': SystemStructure.ssd is not an FMU"),
+    (content(drive(type="application/x-ssp-package")), "component 'drive' is of type application/x-ssp-package, and only FMUs"),
+    (content(drive() + drive()), "the top system has two elements 'drive'; rename one"),
+    (content(""), "has no components; add at least one FMU"),
+    (content(BOTH, connection("drvie.q", "controller.q")), r"names the element 'drvie', which the top system does not have \(did you mean 'drive'"),
+    (content(BOTH, connection("drive.p", "controller.q")), r"names the connector 'p', which element 'drive' does not have"),
+    (content(BOTH, connection("drive.dqq", "controller.q")), r"'dqq', which element 'drive' does not have \(did you mean 'dq'"),
+    (content(BOTH, connection("reference", "controller.q")), "'reference', which the top system does not have"),
+    (content(element("System", "inner", "", content(drive(), connection("x", "drive.v")))), "names the connector 'x', which system 'inner' does not"),
+    (content(BOTH, connection("drive.v", "controller.q")), r"connection drive.v -> controller.q connects drive.v \(input\) and controller.q \(input\), between which nothing can flow"),
+    (content(BOTH, connection("drive.q", "controller.v")), r"drive.q \(output\) and controller.v \(output\)"),
+    (content(BOTH, connection("drive.q", "controller.kp")), r"leads from drive.q \(output\) to controller.kp \(parameter\), which is not supported"),
+    (content(BOTH + INNER, connection("inner.p", "controller.kp")), r"from inner.p \(calculatedParameter\) to controller.kp"),
+    (content(BOTH + INNER, connection("inner.p", "controller.q")), r"from inner.p \(calculatedParameter\) to controller.q \(input\), which is not"),
+    (content(BOTH, connection("drive.q", "controller.q") + connection("drive.dq", "controller.q")), "controller.q is fed twice, by connection drive.q -> controller.q and by connection drive.dq -> controller.q"),
+    (content(drive(unit="m") + controller(unit="V"), connection("drive.q", "controller.q")), "connection drive.q -> controller.q: the units 'm' and 'V' do not convert into each other"),
+    (content(drive(unit="inch") + controller(unit="m"), connection("drive.q", "controller.q")), "the units 'inch' and 'm' do not convert"),
+    (content(drive(more=connector("port", "inout")) + controller(), connection("drive.port", "controller.q")), "connector drive.port is of kind 'inout', which is not supported"),
+    (content(BOTH, connection("drive.q", "controller.q", table("Boolean", true="false"))), "maps values by a table, which is supported for parameters only"),
+    (content(drive(bindings=binding(parameter("M", 1.0, unit="V"), rest=in_ssv(units(V=("A", 1.0, 0.0)))))), "parameter 'M': the units 'V' and 'kg' do not convert"),
+    (content(drive(bindings=binding(""))), "a parameter binding of drive has neither a source nor a ParameterSet"),
+    (content(drive(bindings=binding("", type="text/csv", source="a.csv"))), "is of type text/csv, and only application/x-ssp-parameter-set"),
+    (content(drive(bindings=binding("", sourceBase="component", source="a.ssv"))), "takes a.ssv from inside a component"),
+    (content(drive(bindings=binding("", source="a.ssv"))), "a parameter binding of drive needs the file 'a.ssv'"),
+    (content(drive(bindings=binding("", source="resources/Drive.fmu"))), "resources/Drive.fmu is not well-formed XML"),
+    (content(element("SignalDictionaryReference", "bus", "", dictionary="Bus") + drive()), "'bus' refers to no signal dictionary 'Bus'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("body", "message"), BAD)
+def test_what_is_wrong_is_one_sentence(package: Maker, body: str, message: str) -> None:
+    path = package(body, rest=LENGTHS, check=False)
+    with pytest.raises(InputError, match=message) as refusal:
+        read_ssp(path)
+    sentence = str(refusal.value)
+    assert sentence.startswith(str(path))
+    assert "cache" not in sentence
+    assert "\n" not in sentence
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (connector("w", "output"), r"no connected variable 'drive\.w'"),
+        (connector("M", "output"), r"'drive\.M' is of causality 'parameter'; connect an output to an input"),
+    ],
+)
+def test_what_the_fmus_know_is_checked_when_the_system_is_made(package: Maker, wrong: str, message: str) -> None:
+    part = element("Component", "drive", wrong, source="resources/Drive.fmu")
+    name = wrong.split('"')[1]
+    path = package(content(part + controller(), connection(f"drive.{name}", "controller.q")))
+    with pytest.raises(InputError, match=message):
+        System.read_ssp(path)
+
+
+def test_a_circle_without_a_component(package: Maker) -> None:
+    through = element(
+        "System", "inner", connector("i", "input") + connector("o", "output"), content(drive(), connection("i", "o"))
+    )
+    path = package(content(through, connection("inner.o", "inner.i")))
+    with pytest.raises(InputError, match="closes a circle without any component"):
+        read_ssp(path)
+
+
+def test_fmi_1_is_refused(package: Maker, tmp_path: Path) -> None:
+    path = package(content(element("Component", "old", "", source="types.fmu")))
+    add_types(path, tmp_path, TYPES.replace('fmiVersion="2.0"', 'fmiVersion="1.0"'))
+    with pytest.raises(InputError, match=r"component 'old' is an FMU of FMI 1\.0, which is not supported"):
+        read_ssp(path)
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        (None, "there is no such SSP file"),
+        ({}, "it has no SystemStructure.ssd at its top level"),
+        ({"SystemStructure.ssd": "<a"}, "SystemStructure.ssd is not well-formed XML"),
+        ({"SystemStructure.ssd": "<a version='1.0'/>"}, "SystemStructure.ssd is not a system structure: its root"),
+        (
+            {"SystemStructure.ssd": "<SystemStructureDescription version='3.0'/>"},
+            "system structure of SSP 3.0, and only",
+        ),
+        ({"SystemStructure.ssd": "<SystemStructureDescription version='1.0'/>"}, "has 0 top-level systems"),
+        ({"SystemStructure.ssd": "", "../evil": ""}, "'../evil' would be written outside"),
+    ],
+)
+def test_files_that_are_no_structure(tmp_path: Path, entries: Mapping[str, str] | None, message: str) -> None:
+    path = tmp_path / "x.ssp"
+    if entries is not None:
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, text in entries.items():
+                archive.writestr(name, text)
+    with pytest.raises(InputError, match=message) as refusal:
+        read_ssp(path)
+    assert str(refusal.value).startswith(str(path))
+
+
+def test_a_file_that_is_no_archive(tmp_path: Path) -> None:
+    (tmp_path / "x.ssp").write_text("text")
+    with pytest.raises(InputError, match="is not an SSP: it is not a zip archive"):
+        read_ssp(tmp_path / "x.ssp")

@@ -1,0 +1,104 @@
+"""Systems: order of the exchange, loops, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid.data.experiment import Experiment
+from fmuid.errors import InputError, SimulationError
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
+from tests.support.paths import FMUS
+from tests.support.probe_fmu import ProbeMaker
+
+
+def test_one_fmu_is_a_system_whose_names_are_its_own() -> None:
+    system = System(FMUS / "Coil" / "Coil.fmu")
+    assert System.of(system) is system
+    assert system.variables["R"].start == 4.0
+    assert not system.connections
+
+
+def test_direct_feedthrough_is_passed_on_in_dependency_order(probe: ProbeMaker) -> None:
+    """A chain c <- b <- a through y = x + u: the first sample already reaches the end, whatever the given order."""
+    path = probe()
+    system = System(components={"c": path, "a": path, "b": path}, connections=[("b.y", "c.u"), ("a.y", "b.u")])
+    assert [connection.source for group, _ in system.exchange_order for connection in group] == [("a", "y"), ("b", "y")]
+    frame = pd.DataFrame({"time": [0.0, 1.0], "u": [3.0, 3.0], "y": [0.0, 0.0]})
+    got = Simulator(system, Experiment(frame, {"a.u": "u"}, {"c.y": "y"}, interpolation="hold"))([])
+    # after one step of 1 s each x is 3: y_a = 3 + 3, y_b = 3 + 6, y_c = 3 + 9
+    assert got[:, 0].tolist() == [3.0, 12.0]
+
+
+def test_a_loop_without_feedthrough_is_fine(probe: ProbeMaker) -> None:
+    path = probe()
+    system = System(components={"a": path, "b": path}, connections=[("a.z", "b.u"), ("b.z", "a.u")])
+    frame = pd.DataFrame({"time": np.arange(3.0), "x": np.zeros(3)})
+    got = Simulator(system, Experiment(frame, outputs={"a.x": "x"}), ["b.x"])([1.0])
+    assert got[:, 0].tolist() == [0.0, 1.0, 2.0]
+
+
+def test_a_loop_of_feedthrough_is_solved(probe: ProbeMaker) -> None:
+    """y = x + u each way round, half of it back: u_a = x_a + x_b and u_b = 2 x_a + x_b, whatever the start."""
+    path = probe()
+    system = System(components={"a": path, "b": path}, connections=[("a.y", "b.u", 1.0, 0.0), ("b.y", "a.u", 0.5, 0.0)])
+    ((group, is_loop),) = system.exchange_order
+    assert is_loop
+    assert len(group) == 2
+    frame = pd.DataFrame({"time": np.arange(6) * 0.1, "x": np.zeros(6)})
+    got = Simulator(system, Experiment(frame, outputs={"a.x": "x", "b.x": "x"}), ["a.x", "b.x"])([1.0, -0.5])
+    x = np.array([1.0, -0.5])
+    for row in got:
+        assert row == pytest.approx(x, rel=1e-9)
+        x = x + 0.1 * np.array([x[0] + x[1], 2 * x[0] + x[1]])
+
+
+def test_a_loop_of_feedthrough_without_a_solution_fails_by_name(probe: ProbeMaker) -> None:
+    path = probe()
+    system = System(components={"a": path, "b": path}, connections=[("a.y", "b.u"), ("b.y", "a.u")])
+    frame = pd.DataFrame({"time": [0.0, 1.0], "x": [0.0, 0.0]})
+    with pytest.raises(SimulationError, match=r"loop of direct feed-through through .*a\.u.* has no solution"):
+        Simulator(system, Experiment(frame, outputs={"a.x": "x"}), ["a.x"])([1.0])
+
+
+def test_undeclared_dependencies_count_as_dependence_on_all_inputs(probe: ProbeMaker) -> None:
+    path = probe()
+    with pytest.raises(InputError, match=r"loop of direct feed-through.*'[ab]\.ten_n' is of type Integer"):
+        System(components={"a": path, "b": path}, connections=[("a.ten_n", "b.n"), ("b.ten_n", "a.n")])
+
+
+@pytest.mark.parametrize(
+    ("connections", "message"),
+    [
+        ([("a.x", "b.v")], r"no connected variable 'b.v'"),
+        ([("a.u", "b.u")], "connect an output to an input"),
+        ([("a.x", "b.x")], "connect an output to an input"),
+        ([("a.ten_n", "b.u")], "Integer cannot feed Real"),
+        ([("a.x", "b.u")], r"the units do not convert \(rad and rad/s\)"),
+        ([("a.y", "b.u"), ("a.y", "b.u")], "fed by two connections"),
+    ],
+)
+def test_wrong_connections_are_one_sentence(
+    probe: ProbeMaker, connections: list[tuple[str, str]], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        System(components={"a": probe(), "b": probe()}, connections=connections)
+
+
+def test_a_connected_input_cannot_come_from_the_table_or_be_a_parameter(probe: ProbeMaker) -> None:
+    system = System(components={"a": probe(), "b": probe()}, connections=[("a.y", "b.u")])
+    frame = pd.DataFrame({"time": [0.0, 1.0], "u": [3.0, 3.0], "y": [0.0, 0.0]})
+    with pytest.raises(InputError, match=r"'b\.u' is fed by a connection"):
+        Simulator(system, Experiment(frame, {"b.u": "u"}, {"b.y": "y"}))
+    with pytest.raises(InputError, match=r"'b\.u' is fed by a connection"):
+        Simulator(system, Experiment(frame, {"a.u": "u"}, {"b.y": "y"}), ["b.u"])
+
+
+def test_component_names(probe: ProbeMaker) -> None:
+    with pytest.raises(InputError, match="empty name"):
+        System(components={"": probe()})
+    nested = System(components={"a.b": probe(), "a": probe()})
+    assert nested.split("a.b.x") == ("a.b", "x")
+    assert nested.split("a.x") == ("a", "x")

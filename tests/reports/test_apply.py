@@ -1,0 +1,242 @@
+"""Results carried out: the SSV file of the estimates, and copies of FMUs that start at them."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from fmpy.ssp import ssd as fmpy_ssd
+from fmpy.validation import validate_fmu
+
+from fmuid.cli.app import run
+from fmuid.cli.options import DONE, WRONG_INPUT
+from fmuid.data.experiment import Experiment
+from fmuid.errors import InputError
+from fmuid.estimation.result import Result
+from fmuid.fmi.description import Unit
+from fmuid.fmi.start_values import applied_values, with_starts
+from fmuid.models.ssp.parameter_values import Quantity, read_ssv, write_ssv
+from fmuid.models.system import System
+from fmuid.reports.apply import AppliedValue, apply_result, write_estimates
+from fmuid.simulation.simulator import Simulator
+from tests.support.fmu_texts import FMI_3
+from tests.support.paths import FMUS
+from tests.support.results import result
+
+COIL, DRIVE, CONTROLLER = (FMUS / name / f"{name}.fmu" for name in ("Coil", "PositionDrive", "PositionController"))
+
+
+def description(fmu: Path) -> bytes:
+    with zipfile.ZipFile(fmu) as archive:
+        return archive.read("modelDescription.xml")
+
+
+# --- fmuid apply
+
+
+def test_the_copy_differs_in_the_start_values_only(tmp_path: Path) -> None:
+    new = tmp_path / "deep" / "New.fmu"
+    applied = apply_result(result(tmp_path, {"R": (4.25, 0.01), "L": (0.125, 0.002)}), COIL, new)
+    assert applied == (
+        AppliedValue("R", 4.0, 4.25, pytest.approx(0.01), "Ohm"),  # type: ignore[arg-type]
+        AppliedValue("L", 0.1, 0.125, pytest.approx(0.002), "H"),  # type: ignore[arg-type]
+    )
+    with zipfile.ZipFile(COIL) as old, zipfile.ZipFile(new) as copy:
+        assert copy.testzip() is None
+        for one, other in zip(old.infolist(), copy.infolist(), strict=True):
+            assert (one.filename, one.date_time, one.external_attr, one.compress_type) == (
+                other.filename, other.date_time, other.external_attr, other.compress_type
+            )  # fmt: skip
+            same = old.read(one) == copy.read(other)
+            assert same is (one.filename != "modelDescription.xml")
+    before, after = description(COIL).decode().splitlines(), description(new).decode().splitlines()
+    kept = [line for line in after if "VendorAnnotations" not in line]
+    changed = [(a, b) for a, b in zip(before, kept, strict=True) if a != b]
+    assert len(changed) == 2
+    assert all(a.replace("4.0", "4.25").replace("0.1", "0.125") == b for a, b in changed)
+    assert validate_fmu(str(new)) == []
+    assert applied_values(description(new)) == {"R": 4.25, "L": 0.125}
+
+
+def test_the_copy_simulates_as_the_original_at_the_estimates(tmp_path: Path) -> None:
+    """The binary has its own start values: what the annotation lists is set, and gives the coil of those values."""
+    new = tmp_path / "New.fmu"
+    resistance, inductance = 4.0 + 1 / 3, 0.1 * math.pi
+    apply_result(result(tmp_path, {"R": (resistance, 0.01), "L": (inductance, 0.002)}), COIL, new)
+    times = np.arange(100) * 1e-3
+    experiment = Experiment(pd.DataFrame({"time": times, "u": 1.0, "i": 0.0}), ["u"], ["i"])
+    simulated = Simulator(new, experiment)([])
+    np.testing.assert_array_equal(simulated, Simulator(COIL, experiment, values={"R": resistance, "L": inductance})([]))
+    np.testing.assert_allclose(
+        simulated[:, 0], (1 - np.exp(-resistance / inductance * times)) / resistance, rtol=1e-9, atol=1e-12
+    )
+
+
+def test_an_ssv_file_is_applied_in_the_units_of_the_fmu(tmp_path: Path) -> None:
+    exponents = (1, 2, -2, -2, 0, 0, 0, 0)  # kg.m2.s-2.A-2
+    units = {"mH": Unit("mH", exponents, 1e-3, 0.0, {})}
+    write_ssv(tmp_path / "x.ssv", "n", {"L": Quantity(150.0, "mH"), "R": Quantity(5)}, units)
+    applied = apply_result(tmp_path / "x.ssv", COIL, tmp_path / "New.fmu")
+    assert [each.new for each in applied] == [pytest.approx(0.15, rel=1e-15), 5]
+    assert all(math.isnan(each.std) for each in applied)
+    assert applied_values(description(tmp_path / "New.fmu"))["R"] == 5.0
+
+
+def test_one_component_of_a_system(tmp_path: Path) -> None:
+    models = {"drive": {"name": "PositionDrive", "digest": "0"}, "pc": {"name": "PositionController", "digest": "1"}}
+    path = result(tmp_path, {"drive.M": (90.0, 1.0), "pc.kp": (150.0, 2.0), "drive.Fv": (200.0, 3.0)}, models=models)
+    applied = apply_result(path, DRIVE, tmp_path / "New.fmu", "drive")
+    assert [each.variable for each in applied] == ["M", "Fv"]
+    with pytest.raises(InputError, match="is a result of the system of drive, pc; say with --component"):
+        apply_result(path, DRIVE, tmp_path / "New.fmu")
+    with pytest.raises(InputError, match=r"no parameters of the component 'drvie' \(did you mean 'drive'"):
+        apply_result(path, DRIVE, tmp_path / "New.fmu", "drvie")
+    with pytest.raises(InputError, match="for the model PositionController, and the FMU is PositionDrive"):
+        apply_result(path, DRIVE, tmp_path / "New.fmu", "pc")
+
+
+@pytest.mark.parametrize(
+    ("values", "changes", "message"),
+    [
+        ({"Rs": (4.0, 0.1)}, {}, r"Coil\.fmu has no variable 'Rs' \(did you mean 'R'"),
+        ({"i": (4.0, 0.1)}, {}, r"start value of 'i' may not be set \(causality output, variability continuous"),
+        ({"R[first]": (4.0, 0.1)}, {}, r"R\[first\] was estimated for one experiment"),
+        ({"R": (-4.0, 0.1)}, {}, r"'R' = -4 is beyond the min = 0 that .*Coil\.fmu declares; bound the parameter"),
+        ({"R": (4.0, None), "L": (0.1, 0.01)}, {}, r"the data do not determine R; hold or give a prior"),
+        (
+            {"R": (4.0, 0.1)},
+            {"converged": False, "status": "iteration limit reached"},
+            "has not converged: iteration limit reached; continue with fmuid identify --resume",
+        ),
+        (
+            {"R": (4.0, 0.1)},
+            {"models": {"": {"name": "Motor", "digest": "0"}}},
+            "is a result for the model Motor, and the FMU is Coil",
+        ),
+    ],
+)
+def test_what_cannot_be_applied_is_one_sentence(
+    tmp_path: Path, values: dict[str, tuple[float, float | None]], changes: dict[str, Any], message: str
+) -> None:
+    path = result(tmp_path, values, **changes)
+    with pytest.raises(InputError, match=message):
+        apply_result(path, COIL, tmp_path / "New.fmu")
+    assert not (tmp_path / "New.fmu").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (Quantity("text"), "'R' is the text 'text'; only numbers and truth values"),
+        (Quantity(True), "variable 'R' is of type Real and cannot start at True"),
+        (Quantity(1.0, "H"), "'R' is in 'H', which does not convert to 'Ohm'"),
+    ],
+)
+def test_wrong_ssv_values(tmp_path: Path, given: Quantity, message: str) -> None:
+    henry = Unit("H", (1, 2, -2, -2, 0, 0, 0, 0), 1.0, 0.0, {})
+    write_ssv(tmp_path / "x.ssv", "n", {"R": given}, {"H": henry})
+    with pytest.raises(InputError, match=message):
+        apply_result(tmp_path / "x.ssv", COIL, tmp_path / "New.fmu")
+    assert not (tmp_path / "New.fmu").exists()
+
+
+def test_fmi_3(tmp_path: Path) -> None:
+    source, new = tmp_path / "Old.fmu", tmp_path / "New.fmu"
+    with zipfile.ZipFile(source, "w") as archive:
+        archive.writestr("modelDescription.xml", FMI_3)
+        archive.comment = b"made by hand"
+    write_ssv(tmp_path / "x.ssv", "n", {"A[2,3]": Quantity(7.5), "k": Quantity(-3)}, {})
+    applied = apply_result(tmp_path / "x.ssv", source, new)
+    assert [(each.variable, each.old, each.new) for each in applied] == [("A[2,3]", 6.0, 7.5), ("k", -1, -3)]
+    assert description(new) == with_starts(FMI_3.encode(), {"A[2,3]": 7.5, "k": -3})
+    with zipfile.ZipFile(new) as archive:
+        assert archive.comment == b"made by hand"
+    write_ssv(tmp_path / "x.ssv", "n", {"n": Quantity(2)}, {})
+    with pytest.raises(InputError, match=r"start value of 'n' may not be set \(causality structuralParameter"):
+        apply_result(tmp_path / "x.ssv", source, new)
+
+
+def test_an_ssv_file_without_values(tmp_path: Path) -> None:
+    write_ssv(tmp_path / "x.ssv", "n", {}, {})
+    with pytest.raises(InputError, match=r"x\.ssv has no parameters$"):
+        apply_result(tmp_path / "x.ssv", COIL, tmp_path / "New.fmu")
+
+
+def test_the_fmu_itself_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "Coil.fmu"
+    path.write_bytes(COIL.read_bytes())
+    with pytest.raises(InputError, match="is the FMU itself; choose another name"):
+        apply_result(result(tmp_path, {"R": (4.5, 0.1)}), path, path)
+    assert path.read_bytes() == COIL.read_bytes()
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result(tmp_path, {"R": (4.2512, 0.0123), "L": (0.125, 0.002)})
+    new = tmp_path / "New.fmu"
+    assert run(["apply", str(tmp_path), str(COIL), "-o", str(new)]) == DONE
+    out, error = capsys.readouterr()
+    assert error == ""
+    rows = [line.split() for line in out.splitlines()]
+    assert ["R", "4", "4.251", "0.012", "Ohm"] in rows
+    assert ["L", "0.1", "0.1250", "0.0020", "H"] in rows
+    assert "New.fmu" in out
+    assert applied_values(description(new)) == {"R": 4.2512, "L": 0.125}
+    assert run(["apply", str(tmp_path / "gone"), str(COIL), "-o", str(new)]) == WRONG_INPUT
+    assert "error: " in capsys.readouterr().err
+
+
+# --- parameters.ssv
+
+
+def read_result(folder: Path, values: dict[str, tuple[float, float | None]], **changes: Any) -> Result:
+    return Result.from_json(result(folder, values, **changes))
+
+
+def test_estimates_as_ssv(tmp_path: Path) -> None:
+    system = System(components={"a": COIL, "b": COIL})
+    found = read_result(
+        tmp_path, {"a.R": (4.1 / 3, 0.0123), "b.L": (0.1, 1e-3), "b.R": (4.0, None), "a.i_start[x]": (1.0, 0.1)}
+    )
+    assert write_estimates(tmp_path, system, found) == [tmp_path / "parameters.ssv"]
+    read = fmpy_ssd.read_ssv(str(tmp_path / "parameters.ssv"), validate=True)
+    assert [(p.name, float(p.value), p.unit) for p in read.parameters] == [
+        ("a.R", 4.1 / 3, "Ohm"), ("b.L", 0.1, "H")
+    ]  # fmt: skip
+    own = read_ssv(tmp_path / "parameters.ssv")
+    assert own.values["a.R"].description == "standard deviation 0.0123 Ohm"
+    assert own.units["Ohm"].exponents == (1, 2, -3, -2, 0, 0, 0, 0)
+
+
+def test_a_unit_that_two_fmus_define_differently_is_left_out(tmp_path: Path) -> None:
+    with zipfile.ZipFile(COIL) as old, zipfile.ZipFile(tmp_path / "Other.fmu", "w") as other:
+        text = old.read("modelDescription.xml").decode()
+        changed = text.replace('<Unit name="H"><BaseUnit ', '<Unit name="H"><BaseUnit factor="2" ')
+        assert changed != text
+        other.writestr("modelDescription.xml", changed)
+    system = System(components={"a": COIL, "b": tmp_path / "Other.fmu"})
+    (path,) = write_estimates(tmp_path, system, read_result(tmp_path, {"a.L": (0.1, 0.01), "a.R": (4.0, 0.1)}))
+    assert [(name, quantity.unit) for name, quantity in read_ssv(path).values.items()] == [
+        ("a.L", None),
+        ("a.R", "Ohm"),
+    ]
+
+
+def test_estimates_written_and_applied_again_are_the_same(tmp_path: Path) -> None:
+    found = read_result(tmp_path, {"R": (math.pi, 0.01), "L": (math.e / 10, 0.01)})
+    (path,) = write_estimates(tmp_path, System(COIL), found)
+    applied = apply_result(path, COIL, tmp_path / "New.fmu")
+    assert {each.variable: each.new for each in applied} == {"R": math.pi, "L": math.e / 10}
+
+
+@pytest.mark.parametrize(("values", "changes"), [({"R": (4.0, 0.1)}, {"converged": False}), ({"R": (4.0, None)}, {})])
+def test_no_file_without_a_value_to_trust(
+    tmp_path: Path, values: dict[str, tuple[float, float | None]], changes: dict[str, Any]
+) -> None:
+    (tmp_path / "parameters.ssv").write_text("of an earlier run")
+    assert write_estimates(tmp_path, System(COIL), read_result(tmp_path, values, **changes)) == []
+    assert not (tmp_path / "parameters.ssv").exists()

@@ -1,0 +1,265 @@
+"""What `fmuid info` tells of FMUs of both versions: facts read off small model descriptions, and how they are shown."""
+
+from __future__ import annotations
+
+import io
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from rich.markup import escape
+
+import fmuid
+from fmuid.cli.app import run
+from fmuid.cli.options import DONE, WRONG_INPUT
+from fmuid.errors import InputError
+from fmuid.fmi.description import Variable
+from fmuid.models.facts import Facts, facts, lines
+from fmuid.reports.console import fmu as console_fmu
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of
+from fmuid.studies.draft import skeleton
+from fmuid.text import bounded
+from tests.support.fmu_texts import FMI2, FMI3, write_fmu
+from tests.support.paths import FMUS
+
+
+@pytest.fixture
+def motor(tmp_path: Path) -> Facts:
+    return facts(fmuid.FMU(write_fmu(tmp_path / "Motor.fmu", FMI2, "binaries/other64/motor.bin")))
+
+
+@pytest.fixture
+def linear(tmp_path: Path) -> Facts:
+    return facts(fmuid.FMU(write_fmu(tmp_path / "Linear.fmu", FMI3)))
+
+
+def names(variables: tuple[Variable, ...]) -> list[str]:
+    return [variable.name for variable in variables]
+
+
+def test_groups(motor: Facts) -> None:
+    assert names(motor.tunable) == ["R"]
+    assert names(motor.fixed) == ["L", "J", "poles"]
+    assert names(motor.calculated) == ["tau", "half"]
+    assert names(motor.inputs) == ["u", "on", "word"]
+    assert names(motor.outputs) == ["i", "w", "torque"]
+    assert names(motor.states) == ["angle"]
+    assert names(motor.starts) == ["guess"]
+    assert motor.others == 2  # der(angle) and heat
+
+
+def test_how_it_runs(motor: Facts) -> None:
+    assert motor.capabilities == {"model-exchange": ("is told completed steps", "directional derivatives")}
+    assert motor.run_as.startswith("FMI 2.0 model-exchange, integrator rk45")
+    assert motor.here is None
+
+
+def test_direct_dependence(motor: Facts) -> None:
+    """Knowns that are no inputs do not count; where nothing is declared, nothing is known."""
+    assert motor.direct == {"i": (), "w": ("u",), "torque": None}
+
+
+def test_units_are_those_that_convert(motor: Facts) -> None:
+    """Just the units are named that a column may have: all others are refused."""
+    assert motor.units == {"A": (), "rad/s": ("rpm", "krad/s"), "lap": ()}
+    described = motor.fmu.description
+    for variable in (described.variables[name] for name in ("i", "w", "torque")):
+        others = motor.units[variable.unit or ""]
+        for unit in {*described.units, "rpm"} - {variable.unit or ""}:
+            if unit in others:
+                described.conversion(variable, unit)
+            else:
+                with pytest.raises(InputError, match="no conversion"):
+                    described.conversion(variable, unit)
+
+
+def test_arrays_and_capabilities_of_fmi3(linear: Facts) -> None:
+    assert names(linear.structural) == ["n", "length"]
+    assert names(linear.fixed) == ["b[1]", "b[2]"]
+    assert [(line.name, len(line.variables)) for line in lines(linear.tunable)] == [("A[1..2,1..3]", 6)]
+    assert linear.direct["y[3]"] == ("u[1]", "u[2]")
+    assert linear.capabilities == {
+        "co-simulation": (
+            "communication steps of one length",
+            "event mode",
+            "early return on demand",
+            "internal steps of 0.01 s",
+            "derivatives of outputs to order 2",
+        ),
+        "model-exchange": ("is told completed steps", "adjoint derivatives"),
+        "scheduled-execution": (),
+    }
+
+
+def real(name: str, unit: str = "m") -> Variable:
+    return Variable(name, 0, "Real", "Float64", "parameter", "fixed", unit=unit)
+
+
+def test_lines_of_scalars() -> None:
+    """FMI 2.0 tools write elements singly; those that fill no box, or differ, stay single."""
+    cells = [real(f"cell[{i}].{name}") for i in range(1, 7) for name in ("R", "C")]
+    holes = [real(f"x[{i}]") for i in (1, 2, 3, 5, 6)]
+    few = [real(f"y[{i}]") for i in range(1, 5)]
+    mixed = [real(f"z[{i}]", "m" if i < 3 else "s") for i in range(1, 6)]
+    told = lines([*cells, *holes, *few, *mixed, real("deep[2].v[3,4]")])
+    assert [line.name for line in told] == [
+        "cell[1..6].R",
+        "cell[1..6].C",
+        *(v.name for v in [*holes, *few, *mixed]),
+        "deep[2].v[3,4]",
+    ]
+    assert [v.name for v in told[1].variables] == [f"cell[{i}].C" for i in range(1, 7)]
+    assert lines([real(f"m[{i},2]") for i in range(5)])[0].name == "m[0..4,2]"
+
+
+def shown(motor: Facts, monkeypatch: pytest.MonkeyPatch, *, terminal: bool) -> str:
+    out = io.StringIO()
+    made = Console(file=out, force_terminal=terminal, width=80, color_system=None, highlight=False)
+    monkeypatch.setattr(console_fmu, "console", lambda: made)
+    console_fmu.show_facts(motor)
+    return out.getvalue()
+
+
+def test_shown(motor: Facts, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = shown(motor, monkeypatch, terminal=False)
+    for line in (
+        r"Motor: two windings",
+        r"model-exchange +is told completed steps, directional derivatives",
+        r"platforms +other64; none for this machine \(\S+\)",
+        r"continuous states +1, with 3 event indicators",
+        r"Parameters \(3\), fixed.*",
+        r"Parameters \(1\), tunable.*",
+        r"R +2 +0 +1e\+100 +resistance at 20 degrees",
+        r"poles +4 +Integer.*",
+        r"Parameters \(2\), calculated from others: they cannot be set",
+        r"on +True +Boolean +in steps",
+        r"i +0 +A +none +yes",
+        r"w +rad/s +u",
+        r"torque +lap +all inputs \(nothing is declared\)",
+        r"angle +0.5 +yes",
+        r"rad/s +rpm, krad/s",
+        r"2 other variables",
+    ):
+        assert re.search(rf"^{line} *$", text, re.MULTILINE), line
+
+
+@pytest.fixture
+def crowded(tmp_path: Path) -> Iterator[Facts]:
+    """An FMU with hundreds of parameters that share no line, each with a long description."""
+    extra = "".join(
+        f'<ScalarVariable name="p{i}" valueReference="{100 + i}" causality="parameter" variability="fixed" '
+        f'description="{"a word " * 40}"><Real start="1"/></ScalarVariable>'
+        for i in range(300)
+    )
+    text = FMI2.replace("</ModelVariables>", extra + "</ModelVariables>")
+    yield facts(fmuid.FMU(write_fmu(tmp_path / "Crowded.fmu", text)))
+
+
+def test_a_pipe_gets_all(crowded: Facts, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = shown(crowded, monkeypatch, terminal=False)
+    rows = [line for line in text.splitlines() if re.match(r"p\d+ ", line)]
+    assert len(rows) == 300
+    assert all(line.count("a word") == 40 for line in rows)
+    assert "# and 294 more" in text  # than 12 of 303 parameters (poles is no Real) and 3 start values
+
+
+def test_a_terminal_gets_what_it_can_hold(crowded: Facts, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = shown(crowded, monkeypatch, terminal=True)
+    table = text[text.index("Parameters (303)") : text.index("Parameters (1), tunable")].splitlines()
+    assert "and 243 more" in text
+    assert len(table) == TERMINAL_ROWS + 5  # title, heads, rule, what is left out, an empty line
+    assert max(map(len, table)) <= 80
+
+
+@pytest.mark.parametrize("name", ["Motor", "Linear"])
+def test_the_skeleton_is_toml_with_the_names_of_the_fmu(name: str, tmp_path: Path) -> None:
+    fmu = fmuid.FMU(write_fmu(tmp_path / f"{name}.fmu", {"Motor": FMI2, "Linear": FMI3}[name]))
+    content = tomllib.loads(skeleton(fmu))
+    (experiment,) = content["experiments"]
+    expected = {
+        "Motor": (["u", "on"], ["i", "w", "torque"]),
+        "Linear": (["u[1]", "u[2]"], [f"y[{i}]" for i in range(1, 6)]),
+    }
+    assert (experiment["inputs"], experiment["outputs"]) == expected[name]
+    assert content["model"] == {"fmu": f"{name}.fmu"}
+    assert content["parameters"] == {}
+
+
+def test_the_skeleton_identifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is pasted from `fmuid info` is a study as soon as a parameter is freed and there is a table."""
+    (tmp_path / "Coil.fmu").write_bytes((FMUS / "Coil/Coil.fmu").read_bytes())
+    (tmp_path / "table.csv").write_text("time,u,i\n0,1,0\n0.1,1,0.24\n0.2,1,0.25\n", encoding="utf-8")
+    assert run(["info", str(tmp_path / "Coil.fmu")]) == DONE
+    text = capsys.readouterr().out
+    pasted = text[text.index("[model]") :].replace("# R =", "R =")
+    (tmp_path / "study.toml").write_text(pasted, encoding="utf-8")
+    assert list(fmuid.Study.read(tmp_path / "study.toml").parameters) == ["R"]
+
+
+@pytest.mark.parametrize("path", sorted(FMUS.glob("*/*.fmu")), ids=lambda path: path.stem)
+def test_every_fmu_of_the_house(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", str(path)]) == DONE
+    text = capsys.readouterr().out
+    assert "Parameters (" in text
+    (experiment,) = tomllib.loads(text[text.index("[model]") :])["experiments"]
+    assert experiment["outputs"]
+
+
+# --- what nobody vouches for ------------------------------------------------------------
+
+UNSEEN = re.compile(
+    "[\\x00-\\x09\\x0b-\\x1f\\x7f-\\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff\U000e0020-\U000e007f]"
+)
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_what_is_printed_of_an_fmu_obeys_nobody_and_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, terminal: bool
+) -> None:
+    """Names that steer a terminal, turn the direction of writing, begin a line of their own, or do not end."""
+    hostile = "&#x202E;R&#x9B;31m&#x2066;&#x200B;&#10;Inputs (9)&#xE0041;"
+    text = FMI2.replace('name="R"', f'name="{hostile}{"x" * 100_000}"').replace('modelName="', f'modelName="{hostile}')
+    text = text.replace('description="', f'description="{hostile}{"y" * 100_000}')
+    found = facts(fmuid.FMU(write_fmu(tmp_path / "Motor.fmu", text)))
+    assert "\u202e" in found.fmu.name
+    out = io.StringIO()
+    shown = type(console())(file=out, force_terminal=terminal, color_system=None, width=200, highlight=False)
+    monkeypatch.setattr(console_fmu, "console", lambda: shown)
+    console_fmu.show_facts(found)
+    assert UNSEEN.search(out.getvalue()) is None
+    assert not re.search("^Inputs .9.", out.getvalue(), re.MULTILINE)
+    assert "R31m" in out.getvalue()
+    assert max(map(len, out.getvalue().splitlines())) < 3000
+
+
+def test_messages_obey_nobody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_fmu(tmp_path / "Motor.fmu", FMI2.replace('modelIdentifier="', 'modelIdentifier="/\u202e\u0085'))
+    assert run(["info", str(path)]) == WRONG_INPUT
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert UNSEEN.search(said.rstrip("\n")) is None
+    show_notes(["a\u202eb\x1b[2J"])
+    assert capsys.readouterr().err == "note: ab[2J\n"
+
+
+def test_bounded_texts() -> None:
+    assert bounded("a" * 9, 9) == "a" * 9
+    assert bounded("a" * 10, 9) == "a" * 8 + "…"
+    assert bounded("a\n  b\u202e", 9) == "a b"
+    assert bounded(" " * 50 + "b", 9) == "…"
+
+
+def test_plain_tables_are_those_of_rich() -> None:
+    """Of large models they are written by lines of our own, which are the same to the letter."""
+    heads, right = ["name", "start", "description"], [False, True, False]
+    rows = [["R", "1.5", "resistance"], ["温度", "273.15", "äöü [b]x[/b]"], ["a_longer_name", "", "é"]]
+    out = io.StringIO()
+    table = table_of("", heads, ["start"])
+    for row in rows:
+        table.add_row(*map(escape, row))
+    Console(file=out, width=200).print(table)
+    expected = [line.rstrip() for line in out.getvalue().splitlines()]
+    assert [line.rstrip("\n") for line in console_fmu._plain_table([heads, *rows], right)] == expected

@@ -1,0 +1,164 @@
+"""The processes that run FMUs: they end when they should, whoever ends them, and nothing of them is left."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+import fmuid
+from fmuid.arrays import Floats
+from fmuid.data.experiment import Experiment
+from fmuid.errors import SimulationError
+from fmuid.models.component import Isolation
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
+from tests.support.isolated import NAMES, RECORD, RECORD_FRAME, TIMES, U, expected, processes, thetas, wait_until
+from tests.support.misbehaving import Mode, lag, misbehaving_fmu
+
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
+    pytest.mark.usefixtures("nothing_said"),
+]
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("misbehaving")
+
+
+def test_nothing_is_left_of_closed_systems(folder: Path) -> None:
+    def use() -> None:
+        simulators = [Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation()) for _ in range(6)]
+        for simulator in simulators:
+            simulator([2.0, 0.5, 0.0])
+        for simulator in simulators[::2]:
+            simulator.close()  # the others go with their systems
+
+    use()
+    gc.collect()
+    files, there = psutil.Process().num_fds(), len(processes())
+    for _ in range(3):
+        use()
+    gc.collect()
+    wait_until(lambda: len(processes()) <= there)
+    assert psutil.Process().num_fds() == files
+
+
+@pytest.mark.parametrize("whom", ["leaves", "all"])
+def test_a_process_killed_from_outside_costs_nothing(folder: Path, whom: str) -> None:
+    some = thetas(Mode.SOUND) * [1, 1, 0] + [0, 0, Mode.SLOW]
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 5.0}, isolation=Isolation())
+    found: list[Floats] = []
+    thread = threading.Thread(target=lambda: found.append(simulator(some)))
+    thread.start()
+    killed = 0
+    rng = np.random.default_rng(6)
+    while thread.is_alive() and killed < 2:
+        time.sleep(rng.uniform(0.2, 0.5))
+        for process in processes():
+            with contextlib.suppress(psutil.NoSuchProcess):  # it went with the one before
+                if whom == "all" or not process.children():
+                    process.kill()
+                    killed += 1
+    thread.join(60)
+    assert killed >= 2
+    assert np.array_equal(found[0], expected(folder, some))
+
+
+def test_a_process_that_ends_while_nobody_uses_it_costs_nothing(folder: Path) -> None:
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
+    assert np.array_equal(simulator([[2.0, 0.5, Mode.LATER]]), expected(folder, np.array([[2.0, 0.5, 0.0]])))
+    time.sleep(1.3)
+    some = thetas(Mode.SOUND)
+    assert np.array_equal(simulator(some), expected(folder, some))
+
+
+def test_a_crash_is_seen_although_the_fmu_has_forked(folder: Path) -> None:
+    """The process that an FMU forked holds all its files open; the crash is known at once all the same."""
+    fmu = misbehaving_fmu(folder)
+    system = System(
+        components={"forks": fmu, "crashes": fmu}, connections=[("forks.x", "crashes.u")], isolation=Isolation()
+    )
+    record = Experiment(RECORD_FRAME, {"forks.u": "u"}, {"crashes.x": "x"}, interpolation="hold")
+    values = {"forks.mode": Mode.SPAWN.value, "crashes.mode": Mode.SEGFAULT.value, "crashes.at": 2.0}
+    with pytest.raises(SimulationError, match=r"crashed with SIGSEGV"):
+        Simulator(system, record, values=values)([])
+
+
+def test_what_the_fmu_has_forked_ends_with_its_process(folder: Path) -> None:
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
+    some = thetas(Mode.SOUND)
+    simulator(some)
+    there = {process.pid for process in processes()}
+    some[5, 2] = Mode.SPAWN
+    assert np.array_equal(simulator(some), expected(folder, some))
+    spawned = [process for process in processes() if process.pid not in there]
+    assert spawned
+    simulator.close()
+    _, left = psutil.wait_procs(spawned, timeout=5)
+    assert not left
+
+
+SCRIPT = """
+import sys, threading
+import numpy as np, pandas as pd, fmuid
+fmu, mode, *more = sys.argv[1:]
+times = np.arange(40) * 0.1
+frame = pd.DataFrame({"time": times, "u": np.sign(np.sin(3 * times + 0.1)), "x": 0.0})
+record = fmuid.Experiment(frame, ["u"], ["x"], interpolation="hold")
+simulator = fmuid.Simulator(fmu, record, ["gain", "mode"], isolation=fmuid.Isolation())
+print(simulator([2.0, 0.0])[-1, 0], flush=True)
+simulator(np.tile([2.0, float(mode)], (4, 1)))
+"""
+
+
+@pytest.mark.parametrize(("name", "mode"), [("SIGKILL", Mode.STUBBORN), ("SIGTERM", Mode.LOOP), ("SIGINT", Mode.LOOP)])
+def test_no_process_is_left_when_fmuid_ends(folder: Path, name: str, mode: Mode) -> None:
+    command = [sys.executable, "-c", SCRIPT, str(misbehaving_fmu(folder)), str(int(mode))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert float(process.stdout.readline()) == pytest.approx(lag(TIMES, U, 2.0, 1.0)[-1], abs=1e-14)
+            time.sleep(0.3)
+            there = psutil.Process(process.pid).children(recursive=True)
+            assert there
+            process.send_signal(signal.Signals[name])
+            _, said = process.communicate(timeout=15)
+            _, left = psutil.wait_procs(there, timeout=15)
+            assert not left
+        finally:
+            process.kill()
+    assert process.returncode == -signal.Signals[name]
+    assert ("KeyboardInterrupt" in said) == (name == "SIGINT")
+
+
+@pytest.mark.parametrize("how", ["file", "stdin"])
+def test_a_script_needs_no_guard_and_warns_of_nothing(folder: Path, tmp_path: Path, how: str) -> None:
+    """A user's script without ``if __name__ == "__main__"``, warnings as errors, threads running; and from stdin."""
+    text = SCRIPT.replace(
+        "simulator = ", "threading.Thread(target=threading.Event().wait, daemon=True).start()\nsimulator = "
+    )
+    (tmp_path / "script.py").write_text(text)
+    command = [sys.executable, "-W", "error", "script.py" if how == "file" else "-", str(misbehaving_fmu(folder)), "0"]
+    run = subprocess.run(
+        command, input=text if how == "stdin" else "", capture_output=True, text=True, cwd=tmp_path, timeout=60
+    )
+    assert run.stderr == ""
+    assert float(run.stdout) == pytest.approx(lag(TIMES, U, 2.0, 1.0)[-1], abs=1e-14)
+    assert run.returncode == 0
+
+
+def test_the_default_is_in_process(folder: Path) -> None:
+    there = {process.pid for process in processes()}
+    fmuid.Simulator(misbehaving_fmu(folder), RECORD, ["gain"])([2.0])
+    assert {process.pid for process in processes()} <= there

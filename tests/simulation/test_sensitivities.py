@@ -1,0 +1,348 @@
+"""Sensitivities integrated with the model: against closed forms and against differences of whole simulations."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import ArrayLike
+
+import fmuid
+from fmuid.arrays import Floats
+from fmuid.data.experiment import Experiment
+from fmuid.data.parameters import Parameter
+from fmuid.errors import InputError, RefusedError
+from fmuid.model_problem import Problem
+from fmuid.models.component import Numerics
+from fmuid.models.system import System
+from fmuid.simulation.sensitivities import ForwardSensitivities, derivatives_of
+from fmuid.simulation.simulator import Simulator
+from tests.support.closed_forms import ball, coil_response
+from tests.support.exported import export_text
+from tests.support.hybrid import hybrid_fmu
+from tests.support.modelica import DRIVE, FRICTION, friction
+from tests.support.paths import FMUS
+
+COIL = FMUS / "Coil" / "Coil.fmu"
+MACHINE = FMUS / "InductionMachine" / "InductionMachine.fmu"
+INTEGRATORS: dict[str, dict[str, Any]] = {
+    "rk4": {"integrator": "rk4", "step_size": 1e-4},
+    "rk45": {"integrator": "rk45", "tolerance": 1e-11},
+    "cvode": {"integrator": "cvode", "tolerance": 1e-12},
+}
+every_integrator = pytest.mark.parametrize("name", INTEGRATORS)
+both_ways = pytest.mark.parametrize("hidden", [False, True], ids=["directional", "twins"])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("forward")
+
+
+def changed(path: Path, folder: Path, old: str, new: str) -> Path:
+    """Return a copy of an FMU with another word in its description."""
+    copy = folder / f"{path.stem}-{abs(hash((str(path), old, new)))}.fmu"
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(copy, "w") as target:
+        for name in source.namelist():
+            data = source.read(name)
+            if name == "modelDescription.xml":
+                assert old.encode() in data
+                data = data.replace(old.encode(), new.encode())
+            target.writestr(name, data)
+    return copy
+
+
+def without_derivatives(path: Path, folder: Path) -> Path:
+    return changed(path, folder, 'providesDirectionalDerivative="true"', "")
+
+
+def forward(simulator: Simulator) -> ForwardSensitivities:
+    found = derivatives_of(simulator, "forward")
+    assert isinstance(found, ForwardSensitivities)
+    return found
+
+
+def model_exchange(path: Path, **numerics: Any) -> System:
+    return System(path, numerics=Numerics("model-exchange", **numerics))
+
+
+def differences(function: Callable[[Floats], Floats], theta: ArrayLike, step: float = 1e-3) -> Floats:
+    """Return central differences, extrapolated once (error of fourth order), (N, ...)."""
+    at = np.asarray(theta, float)
+    rows = []
+    for j, size in enumerate(np.where(at != 0, np.abs(at), 1.0)):
+        move = np.eye(at.size)[j] * size
+        wide, narrow = ((function(at + h * move) - function(at - h * move)) / (2 * h * size) for h in (step, step / 2))
+        rows.append((4 * narrow - wide) / 3)
+    return np.array(rows)
+
+
+def worst(found: Floats, expected: Floats) -> float:
+    """Return the largest error of any parameter's derivatives, of its largest derivative of that output."""
+    axis = 1  # samples
+    return float((np.abs(found - expected).max(axis) / np.abs(expected).max(axis)).max())
+
+
+@pytest.fixture
+def record() -> tuple[Floats, Floats]:
+    """Irregular times with a step of the input (a time given twice), and the input."""
+    rng = np.random.default_rng(11)
+    times = 0.3 + np.cumsum(rng.uniform(1e-3, 9e-3, 80))
+    times[50] = times[49]
+    return times, rng.normal(size=80)
+
+
+@both_ways
+@every_integrator
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+def test_coil_against_its_closed_form(
+    name: str, hidden: bool, interpolation: str, record: tuple[Floats, Floats], folder: Path
+) -> None:
+    times, u = record
+    experiment = Experiment(
+        pd.DataFrame({"time": times, "u": u, "i": 0.0}), ["u"], ["i"], interpolation=interpolation, units={"i": "mA"}
+    )
+    path = without_derivatives(COIL, folder) if hidden else COIL
+    milli = '<Unit name="mA"><BaseUnit A="1" factor="0.001"/></Unit>'
+    system = model_exchange(changed(path, folder, '<Unit name="A">', f'{milli}<Unit name="A">'), **INTEGRATORS[name])
+    sensitivities = forward(Simulator(system, experiment, ["R", "L", "i_start"]))
+    found = sensitivities(np.array([3.0, 0.05, 0.0]))
+
+    def response(theta: Floats) -> Floats:
+        R, L, start = theta
+        free = start * np.exp(-R / L * (times - times[0]))
+        current: Floats = coil_response(times, u, R, L, interpolation == "linear") + free
+        return 1e3 * current[:, None]
+
+    assert sensitivities.by_differences == hidden
+    assert worst(found, differences(response, [3.0, 0.05, 0.0])) < 1e-6
+
+
+@both_ways
+@every_integrator
+def test_induction_machine_against_differences_of_simulations(
+    name: str, hidden: bool, clean: pd.DataFrame, folder: Path
+) -> None:
+    names = ["Rs", "Rr", "Lm", "Lf", "ids_start", "phidr_start"]
+    theta = np.array([9.8, 3.8, 0.436, 0.0762, 0.3, 0.0])
+    experiment = Experiment(clean.iloc[:120], ["uds", "uqs", "w"], ["ids", "iqs"])
+    path = without_derivatives(MACHINE, folder) if hidden else MACHINE
+    simulator = Simulator(model_exchange(path, **INTEGRATORS[name]), experiment, names)
+    sensitivities = forward(simulator)
+    found = sensitivities(theta)
+    assert found.shape == (6, 120, 2)
+    assert sensitivities.by_differences == hidden
+    accurate = Simulator(
+        model_exchange(path, **INTEGRATORS["rk45"]), experiment, names
+    )  # CVODE's differences are rough
+    assert worst(found, differences(accurate, theta)) < 1e-6
+    assert np.array_equal(sensitivities(theta), found)  # nothing is left of the call before
+
+
+def test_outputs_that_are_sums_and_connectors_that_set_several(folder: Path) -> None:
+    """The output is ids + iqs in a system whose connector R sets both resistances, Rr at half of it."""
+    times = np.arange(60) * 7e-4
+    frame = pd.DataFrame({"time": times, "u": 100.0 * np.cos(times * 40), "i": 0.0})
+    system = System(
+        components={"m": MACHINE},
+        numerics=Numerics("model-exchange", "rk45", 1e-11),
+        connectors={"R": [("m.Rs", 1.0, 0.0), ("m.Rr", 0.5, 0.1)], "u": [("m.uds", 1.0, 0.0), ("m.uqs", -0.5, 3.0)]},
+    )
+    experiment = Experiment(frame, ["u"], {"m.ids + m.iqs": "i"})
+    simulator = Simulator(system, experiment, ["R", "m.Lf"], values={"m.w": 150.0})
+    expected = differences(simulator, [8.0, 0.07])
+    sensitivities = forward(simulator)
+    assert worst(sensitivities(np.array([8.0, 0.07])), expected) < 1e-6
+    hidden = System(
+        components={"m": without_derivatives(MACHINE, folder)}, numerics=system.numerics, connectors=system.connectors
+    )
+    twins = forward(Simulator(hidden, experiment, ["R", "m.Lf"], values={"m.w": 150.0}))
+    assert worst(twins(np.array([8.0, 0.07])), expected) < 1e-6
+    assert (sensitivities.by_differences, twins.by_differences) == (False, True)
+
+
+TIMES = np.linspace(0.0, 2.3, 47)
+
+
+def hybrid(folder: Path, model: str, version: int, name: str, parameters: list[str], *outputs: str) -> Simulator:
+    settings = INTEGRATORS[name] | ({"step_size": 1e-3} if name == "rk4" else {})
+    frame = pd.DataFrame({"time": TIMES} | dict.fromkeys(outputs, 0.0))
+    system = model_exchange(hybrid_fmu(folder, model, version), **settings)
+    return Simulator(system, Experiment(frame, outputs=outputs), parameters)
+
+
+both_versions = pytest.mark.parametrize("version", [2, 3])
+
+
+@both_versions
+@every_integrator
+def test_through_bounces(folder: Path, version: int, name: str) -> None:
+    """State events that reinitialise the states: a ball, its gravity and restitution; closed form."""
+    found = forward(hybrid(folder, "ball", version, name, ["p0", "p1", "start0"], "x0"))(np.array([9.81, 0.7, 1.0]))
+
+    def height(theta: Floats) -> Floats:  # from 1 m; from h it takes sqrt(h) times as long, and is h times as much
+        g, e, h = theta
+        return np.array([[h * ball(t / np.sqrt(h), g, e)[0]] for t in TIMES])
+
+    assert ball(TIMES[-1], 9.81, 0.7)[1] >= 5
+    assert worst(found, differences(height, [9.81, 0.7, 1.0], 1e-5)) < 1e-6
+
+
+@both_versions
+@every_integrator
+def test_through_a_threshold_that_is_a_parameter(folder: Path, version: int, name: str) -> None:
+    """x' = -p0 down to p1, then p2 times as fast."""
+    a, b, c = 1.1, 0.3, 0.4
+    found = forward(hybrid(folder, "threshold", version, name, ["p0", "p1", "p2", "start0"], "x0"))(
+        np.array([a, b, c, 1.0])
+    )[..., 0]
+    late, zero, one = (1 - b) / a < TIMES, np.zeros(47), np.ones(47)
+    # x = 1 - a t before, and b - a c (t - (1 - b)/a) = b - a c t + c (1 - b) after
+    expected = [
+        np.where(late, -c * TIMES, -TIMES),
+        np.where(late, one - c, zero),
+        np.where(late, 1 - b - a * TIMES, zero),
+        np.where(late, c * one, one),
+    ]
+    assert np.abs(found - np.array(expected)).max() < 1e-6
+
+
+@both_versions
+@every_integrator
+def test_through_time_events_whose_times_are_a_parameter(folder: Path, version: int, name: str) -> None:
+    """x' = 1, -1, 1, ... over p0 each: dx/dp0 = 2, 4, ... at most, as many times 2 as there were turns downwards."""
+    found = forward(hybrid(folder, "triangle", version, name, ["p0"], "x0"))(np.array([0.3137]))[0, :, 0]
+    turns = np.floor(TIMES / 0.3137)
+    expected = np.where(turns % 2 == 1, turns + 1, -turns)
+    assert np.abs(found - expected).max() < 1e-6
+
+
+@pytest.fixture(scope="module")
+def exported(folder: Path) -> Callable[[str], Path]:
+    made: dict[str, Path] = {}
+
+    def make(text: str) -> Path:
+        if text not in made:
+            part = folder / f"model{len(made)}"
+            part.mkdir()
+            made[text] = export_text(part, text)
+        return made[text]
+
+    return make
+
+
+@every_integrator
+def test_an_event_that_changes_the_derivatives_is_left_to_twins(exported: Callable[[str], Path], name: str) -> None:
+    times = np.linspace(0.0, 1.0, 34)
+    experiment = Experiment(pd.DataFrame({"time": times, "F": -7.3, "x": 0.0, "v": 0.0}), ["F"], ["x", "v"])
+    simulator = Simulator(model_exchange(exported(FRICTION), **INTEGRATORS[name]), experiment, ["m", "Fc", "v_start"])
+    sensitivities = forward(simulator)
+    found = sensitivities(np.array([2.0, 3.0, 1.0]))
+
+    def closed(theta: Floats) -> Floats:
+        return np.array([friction(t, -7.3, *theta)[:2] for t in times])
+
+    assert sensitivities.by_differences
+    assert worst(found, differences(closed, [2.0, 3.0, 1.0], 1e-5)) < 1e-6
+
+
+@every_integrator
+def test_an_event_that_changes_nothing_is_no_obstacle(exported: Callable[[str], Path], name: str) -> None:
+    """The model has a kink where the speed changes its sign, but no jump."""
+    times = np.linspace(0.0, 1.0, 53)  # none beside a kink
+    frame = pd.DataFrame({"time": times, "u": 10 * np.cos(9 * times), "i": 0.0, "w": 0.0, "p": 0.0})
+    names = ["R", "L", "k", "J", "i0"]
+    experiment = Experiment(frame, ["u"], ["i", "w", "p"])
+    # differences of steps that the integrator chooses are rough unless these are short
+    settings, step = (INTEGRATORS[name], 1e-5) if name == "rk4" else ({"integrator": "rk45", "tolerance": 1e-13}, 1e-3)
+    simulator, accurate = (
+        Simulator(model_exchange(exported(DRIVE), **each), experiment, names) for each in (INTEGRATORS[name], settings)
+    )
+    theta = np.array([1.5, 0.2, 0.7, 0.05, 0.4])
+    speed = simulator(theta)[:, 1]
+    sensitivities = forward(simulator)
+    found = sensitivities(theta)
+    assert np.diff(np.sign(speed)).any()
+    assert not sensitivities.by_differences
+    assert worst(found, differences(accurate, theta, step)) < 1e-6
+
+
+@both_versions
+def test_directional_derivatives_that_are_refused_or_ignore_parameters_are_not_used(folder: Path, version: int) -> None:
+    word = "providesDirectionalDerivative" + ("s" if version == 3 else "")
+    for model, theta in (("van_der_pol", [2.0, 1.5]), ("linear", [2.0, 1.5])):
+        path = hybrid_fmu(folder, model, version, f'{word}="true"')
+        frame = pd.DataFrame({"time": TIMES, "x": 0.0})
+        simulator = Simulator(
+            model_exchange(path, integrator="rk45", tolerance=1e-11),
+            Experiment(frame, outputs={"x0": "x"}),
+            ["p0", "start0"],
+        )
+        sensitivities = forward(simulator)
+        found = sensitivities(np.array(theta))
+        assert sensitivities.by_differences
+        assert worst(found, differences(simulator, theta, 1e-4)) < 1e-6
+
+
+@pytest.mark.parametrize("integrator", ["rk45", "cvode"])
+def test_a_stiff_model(folder: Path, integrator: str) -> None:
+    """Van der Pol's equation with mu = 300: rk45 finds it stiff, and CVODE goes on with it."""
+    path = hybrid_fmu(folder, "van_der_pol", 2)
+    frame = pd.DataFrame({"time": np.linspace(0.0, 100.0, 11), "x": 0.0})
+    numerics = {} if integrator == "rk45" else {"integrator": "cvode", "tolerance": 1e-10}
+    simulator = Simulator(model_exchange(path, **numerics), Experiment(frame, outputs={"x0": "x"}), ["p0", "start0"])
+    sensitivities = forward(simulator)
+    accurate = Simulator(
+        model_exchange(path, integrator="cvode", tolerance=1e-12), simulator.experiment, simulator.parameters
+    )
+    expected = differences(accurate, [300.0, 2.0], 1e-3)
+    assert worst(sensitivities(np.array([300.0, 2.0])), expected) < (1e-3 if integrator == "rk45" else 1e-6)
+
+
+def test_what_cannot_be_had_is_refused(folder: Path) -> None:
+    frame = pd.DataFrame({"time": [0.0, 1.0], "u": 0.0, "i": 0.0})
+    experiment = Experiment(frame, ["u"], ["i"])
+    with pytest.raises(InputError, match=r'Coil.fmu runs as co-simulation.*give interface = "model-exchange"'):
+        derivatives_of(Simulator(COIL, experiment, ["R"]), "forward")
+    system = System(components={"a": COIL, "b": COIL}, numerics=Numerics("model-exchange"))
+    with pytest.raises(InputError, match="goes with a single FMU"):
+        derivatives_of(Simulator(system, Experiment(frame, {"a.u": "u"}, {"a.i": "i"}), ["a.R"]), "forward")
+    once = hybrid_fmu(folder, "ball", 2, 'canBeInstantiatedOnlyOncePerProcess="true"')
+    simulator = Simulator(model_exchange(once), Experiment(frame, outputs={"x0": "i"}), ["p0"])
+    with pytest.raises(RefusedError, match=r"ball.*can be instantiated only once"):
+        forward(simulator)(np.array([9.81]))
+    switch = hybrid_fmu(folder, "switch", 2)  # an event of the input alone, in a model without states
+    frame["u"] = [0.0, 1.0]
+    simulator = Simulator(model_exchange(switch), Experiment(frame, {"u[1]": "u"}, {"count": "i"}), ["p0"])
+    with pytest.raises(RefusedError, match="from t = 0 s on, the sensitivities cannot be carried through an event"):
+        forward(simulator)(np.array([0.5]))
+
+
+@pytest.fixture
+def noisy() -> Experiment:
+    rng = np.random.default_rng(8)
+    times: Floats = np.arange(200, dtype=np.float64) * 2e-3
+    u = np.array(rng.choice([-1.0, 1.0], 200), np.float64)
+    i = coil_response(times, u, 3.0, 0.05, True) + 1e-3 * rng.normal(size=200)
+    return Experiment(pd.DataFrame({"time": times, "u": u, "i": i}), ["u"], ["i"])
+
+
+def test_identification_is_that_by_differences_and_says_what_served(noisy: Experiment) -> None:
+    parameters = {"R": Parameter(start=4.0), "L": Parameter(start=0.1)}
+    found = {
+        word: fmuid.identify(
+            Problem(model_exchange(COIL, integrator="rk45", tolerance=1e-9), noisy, parameters, sensitivity=word)
+        )
+        for word in ("forward", "finite-difference")
+    }
+    for j in range(2):
+        other = found["finite-difference"]
+        assert found["forward"].values[j] == pytest.approx(other.values[j], rel=1e-6)
+        assert found["forward"].std[j] == pytest.approx(other.std[j], rel=1e-4)
+    assert found["forward"].sensitivity == "the sensitivity system, integrated with the model: directional derivatives"
+    assert found["finite-difference"].sensitivity == "finite differences of whole simulations"

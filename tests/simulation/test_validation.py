@@ -1,0 +1,243 @@
+"""`fmuid validate`: sound FMUs pass, and each fault is the failed check that it should be, even a crash or a hang."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+import fmuid
+from fmuid.cli.app import run
+from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.simulation import smoke, validation
+from fmuid.simulation.smoke import Report
+from fmuid.simulation.validation import Check, Validation, validate
+from tests.support.fmu_texts import FMI2, FMI3, write_fmu
+from tests.support.paths import FMUS, HERE
+from tests.support.probe_fmu import ProbeMaker
+
+COIL = FMUS / "Coil/Coil.fmu"
+
+
+def found(checks: Validation) -> dict[str, str]:
+    return {check.name: check.result for check in checks.checks}
+
+
+def remark(checks: Validation, name: str) -> str:
+    (check,) = (check for check in checks.checks if check.name == name)
+    return "\n".join(check.remarks)
+
+
+def test_a_sound_fmu(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["validate", str(COIL)]) == DONE
+    out = capsys.readouterr().out
+    kinds = ("co-simulation", "model-exchange")
+    checks = ["model description", *(f"{kind}: {name}" for kind in kinds for name in STAGES)]
+    told = [line for line in out.splitlines() if " ok " in line]
+    assert [line.split("   ")[0].strip() for line in told] == checks
+    assert "no problems found" in out
+
+
+STAGES = ("binary", "instantiation", "simulation", "reset")
+
+
+def test_no_fmu(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "text.fmu").write_text("no archive", encoding="utf-8")
+    assert run(["validate", str(tmp_path / "text.fmu")]) == WRONG_INPUT
+    assert "is not an FMU" in capsys.readouterr().err
+
+
+def test_no_binary_for_this_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_fmu(tmp_path / "Linear.fmu", FMI3, "binaries/other64/linear.bin")
+    checks = validate(path)
+    assert {check.name: check.result for check in checks.checks[1:]} == {
+        "co-simulation: binary": "failed",
+        "co-simulation: simulation": "left out",
+        "model-exchange: binary": "failed",
+        "model-exchange: simulation": "left out",
+    }
+    assert "other64" in remark(checks, "co-simulation: binary")
+    assert run(["validate", str(path)]) == NOT_SUCCEEDED
+    assert f"{checks.count('failed')} of 5 checks failed" in capsys.readouterr().out
+
+
+def test_what_fmpy_finds(tmp_path: Path) -> None:
+    """A sound description passes; one whose unit is not defined does not, and the sentence names the unit."""
+    with zipfile.ZipFile(COIL) as archive:
+        sound = archive.read("modelDescription.xml").decode()
+    broken = sound.replace('unit="Ohm"', 'unit="Mho"')
+    assert sound != broken
+    results = [validate(write_fmu(tmp_path / f"{i}.fmu", text)) for i, text in enumerate((sound, broken))]
+    assert [each.checks[0].result for each in results] == ["ok", "failed"]
+    assert '"Mho"' in remark(results[1], "model description")
+
+
+@pytest.fixture(scope="session")
+def troubled(probe: ProbeMaker, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The probe FMU with faults that the environment variable PROBE_FAULT chooses, in whatever process it runs."""
+    folder = tmp_path_factory.mktemp("troubled")
+    source = (HERE / "probe/probe.c").read_text(encoding="utf-8")
+    for start, fault in (
+        ("  m->callbacks = callbacks, m->logging = logging;\n", INSTANTIATION_FAULTS),
+        ("  if (fabs(t - m->time) > 1e-9)", STEP_FAULTS),
+    ):
+        assert source.count(start) == 1
+        source = source.replace(start, start + fault if start.endswith("\n") else fault + start)
+    (folder / "probe.c").write_text("#include <stdio.h>\n" + source, encoding="utf-8")
+    binary = f"probe{fmpy.sharedLibraryExtension}"
+    headers = Path(fmpy.__file__).parent / "c-code"
+    command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", f"-I{headers}"]
+    subprocess.run([*command, "-o", str(folder / binary), str(folder / "probe.c")], check=True, capture_output=True)
+    with zipfile.ZipFile(probe()) as archive:
+        text = archive.read("modelDescription.xml")
+    path = folder / "troubled.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.write(folder / binary, f"binaries/{fmpy.platform}/{binary}")
+    return path
+
+
+INSTANTIATION_FAULTS = r"""
+  const char *fault = getenv("PROBE_FAULT");
+  strncpy(m->name, name, sizeof m->name - 1);
+  if (fault && !strcmp(fault, "licence")) { say(m, fmi2Error, "%s: no license found (%g)", 7); return 0; }
+  if (fault && !strcmp(fault, "load")) { fprintf(stderr, "out of luck\n"); abort(); }
+"""
+STEP_FAULTS = r"""
+  const char *fault = getenv("PROBE_FAULT");
+  if (fault && !strcmp(fault, "crash") && t > 0.5) abort();
+  if (fault && !strcmp(fault, "hang")) for (volatile int k = 0; ; k++);
+  if (fault && !strcmp(fault, "nan") && t > 0.5) m->r[X] = NAN;
+  if (fault && !strcmp(fault, "warning")) say(m, fmi2Warning, "%s: mind the gap (%g)", 7);
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "result", "sentence"),
+    [
+        ("licence", "instantiation", "failed", "no license found (7)"),
+        ("licence", "instantiation", "failed", "get a licence"),
+        ("load", "instantiation", "failed", "out of luck"),
+        ("crash", "simulation", "failed", "while it was being simulated"),
+        ("nan", "simulation", "failed", "failed at t = 0.52 s: output 'x' is not finite"),
+        ("warning", "simulation", "ok", "0 to 1 s: 101 samples, outputs finite (6)"),
+        ("warning", "messages", "warning", "mind the gap (7)"),
+    ],
+)
+def test_faults(
+    fault: str, name: str, result: str, sentence: str, troubled: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checks = cached(fault, troubled, monkeypatch)
+    assert found(checks)[f"co-simulation: {name}"] == result
+    assert sentence in remark(checks, f"co-simulation: {name}")
+    if sys.platform != "win32" and fault in ("load", "crash"):
+        assert "SIGABRT" in remark(checks, f"co-simulation: {name}")
+
+
+_results: dict[str, Validation] = {}
+
+
+def cached(fault: str, path: Path, monkeypatch: pytest.MonkeyPatch) -> Validation:
+    """Return what is found with a fault; each is tried once for all that is asked of it."""
+    monkeypatch.setenv("PROBE_FAULT", fault)
+    if fault not in _results:
+        _results[fault] = validate(path)
+    return _results[fault]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="links as Linux does")
+def test_a_shared_library_that_is_missing(probe: ProbeMaker, tmp_path: Path) -> None:
+    (tmp_path / "absent.c").write_text("int absent(void) { return 1; }", encoding="utf-8")
+    (tmp_path / "probe.c").write_text("int absent(void); int needs(void) { return absent(); }", encoding="utf-8")
+    compiler = [sys.executable, "-m", "ziglang", "cc", "-shared", "-fPIC"]
+    library = ["-o", "libabsent.so.3", "-Wl,-soname,libabsent.so.3", "absent.c"]
+    for arguments in (library, ["-o", "probe.so", "probe.c", "./libabsent.so.3"]):
+        subprocess.run([*compiler, *arguments], check=True, capture_output=True, cwd=tmp_path)
+    with zipfile.ZipFile(probe()) as sound, zipfile.ZipFile(tmp_path / "needy.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", sound.read("modelDescription.xml"))
+        archive.write(tmp_path / "probe.so", f"binaries/{fmpy.platform}/probe.so")
+    (tmp_path / "libabsent.so.3").unlink()
+    checks = validate(tmp_path / "needy.fmu")
+    assert found(checks)["co-simulation: instantiation"] == "failed"
+    assert "needs the shared library libabsent.so.3," in remark(checks, "co-simulation: instantiation")
+
+
+def test_a_hang_is_ended(troubled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PROBE_FAULT", "hang")
+    monkeypatch.setattr(validation, "TIME_LIMIT", 5.0)
+    monkeypatch.setattr(validation, "SHARES", (1.0,))
+    checks = validate(troubled)
+    assert not checks.passed
+    assert any("did not end within 5 s" in text for check in checks.checks for text in check.remarks)
+
+
+def test_an_instance_that_cannot_be_reset(probe: ProbeMaker) -> None:
+    checks = validate(probe("NO_RESET"))
+    assert found(checks)["co-simulation: reset"] == "warning"
+    assert "instantiated anew" in remark(checks, "co-simulation: reset")
+    assert "co-simulation: messages" not in found(checks)
+
+
+def test_a_tool_that_is_needed(probe: ProbeMaker) -> None:
+    checks = validate(probe(needsExecutionTool="true"))
+    assert found(checks)["stands alone"] == "warning"
+    assert found(checks)["co-simulation: simulation"] == "ok"
+
+
+@pytest.fixture
+def scripted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[validation._Try]]:
+    """The tries of an interface in turn, in place of processes; what is left over was not tried."""
+    tries: list[validation._Try] = []
+
+    def next_try(_fmu: fmuid.FMU, _kind: str, share: float) -> validation._Try:
+        assert tries[0].share == share
+        return tries.pop(0)
+
+    monkeypatch.setattr(validation, "_try", next_try)
+    yield tries
+    assert not tries
+
+
+def interface(kind: str) -> Sequence[Check]:
+    return validation._interface(fmuid.FMU(COIL), kind)
+
+
+def test_a_slow_model_is_tried_for_a_shorter_time(scripted: list[validation._Try]) -> None:
+    slow = Report("was being simulated", instantiated=True)
+    done = Report("was being simulated a second time", instantiated=True, simulated=True)
+    scripted += [validation._Try(1.0, slow, late=True), validation._Try(0.01, done, late=True)]
+    _, simulation, reset = interface("co-simulation")
+    assert (simulation.result, reset.result) == ("warning", "warning")
+    assert "did not end within 60 s" in simulation.remarks[0]
+    assert "1 % of the default experiment" in simulation.remarks[1]
+
+
+def test_a_fault_is_not_tried_for_a_shorter_time(scripted: list[validation._Try]) -> None:
+    scripted.append(validation._Try(1.0, Report(instantiated=True, error="failed at t = 0 s")))
+    assert [check.result for check in interface("co-simulation")] == ["ok", "failed"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "share", "first", "second", "last", "samples", "step"),
+    [
+        ("model-exchange", 1.0, 0.0, 0.03, 3.0, 101, None),
+        ("co-simulation", 1.0, 0.0, 0.028, 2.996, 108, 0.007),  # four steps of 7 ms to a sample, as many as fit
+        ("co-simulation", 0.001, 0.0, 3e-5, 3e-3, 101, None),  # shorter than a step
+        ("co-simulation", 0.01, 0.0, 0.007, 0.028, 5, 0.007),
+    ],
+)
+def test_samples(
+    kind: str, share: float, first: float, second: float, last: float, samples: int, step: float | None, tmp_path: Path
+) -> None:
+    given = '<DefaultExperiment startTime="0" stopTime="3" stepSize="0.007"/><ModelVariables>'
+    path = write_fmu(tmp_path / "Motor.fmu", FMI2.replace("<ModelVariables>", given))
+    times, step_size = smoke.default_times(fmuid.FMU(path).description, kind, share)
+    assert times[[0, 1, -1]] == pytest.approx([first, second, last])
+    assert (len(times), step_size) == (samples, step)
+    assert np.ptp(np.diff(times)) < 1e-12

@@ -1,0 +1,124 @@
+"""`fmuid init` for FMUs of all kinds: words on how they run, arrays, local variables, bounds that are none."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS, Numerics
+from fmuid.studies.draft import LINE_LENGTH, draft
+from tests.support.fmu_texts import FMI2, FMI3, write_fmu
+from tests.support.paths import FMUS
+
+
+def drafted(fmu: Path, *columns: str) -> str:
+    table = fmu.parent / "table.csv"
+    pd.DataFrame({"time": [0.0, 1.0], **dict.fromkeys(columns, 0.0)}).to_csv(table, index=False)
+    return draft(fmu, table, fmu.parent / "study.toml").text
+
+
+def freed(text: str) -> dict[str, Any]:
+    """Return the content of a study with all its parameters taken out of their comments."""
+    lines = [line[2:] if re.match(r"# \S+ = { start", line) else line for line in text.splitlines()]
+    return tomllib.loads("\n".join(lines))
+
+
+def words(text: str) -> dict[str, Any]:
+    """Return the commented words of [model]."""
+    section = text[text.index("[model]") : text.index("[model.values]")].replace("# step_size", "step_size")
+    return dict(tomllib.loads(re.sub(r"^# (?=\w+ = )", "", section, flags=re.MULTILINE))["model"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("exchange", {"integrator", "tolerance", "step_size"}),
+        ("both", {"interface", "integrator", "tolerance", "step_size"}),
+        ("co-simulation", {"tolerance", "step_size"}),
+    ],
+)
+def test_words_on_how_it_runs(kind: str, expected: set[str], tmp_path: Path) -> None:
+    """The words are those that apply, and the values written behind them are ones that fmuid takes."""
+    text = FMI2 if kind == "exchange" else FMI3
+    if kind == "co-simulation":
+        text = re.sub("<ModelExchange.*/>\n", "", text)
+    fmu = write_fmu(tmp_path / "Model.fmu", text)
+    said = drafted(fmu, *(["i"] if kind == "exchange" else ["y[1]"]))
+    found = words(said)
+    assert found.pop("fmu") == "Model.fmu"
+    assert found.keys() == expected
+    fmuid.Component(fmu, Numerics(**found))
+    if "integrator" in expected:
+        assert all(f'"{name}"' in said for name in INTEGRATORS)
+        assert f'default: "{DEFAULT_INTEGRATOR}"' in said
+        assert found["tolerance"] == DEFAULT_TOLERANCE
+
+
+def test_arrays(tmp_path: Path) -> None:
+    text = drafted(write_fmu(tmp_path / "Linear.fmu", FMI3), "u[2]", "y[1]", "y[5]")
+    content = freed(text)
+    (experiment,) = content["experiments"]
+    assert (experiment["inputs"], experiment["outputs"]) == (["u[2]"], ["y[1]", "y[5]"])
+    assert "# inputs of the FMU that are no column: u[1]\n" in text
+    assert "# outputs of the FMU that are no column: y[2], y[3], y[4]\n" in text
+    assert {name: keys["start"] for name, keys in content["parameters"].items()} == {
+        **{f"A[{i},{j}]": 3.0 * (i - 1) + j for i in (1, 2) for j in (1, 2, 3)},
+        "b[1]": 7.0,
+        "b[2]": 8.0,
+    }
+
+
+def test_local_variables_may_be_outputs(tmp_path: Path) -> None:
+    text = drafted(write_fmu(tmp_path / "Motor.fmu", FMI2), "w", "heat", "half", "word")
+    (experiment,) = tomllib.loads(text)["experiments"]
+    assert experiment["outputs"] == ["w", "heat"]  # half never changes
+    assert "# columns that are no input or output of the FMU: half, word\n" in text
+
+
+def test_parameters_are_ones_that_are_taken(tmp_path: Path) -> None:
+    """Bounds that are none, empty, or broken by the start are left out."""
+    parameters = freed(drafted(write_fmu(tmp_path / "Motor.fmu", FMI2), "w"))["parameters"]
+    assert parameters == {
+        "R": {"start": 2.0, "min": 0.0},
+        "L": {"start": 0.1},
+        "J": {"start": 0.0, "max": 2.0, "nominal": 1.0},
+        "i": {"start": 0.0, "nominal": 1.0},
+        "angle": {"start": 0.5},
+        "guess": {"start": 1.0},
+    }
+    for keys in parameters.values():
+        fmuid.Parameter(**keys)
+
+
+def test_long_lists_and_remarks(tmp_path: Path) -> None:
+    many = "".join(
+        f'<ScalarVariable name="a long, [odd] name {i}" valueReference="{100 + i}" causality="input" '
+        f'variability="continuous" description="{"very " * 50}long"><Real start="0"/></ScalarVariable>'
+        for i in range(60)
+    )
+    fmu = write_fmu(tmp_path / "Motor.fmu", FMI2.replace("</ModelVariables>", many + "</ModelVariables>"))
+    inputs = [f"a long, [odd] name {i}" for i in range(60)]
+    text = drafted(fmu, *inputs, "i")
+    assert tomllib.loads(text)["experiments"][0]["inputs"] == inputs
+    start = text.index("inputs = [")
+    assert max(map(len, text[start : text.index("]\n", start + 40 * 60)].splitlines())) <= LINE_LENGTH
+    text = drafted(fmu, "i")
+    assert "a long, [odd] name 17 and 42 more\n" in text  # after u and on
+
+
+def test_a_study_of_every_kind_is_read(tmp_path: Path) -> None:
+    """What is written for the FMUs of the house is a study that can be read, with all its parameters freed."""
+    for path in sorted(FMUS.glob("*/*.fmu")):
+        fmu = tmp_path / path.name
+        fmu.write_bytes(path.read_bytes())
+        outputs = [variable.name for variable in fmuid.FMU(fmu).description.with_causality("output")]
+        text = drafted(fmu, *outputs[:1])
+        lines = [line[2:] if re.match(r"# \S+ = { start", line) else line for line in text.splitlines()]
+        (tmp_path / "study.toml").write_text("\n".join(lines), encoding="utf-8")
+        assert list(fmuid.Study.read(tmp_path / "study.toml").parameters) == list(freed(text)["parameters"])

@@ -1,0 +1,260 @@
+"""What the fuzz tests spoil: a study of each kind with its files, and tables in all formats that are wrong already."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import shutil
+import zipfile
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.io import savemat
+
+from tests.support import ssp_texts as ssp
+from tests.support.fmu_texts import FMI2, FMI3
+from tests.support.fuzz_spoil import NUMBERS, WORDS, Tree, spoil_bytes, spoil_xml, toml_file
+from tests.support.paths import FMUS
+
+COIL = FMUS / "Coil" / "Coil.fmu"
+
+
+def samples() -> pd.DataFrame:
+    """Return a record of the coil."""
+    time = np.arange(40) * 1e-3
+    return pd.DataFrame(
+        {"time": time, "u": np.ones(40), "i": 0.25 * (1 - np.exp(-40 * time)) + 1e-3 * np.sin(9e4 * time)}
+    )
+
+
+STUDIES: list[Tree] = [
+    {
+        "isolation": {"time_limit": 60.0, "memory": 4.0, "recycle": 100},
+        "title": "A coil",
+        "model": {"fmu": "Coil.fmu", "values": {"L": 0.1}},
+        "experiments": [{"table": "run.csv", "inputs": ["u"], "outputs": ["i"], "discard": 0.002}],
+        "parameters": {"R": {"start": 3.0, "min": 0.0, "max": 10.0}},
+        "noise": {"variance": "estimate"},
+        "estimator": {"method": "marquardt", "max_iterations": 20, "sensitivity": "finite-difference"},
+    },
+    {
+        "model": {"fmu": "Coil.fmu", "interface": "model-exchange", "integrator": "rk45", "tolerance": 1e-6},
+        "experiments": [
+            {
+                **{"name": "first", "table": "run.csv", "time": "time", "inputs": {"u": "u"}, "outputs": {"i": "i"}},
+                **{"interpolation": {"u": "hold"}, "units": {"i": "A"}},
+            },
+            {"table": "again.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "cubic"},
+        ],
+        "parameters": {
+            "R": {"start": 3.0, "prior": {"mean": 4.0, "std": 0.5}},
+            "L": {"start": 0.2, "min": 1e-3, "nominal": 0.1},
+            "i_start": {"start": 0.0, "nominal": 0.1, "per_experiment": True},
+        },
+        "prior": {"names": ["R", "L"], "mean": [4.0, 0.1], "covariance": [[1.0, 0.0], [0.0, 0.01]]},
+        "noise": {"variance": {"i": 1e-6}},
+        "estimator": {"loss": "huber", "tolerance": 1e-8, "first_radius": 1.0, "sensitivity": "forward"},
+        "uncertainty": {"level": 0.95, "profile": ["R"], "posterior": False, "map": []},
+    },
+    {
+        "model": {
+            "components": [
+                {"name": "a", "fmu": "Coil.fmu", "tolerance": 1e-6},
+                {"name": "b", "fmu": "Coil.fmu", "interface": "co-simulation"},
+            ],
+            "connections": [{"from": "a.i", "to": "b.u", "factor": 10.0, "offset": 0.1}],
+            "connectors": {"R": ["a.R", "b.R"]},
+            "master": "gauss-seidel",
+            "step_size": 1e-3,
+        },
+        "experiments": [{"table": "run.csv", "inputs": {"a.u": "u"}, "outputs": {"a.i + b.i": "i"}}],
+        "parameters": {"R": {"start": 3.0}, "b.L": {"start": 0.2}},
+        "noise": {"variance": 1e-6, "start": 0.1},
+        "estimator": {"method": "global", "search": "multistart", "starts": 2, "seed": 1, "max_iterations": 3},
+        "prior": {"result": "result.json", "inflate": 2.0, "names": ["R"]},
+    },
+]
+"""Studies with all words that do not take long."""
+BATCHES: list[Tree] = [
+    {
+        **{name: STUDIES[0][name] for name in ("experiments", "noise", "estimator")},
+        "model": {"fmu": "Coil.fmu"},
+        "parameters": {"R": {"start": 3.0, "min": 0.0, "max": 10.0}, "i_start": {"start": 0.0, "nominal": 0.1}},
+        "batch": {
+            "combine": "product",
+            "tables": ["r*.csv", "again.csv"],
+            "starts": [{"R": 2.0}, {"R": 5.0, "i_start": 0.1}],
+            "subsets": [["R"], ["R", "i_start"]],
+            "noise": {"draws": 3, "std": {"i": 1e-3}, "truth": {"R": 4.0}},
+            "seed": 1,
+            "values": {"L": [0.05, 0.1]},
+        },
+    },
+    {
+        **{name: STUDIES[0][name] for name in ("model", "experiments", "estimator")},
+        "parameters": {
+            "R": {"start": 3.0, "prior": {"mean": 4.0, "std": 0.5}},
+            "i_start": {"start": 0.0, "nominal": 1.0},
+        },
+        "noise": {"variance": 1e-6},
+        "batch": {
+            "starts": 3,
+            "noise": {"draws": 2},
+            "sample": {"method": "sobol", "count": 4, "ranges": {"i_start": [0.0, 0.1]}},
+        },
+    },
+]
+"""Studies of many cases."""
+TOO_LONG = re.compile(
+    r"step_size|tolerance|starts|steps|walkers|burn|posterior|profile|map|max_iterations|method|search|count"
+)
+"""Words whose values decide how long a right answer takes."""
+WITH_RESULT = STUDIES[2]
+"""A study that takes its prior from a result."""
+
+
+def may_take_long(given: Tree, raw: bytes) -> bool:
+    """Whether a study may have other values than a good one has for the words that decide how long an answer takes."""
+    text = raw.decode("utf-8", "replace")
+    found = {word: sorted(re.findall(rf'"{word}" = ([^,}}]*)', text)) for word in TOO_LONG.pattern.split("|")}
+    wanted = {word: sorted(re.findall(rf'"{word}" = ([^,}}]*)', toml_file(given).decode())) for word in found}
+    return any(set(found[word]) - set(wanted[word]) for word in found)
+
+
+def write_inputs(folder: Path, result: str) -> None:
+    """Write all that the studies refer to, and an earlier result."""
+    shutil.copy(COIL, folder / "Coil.fmu")
+    for name in ("run.csv", "again.csv"):
+        samples().to_csv(folder / name, index=False)
+    (folder / "result.json").write_text(result)
+    (folder / "study.toml").write_bytes(toml_file(STUDIES[0]))
+
+
+def spoil_table(rng: Random, folder: Path) -> Path:
+    """Write a table that is wrong in some way, in any format."""
+    frame = samples().astype(object)
+    for _ in range(rng.choice([0, 1, 1, 2, 4])):
+        row, column = rng.randrange(len(frame)), rng.choice(list(frame.columns))
+        frame.loc[row, column] = rng.choice([*WORDS, *NUMBERS, None, True])
+    way = rng.randrange(8)
+    if way == 0:
+        frame = frame.iloc[: rng.choice([0, 1, 2, 3])]
+    elif way == 1:
+        frame = frame.sample(frac=rng.choice([1.0, 0.5]), random_state=rng.randrange(100))
+    elif way == 2:
+        frame = pd.concat([frame, frame.iloc[:: rng.choice([1, -1])]])
+    elif way == 3:
+        frame.columns = pd.Index(rng.choices([*frame.columns, *WORDS], k=3))
+    kind = rng.randrange(3)
+    path = folder / ("table" + (".csv", ".parquet", ".mat")[kind])
+    if kind == 0:
+        text = frame.to_csv(index=rng.random() < 0.1, sep=rng.choice([*",,,,,;\t |"]))
+        raw = text.encode(rng.choice(["utf-8"] * 5 + ["utf-16", "utf-8-sig"]), "replace")
+    elif kind == 1:
+        raw = _parquet(rng, frame)
+    else:
+        raw = _mat(rng, frame)
+    path.write_bytes(spoil_bytes(rng, raw) if rng.random() < 0.5 else raw)
+    return path
+
+
+def _parquet(rng: Random, frame: pd.DataFrame) -> bytes:
+    good = samples()
+    column, kinds = (
+        rng.choice(list(good.columns)),
+        ["float32", "float16", "Int64", "bool", "string", "category", "complex"],
+    )
+    kinds += ["datetime64[ns]", "timedelta64[ns]", "int8", "object", "list", "bytes", "dict", "Float64"]
+    kind = rng.choice(kinds)
+    if kind in ("list", "bytes", "dict"):
+        made: dict[str, Any] = {"list": [1.0, 2.0], "bytes": b"\xff", "dict": {"a": 1}}
+        good[column] = [made[kind]] * len(good)
+    elif kind == "object":
+        good[column] = frame[frame.columns[0]].astype(str).iloc[: len(good)].reset_index(drop=True)
+    else:
+        with contextlib.suppress(Exception):
+            good[column] = good[column].round().astype(kind)  # type: ignore[call-overload]  # any of the kinds
+    if rng.random() < 0.2:
+        with contextlib.suppress(NotImplementedError):  # not of every kind
+            good = good.set_index(rng.choice(list(good.columns)))
+    buffer = io.BytesIO()
+    try:
+        good.to_parquet(buffer)
+    except Exception:  # not every kind can be written
+        samples().to_parquet(buffer)
+    return buffer.getvalue()
+
+
+def _mat(rng: Random, frame: pd.DataFrame) -> bytes:
+    content: dict[str, Any] = {name: samples()[name].to_numpy() for name in samples().columns}
+    content[rng.choice([*content, "x", "Aclass", "data"])] = rng.choice(
+        [
+            np.zeros((0, 0)),
+            np.zeros((40, 2)),
+            np.zeros(39),
+            np.zeros(40, dtype=np.int8),
+            np.zeros(40, dtype=complex),
+            np.array(["text"] * 3),
+            np.array([1, "a", None], dtype=object),
+            {"field": 1.0},
+            frame.iloc[:, 0].to_numpy(),
+            np.nan,
+            np.array(["Atrajectory", "1.1", "", "binTrans"]),
+        ]
+    )
+    buffer: Any = io.BytesIO()  # which SciPy takes and its stubs do not know
+    try:
+        savemat(buffer, content, format=rng.choice(["4", "5"]), do_compression=rng.random() < 0.5)
+    except Exception:  # not every kind can be written
+        savemat(buffer, {name: samples()[name].to_numpy() for name in samples().columns})
+    raw: bytes = buffer.getvalue()
+    return raw
+
+
+def fmu_files() -> dict[str, bytes]:
+    """Return the files of the coil's FMU, without binaries: what is spoiled is not executed."""
+    with zipfile.ZipFile(COIL) as archive:
+        return {name: archive.read(name) for name in archive.namelist() if not name.startswith("binaries/")}
+
+
+def spoil_fmu(rng: Random, path: Path) -> Path:
+    """Write an FMU without binaries that is wrong in some way."""
+    files = fmu_files()
+    text = rng.choice([FMI2, FMI3, files["modelDescription.xml"].decode()])
+    files["modelDescription.xml"] = spoil_xml(rng, text) if rng.random() < 0.7 else text.encode()
+    if rng.random() < 0.2:
+        files[rng.choice([word for word in WORDS if word.strip("\0")])] = b"x"
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", rng.choice([zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])) as archive:
+        for name, inside in files.items():
+            archive.writestr(name, inside)
+    raw = buffer.getvalue()
+    path.write_bytes(spoil_bytes(rng, raw) if rng.random() < 0.3 else raw)
+    return path
+
+
+def good_ssd(folder: Path) -> tuple[str, Path]:
+    """Return the structure of a package and the package: all that SSP has and fmuid reads."""
+    bound = ssp.binding(ssp.parameter("M", 96.0))
+    ports = ssp.connector("qg", "input", "m") + ssp.connector("out", "output", "mm")
+    body = ssp.content(
+        ssp.drive(unit="m", bindings=bound) + ssp.controller(unit="mm"),
+        ssp.LOOP + ssp.connection("qg", "controller.qg", ssp.linear(2)) + ssp.connection("drive.q", "out"),
+    )
+    path = ssp.pack(folder, body, ports, rest=ssp.LENGTHS, check=False)
+    with zipfile.ZipFile(path) as archive:
+        return archive.read("SystemStructure.ssd").decode(), path
+
+
+def good_ssv() -> str:
+    """Return parameter values."""
+    return ssp.parameter_set(
+        ssp.parameter("R", 4.5, unit="Ohm") + ssp.parameter("L", 0.2), ssp.LENGTHS.replace("ssd:", "ssv:"), _SPACES
+    )
+
+
+_SPACES = ' xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues" xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"'

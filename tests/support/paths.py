@@ -1,0 +1,9 @@
+"""Where things are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FMUS = ROOT / "fmus"
+HERE = ROOT / "tests" / "support"

@@ -1,0 +1,70 @@
+"""Problems without an FMU: fakes, a coil in closed form, noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal import lfilter
+
+from fmuid.arrays import Floats
+from fmuid.data.parameters import Normal, Parameter
+from fmuid.errors import SimulationError
+from fmuid.estimation.least_squares import LeastSquares
+
+TIMES = np.linspace(0.0, 2.0, 50)
+
+
+@dataclass(frozen=True)
+class Predictions:
+    outputs: Floats
+    errors: tuple[Exception | None, ...]
+
+
+@dataclass
+class Fake:
+    """Stands in for a simulator: two outputs of very different scale, failing where the first parameter is negative."""
+
+    taken: list[Floats] = field(default_factory=list)
+
+    def many(self, thetas: ArrayLike) -> Predictions:
+        given = np.array(thetas, dtype=np.float64)
+        self.taken.append(given)
+        outputs = np.array([simulate(*theta) for theta in given])
+        failed = given[:, 0] < 0
+        outputs[failed] = np.nan
+        error = SimulationError("Fake.fmu", 0.5, {"k": -1.0}, "fmi2DoStep returned fmi2Error")
+        return Predictions(outputs, tuple(error if f else None for f in failed))
+
+
+def simulate(k: float, gain: float) -> Floats:
+    return np.column_stack([1e3 * gain * np.exp(-k * TIMES), 1e-3 * gain * np.sin(k * TIMES)])
+
+
+def coil(theta: Floats, voltage: Floats) -> Floats:
+    """The coil with its fault (1.69–1.80), exact for a held voltage: ΔL = 2τ ΔR."""
+    step, tau = 1e-3, 0.0247
+    resistance, inductance = theta[0] + theta[2], theta[1] + 2.0 * tau * theta[2]
+    decay = math.exp(-resistance * step / inductance)
+    return np.asarray(lfilter([0.0, (1.0 - decay) / resistance], [1.0, -decay], voltage))
+
+
+def coil_problem(prior: bool) -> LeastSquares:
+    rng = np.random.default_rng(11)
+    voltage = np.repeat(rng.choice([-1.0, 1.0], 80), 15)
+    y = coil(np.array([4.0, 0.1, 1.0]), voltage) + 0.04 * rng.standard_normal(1200)
+    parameters = {
+        "R": Parameter(4.012, prior=Normal(4.012, 0.385) if prior else None),
+        "L": Parameter(0.0989, prior=Normal(0.0989, 0.00181) if prior else None),
+        "dR": Parameter(0.0, nominal=1.0),
+    }
+    return LeastSquares.from_function(lambda theta: coil(theta, voltage), y, parameters, times=1e-3 * np.arange(1200))
+
+
+def ar1(rng: np.random.Generator, share: float, count: int) -> Floats:
+    """Return noise of variance 1 whose autocorrelation is share^lag, from a start in its own distribution."""
+    steps = rng.standard_normal(count) * math.sqrt(1.0 - share**2)
+    steps[0] /= math.sqrt(1.0 - share**2)
+    return np.asarray(lfilter([1.0], [1.0, -share], steps))
