@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -288,7 +288,8 @@ def _opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path)
 def _write_log(log: Path, text: str) -> list[str]:
     """Write what FMUs printed, and return what is to be said of it; nothing that goes wrong here ends a command."""
     if not text:
-        log.unlink(missing_ok=True)  # of an earlier run
+        with suppress(OSError):
+            log.unlink()  # of an earlier run
         return []
     try:
         with replacing(log) as draft:
