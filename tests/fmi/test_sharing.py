@@ -18,9 +18,9 @@ from fmuid.models.component import Component, Numerics
 from fmuid.models.system import System
 from fmuid.simulation.executor import threads
 from fmuid.simulation.simulator import Simulator
-from tests.conftest import HERE
-from tests.isolated import NAMES, RECORD, closed_form, thetas
-from tests.misbehaving import Mode, misbehaving_fmu
+from tests.support.isolated import NAMES, RECORD, closed_form, thetas
+from tests.support.misbehaving import Mode, misbehaving_fmu
+from tests.support.paths import HERE
 
 SAYS_SO: dict[str, Any] = {"canBeInstantiatedOnlyOncePerProcess": "false"}
 OPEN_MODELICA: dict[str, Any] = {"tool": "OpenModelica Compiler OpenModelica v1.26.0 (64-bit)", **SAYS_SO}
