@@ -15,7 +15,7 @@ from typing import Any
 
 from fmuid.batches.run_case import CaseRunner, Outcome
 from fmuid.models import Isolation
-from fmuid.simulation import FIRST_LIMIT, End, Host, default_limit, memory_share, modules_for, workers_of
+from fmuid.simulation import FIRST_LIMIT, End, Host, default_limit, memory_share, workers_of
 from fmuid.studies import Study
 
 _runner: list[CaseRunner] = []  # of a process that runs cases
@@ -81,8 +81,7 @@ class IsolatedCases:
         """Return the process, a new one where there is none."""
         if self._host is not None and self._host.alive:
             return self._host
-        models = self._careful.study.system.components.values()
-        host = self._host = Host(["fmuid.batches.isolated_cases", *modules_for(models)], self._memory)
+        host = self._host = Host(["fmuid.batches.isolated_cases"], self._memory)
         host.order("watch", limit=FIRST_LIMIT)
         host.order("call", __name__, "open_cases", (self._study.data, self._study.path), limit=FIRST_LIMIT)
         return host

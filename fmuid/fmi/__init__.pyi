@@ -1,10 +1,9 @@
 from .archive import Zipped as Zipped
 from .archive import archive_of as archive_of
-from .block import STIFF as STIFF
-from .co_simulation import describe as describe
 from .codes import BOOLEAN as BOOLEAN
 from .codes import FLOAT64 as FLOAT64
 from .codes import INT32 as INT32
+from .codes import REPORT as REPORT
 from .codes import UINT8 as UINT8
 from .codes import WIRES as WIRES
 from .description import DESCRIPTION_FILE as DESCRIPTION_FILE
@@ -16,10 +15,9 @@ from .description import Variable as Variable
 from .description import read_description as read_description
 from .description import read_text as read_text
 from .description import uncollected as uncollected
+from .failures import describe as describe
 from .fmu import FMU as FMU
 from .instance import Instance as Instance
-from .instance import describe_failure as describe_failure
-from .instance import status_word as status_word
 from .instance import warn as warn
 from .layout import FeedThrough as FeedThrough
 from .layout import Grid as Grid
@@ -28,6 +26,7 @@ from .layout import Operation as Operation
 from .layout import Plan as Plan
 from .layout import Run as Run
 from .layout import Sensitivities as Sensitivities
+from .layout import new_reports as new_reports
 from .layout import shares as shares
 from .loop import Loop as Loop
 from .sharing import Custody as Custody

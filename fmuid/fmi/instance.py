@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import itertools
 import logging
 import os
 import re
@@ -14,77 +13,41 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from fmpy import calloc, free
 from fmpy.fmi1 import _FMU
-from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions
 from fmpy.fmi3 import _FMU3, FMU3Model, FMU3Slave
-from fmpy.logging import addLoggerProxy
-from numpy.typing import NDArray
 
 from fmuid.errors import InputError
-from fmuid.fmi.codes import (
-    BOOLEAN,
-    DISCARD,
-    DO_STEP,
-    ENDED,
-    ENTER_INITIALIZATION,
-    EXIT_INITIALIZATION,
-    FLOAT64,
-    GET_BOOLEAN_STATUS,
-    GET_REAL_STATUS,
-    INT32,
-    N_FUNCTIONS,
-    N_WIRES,
-    RESET,
-    SET_DERIVATIVES,
-    SETUP,
-    STRING,
-    WIRES,
-)
+from fmuid.fmi.failures import STATUS_WORDS
 from fmuid.fmi.float_environment import kept
 from fmuid.fmi.fmu import FMU
+from fmuid.fmi.native import Log, core
 from fmuid.fmi.sharing import Residents, residents
 
 MESSAGES_KEPT = 20  # of one simulation: the first say what went wrong, the rest repeat it
-STATUS_WORDS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 _log = logging.getLogger("fmuid.fmu")
-_instances: weakref.WeakValueDictionary[int, Instance] = weakref.WeakValueDictionary()
-_keys = itertools.count(1)
 _loading = threading.Lock()  # loading changes the working directory of the whole process
 _spent: set[str] = set()  # digests of the FMUs instantiated so far in this process
+_abandoned: list[Log] = []  # of instances that failed fatally
 
 
-def _receive(environment: int | None, name: bytes, status: int, _category: bytes, message: bytes) -> None:
-    """Give a message of an FMU to the instance that it concerns."""
-    text = (message or b"").decode("utf-8", errors="replace").strip()
-    instance = _instances.get(environment or 0)
-    if instance is None:
-        _log.info("%s: %s", (name or b"").decode("utf-8", errors="replace"), text)
-    elif text and len(instance.messages) < MESSAGES_KEPT:
-        instance.messages.append((status, text))
+def _callbacks(log: Log) -> fmi2CallbackFunctions:
+    """Return callbacks whose logger formats the FMU's variadic messages and keeps them in a log.
 
-
-def _callbacks() -> fmi2CallbackFunctions:
-    """Return callbacks whose logger formats the FMU's variadic messages (FMPy's proxy) and gives them to `_receive`.
-
-    Memory comes from the C library's own functions by address, so that an FMU which allocates while it steps
-    does not enter Python.
+    Memory comes from the C library. No callback enters Python: an FMU may call them while it steps.
     """
     callbacks = fmi2CallbackFunctions()
     types = dict(fmi2CallbackFunctions._fields_)
-    callbacks.logger = _receiver
+    callbacks.logger = ctypes.cast(core().log_message, types["logger"])
     callbacks.allocateMemory = ctypes.cast(calloc, types["allocateMemory"])
     callbacks.freeMemory = ctypes.cast(free, types["freeMemory"])
-    addLoggerProxy(ctypes.byref(callbacks))
+    callbacks.componentEnvironment = ctypes.addressof(log)
     return callbacks
 
 
-_receiver = fmi2CallbackLoggerTYPE(_receive)
-
-
-def _receiver3(messages: list[tuple[int, str]]) -> Callable[..., None]:
+def _receiver(messages: list[tuple[int, str]]) -> Callable[..., None]:
     """Return a logger of FMI 3.0 that appends to a list."""
 
     def receive(_environment: Any, status: int, _category: bytes, message: bytes) -> None:
@@ -172,10 +135,6 @@ class Instance:
         Of FMI, 2 or 3.
     event_mode : bool
         Whether the instance was told that events are handled between its steps (FMI 3.0 co-simulation).
-    addresses : (codes.N_FUNCTIONS,) array of intp
-        The addresses of the FMI functions in the places that `fmuid.fmi.codes` gives them; 0 where there is none.
-    messages : list of (int, str)
-        Status and text of what the FMU logged since the list was last cleared.
 
     Raises
     ------
@@ -197,7 +156,7 @@ class Instance:
         self.fmu, self.kind, self.name = fmu, kind, name
         self.version = fmu.description.major_version
         self.event_mode = self.version == 3 and kind == "co-simulation" and interface.event_mode
-        self.messages: list[tuple[int, str]] = []
+        self._log, self._said = Log(), list[tuple[int, str]]()  # of FMI 2.0 and 3.0
         library = fmu.library(interface.identifier)
         self._residents = residents(fmu, kind)
         if self._residents:
@@ -214,9 +173,11 @@ class Instance:
                 or f"{fmu.path} cannot be instantiated: {error}" + (f' (the FMU says: "{said}")' if said else "")
             ) from error
         _spent.add(fmu.digest)
-        self._finalizer = weakref.finalize(self, _free, self._native, self._residents, threading.get_ident())
+        living = self._native, self._log
+        self._finalizer = weakref.finalize(self, _free, *living, self._residents, threading.get_ident())
         self.handle = int(self._native.component)
-        self.addresses = self._find_functions()
+        for function in LIFE_CYCLE[self.version] + ("DoStep",) * (kind == "co-simulation"):
+            self.required(function)
 
     def _load(self, identifier: str, library: Path) -> None:
         folder = os.getcwd()  # noqa: PTH109  # FMPy changes the working directory and, on failure, leaves it so
@@ -235,21 +196,29 @@ class Instance:
 
     def _instantiate(self) -> None:
         if self.version == 3:
-            log = {"loggingOn": False, "logMessage": _receiver3(self.messages)}
+            log = {"loggingOn": False, "logMessage": _receiver(self._said)}
             if self.event_mode:
                 try:
                     self._native.instantiate(**log, eventModeUsed=True, earlyReturnAllowed=True)
                 except Exception:  # there are binaries that do not have the event mode that their description promises
                     self.event_mode = False
-                    self.messages.clear()
+                    self._said.clear()
             if not self.event_mode:
                 self._native.instantiate(**log)
             return
-        key = next(_keys)
-        _instances[key] = self
-        callbacks = _callbacks()
-        callbacks.componentEnvironment = key
-        self._native.instantiate(callbacks=callbacks, loggingOn=False)
+        self._native.instantiate(callbacks=_callbacks(self._log), loggingOn=False)
+
+    @property
+    def messages(self) -> list[tuple[int, str]]:
+        """Status and text of what the FMU logged since it was last to forget."""
+        kept = self._log.messages[: min(self._log.count, MESSAGES_KEPT)]
+        said = [(message.status, message.text.decode("utf-8", errors="replace").strip()) for message in kept]
+        return [*self._said, *((status, text) for status, text in said if text)]
+
+    def forget_messages(self) -> None:
+        """Forget what the FMU logged."""
+        self._said.clear()
+        self._log.count = 0
 
     @property
     def library(self) -> Any:
@@ -276,14 +245,6 @@ class Instance:
             raise InputError(f"{self.fmu.path}: its binary lacks the function fmi{self.version}{name}, which is needed")
         return found
 
-    def _find_functions(self) -> NDArray[np.intp]:
-        addresses = np.zeros(N_FUNCTIONS, np.intp)
-        for place, name in function_names(self.version).items():
-            addresses[place] = self.address(name)
-        for name in LIFE_CYCLE[self.version] + ("DoStep",) * (self.kind == "co-simulation"):
-            self.required(name)
-        return addresses
-
     def set_logging(self, on: bool) -> None:
         """Switch the FMU's debug log (fmi2SetDebugLogging, fmi3SetDebugLogging with all categories)."""
         with kept():
@@ -293,15 +254,18 @@ class Instance:
         """Free the instance; after a fatal error it must not be touched any more (FMI 2.0.4, section 2.1.3)."""
         if not fatal:
             self._finalizer()
-        elif self._finalizer.detach() and self._residents:
-            self._residents.leave()
+        elif self._finalizer.detach():
+            _abandoned.append(self._log)  # it may still speak
+            if self._residents:
+                self._residents.leave()
 
 
-def _free(native: Any, those_there: Residents | None, thread: int) -> None:
+def _free(native: Any, log: Log, those_there: Residents | None, thread: int) -> None:
     def free_now() -> None:
         free_instance = native.fmi3FreeInstance if isinstance(native, _FMU3) else native.fmi2FreeInstance
         with kept():
             free_instance(native.component)
+        log.count = 0  # it must be there for as long as the FMU may speak
 
     if those_there:
         those_there.leave(thread, free_now)
@@ -320,50 +284,11 @@ def _missing_library(fmu: FMU, error: str) -> str | None:
     )
 
 
-def function_names(version: int) -> dict[int, str]:
-    """Return place in a component's row of addresses -> FMI function without its prefix."""
-    if version == 3:
-        types = dict(enumerate(WIRES))
-        others = {DO_STEP: "DoStep"}
-    else:
-        types = {FLOAT64: "Real", INT32: "Integer", BOOLEAN: "Boolean", STRING: "String"}
-        others = {
-            DO_STEP: "DoStep",
-            SET_DERIVATIVES: "SetRealInputDerivatives",
-            SETUP: "SetupExperiment",
-            GET_REAL_STATUS: "GetRealStatus",
-            GET_BOOLEAN_STATUS: "GetBooleanStatus",
-        }
-    others |= {
-        RESET: "Reset",
-        ENTER_INITIALIZATION: "EnterInitializationMode",
-        EXIT_INITIALIZATION: "ExitInitializationMode",
-    }
-    setting = {place: f"Set{name}" for place, name in types.items()}
-    getting = {N_WIRES + place: f"Get{name}" for place, name in types.items()}
-    return setting | getting | others
-
-
 LIFE_CYCLE = {
     2: ("Reset", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode"),
     3: ("Reset", "EnterInitializationMode", "ExitInitializationMode"),
 }
 """Functions that every simulation calls."""
-
-
-def describe_failure(version: int, function: int, status: int) -> str:
-    """Return the failing FMI call in words."""
-    if function == ENDED:
-        return "the FMU ended the simulation"
-    hint = " (the FMU cannot go on from here)" if function == DO_STEP and status == DISCARD else ""
-    return f"fmi{version}{function_names(version)[function]} returned {status_word(version, status)}{hint}"
-
-
-def status_word(version: int, status: int) -> str:
-    """Return a status as the standard calls it."""
-    if 0 <= status < len(STATUS_WORDS):
-        return f"fmi{version}{STATUS_WORDS[status]}"
-    return f"the illegal status {status}"
 
 
 def warn(instance: Instance, told: set[str]) -> None:
@@ -375,4 +300,4 @@ def warn(instance: Instance, told: set[str]) -> None:
 
 
 if sys.maxsize <= 2**32:  # pragma: no cover
-    raise ImportError("fmuid needs a 64-bit Python: its compiled loops pass 64-bit addresses")
+    raise ImportError("fmuid needs a 64-bit Python: its core is compiled for 64 bits")

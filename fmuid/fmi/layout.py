@@ -1,4 +1,4 @@
-"""What the compiled loop is to do, as arrays, and the experiment as it walks it."""
+"""What the core is to do, as arrays, and the experiment as it walks it."""
 
 from __future__ import annotations
 
@@ -113,6 +113,11 @@ class Grid(NamedTuple):
     strides: NDArray[np.intp]
     inputs: NDArray[np.float64]
     slopes: NDArray[np.float64] | None
+
+
+def new_reports(count: int) -> NDArray[np.intp]:
+    """Return reports (count, codes.REPORT) of simulations that are not done."""
+    return np.full((count, codes.REPORT), codes.UNDONE, np.intp)
 
 
 class Run:

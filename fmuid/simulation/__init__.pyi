@@ -6,7 +6,6 @@ from .isolation.ends import End as End
 from .isolation.isolated import FIRST_LIMIT as FIRST_LIMIT
 from .isolation.isolated import default_limit as default_limit
 from .isolation.isolated import memory_share as memory_share
-from .isolation.isolated import modules_for as modules_for
 from .isolation.isolated import printed as printed
 from .isolation.process import SERVER as SERVER
 from .isolation.process import Host as Host

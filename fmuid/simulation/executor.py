@@ -29,7 +29,7 @@ class Workers(Protocol):
     lock: threading.RLock
 
     def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
-        """Simulate all thetas (m, N) into outputs (m, K, n_outputs) and reports (m, 4)."""
+        """Simulate all thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
 
     def failure(
         self,

@@ -11,7 +11,7 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.data import Experiment
-from fmuid.fmi import FLOAT64, Integration, Operation, Sensitivities, codes
+from fmuid.fmi import FLOAT64, Integration, Operation, Sensitivities, codes, new_reports
 from fmuid.models import Component, Port, System, Value
 from fmuid.simulation.executor import Workers
 from fmuid.simulation.plan import PlannedRun
@@ -80,7 +80,7 @@ class SensitivityRun(PlannedRun):
     def simulate(self, workers: Workers, theta: Floats) -> Floats | Refusal:
         """Simulate theta (N,); return the outputs (K, n), or why there are none."""
         outputs = np.empty((1, self.grid.times.size, len(self.output_names)))
-        reports = np.empty((1, 4), np.intp)
+        reports = new_reports(1)
         with workers.lock:
             workers.run(self, theta[None], outputs, reports)
             if reports[0, 0] == codes.SENSITIVITIES:
@@ -149,7 +149,7 @@ class InitialRun(PlannedRun):
     def states(self, workers: Workers, thetas: Floats) -> Floats | None:
         """Return the initial states (m, n_states) of thetas (m, N), None if an initialisation fails."""
         outputs = np.empty((len(thetas), 1, len(self.output_names)))
-        reports = np.empty((len(thetas), 4), np.intp)
+        reports = new_reports(len(thetas))
         with workers.lock:
             workers.run(self, thetas, outputs, reports)
         found = outputs[:, 0]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import SimulationError
-from fmuid.fmi import Custody, Instance, Loop, Run, codes, describe_failure, shares, status_word, warn
+from fmuid.fmi import Custody, Instance, Loop, Run, codes, describe, new_reports, shares, warn
 from fmuid.models import STIFF_INTEGRATOR, Component
 
 _log = logging.getLogger("fmuid.fmu")
@@ -89,7 +89,7 @@ class Worker:
         return None
 
     def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
-        """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, 4)."""
+        """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, codes.REPORT)."""
         done = 0
         while done < len(thetas):
             share = max(1, int(CALL_SECONDS / self._seconds)) if self._resets else 1
@@ -142,7 +142,7 @@ class Worker:
 
     def _repeats(self, run: Run, theta: Floats, expected: Floats) -> tuple[bool, bool]:
         """Simulate again; return whether the outputs are the same, and whether the FMU failed fatally."""
-        outputs, report = np.empty_like(expected), np.empty((1, 4), np.intp)
+        outputs, report = np.empty_like(expected), new_reports(1)
         self._simulate(run, theta, outputs, report)
         tolerance = RESET_TOLERANCE * np.abs(expected).max(initial=0.0)
         same = report[0, 0] < 0 and np.allclose(outputs, expected, rtol=0.0, atol=tolerance)
@@ -162,7 +162,7 @@ class Worker:
         for instance in self._instances:
             if instance.messages and not failed:
                 warn(instance, self._told)
-            instance.messages.clear()
+            instance.forget_messages()
 
     @contextmanager
     def _busy(self, doing: int) -> Iterator[None]:
@@ -175,12 +175,12 @@ class Worker:
     def explain(self, run: Run, theta: Floats, parameters: Mapping[str, float]) -> SimulationError | None:
         """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
         outputs = np.empty((1, run.grid.times.size, len(run.output_names)))
-        reports = np.empty((1, 4), np.intp)
+        reports = new_reports(1)
         if self._resets is False or (self._resets is None and self._can_be_replaced):
             self.close()  # whether a reset undoes the failure is not known
         self._prepare()
         for instance in self._instances:
-            instance.messages.clear()
+            instance.forget_messages()
             instance.set_logging(True)
         self._simulate(run, theta[np.newaxis], outputs, reports)
         error = self.error(run, outputs[0], reports[0], parameters)
@@ -188,14 +188,14 @@ class Worker:
             self.close(fatal=True)
         for instance in self._instances:
             instance.set_logging(False)
-            instance.messages.clear()
+            instance.forget_messages()
         return error
 
     def error(
         self, run: Run, outputs: Floats, report: NDArray[np.intp], parameters: Mapping[str, float]
     ) -> SimulationError | None:
         """Return what a report and the outputs say, as an error; None where the simulation succeeded."""
-        function, component, status, sample = (int(word) for word in report)
+        function, component, _, sample = (int(word) for word in report[:4])
         if function >= 0:
             at = float(run.grid.times[max(sample, 0)])
             if function == codes.LOOP:
@@ -203,7 +203,7 @@ class Worker:
                 what = f"the loop of direct feed-through through {loop.words} ({len(loop.signals)} unknowns) has no "
                 return SimulationError(", ".join(self._labels), at, parameters, what + "solution that is found", [])
             said = _last_words(self._instances[component]) if self._instances else []
-            what = self._describe(run, component, function, status)
+            what = self._describe(run, report)
             return SimulationError(self._labels[component], at, parameters, what, said)
         bad = np.argwhere(~np.isfinite(outputs))
         if len(bad):
@@ -213,22 +213,15 @@ class Worker:
             return SimulationError(", ".join(self._labels), float(run.grid.times[row]), parameters, what, said)
         return None
 
-    def _describe(self, run: Run, component: int, function: int, status: int) -> str:
-        model = list(self._components.values())[component]
-        version = model.fmu.description.major_version
-        if function < codes.STEPPER:
-            return describe_failure(version, function, status)
-        if model.kind == "co-simulation":
-            from fmuid.fmi import describe
-
-            return describe(function - codes.STEPPER, status_word(version, status))
-        from fmuid.fmi import integrators
-
-        integration, loop = run.plan.integrations[component], self._loops.get(run)
+    def _describe(self, run: Run, report: NDArray[np.intp]) -> str:
+        failure, component, status, _, bad = (int(word) for word in report[:5])
+        time, step = (float(number) for number in report[5:].view(np.float64))
+        description = list(self._components.values())[component].fmu.description
+        integration, count = run.plan.integrations[component], len(description.states)
+        state = description.states[bad % count] if bad >= 0 and count else "of the model"
+        state += f" (its sensitivity to parameter {bad // count})" if count and bad >= count else ""
         integrator = integration.integrator if integration else ""
-        bad = loop.bad_state(component) if loop is not None else "of the model"
-        at, step = loop.whereabouts(component) if loop is not None else (np.nan, np.nan)
-        return integrators.describe(function - codes.STEPPER, status, version, integrator, bad, at, step)
+        return describe(failure, status, description.major_version, integrator, state, time, step)
 
     def close(self, fatal: bool = False) -> None:
         """Free the instances; after a fatal error they are left alone."""
@@ -323,7 +316,7 @@ class InProcess:
     def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         """Simulate all thetas (m, N), in equal shares over the workers; a model found stiff is run again as such.
 
-        Outputs (m, K, n_outputs) and reports (m, 4) are filled in (`fmuid.fmi.kernels.simulate`).
+        Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`).
         """
         with self._custody.turn(self):
             self._run_shares(run, thetas, outputs, reports)
@@ -334,9 +327,7 @@ class InProcess:
 
     def _found_stiff(self, run: Run, reports: NDArray[np.intp]) -> bool:
         """Mark the models that the default integrator has found stiff; return whether there are any."""
-        from fmuid.fmi import STIFF
-
-        stiff = {int(component) for function, component, _, _ in reports if function == codes.STEPPER + STIFF}
+        stiff = {int(component) for function, component, *_ in reports if function == codes.STIFF}
         models = list(self._components.values())
         undecided = [component for component in stiff if models[component].numerics.integrator is None]
         for component in undecided:
@@ -370,7 +361,7 @@ class InProcess:
         parameters: Mapping[str, float],
         explain: bool = False,
     ) -> SimulationError | None:
-        """Return what the outputs (K, n_outputs) and the report (4,) of a simulation say; None where it succeeded.
+        """Return what the outputs (K, n_outputs) and the report of a simulation say; None where it succeeded.
 
         To `explain` it, the simulation is repeated to hear what the FMU says; the error names the `parameters`.
         """

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmuid.data import Experiment
 from fmuid.errors import InputError, SimulationError
-from fmuid.fmi import FMU
+from fmuid.fmi import FMU, new_reports
 from fmuid.models import Isolation, Numerics, System, Value, column_conversion
 from fmuid.simulation.executor import workers_of
 from fmuid.simulation.plan import PlannedRun
@@ -184,7 +184,7 @@ class Simulator:
         if not np.isfinite(given).all():
             raise InputError(f"theta must be finite; one of the values for {self._names} is not")
         outputs = np.empty((len(given), self._run.grid.times.size, len(self.output_names)))
-        reports = np.empty((len(given), 4), np.intp)
+        reports = new_reports(len(given))
         with self._workers.lock:
             self._workers.run(self._run, self._set(given), outputs, reports)
             errors = self._explain(given, outputs, reports)

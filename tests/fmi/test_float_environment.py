@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.fmi.float_environment import AVAILABLE, kept
+from fmuid.fmi.float_environment import kept
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, RECORD, thetas
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu
 
-pytestmark = pytest.mark.skipif(not AVAILABLE, reason="this C library does not give the environment")
 UPWARD = 0x800 if platform.machine() in ("x86_64", "AMD64") else 0x400000  # FE_UPWARD; on ARM
 MODES = [Mode.ROUND_UPWARD] + (
     [Mode.FLUSH, Mode.TRAP, Mode.LESS_PRECISE] if platform.machine() in ("x86_64", "AMD64") else []

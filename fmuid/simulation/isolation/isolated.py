@@ -15,7 +15,7 @@ import math
 import os
 import threading
 import weakref
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +78,7 @@ class IsolatedWorkers:
     def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
-        Outputs (m, K, n_outputs) and reports (m, 4) are filled in (`fmuid.fmi.kernels.simulate`).
+        Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`).
         """
         first, largest = 0, max(1, CHUNK // max(1, outputs[:1].nbytes))
         while first < len(thetas):
@@ -213,7 +213,7 @@ class IsolatedWorkers:
         for _, model in self._models:
             model.fmu.directory  # noqa: B018  # unpacked here, where what is wrong with it can be said
         for _ in range(MOST_KILLS):
-            host = Host(modules_for(self._components.values()), self._memory)
+            host = Host([], self._memory)
             try:
                 host.order("start", self._components, self._limit, self._resets, limit=FIRST_LIMIT)
             except End:
@@ -255,7 +255,7 @@ class IsolatedWorkers:
 
     def _write(self, end: End, indices: NDArray[np.intp], reports: NDArray[np.intp]) -> None:
         limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory}
-        reports[indices] = codes.PROCESS, end.kind, end.number if limits.get(end.kind, 1) else 0, -1
+        reports[indices, :4] = codes.PROCESS, end.kind, end.number if limits.get(end.kind, 1) else 0, -1
 
     def _give_up_reset(self) -> None:
         self._resets = False
@@ -305,13 +305,3 @@ def memory_share() -> float:
     import psutil
 
     return max(LEAST_MEMORY, psutil.virtual_memory().total / (2 * (os.cpu_count() or 1)))
-
-
-def modules_for(models: Collection[Component]) -> list[str]:
-    """Return what a process is to load before it is forked, beside what all need."""
-    found = []
-    if any(model.kind == "model-exchange" for model in models):
-        found += ["fmuid.fmi.model_exchange"]
-    elif any(model.fmu.description.major_version == 3 for model in models):
-        found += ["fmuid.fmi.co_simulation"]
-    return found + (["fmuid.fmi.coupling"] if found or len(models) > 1 else [])

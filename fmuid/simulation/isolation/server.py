@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
+from fmuid.fmi import REPORT
 from fmuid.simulation.isolation.channel import Channel
 from fmuid.simulation.isolation.family import adopt_orphans, children
 
@@ -47,7 +48,7 @@ _IOLBF = 1  # of setvbuf: lines are written when they are complete
 def layout(m: int, n_theta: int, n_times: int, n_outputs: int) -> tuple[int, int, int, int]:
     """Return where reports, thetas and outputs begin in the shared memory, and its size, bytes."""
     reports = 8 * DOING
-    thetas = reports + 8 * 4 * m
+    thetas = reports + 8 * REPORT * m
     outputs = thetas + 8 * m * n_theta
     return reports, thetas, outputs, outputs + 8 * m * n_times * n_outputs
 
@@ -56,11 +57,11 @@ Arrays = tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]
 
 
 def arrays(memory: mmap.mmap, shape: tuple[int, int, int, int]) -> Arrays:
-    """Return reports (m, 4), thetas (m, N) and outputs (m, K, n_outputs) of shape (m, N, K, n_outputs)."""
+    """Return reports (m, REPORT), thetas (m, N) and outputs (m, K, n_outputs) of shape (m, N, K, n_outputs)."""
     m, n_theta, n_times, n_outputs = shape
     reports, thetas, outputs, _ = layout(*shape)
     return (
-        np.frombuffer(memory, np.intp, 4 * m, reports).reshape(m, 4),
+        np.frombuffer(memory, np.intp, REPORT * m, reports).reshape(m, REPORT),
         np.frombuffer(memory, np.float64, m * n_theta, thetas).reshape(m, n_theta),
         np.frombuffer(memory, np.float64, m * n_times * n_outputs, outputs).reshape(m, n_times, n_outputs),
     )

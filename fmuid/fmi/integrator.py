@@ -1,0 +1,211 @@
+"""The integration of a model-exchange instance by the core: fixed-step, adaptive or stiff, events of all kinds."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import weakref
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.errors import InputError
+from fmuid.fmi import native
+from fmuid.fmi.layout import Sensitivities
+
+NO_REFERENCES: NDArray[np.uint32] = np.zeros(0, np.uint32)
+NAMES = {
+    2: (
+        *("SetTime", "SetReal", "SetContinuousStates", "GetDerivatives", "GetEventIndicators", "GetContinuousStates"),
+        *("GetNominalsOfContinuousStates", "EnterEventMode", "NewDiscreteStates", "EnterContinuousTimeMode"),
+    ),
+    3: (
+        *("SetTime", "SetFloat64", "SetContinuousStates", "GetContinuousStateDerivatives", "GetEventIndicators"),
+        *("GetContinuousStates", "GetNominalsOfContinuousStates", "EnterEventMode", "UpdateDiscreteStates"),
+        "EnterContinuousTimeMode",
+    ),
+}
+"""The functions that model exchange requires, by version."""
+
+
+def function_table(version: int, address_of: Callable[[str], int]) -> native.Fmi2 | native.Fmi3:
+    """Return the core's table of the functions of a binary, by `address_of` their names without prefix."""
+    kind = native.Fmi2 if version == 2 else native.Fmi3
+    return kind(**{name: address_of(name) for name, _ in kind._fields_})
+
+
+def address(array: NDArray[Any] | None) -> int | None:
+    """Return where an array's numbers are; None for none."""
+    return None if array is None else int(array.ctypes.data)
+
+
+class Integrator:
+    """The memory of one model-exchange instance under integration; freed with the object.
+
+    Parameters
+    ----------
+    version : int
+        Of the FMI standard: 2 or 3.
+    handle : int
+        Address of the instance.
+    table : native.Fmi2 or native.Fmi3
+        Its functions; without the optional CompletedIntegratorStep and GetDirectionalDerivative where they are not
+        to be called.
+    n_states, n_indicators : int
+    integrator : {"rk45", "rk4", "cvode"}
+        Dormand and Prince's method with step-size control, the classical method with equal steps, or CVODE's BDF.
+    tolerance : float
+        Relative tolerance of "rk45" and "cvode"; the absolute one of a state is that times its nominal value.
+    step_size : float, optional
+        Largest step, s; by default there is no bound but the wanted times.
+    limit : float
+        Steps may go beyond the wanted time up to here, s.
+    input_references : array of uint32, optional
+        Value references of the inputs that have polynomials, one for an array of FMI 3.0.
+    input_starts : (n_u,) array, optional
+        One value for each element of these inputs, in their order: what those keep that are given no polynomial.
+        Default: zero, one element a reference.
+    state_references, derivative_references : (n_states,) array of uint32, optional
+        Value references of states and derivatives, in their order, for directional derivatives.
+    follows : bool
+        Whether it is the twin of another, and not integrated.
+    sensitivities : Sensitivities, optional
+        To parameters, integrated with the states; its arrays may be filled in anew before each simulation.
+    twins : sequence of Integrator
+        Those whose differences give the sensitivities.
+
+    Attributes
+    ----------
+    handle : int
+        Address of the memory.
+    curves : (n_u, 4) array
+        Input j at time t is the polynomial in t - state.origin with these coefficients, lowest power first.
+    state : native.Integrator
+        How far it is, and what failed.
+
+    Raises
+    ------
+    InputError
+        If the integrator, its tolerance or step size is not one, or if there is no CVODE for this platform.
+    """
+
+    def __init__(
+        self,
+        version: int,
+        handle: int,
+        table: native.Fmi2 | native.Fmi3,
+        n_states: int,
+        n_indicators: int,
+        *,
+        integrator: str = "rk45",
+        tolerance: float = 1e-6,
+        step_size: float | None = None,
+        limit: float = -math.inf,
+        input_references: NDArray[np.uint32] = NO_REFERENCES,
+        input_starts: NDArray[np.float64] | None = None,
+        state_references: NDArray[np.uint32] = NO_REFERENCES,
+        derivative_references: NDArray[np.uint32] = NO_REFERENCES,
+        follows: bool = False,
+        sensitivities: Sensitivities | None = None,
+        twins: Sequence[Integrator] = (),
+    ) -> None:
+        _check(integrator, tolerance, step_size)
+        starts = np.zeros(len(input_references)) if input_starts is None else input_starts
+        self.curves: NDArray[np.float64] = np.zeros((len(starts), 4))
+        self.curves[:, 0] = starts
+        references = (input_references, state_references, derivative_references)
+        inputs, states, derivatives = (np.ascontiguousarray(values, np.uint32) for values in references)
+        known = n_states > 0 and len(states) == len(derivatives) == n_states
+        sundials = sundials_table() if integrator == "cvode" and n_states else None
+        self._kept: list[Any] = [inputs, states, derivatives, list(twins), sensitivities]
+        how = native.Integration(
+            instance=handle,
+            n_states=n_states,
+            n_indicators=n_indicators,
+            n_inputs=len(starts),
+            n_input_references=len(inputs),
+            input_references=address(inputs),
+            curves=address(self.curves),
+            state_references=address(states) if known else None,
+            derivative_references=address(derivatives) if known else None,
+            tolerance=tolerance,
+            largest_step=math.inf if step_size is None else step_size,
+            limit=limit,
+            method=native.METHODS[integrator],
+            follows=follows,
+        )
+        setattr(how, f"fmi{version}", ctypes.pointer(table))
+        if sensitivities is not None:
+            how.sensitivities = ctypes.pointer(self._extension(sensitivities, states, n_states, twins))
+        if sundials is not None:
+            how.sundials = ctypes.pointer(sundials)
+        self._kept.append(how)  # and with it all that it points to
+        core = native.core()
+        made = core.integrator_create(ctypes.byref(how))
+        if not made:
+            raise MemoryError("an integrator cannot allocate its memory")
+        self.handle: int = made
+        self._finalizer = weakref.finalize(self, core.integrator_free, made)
+        self.state = native.Integrator.from_address(made)
+
+    def _extension(
+        self, given: Sensitivities, states: NDArray[np.uint32], n: int, twins: Sequence[Integrator]
+    ) -> native.Sensitivities:
+        count, handles = len(given.magnitudes), np.array([twin.handle for twin in twins], np.intp)
+        if given.initial.shape != (count, n) or len(given.steps) != count or len(twins) not in (0, count):
+            raise ValueError("the arrays of the sensitivities do not fit together")
+        knowns = np.zeros((count, n + 1), np.uint32)
+        if not twins:
+            knowns[:, :n], knowns[:, n] = states, given.references
+        self._kept += [knowns, handles]
+        return native.Sensitivities(
+            count=count,
+            magnitudes=address(given.magnitudes),
+            initial=address(given.initial),
+            steps=address(given.steps),
+            knowns=address(knowns),
+            twins=address(handles) if twins else None,
+        )
+
+
+def _check(integrator: str, tolerance: float, step_size: float | None) -> None:
+    if integrator not in native.METHODS:
+        raise InputError(f'integrator = "{integrator}" is none; choose one of {", ".join(native.METHODS)}')
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f"tolerance = {tolerance:g} must lie between 0 and 1")
+    if step_size is not None and not 0.0 < step_size < math.inf:
+        raise InputError(f"step_size = {step_size:g} must be a positive number of seconds")
+
+
+def sundials_table() -> native.Sundials:
+    """Return the functions of the SUNDIALS libraries that FMPy carries.
+
+    Raises
+    ------
+    InputError
+        If there are none for this platform.
+    """
+    try:
+        from fmpy.sundials import libraries
+    except Exception as error:  # FMPy lets through what the loader raises: OSError, AttributeError, its own
+        raise InputError(
+            f'integrator = "cvode" has no library for this platform ({error}); '
+            'choose integrator = "rk45", or "rk4" with a step_size'
+        ) from error
+    return _table_of(libraries)
+
+
+@cache
+def _table_of(libraries: Any) -> native.Sundials:
+    loaded = [
+        getattr(libraries, f"sundials_{name}")
+        for name in ("core", "nvecserial", "sunmatrixdense", "sunlinsoldense", "cvode")
+    ]
+    found = {}
+    for name, _ in native.Sundials._fields_:
+        library = next(each for each in loaded if hasattr(each, name))
+        found[name] = ctypes.cast(library[name], ctypes.c_void_p).value
+    return native.Sundials(**found)

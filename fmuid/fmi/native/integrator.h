@@ -1,0 +1,193 @@
+/* The integration of one model-exchange instance: its memory, and who does what to it. */
+#ifndef INTEGRATOR_H
+#define INTEGRATOR_H
+
+#include "plan.h"
+
+typedef enum { RK4, RK45, CVODE } Method;
+
+/* The functions of SUNDIALS 7 that are called, and of its vectors and matrices only what gives access to their numbers:
+ * their types are opaque here. `sunindextype` is int64_t, `sunrealtype` double. */
+typedef struct {
+  int (*SUNContext_Create)(int communicator, void **context);
+  int (*SUNContext_ClearErrHandlers)(void *context);
+  int (*SUNContext_Free)(void **context);
+  void *(*N_VMake_Serial)(int64_t n, double *numbers, void *context);
+  double *(*N_VGetArrayPointer)(void *vector);
+  void (*N_VDestroy)(void *vector);
+  void *(*SUNDenseMatrix)(int64_t rows, int64_t columns, void *context);
+  double *(*SUNDenseMatrix_Data)(void *matrix);
+  void (*SUNMatDestroy)(void *matrix);
+  void *(*SUNLinSol_Dense)(void *vector, void *matrix, void *context);
+  int (*SUNLinSolFree)(void *solver);
+  void *(*CVodeCreate)(int method, void *context);
+  int (*CVodeInit)(void *memory, int (*slopes)(double t, void *y, void *dy, void *data), double t, void *y);
+  int (*CVodeReInit)(void *memory, double t, void *y);
+  int (*CVodeSetUserData)(void *memory, void *data);
+  int (*CVodeSVtolerances)(void *memory, double relative, void *absolute);
+  int (*CVodeSetLinearSolver)(void *memory, void *solver, void *matrix);
+  int (*CVodeSetJacFn)(void *memory, int (*jacobian)(double t, void *y, void *dy, void *matrix, void *data, void *work1,
+                                                     void *work2, void *work3));
+  int (*CVodeSetMaxHnilWarns)(void *memory, int count);
+  int (*CVodeSetMaxStep)(void *memory, double length);
+  int (*CVodeSetStopTime)(void *memory, double t);
+  int (*CVodeSetInitStep)(void *memory, double length);
+  int (*CVode)(void *memory, double until, void *y, double *reached, int task);
+  int (*CVodeGetDky)(void *memory, double t, int derivative, void *y);
+  void (*CVodeFree)(void **memory);
+} Sundials;
+
+/* The sensitivities of the states to `count` parameters, integrated with the n states. With directional derivatives
+ * `initial` (count, n) are those to begin with and `knowns` (count, n + 1) the references of states and parameter; else
+ * each of the `twins`, instances of the same model, has one parameter changed by one of the `steps` (count). */
+typedef struct {
+  size_t count;
+  const double *magnitudes; /* of the parameters: an absolute tolerance is that of its state over the magnitude */
+  const double *initial, *steps;
+  const uint32_t *knowns;
+  Integrator *const *twins; /* NULL with directional derivatives */
+} Sensitivities;
+
+/* How a component is integrated; filled in from Python. */
+typedef struct {
+  void *instance;
+  const Fmi2 *fmi2; /* one of these two is NULL */
+  const Fmi3 *fmi3;
+  size_t n_states, n_indicators;
+  size_t n_inputs, n_input_references; /* that vary continuously; an array of FMI 3.0 has one reference */
+  const uint32_t *input_references;
+  Curve *curves;                                              /* of these inputs, from `origin` on */
+  const uint32_t *state_references, *derivative_references; /* NULL where no directional derivatives are to be had */
+  double tolerance;    /* relative; that of a state near zero is relative to its nominal value */
+  double largest_step; /* infinity where there is no bound */
+  double limit;        /* steps may go beyond the wanted time up to here */
+  int32_t method;      /* Method */
+  int32_t follows;     /* this is the twin of another: it is not integrated */
+  const Sensitivities *sensitivities; /* NULL without */
+  const Sundials *sundials;           /* NULL but for CVODE */
+} Integration;
+
+typedef enum { DONE = 0, REJECTED = 1, FAILED = -1 } Outcome; /* REJECTED: a smaller step may do. As CVODE reads them */
+
+typedef enum { SETTLED, COMPLETION, EVENT } Pending; /* what is still to be done at the end of the step */
+
+enum { MOST_STAGES = 7 };
+
+/* What deals with what is integrated beside the states. */
+typedef struct {
+  Outcome (*extend)(Integrator *self, double t, const double *x, double *dx); /* find its derivatives */
+  Outcome (*follow)(Integrator *self, double t, const double *x);             /* a time has been arrived at */
+  Outcome (*complete)(Integrator *self, double t, const double *x);           /* a step is complete */
+  Outcome (*before_event)(Integrator *self, double t, const double *x);
+  Outcome (*after_event)(Integrator *self, double t, double *x);
+} Extension;
+
+typedef struct Solver Solver; /* CVODE's memory */
+
+/* Functions that both versions of the FMI have in the same shape. */
+typedef struct {
+  int32_t (*SetTime)(void *, double);
+  int32_t (*SetContinuousStates)(void *, const double *, size_t);
+  int32_t (*GetContinuousStates)(void *, double *, size_t);
+  int32_t (*GetNominals)(void *, double *, size_t);
+  int32_t (*GetDerivatives)(void *, double *, size_t);
+  int32_t (*GetEventIndicators)(void *, double *, size_t);
+  int32_t (*EnterEventMode)(void *);
+  int32_t (*EnterContinuousTimeMode)(void *);
+} Calls;
+
+struct Integrator {
+  /* What Python looks at; `origin` and `cancel` are the master's to set. */
+  Integration how;
+  double origin;               /* of the curves' time */
+  double time;                 /* that the FMU holds, or was given last before it failed */
+  double step_start, step_end; /* of the step that was accepted last; between steps the present time */
+  double step_length;          /* before an event cut the step; 0 if nothing was integrated */
+  double next_step;            /* length to try next; 0 where unknown */
+  double next_event;           /* time of the next time event; infinite where there is none */
+  size_t n_steps, n_events;    /* since the beginning; events that were brought from outside included */
+  Report report;
+  const atomic_int *cancel; /* NULL where nobody can wish so */
+
+  Calls call;
+  const Extension *extension; /* NULL where states alone are integrated */
+  Solver *solver;
+  size_t n_total;          /* the states, and what is integrated with them */
+  double error, old_error; /* of the last attempt and of the last accepted step, 1 being just acceptable */
+  size_t steps_before;     /* the present advance */
+  int32_t stiff_hits, stiff_misses;
+  bool has_directional; /* derivatives, as far as is known */
+  bool in_event_mode;
+  bool starting;         /* the event that is to be left is the first */
+  bool inside;           /* the event that was entered was found here, not brought from outside */
+  bool fmu_is_at_end;    /* the FMU holds time, inputs and states of the step's end */
+  bool can_go_on;        /* from where it is: derivatives of the step's end, history of CVODE */
+  bool nominals_known;
+  Pending pending;
+
+  /* The arrays lie in one block of memory, which `memory` owns. */
+  double *memory;
+  double *x_start, *x_end, *x_stage, *x_at; /* states; x_at: interpolated */
+  double *absolute;                         /* tolerances */
+  double *slopes[MOST_STAGES];
+  double *bend, *x_whole;             /* dense output: its term of fourth order; states at the end of the uncut step */
+  double *z_start, *z_end, *z_at;     /* event indicators */
+  double *input_values, *input_sizes; /* that the FMU holds, NAN where unknown; largest magnitudes so far */
+  /* of sensitivities */
+  double *seeds, *x_before, *slopes_before, *slopes_after, *x_work, *shifts; /* shifts: of the time of an event */
+  double *z_event, *z_early, *z_late;
+};
+
+/* model_exchange.c: the life of an integrator. All but the first two return 0 or, after a failure, another number. */
+Integrator *integrator_create(const Integration *how); /* NULL where memory is short */
+void integrator_free(Integrator *self);
+int integrator_begin(Integrator *self, double t);
+int integrator_enter_events(Integrator *self, double t);
+int integrator_leave_events(Integrator *self, double t);
+int integrator_advance(Integrator *self, double t);
+
+#ifndef _WIN32
+#pragma GCC visibility push(hidden)
+#endif
+
+/* model_exchange.c: calls of the FMU. */
+Outcome give_up(Integrator *self, Failure failure, int32_t status);
+Outcome check(Integrator *self, Failure function, int32_t status);
+double input_at(const Integrator *self, size_t j, double t);
+Outcome put_inputs(Integrator *self, double t);
+Outcome put(Integrator *self, double t, const double *x);
+Outcome get_derivatives(Integrator *self, double *dx);
+Outcome get_indicators(Integrator *self, double *z);
+Outcome right_hand_side(Integrator *self, double t, const double *x, double *dx);
+Outcome directional(Integrator *self, const uint32_t *unknowns, size_t n_unknowns, const uint32_t *knowns,
+                    size_t n_knowns, const double *seeds, double *found, int32_t *status);
+Outcome interpolate(Integrator *self, double t);
+void copy(size_t n, const double *from, double *to);
+
+/* runge_kutta.c */
+Outcome runge_kutta_step(Integrator *self, double bound);
+void runge_kutta_interpolate(Integrator *self, double t);
+
+/* cvode.c */
+bool cvode_create(Integrator *self);
+void cvode_free(Integrator *self);
+Outcome cvode_step(Integrator *self, double bound);
+Outcome cvode_interpolate(Integrator *self, double t);
+
+/* events.c */
+bool crossed(const Integrator *self, const double *z);
+Outcome locate_event(Integrator *self);
+Outcome settle(Integrator *self);
+Outcome complete_step(Integrator *self);
+Outcome enter_event_mode(Integrator *self);
+Outcome leave_event_mode(Integrator *self, double t);
+
+/* sensitivities.c */
+extern const Extension directional_sensitivities, twin_sensitivities;
+int32_t output_sensitivities(Integrator *self, const uint32_t *references, size_t count, double *values);
+
+#ifndef _WIN32
+#pragma GCC visibility pop
+#endif
+
+#endif

@@ -1,0 +1,309 @@
+/* A model-exchange instance from one communication point to the next: its memory, the calls of the FMU, the steps. */
+#include <float.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "integrator.h"
+
+static const size_t MAX_STEPS = 1000000; /* of one advance: some seconds, then it will never arrive */
+static const size_t MAX_EVENTS = 10000;  /* of one advance: chattering, or bounces without end */
+static const double INPUT_JUMP = 1e-9;   /* of an input's magnitude: less is rounding of its curves */
+
+void copy(size_t n, const double *from, double *to) {
+  for (size_t i = 0; i < n; i++) to[i] = from[i];
+}
+
+/* ---- memory ---- */
+
+static Calls calls2(const Fmi2 *fmi) {
+  return (Calls){fmi->SetTime,        fmi->SetContinuousStates, fmi->GetContinuousStates, fmi->GetNominalsOfContinuousStates,
+                 fmi->GetDerivatives, fmi->GetEventIndicators,  fmi->EnterEventMode,      fmi->EnterContinuousTimeMode};
+}
+
+static Calls calls3(const Fmi3 *fmi) {
+  return (Calls){fmi->SetTime,
+                 fmi->SetContinuousStates,
+                 fmi->GetContinuousStates,
+                 fmi->GetNominalsOfContinuousStates,
+                 fmi->GetContinuousStateDerivatives,
+                 fmi->GetEventIndicators,
+                 fmi->EnterEventMode,
+                 fmi->EnterContinuousTimeMode};
+}
+
+/* Take n numbers from the memory at *rest. */
+static double *take(double **rest, size_t n) {
+  double *taken = *rest;
+  *rest += n;
+  return taken;
+}
+
+static bool allot(Integrator *self, size_t count) {
+  const size_t n = self->n_total, n_x = self->how.n_states, n_z = self->how.n_indicators, n_u = self->how.n_inputs;
+  double *rest = self->memory = calloc((7 + MOST_STAGES) * n + 6 * n_z + 2 * n_u + 5 * n_x + 1 + count, sizeof(double));
+  if (!rest) return false;
+  double **by_total[] = {&self->x_start,  &self->x_end, &self->x_stage, &self->x_at,
+                         &self->absolute, &self->bend,  &self->x_whole};
+  for (size_t i = 0; i < sizeof by_total / sizeof *by_total; i++) *by_total[i] = take(&rest, n);
+  for (size_t i = 0; i < MOST_STAGES; i++) self->slopes[i] = take(&rest, n);
+  double **by_indicators[] = {&self->z_start, &self->z_end,   &self->z_at,
+                              &self->z_event, &self->z_early, &self->z_late};
+  for (size_t i = 0; i < sizeof by_indicators / sizeof *by_indicators; i++) *by_indicators[i] = take(&rest, n_z);
+  self->input_values = take(&rest, n_u);
+  self->input_sizes = take(&rest, n_u);
+  double **by_states[] = {&self->x_before, &self->slopes_before, &self->slopes_after, &self->x_work};
+  for (size_t i = 0; i < sizeof by_states / sizeof *by_states; i++) *by_states[i] = take(&rest, n_x);
+  self->seeds = take(&rest, n_x + 1);
+  self->shifts = take(&rest, count);
+  return true;
+}
+
+Integrator *integrator_create(const Integration *how) {
+  Integrator *self = calloc(1, sizeof *self);
+  if (!self) return NULL;
+  const size_t count = how->sensitivities ? how->sensitivities->count : 0;
+  self->how = *how;
+  self->call = how->fmi2 ? calls2(how->fmi2) : calls3(how->fmi3);
+  self->n_total = how->n_states * (1 + count);
+  self->report.failure = NOTHING;
+  if (how->sensitivities) self->extension = how->sensitivities->twins ? &twin_sensitivities : &directional_sensitivities;
+  const bool has_it = how->fmi2 ? how->fmi2->GetDirectionalDerivative != NULL : how->fmi3->GetDirectionalDerivative != NULL;
+  self->has_directional = has_it && how->state_references && how->derivative_references;
+  const bool needs_solver = how->method == CVODE && how->n_states > 0;
+  if (allot(self, count) && (!needs_solver || cvode_create(self))) return self;
+  integrator_free(self);
+  return NULL;
+}
+
+void integrator_free(Integrator *self) {
+  if (!self) return;
+  if (self->solver) cvode_free(self);
+  free(self->memory);
+  free(self);
+}
+
+/* ---- calls of the FMU ---- */
+
+Outcome give_up(Integrator *self, Failure failure, int32_t status) {
+  self->report.failure = failure;
+  self->report.status = failure == CVODE_FAILED ? status : (int64_t)(uint32_t)status;
+  return FAILED;
+}
+
+/* Judge the status of a function that may discard what it is given. */
+Outcome check(Integrator *self, Failure function, int32_t status) {
+  if (status == fmi2OK || status == fmi2Warning) return DONE;
+  give_up(self, function, status);
+  return status == fmi2Discard ? REJECTED : FAILED;
+}
+
+double input_at(const Integrator *self, size_t j, double t) {
+  const Curve *curve = &self->how.curves[j];
+  const double after = t - self->origin;
+  return curve->a[0] + after * (curve->a[1] + after * (curve->a[2] + after * curve->a[3]));
+}
+
+/* Set the inputs as of time t, unless the FMU holds them already. */
+Outcome put_inputs(Integrator *self, double t) {
+  const Integration *how = &self->how;
+  bool same = true;
+  for (size_t j = 0; j < how->n_inputs; j++) {
+    const double value = input_at(self, j, t);
+    same = same && value == self->input_values[j];
+    self->input_values[j] = value;
+    self->input_sizes[j] = fmax(self->input_sizes[j], fabs(value));
+  }
+  if (same) return DONE;
+  const uint32_t *references = how->input_references;
+  const size_t n = how->n_input_references;
+  const int32_t status = how->fmi2 ? how->fmi2->SetReal(how->instance, references, n, self->input_values)
+                                   : how->fmi3->SetFloat64(how->instance, references, n, self->input_values, how->n_inputs);
+  return check(self, (Failure)FLOAT64, status) == DONE ? DONE : FAILED;
+}
+
+/* Set time, inputs and states. */
+Outcome put(Integrator *self, double t, const double *x) {
+  self->fmu_is_at_end = false;
+  self->time = t;
+  if (check(self, SET_TIME, self->call.SetTime(self->how.instance, t)) != DONE) return FAILED;
+  if (put_inputs(self, t) != DONE) return FAILED;
+  if (self->how.n_states == 0) return DONE;
+  return check(self, SET_STATES, self->call.SetContinuousStates(self->how.instance, x, self->how.n_states));
+}
+
+Outcome get_derivatives(Integrator *self, double *dx) {
+  if (self->how.n_states == 0) return DONE;
+  return check(self, GET_DERIVATIVES, self->call.GetDerivatives(self->how.instance, dx, self->how.n_states));
+}
+
+Outcome get_indicators(Integrator *self, double *z) {
+  if (self->how.n_indicators == 0) return DONE;
+  return check(self, GET_INDICATORS, self->call.GetEventIndicators(self->how.instance, z, self->how.n_indicators));
+}
+
+/* Find the derivatives dx of all that is integrated, x, at time t, inputs as of t; REJECTED where there are none. */
+Outcome right_hand_side(Integrator *self, double t, const double *x, double *dx) {
+  Outcome outcome = put(self, t, x);
+  if (outcome == DONE) outcome = get_derivatives(self, dx);
+  if (outcome == DONE && self->extension) outcome = self->extension->extend(self, t, x, dx);
+  if (outcome != DONE) return outcome;
+  for (size_t i = 0; i < self->n_total; i++) {
+    if (isfinite(x[i]) && isfinite(dx[i])) continue;
+    give_up(self, STATE_NOT_FINITE, fmi2OK);
+    self->report.state = (int64_t)i;
+    return REJECTED;
+  }
+  return DONE;
+}
+
+/* Find the derivatives of the unknowns along the seeds of the knowns, where the FMU is. */
+Outcome directional(Integrator *self, const uint32_t *unknowns, size_t n_unknowns, const uint32_t *knowns,
+                    size_t n_knowns, const double *seeds, double *found, int32_t *status) {
+  const Integration *how = &self->how;
+  if (!self->has_directional)
+    *status = fmi2Error;
+  else if (how->fmi2)
+    *status = how->fmi2->GetDirectionalDerivative(how->instance, unknowns, n_unknowns, knowns, n_knowns, seeds, found);
+  else
+    *status = how->fmi3->GetDirectionalDerivative(how->instance, unknowns, n_unknowns, knowns, n_knowns, seeds, n_knowns,
+                                                  found, n_unknowns);
+  return check(self, DIRECTIONAL_DERIVATIVE, *status) == DONE ? DONE : FAILED;
+}
+
+/* ---- steps ---- */
+
+/* Put the states at a time t within the step into x_at. */
+Outcome interpolate(Integrator *self, double t) {
+  if (self->step_length == 0.0)
+    copy(self->n_total, self->x_end, self->x_at);
+  else if (self->solver)
+    return cvode_interpolate(self, t);
+  else
+    runge_kutta_interpolate(self, t);
+  return DONE;
+}
+
+/* Let time pass without integrating: there are no states, or the time is too short to change them. */
+static Outcome coast(Integrator *self, double end) {
+  self->step_start = self->step_end;
+  self->step_end = end;
+  self->step_length = 0.0;
+  if (put(self, end, self->x_end) != DONE) return FAILED;
+  self->fmu_is_at_end = true;
+  return get_indicators(self, self->z_end);
+}
+
+/* One step towards `bound`, cut at the first state event in it. */
+static Outcome step(Integrator *self, double bound) {
+  const double begin = self->step_end;
+  self->n_steps++;
+  Outcome outcome;
+  if (self->n_total == 0)
+    outcome = coast(self, fmin(bound, begin + self->how.largest_step));
+  else if (bound - begin <= 100.0 * DBL_EPSILON * fmax(fabs(begin), fabs(bound)))
+    outcome = coast(self, bound);
+  else if (self->solver)
+    outcome = cvode_step(self, bound);
+  else
+    outcome = runge_kutta_step(self, bound);
+  if (outcome != DONE) return FAILED;
+  self->pending = COMPLETION;
+  if (!crossed(self, self->z_end)) return DONE;
+  self->pending = EVENT;
+  return locate_event(self);
+}
+
+/* See whether an input has jumped at the present time: integration starts anew, maybe with a state event. */
+static Outcome heed_inputs(Integrator *self, double t) {
+  bool jump = false;
+  for (size_t j = 0; j < self->how.n_inputs; j++) {
+    const double change = fabs(input_at(self, j, t) - self->input_values[j]);
+    jump = jump || change > INPUT_JUMP * self->input_sizes[j];
+  }
+  if (!jump) return DONE;
+  self->can_go_on = false;
+  if (self->how.n_indicators == 0) return DONE;
+  if (put_inputs(self, t) != DONE || get_indicators(self, self->z_at) != DONE) return FAILED;
+  if (crossed(self, self->z_at)) self->pending = EVENT;
+  return DONE;
+}
+
+/* Leave time t, the inputs and the states as of t in the FMU; t is within the step or its settled end. */
+static Outcome arrive(Integrator *self, double t) {
+  const bool at_end = t == self->step_end;
+  const double *x = at_end ? self->x_end : self->x_at;
+  Outcome outcome;
+  if (at_end && self->fmu_is_at_end) {
+    outcome = put_inputs(self, t); /* they may go along new curves */
+  } else if (at_end) {
+    outcome = put(self, t, x);
+    self->fmu_is_at_end = true;
+  } else {
+    outcome = interpolate(self, t) == DONE ? put(self, t, x) : FAILED;
+  }
+  if (outcome != DONE || !self->extension || !self->extension->follow) return outcome;
+  return self->extension->follow(self, t, x);
+}
+
+/* ---- life ---- */
+
+/* Make the memory fresh for a simulation from time t on; the FMU has left Initialization Mode for Event Mode. */
+int integrator_begin(Integrator *self, double t) {
+  self->nominals_known = self->can_go_on = self->fmu_is_at_end = self->inside = false;
+  self->n_steps = self->n_events = 0;
+  self->in_event_mode = self->starting = true;
+  self->pending = SETTLED;
+  self->time = self->step_start = self->step_end = t;
+  self->step_length = self->next_step = 0.0;
+  self->next_event = INFINITY;
+  self->report.state = -1;
+  for (size_t j = 0; j < self->how.n_inputs; j++) {
+    self->input_values[j] = NAN;
+    self->input_sizes[j] = 0.0;
+  }
+  return DONE;
+}
+
+/* Enter Event Mode at the present time t, which may lie within the last step: something outside changes there. */
+int integrator_enter_events(Integrator *self, double t) {
+  if (self->in_event_mode) return DONE;
+  if (self->how.follows) return enter_event_mode(self); /* the model has put the twin at its place */
+  if (t < self->step_end) {
+    if (interpolate(self, t) != DONE) return FAILED;
+    copy(self->n_total, self->x_at, self->x_end);
+    self->step_end = t;
+    self->fmu_is_at_end = false;
+  }
+  if (!self->fmu_is_at_end && put(self, t, self->x_end) != DONE) return FAILED;
+  if (self->pending != SETTLED && complete_step(self) != DONE) return FAILED;
+  return enter_event_mode(self);
+}
+
+int integrator_leave_events(Integrator *self, double t) { return leave_event_mode(self, t); }
+
+/* Integrate from the present time to t, events handled on the way and at t; the FMU then holds t, u(t), x(t). */
+int integrator_advance(Integrator *self, double t) {
+  if (self->how.follows) return DONE;
+  const size_t last_event = self->n_events + MAX_EVENTS, last_step = self->n_steps + MAX_STEPS;
+  const bool chooses_steps = self->how.method != RK4 && self->n_total > 0;
+  self->steps_before = self->n_steps;
+  self->stiff_hits = 0;
+  for (;;) {
+    if (self->cancel && atomic_load_explicit(self->cancel, memory_order_relaxed))
+      return give_up(self, CANCELLED, fmi2OK);
+    if (t < self->step_end) return arrive(self, t);
+    if (self->pending != SETTLED || self->next_event <= self->step_end) {
+      if (self->n_events >= last_event) return give_up(self, TOO_MANY_EVENTS, fmi2OK);
+      if (settle(self) != DONE) return FAILED;
+    } else if (t == self->step_end) {
+      return arrive(self, t);
+    } else {
+      if (self->fmu_is_at_end && heed_inputs(self, self->step_end) != DONE) return FAILED;
+      if (self->pending == EVENT) continue;
+      if (chooses_steps && self->n_steps >= last_step) return give_up(self, TOO_MANY_STEPS, fmi2OK);
+      const double bound = chooses_steps ? fmax(t, self->how.limit) : t;
+      if (step(self, fmin(bound, self->next_event)) != DONE) return FAILED;
+    }
+  }
+}
