@@ -272,7 +272,6 @@ def _opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path)
     from fmuid.reports.console.layout import show_notes
     from fmuid.simulation import SERVER
 
-    SERVER.notify = lambda text: show_notes([text])
     SERVER.start()  # it loads its code while this process loads its own
     from fmuid.simulation import printed
     from fmuid.studies import Study

@@ -76,6 +76,6 @@ def _made_for(system: System) -> Workers:
 
             return IsolatedWorkers(system.components, limit, system.isolation)
         _log.warning("FMUs run inside fmuid's own process: processes of their own need Linux or macOS")
-    from fmuid.simulation.in_process import InProcess  # and with it compiled loops and FMPy
+    from fmuid.simulation.in_process import InProcess  # and with it FMPy
 
     return InProcess(system.components, limit)

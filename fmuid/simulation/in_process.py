@@ -22,7 +22,7 @@ from fmuid.fmi import Custody, Instance, Loop, Run, codes, describe, new_reports
 from fmuid.models import STIFF_INTEGRATOR, Component
 
 _log = logging.getLogger("fmuid.fmu")
-# Longest that one compiled call should last, s: between calls an interruption gets through.
+# Longest that one call of the core should last, s: between calls an interruption gets through.
 CALL_SECONDS = 0.2
 FATAL = 4  # fmi2Fatal
 # Two simulations with the same parameters, before and after a reset, may differ by this share of the largest output:

@@ -1,4 +1,4 @@
-"""Lays down, as arrays, what the compiled loop does for one system and one experiment."""
+"""Lays down, as arrays, what the core does for one system and one experiment."""
 
 from __future__ import annotations
 

@@ -27,7 +27,6 @@ from fmuid.estimation.least_squares import LeastSquares
 from fmuid.model_problem import Problem
 from fmuid.models.component import Isolation
 from fmuid.models.system import System
-from fmuid.simulation.isolation import process
 from fmuid.studies.study import Study
 from tests.support.isolated import RECORD_FRAME, TIMES, U, wait_until
 from tests.support.misbehaving import Mode, lag, misbehaving_fmu
@@ -139,17 +138,6 @@ def test_what_the_fmu_prints_does_not_come_out_of_a_command(
     assert run(["identify", str(write_study(tmp_path, fmu, Mode.SPEAK))]) == DONE
     said = capfd.readouterr()
     assert "the FMU says on" not in said.out + said.err
-
-
-def test_what_takes_long_before_the_first_simulation_is_said_to_a_log_too(
-    tmp_path: Path, fmu: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Standard error is no terminal here, as under a scheduler."""
-    monkeypatch.setattr(process, "SLOW_START", 0.01)
-    monkeypatch.setattr(process.SERVER, "notify", process._log.info)
-    process.SERVER.stop()
-    assert run(["simulate", str(write_study(tmp_path, fmu, Mode.SPEAK))]) == DONE
-    assert "note: compiling the loops" in capsys.readouterr().err
 
 
 def test_a_command_can_run_the_fmu_in_its_own_process(tmp_path: Path, fmu: Path) -> None:

@@ -1,4 +1,4 @@
-"""The compiled integrators of model-exchange FMUs: against closed forms, against scipy, and when an FMU fails."""
+"""The integrators of model-exchange FMUs: against closed forms, against scipy, and when an FMU fails."""
 
 from __future__ import annotations
 

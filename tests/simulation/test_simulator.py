@@ -1,4 +1,4 @@
-"""The compiled loop: against closed forms, against itself in threads, and when an FMU fails."""
+"""The core's loop: against closed forms, against itself in threads, and when an FMU fails."""
 
 from __future__ import annotations
 

@@ -286,7 +286,7 @@ def _difference(library: Any) -> str:
     for place in itertools.takewhile(lambda place: place.structure, map(places.__getitem__, itertools.count())):
         name, field = place.structure.decode(), (place.field or b"").decode()
         if name not in told:
-            return name
+            return str(name)
         told[name].append((field, place.offset, place.size))
     apart = [name for name, mirror in Mirror.kinds.items() if told[name] != _places(mirror)]
     return apart[0] if apart else _renumbered(library)

@@ -54,12 +54,13 @@ def sources() -> list[Path]:
     return sorted(HERE.glob("*.c"))
 
 
-def library_name() -> str:
-    """Return the name of the library that belongs to these sources on this platform: it carries their digest."""
+def library_name(ending: str | None = None) -> str:
+    """Return the name of the library of these sources, which carries their digest; by default that of this platform."""
     digest = hashlib.sha256()
     for path in (*sources(), *sorted(HERE.glob("*.h")), Path(__file__)):
         digest.update(path.read_bytes())
-    return f"core-{digest.hexdigest()[:12]}{_ENDINGS.get(_SYSTEMS.get(platform.system(), ''), '.so')}"
+    here = _ENDINGS.get(_SYSTEMS.get(platform.system(), ""), ".so")
+    return f"core-{digest.hexdigest()[:12]}{ending or here}"
 
 
 def compiler(target: str | None) -> list[str]:

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -37,7 +37,7 @@ from fmuid.simulation.isolation.family import Footprint, family
 GROWTH = 256e6
 """Growth of a process beyond its size after its first simulations at which it is replaced, bytes."""
 
-PREPARATION_LIMIT = 120.0  # s; instantiation, and loading code that may first have to be compiled
+PREPARATION_LIMIT = 120.0  # s; instantiation, and loading code
 CLOSING_LIMIT = 2.0  # s; for freeing instances, after which the process is killed
 LOOK_EVERY = 0.05  # s, whether all is well with a host that works
 MOST_STARTS = 6  # of the server, which may be killed from outside while it loads
@@ -46,26 +46,16 @@ PRINTED_KEPT = 1 << 16  # bytes of what FMUs print that are kept until they are 
 PRINTED_LARGEST = 1 << 20  # bytes that may pile up in the file before it is cut
 MOST_RELATIVES = 100  # processes below it, also ended ones, for which nobody there waits
 MEASURE_EVERY = 0.25  # s, its memory while simulations come and go
-SLOW_START = 3.0  # s after which it is said that code is being compiled
-
-_log = logging.getLogger("fmuid")
 
 
 class ForkServer:
-    """The server of this process (`fmuid.simulation.isolation.server.Server`), started when it is first needed.
-
-    Attributes
-    ----------
-    notify : callable
-        Told in words what takes long.
-    """
+    """The server of this process (`fmuid.simulation.isolation.server.Server`), started when it is first needed."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._channel: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._owner, self._loaded = 0, False
-        self.notify: Callable[[str], None] = _log.info
 
     def start(self) -> socket.socket:
         """Start the server where there is none; it loads its code while this process goes on."""
@@ -89,17 +79,9 @@ class ForkServer:
         for _ in range(MOST_STARTS):
             with self._lock:
                 channel = self.start()
-                began, told = time.monotonic(), False
-
-                def waiting(began: float = began) -> None:
-                    nonlocal told
-                    if not told and time.monotonic() - began > SLOW_START:
-                        told = True
-                        self.notify("compiling the loops that run such FMUs: once after installation, some 10 s")
-
                 try:
                     socket.send_fds(channel, [pickle.dumps(("fork", list(modules)))], list(descriptors))
-                    found = Channel(channel, SLOW_START).receive(waiting)
+                    found = Channel(channel).receive()
                 except (EOFError, ConnectionError):
                     self.stop()  # somebody has killed it: once more
                     continue
