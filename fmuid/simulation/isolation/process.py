@@ -221,7 +221,7 @@ class Host:
         ----------
         limit : float
             How long it may take until a worker begins with something else, or one more report is done, s.
-        reports : (m, 4) array, optional
+        reports : (m, codes.REPORT) array, optional
         idle_limit : float, optional
             How long it may take while all workers are idle, s; default: `limit`.
 
