@@ -20,7 +20,7 @@ from fmuid.simulation.executor import threads
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, RECORD, closed_form, thetas
 from tests.support.misbehaving import Mode, misbehaving_fmu
-from tests.support.paths import HERE
+from tests.support.paths import FMUS
 
 SAYS_SO: dict[str, Any] = {"canBeInstantiatedOnlyOncePerProcess": "false"}
 OPEN_MODELICA: dict[str, Any] = {"tool": "OpenModelica Compiler OpenModelica v1.26.0 (64-bit)", **SAYS_SO}
@@ -70,7 +70,7 @@ def test_threads_are_for_fmus_that_are_known_to_bear_them(
 
 
 def test_all_fmus_of_this_project_run_in_threads() -> None:
-    paths = sorted((HERE.parent / "fmus").glob("*/*.fmu"))
+    paths = sorted(FMUS.glob("*/*.fmu"))
     assert paths
     for path in paths:
         system = System(path)
