@@ -3,11 +3,13 @@ from .batch import BatchResult as BatchResult
 from .batch import BatchStep as BatchStep
 from .statistics import HALF_WIDTH as HALF_WIDTH
 from .statistics import Columns as Columns
+from .statistics import Doubt as Doubt
 from .statistics import converged as converged
 from .statistics import data_sets as data_sets
 from .statistics import estimates as estimates
 from .statistics import is_repetition as is_repetition
 from .statistics import misfit as misfit
 from .statistics import optimum_numbers as optimum_numbers
+from .summary import Dependence as Dependence
 from .summary import Summary as Summary
 from .summary import summarize as summarize

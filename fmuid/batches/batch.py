@@ -79,8 +79,8 @@ class BatchResult:
         Whether the study gives all noise variances.
     interrupted : bool
         Whether Ctrl-C ended it; the same batch in the same folder goes on.
-    notes : tuple of str
-        What is to be known of the earlier run that was gone on with.
+    lost : tuple of Path
+        The parts of an earlier run that were damaged and are removed; their cases are run again.
     """
 
     frame: pd.DataFrame
@@ -90,7 +90,7 @@ class BatchResult:
     folder: Path
     given_noise: bool
     interrupted: bool = False
-    notes: tuple[str, ...] = ()
+    lost: tuple[Path, ...] = ()
 
 
 class Batch:
@@ -170,7 +170,7 @@ class Batch:
         """
         bundle = Bundle(self.study, isolated=self._isolated, versions=versions())
         with self.dataset.locked():
-            notes = self._begin(bundle)
+            lost = self._begin(bundle)
             pending, interrupted = self.pending, False
             if pending.size:
                 interrupted = self._work(bundle, pending, progress)
@@ -184,7 +184,7 @@ class Batch:
                 self.folder,
                 self._given_noise(),
                 interrupted,
-                notes,
+                lost,
             )
 
     def _units(self) -> dict[str, str]:
@@ -196,8 +196,8 @@ class Batch:
         outputs = tuple(dict.fromkeys(name for given in self.study.experiments for name in given.outputs))
         return bool(np.isfinite(self.study.noise.known(outputs)).all())
 
-    def _begin(self, bundle: Bundle) -> tuple[str, ...]:
-        """See whose cases the folder has, and say whose they are now; return what is to be known of them."""
+    def _begin(self, bundle: Bundle) -> tuple[Path, ...]:
+        """See whose cases the folder has, and say whose they are now; return the damaged parts of the earlier run."""
         path = self.folder / MANIFEST
         if self._resume and self.dataset.parts():
             if not path.exists():

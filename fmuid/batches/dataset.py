@@ -165,8 +165,8 @@ class Dataset:
         """Return how many cases printed something."""
         return sum(1 for _ in self.logs.glob("case-*.txt"))
 
-    def repair(self) -> tuple[str, ...]:
-        """Remove what an ended run left half written; return what was lost, in words."""
+    def repair(self) -> tuple[Path, ...]:
+        """Remove what an ended run left half written; return the damaged parts that are lost."""
         lost = []
         for path in self._drafts():
             path.unlink(missing_ok=True)
@@ -175,7 +175,7 @@ class Dataset:
                 self._load(path)
             except InputError:
                 path.unlink()
-                lost.append(f"{path} was damaged and is removed: its cases are run again")
+                lost.append(path)
         return tuple(lost)
 
     def clear(self) -> None:

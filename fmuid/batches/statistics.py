@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,24 @@ HALF_WIDTH = float(special.ndtri(0.5 + LEVEL / 2.0))
 SAME_STDS, SAME_SHARE = 0.3, 1e-4
 # Two-sided probability behind the limits of a binomial share.
 OUTSIDE = 0.05
+# Probability, over all that is tested, of a doubt where there is nothing.
+FALSE_DOUBT = 0.01
+# Less than this is not worth a doubt, however many cases there are: of spread against stated std, and of the bias in
+# stated std (coverage falls from 95 to 94.3 %, and to 94.8 %).
+WORTH_RATIO, WORTH_BIAS, WORTH_COVERAGE = 1.05, 0.15, 0.01
+
+
+class Doubt(Enum):
+    """What is surely not as stated of a parameter's estimates."""
+
+    STD_TOO_SMALL = "std too small"
+    """They spread more than their stated standard deviation says."""
+    STD_TOO_LARGE = "std too large"
+    """They spread less."""
+    BIASED = "biased"
+    """Their mean is not the truth."""
+    COVERAGE_OFF = "coverage off"
+    """Their 95 % intervals hold the truth in another share of the cases."""
 
 
 @dataclass(frozen=True)
@@ -219,6 +238,36 @@ def _binomial_probability(held: int, n: int) -> float:
     at_most = float(special.bdtr(held, n, LEVEL))
     at_least = float(special.bdtrc(held - 1, n, LEVEL)) if held else 1.0
     return min(1.0, 2.0 * min(at_most, at_least))
+
+
+def doubted(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table of statistics with a last column ``doubts``, a tuple of `Doubt` for each row.
+
+    Parameters
+    ----------
+    table : DataFrame
+        With the figures of `statistics` as columns; the more of its rows are tested, the surer each doubt must be.
+    """
+    tested = [name for name in table if str(name).endswith("_p")]
+    tests = max(1, int(table[tested].notna().to_numpy().sum()))
+    found = [_doubts(row, tests) for row in table.to_dict("records")]
+    return table.assign(doubts=pd.Series(found, table.index, dtype=object))
+
+
+def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[Doubt, ...]:
+    """Return what is sure of one parameter and large enough to matter."""
+
+    def sure(name: str) -> bool:
+        return bool(row.get(name, math.nan) * tests < FALSE_DOUBT)
+
+    ratio, found = row["ratio"], []
+    if sure("ratio_p") and max(ratio, 1.0 / ratio if ratio else math.inf) > WORTH_RATIO:
+        found.append(Doubt.STD_TOO_SMALL if ratio > 1.0 else Doubt.STD_TOO_LARGE)
+    if sure("bias_p") and abs(row["bias"]) > WORTH_BIAS * row["stated_std"]:
+        found.append(Doubt.BIASED)
+    if sure("coverage_p") and abs(row["coverage"] - LEVEL) > WORTH_COVERAGE:
+        found.append(Doubt.COVERAGE_OFF)
+    return tuple(found)
 
 
 # --- optima of several starts

@@ -1,4 +1,4 @@
-"""What a batch found, in tables and words: estimates over the cases, failures, groups, optima of several starts."""
+"""What a batch found, in tables: estimates over the cases, failures, groups, optima of several starts."""
 
 from __future__ import annotations
 
@@ -6,18 +6,28 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from fmuid.batches.statistics import Columns, converged, estimates, is_repetition, misfit, optimum_numbers, statistics
-from fmuid.batches.words import count_words, estimate_words, noted, optima_words, setting_words
-from fmuid.files import write_table
+from fmuid.batches.statistics import (
+    Columns,
+    converged,
+    doubted,
+    estimates,
+    is_repetition,
+    misfit,
+    optimum_numbers,
+    statistics,
+)
 
 # A setting with more levels than this is no heading of a group; nor are there more groups than that.
 MAX_LEVELS, MAX_GROUPS = 20, 100
+# The spread of fewer cases is uncertain by more than 13 %, which is said.
+FEW = 30
+# Optima whose residuals differ by less than this share fit equally well: 1000 samples cannot tell them apart.
+EQUALLY_WELL = 5e-4
 
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:0x[0-9a-fA-F]++|\d++(?:\.\d++)?+(?:[eE][-+]?\d++)?+)(?!\w)")
 _TRUTH_COLUMNS = (
@@ -33,12 +43,38 @@ _TRUTH_COLUMNS = (
 )
 
 
+@dataclass(frozen=True)
+class Dependence:
+    """How far the mean of a parameter moves with what is set.
+
+    Attributes
+    ----------
+    parameter, unit : str
+    low, high : float
+        The least and the largest mean of a group.
+    at_low, at_high : mapping
+        What is set in these groups, by setting.
+    stated_std : float
+        Root mean square over the groups.
+    """
+
+    parameter: str
+    unit: str
+    low: float
+    high: float
+    at_low: Mapping[str, Any]
+    at_high: Mapping[str, Any]
+    stated_std: float
+
+
 @dataclass(frozen=True, eq=False)
 class Summary:
     """What a batch found.
 
     Attributes
     ----------
+    columns : Columns
+        What the batch varied.
     cases, data_sets : int
         Finished cases, and data sets with an estimate; fewer where several starts share one.
     statuses : DataFrame
@@ -48,7 +84,7 @@ class Summary:
         them; the most frequent first.
     parameters : DataFrame
         A row a parameter: its name, ``unit``, and `fmuid.batches.statistics.statistics` over all data sets (what has to
-        do with the truth only where one is known), and ``note``.
+        do with the truth only where one is known), and ``doubts``, a tuple of `fmuid.batches.statistics.Doubt`.
     groups : DataFrame
         The same for every combination of those settings that have few levels, after columns of the settings and, in
         ``failed``, how many cases of the group have no estimate; empty where no setting varies.
@@ -59,10 +95,14 @@ class Summary:
         ``data_sets``, ``criterion`` (median), ``residual`` (root mean square of the residual against the best's,
         geometric mean over outputs, median), and where no setting varies the median of each parameter. Empty where
         starts do not vary.
-    words : tuple of str
-        What the numbers mean.
+    dependences : tuple of Dependence
+        Of the parameters whose mean moves with the settings by more than their stated std.
+    wide : mapping of str to float
+        Where settings have too many levels for groups: how many times their stated std parameters spread, those that
+        do so by more than it.
     """
 
+    columns: Columns
     cases: int
     data_sets: int
     statuses: pd.DataFrame
@@ -71,36 +111,28 @@ class Summary:
     groups: pd.DataFrame
     settings: tuple[str, ...]
     optima: pd.DataFrame
-    words: tuple[str, ...]
+    dependences: tuple[Dependence, ...]
+    wide: Mapping[str, float]
 
     @property
     def has_truth(self) -> bool:
         """Whether the truth of any parameter is known."""
         return "truth" in self.parameters
 
-    def tables(self) -> dict[str, pd.DataFrame]:
-        """Return the CSV tables by their names, those without a row left out."""
-        found = {
-            "summary": self.parameters,
-            "groups": self.groups,
-            "failures": self.failures,
-            "optima": self.optima,
-        }
-        return {name: table for name, table in found.items() if len(table)}
+    @property
+    def most(self) -> int:
+        """The largest number of estimates of a parameter."""
+        return int(self.parameters["cases"].max()) if len(self.parameters) else 0
 
-    def write(self, folder: Path) -> list[Path]:
-        """Write the tables into a folder and return their paths; those of an earlier summary go.
+    @property
+    def few(self) -> bool:
+        """Whether there are so few estimates that their spread says little of their stated std."""
+        return self.most == 1 or (1 < self.most < FEW and bool(self.parameters["ratio"].notna().any()))
 
-        Raises
-        ------
-        InputError
-            If the folder cannot be written to.
-        """
-        written = [write_table(folder / f"{name}.csv", table) for name, table in self.tables().items()]
-        for name in ("summary", "groups", "failures", "optima"):
-            if (path := folder / f"{name}.csv") not in written:
-                path.unlink(missing_ok=True)
-        return written
+    @property
+    def rivals(self) -> bool:
+        """Whether optima with other values than the best fit equally well."""
+        return len(self.optima) > 1 and bool((self.optima["residual"].iloc[1:] < 1.0 + EQUALLY_WELL).any())
 
 
 def summarize(
@@ -128,18 +160,22 @@ def summarize(
     found = estimates(frame, given_noise=given_noise)
     truth = {name: value for name, value in (truth or {}).items() if name in columns.parameters}
     settings = _settings(frame, columns)
-    parameters = noted(_table(found, columns, truth, units or {}))
+    parameters = doubted(_table(found, columns, truth, units or {}))
     groups = _groups(frame, found, columns, settings, truth, units or {})
     optima = _optima(frame, columns, given_noise=given_noise) if columns.starts else pd.DataFrame()
-    statuses = _statuses(frame)
-    words = [
-        *count_words(statuses, len(found), columns),
-        *estimate_words(parameters, columns),
-        *setting_words(parameters, groups, settings),
-        *optima_words(optima),
-    ]
+    moving = [name for name in settings if name != "table"]
     return Summary(
-        len(frame), len(found), statuses, _failures(frame), parameters, groups, settings, optima, tuple(words)
+        columns,
+        len(frame),
+        len(found),
+        _statuses(frame),
+        _failures(frame),
+        parameters,
+        groups,
+        settings,
+        optima,
+        _dependences(groups, moving) if moving else (),
+        {} if moving else _wide(parameters),
     )
 
 
@@ -189,7 +225,25 @@ def _groups(
         table.insert(0, "failed", len(cases) - len(converged(cases)))
         levels: Any = key
         tables.append(pd.concat([pd.DataFrame([levels] * len(table), columns=names), table], axis=1))
-    return noted(pd.concat(tables, ignore_index=True))
+    return doubted(pd.concat(tables, ignore_index=True))
+
+
+def _dependences(groups: pd.DataFrame, moving: list[str]) -> tuple[Dependence, ...]:
+    found = []
+    for name, rows in groups[groups["cases"] > 0].groupby("parameter", sort=False):
+        stated = math.sqrt(float((rows["stated_std"] ** 2).mean()))
+        low, high = (rows.iloc[i] for i in (rows["mean"].argmin(), rows["mean"].argmax()))
+        if len(rows) > 1 and high["mean"] - low["mean"] > stated:
+            ends = [dict(row[moving]) for row in (low, high)]
+            found.append(Dependence(str(name), low["unit"], low["mean"], high["mean"], ends[0], ends[1], stated))
+    return tuple(found)
+
+
+def _wide(parameters: pd.DataFrame) -> dict[str, float]:
+    rows = parameters[
+        parameters["ratio"].isna() & (parameters["spread"] > parameters["stated_std"]) & (parameters["stated_std"] > 0)
+    ]
+    return dict(zip(rows["parameter"], rows["spread"] / rows["stated_std"], strict=True))
 
 
 def _statuses(frame: pd.DataFrame) -> pd.DataFrame:

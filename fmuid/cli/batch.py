@@ -69,10 +69,12 @@ def _show(job: Batch, found: BatchResult) -> int:
     from fmuid.reports.console import layout as console
 
     logs = job.dataset.log_count()
-    said = [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
-    console.show_notes([*found.notes, *said])
+    said = [f"{path} was damaged and is removed: its cases are run again" for path in found.lost]
+    said += [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
+    console.show_notes(said)
     if len(found.frame):
         from fmuid.batches import summarize
+        from fmuid.reports import write_summary
         from fmuid.reports.console.batch import show_batch
         from fmuid.reports.figures import batch as figures_batch
         from fmuid.reports.figures import style as plots
@@ -80,7 +82,7 @@ def _show(job: Batch, found: BatchResult) -> int:
         words = (found.frame, found.truth, found.units)
         summary = summarize(*words, given_noise=found.given_noise)
         show_batch(summary)
-        written = summary.write(job.folder)
+        written = write_summary(summary, job.folder)
         plots.clear(job.folder / "figures")
         written += plots.save(figures_batch.draw(*words, given_noise=found.given_noise), job.folder / "figures")
         console.show_files([*job.dataset.files(), *written])

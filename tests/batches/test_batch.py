@@ -141,7 +141,7 @@ def test_rows_do_not_depend_on_groups(folder: Path, here: Any, seed: int) -> Non
     found = run(folder)
     same(found.frame, expected(folder))
     assert (found.truth, found.units) == ({"R": 4.0, "L": 0.1}, {"R": "Ohm", "L": "H"})
-    assert (found.total, found.interrupted, found.notes, found.given_noise) == (DRAWS, False, (), False)
+    assert (found.total, found.interrupted, found.lost, found.given_noise) == (DRAWS, False, (), False)
     assert len(list((folder / "out" / "cases").iterdir())) == 1
 
 
@@ -224,8 +224,7 @@ def test_a_damaged_part_is_run_again(folder: Path, here: Any) -> None:
     part.write_bytes(part.read_bytes()[:-20])
     here()
     found = run(folder)
-    assert len(found.notes) == 1
-    assert part.name in found.notes[0]
+    assert found.lost == (part,)
     same(found.frame, expected(folder))
 
 

@@ -14,8 +14,9 @@ from matplotlib.collections import LineCollection, QuadMesh
 from matplotlib.patches import Rectangle
 from scipy import stats
 
-from fmuid.batches.statistics import Columns, estimates, optimum_numbers, statistics
+from fmuid.batches.statistics import Columns, Doubt, estimates, optimum_numbers, statistics
 from fmuid.batches.summary import MAX_LEVELS, Summary, summarize
+from fmuid.reports.batch_words import noted, summary_words, write_summary
 from fmuid.reports.console.batch import show_batch
 from fmuid.reports.figures import batch as figures_batch
 from fmuid.reports.figures import style as plots
@@ -55,7 +56,13 @@ def fail(frame: pd.DataFrame, rows: list[int], messages: list[str], status: str 
 
 def row(summary: Summary, name: str) -> Mapping[Any, Any]:
     """Return the row of one parameter."""
-    (found,) = summary.parameters[summary.parameters["parameter"] == name].to_dict("records")
+    (found,) = noted(summary.parameters[summary.parameters["parameter"] == name]).to_dict("records")
+    return found
+
+
+def doubts(table: pd.DataFrame, name: str) -> list[tuple[Doubt, ...]]:
+    """Return what is doubted of one parameter, a tuple a row."""
+    found: list[tuple[Doubt, ...]] = table.loc[table["parameter"] == name, "doubts"].tolist()
     return found
 
 
@@ -138,12 +145,14 @@ def test_without_a_truth_nothing_is_said_of_it() -> None:
 def test_stated_std_against_spread(spread: float, word: str) -> None:
     summary = summarize(batch({"draw": range(300)}, spread=spread), TRUTH, UNITS)
     assert row(summary, "R")["note"] == word
-    assert ("that is" in " ".join(summary.words)) == bool(word)
+    assert ("that is" in " ".join(summary_words(summary))) == bool(word)
+    kinds = {2.0: [Doubt.STD_TOO_SMALL, Doubt.COVERAGE_OFF], 0.5: [Doubt.STD_TOO_LARGE], 1.0: []}
+    assert set(kinds[spread]) <= set(doubts(summary.parameters, "R")[0]) <= {*kinds[spread], Doubt.COVERAGE_OFF}
 
 
 def test_stated_std_half_the_spread_in_words() -> None:
     frame = batch({"draw": range(300)}, spread=2.0)
-    words = summarize(frame, TRUTH, UNITS).words
+    words = summary_words(summarize(frame, TRUTH, UNITS))
     assert words[0].startswith("R: varies 2 times as much from case to case (0.10 Ohm) as its stated std (0.050 Ohm)")
     held = np.mean(np.abs(frame["value.R"] - 4.0) <= stats.norm.ppf(0.975) * 0.05)
     assert held < 0.75
@@ -155,7 +164,7 @@ def test_bias_in_words() -> None:
     frame["value.L"] += 0.001
     summary = summarize(frame, TRUTH, UNITS)
     assert (row(summary, "R")["note"], row(summary, "L")["note"]) == ("", "biased")
-    (first, *_) = summary.words
+    (first, *_) = summary_words(summary)
     assert first.startswith("L: biased by 0.00100 ± 0.00012 H, 0.5 times its stated std")
 
 
@@ -164,13 +173,13 @@ def test_a_difference_too_small_to_matter_is_left_out() -> None:
     frame = batch({"draw": range(100_000)}, spread=1.02)
     summary = summarize(frame, TRUTH)
     assert row(summary, "R")["ratio_p"] < 1e-9
-    assert summary.words == ()
+    assert summary_words(summary) == []
 
 
 def test_tables_that_differ() -> None:
     """Between records of several machines a large spread is no proof of wrong intervals, and says so."""
     frame = batch({"table": [f"machine {k}" for k in range(40)]}, spread=5.0)
-    words = " ".join(summarize(frame).words)
+    words = " ".join(summary_words(summarize(frame)))
     assert "from table to table" in words
     assert "what was measured differs, or the stated std is too small" in words
 
@@ -178,9 +187,9 @@ def test_tables_that_differ() -> None:
 def test_few_cases() -> None:
     one, seven = (summarize(batch({"draw": range(count)}), TRUTH) for count in (1, 7))
     assert np.isnan(row(one, "R")["spread"])
-    assert one.words == ("one estimate has no spread: nothing can be said of how sure the stated std are",)
+    assert summary_words(one) == ["one estimate has no spread: nothing can be said of how sure the stated std are"]
     # 1/sqrt(2·6)
-    assert seven.words[0] == "7 cases are few: their spread is itself uncertain by 29 %"
+    assert summary_words(seven)[0] == "7 cases are few: their spread is itself uncertain by 29 %"
 
 
 # --- failures
@@ -210,7 +219,8 @@ def test_failures_are_grouped() -> None:
         "first": [2, 4, 11],
     }
     assert (
-        summary.words[0] == "15 of 20 cases converged, 1 did not converge and 4 failed and are left out of what follows"
+        summary_words(summary)[0]
+        == "15 of 20 cases converged, 1 did not converge and 4 failed and are left out of what follows"
     )
 
 
@@ -231,8 +241,9 @@ def test_groups_of_a_sweep() -> None:
     # over all levels together the spread is the sweep's, which no std is held against
     assert np.isnan(row(summary, "R")["ratio"])
     assert groups["ratio"].between(0.8, 1.25).all()
-    assert groups["note"].tolist() == ["biased", "", "biased"]
-    words = " ".join(summary.words)
+    both = (Doubt.BIASED, Doubt.COVERAGE_OFF)
+    assert doubts(summary.groups, "R") == [both, (), both]
+    words = " ".join(summary_words(summary))
     assert "R depends on what is set: its mean goes from" in words
     assert "(M = 0.4)" in words
     assert "R: it is biased in 2 of 3 groups" in words
@@ -254,8 +265,8 @@ def test_settings_of_many_levels_are_no_groups() -> None:
     frame["value.R"] += np.linspace(0, 1, count)
     summary = summarize(frame)
     assert summary.groups.empty
-    assert summary.words[0].startswith("R varies ")
-    assert summary.words[0].endswith("over what is set")
+    assert summary_words(summary)[0].startswith("R varies ")
+    assert summary_words(summary)[0].endswith("over what is set")
 
 
 def test_a_parameter_that_is_held_in_some_cases() -> None:
@@ -289,7 +300,7 @@ def test_one_estimate_a_data_set() -> None:
     assert estimates(frame, given_noise=True)["value.R"].tolist() == [2.0, 2.0]
     summary = summarize(frame, TRUTH)
     assert (summary.cases, summary.data_sets, row(summary, "R")["cases"]) == (20, 2, 2)
-    assert "of each of the 2 data sets the one that fits best is counted" in " ".join(summary.words)
+    assert "of each of the 2 data sets the one that fits best is counted" in " ".join(summary_words(summary))
 
 
 def test_optima() -> None:
@@ -304,7 +315,7 @@ def test_optima() -> None:
     # σ is twice as large where σ² is four times
     np.testing.assert_allclose(table["residual"], [1.0, 2.0], rtol=1e-12)
     assert table["R"].tolist() == [4.1, 2.0]
-    assert "of 19 searches that converged, 6 ended at another optimum than the best" in summary.words
+    assert "of 19 searches that converged, 6 ended at another optimum than the best" in summary_words(summary)
 
 
 def test_optima_of_different_settings_have_no_common_values() -> None:
@@ -316,13 +327,13 @@ def test_optima_of_different_settings_have_no_common_values() -> None:
 
 def test_all_starts_lead_to_one_optimum() -> None:
     frame = batch({"start.R": np.linspace(1, 9, 5)}, spread=1e-6)
-    assert "all 5 searches that converged ended at the same optimum" in summarize(frame).words
+    assert "all 5 searches that converged ended at the same optimum" in summary_words(summarize(frame))
 
 
 def test_optima_that_fit_equally_well() -> None:
     frame = batch({"start.R": np.linspace(1, 9, 6)}, spread=0.0)
     frame["value.R"] = [-4.0, -4.0, 4.0, 4.0, 4.0, 4.0]
-    assert any("fit equally well" in sentence for sentence in summarize(frame).words)
+    assert any("fit equally well" in sentence for sentence in summary_words(summarize(frame)))
 
 
 # --- files and the console
@@ -332,7 +343,7 @@ def test_files(tmp_path: Path) -> None:
     (tmp_path / "groups.csv").write_text("old")
     (tmp_path / "mine.csv").write_text("the user's")
     summary = summarize(fail(batch({"draw": range(40)}), [1], ["no"]), TRUTH, UNITS)
-    assert [path.name for path in summary.write(tmp_path)] == ["summary.csv", "failures.csv"]
+    assert [path.name for path in write_summary(summary, tmp_path)] == ["summary.csv", "failures.csv"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["failures.csv", "mine.csv", "summary.csv"]
     back = pd.read_csv(tmp_path / "summary.csv", keep_default_na=False, na_values=[""], dtype={"note": str})
     np.testing.assert_array_equal(back["mean"], summary.parameters["mean"])

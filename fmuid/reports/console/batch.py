@@ -10,6 +10,7 @@ import pandas as pd
 from rich.markup import escape
 from rich.table import Table
 
+from fmuid.reports.batch_words import note, summary_words
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
 from fmuid.text import rounded, with_std
 
@@ -45,7 +46,7 @@ def show_batch(summary: Summary) -> None:
         out.print()
         out.print(table)
     out.print()
-    for sentence in summary.words:
+    for sentence in summary_words(summary):
         out.print(f"[yellow]note:[/] {escape(sentence)}", soft_wrap=True)
     out.print(_statuses(summary), soft_wrap=True)
 
@@ -62,7 +63,7 @@ def _estimates(rows: Sequence[Row]) -> Table:
             _two(row["stated_std"]),
             _short(row["ratio"], 3),
             unit_text(row["unit"]),
-            row["note"],
+            note(row),
         )
         for row in rows
     ]

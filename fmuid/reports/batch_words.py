@@ -1,0 +1,163 @@
+"""What the summary of a batch says in words, and its tables as files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from fmuid.batches import Dependence, Doubt, Summary
+from fmuid.files import write_table
+from fmuid.text import has_unit, rounded
+
+Row = Mapping[Any, Any]
+
+TABLES = ("summary", "groups", "failures", "optima")
+IN_GROUPS = {
+    Doubt.STD_TOO_SMALL: "its stated std is too small",
+    Doubt.STD_TOO_LARGE: "its stated std is too large",
+    Doubt.BIASED: "it is biased",
+}
+
+
+# --- files
+
+
+def write_summary(summary: Summary, folder: Path) -> list[Path]:
+    """Write the tables that have rows as CSV into a folder and return their paths; those of an earlier summary go.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
+    """
+    found = (noted(summary.parameters), noted(summary.groups), summary.failures, summary.optima)
+    tables = {name: table for name, table in zip(TABLES, found, strict=True) if len(table)}
+    for name in set(TABLES) - set(tables):
+        (folder / f"{name}.csv").unlink(missing_ok=True)
+    return [write_table(folder / f"{name}.csv", table) for name, table in tables.items()]
+
+
+def noted(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table of statistics with ``note`` in place of ``doubts``: what is surely not as stated, by how much."""
+    if not len(table):
+        return table
+    return table.drop(columns="doubts").assign(note=[note(row) for row in table.to_dict("records")])
+
+
+def note(row: Row) -> str:
+    """Return in a few words what is not as stated of one row of a table of statistics."""
+    ratio, doubts, notes = row["ratio"], row["doubts"], []
+    if Doubt.STD_TOO_SMALL in doubts:
+        notes.append(f"std {ratio:.3g} x too small")
+    if Doubt.STD_TOO_LARGE in doubts:
+        notes.append(f"std {1.0 / ratio:.3g} x too large" if ratio else "std too large")
+    if Doubt.BIASED in doubts:
+        notes.append("biased")
+    if doubts == (Doubt.COVERAGE_OFF,):
+        notes.append(f"95 % intervals hold {100 * row['coverage']:.3g} %")
+    if row["undetermined"]:
+        notes.append(f"not determined in {row['undetermined']}")
+    return ", ".join(notes)
+
+
+# --- sentences
+
+
+def summary_words(summary: Summary) -> list[str]:
+    """Return sentences on what the numbers of a batch mean.
+
+    They are on which cases the estimates are over, how these lie against what they state and against the truth, how far
+    they depend on the settings, and where searches from several starts ended.
+    """
+    return [*_counts(summary), *_estimates(summary), *_settings(summary), *_optima(summary)]
+
+
+def _counts(summary: Summary) -> Iterator[str]:
+    done, *others = summary.statuses["cases"].tolist()
+    if sum(others):
+        kinds = [f"{n} {word}" for n, word in zip(others, ("did not converge", "failed"), strict=True) if n]
+        yield f"{done} of {done + sum(others)} cases converged, {' and '.join(kinds)} and are left out of what follows"
+    if summary.columns.starts and done > summary.data_sets:
+        yield (
+            f"searches from several starts share a data set: of each of the {summary.data_sets} data sets the one that "
+            "fits best is counted"
+        )
+
+
+def _estimates(summary: Summary) -> Iterator[str]:
+    if summary.few and summary.most == 1:
+        yield "one estimate has no spread: nothing can be said of how sure the stated std are"
+    elif summary.few:
+        share = 1.0 / math.sqrt(2.0 * (summary.most - 1))
+        yield f"{summary.most} cases are few: their spread is itself uncertain by {100 * share:.0f} %"
+    several = "draw" not in summary.columns.repeats and "table" in summary.columns.repeats
+    for row in summary.parameters.to_dict("records"):
+        yield from (f"{row['parameter']}: {sentence}" for sentence in _not_as_stated(row, tables=several))
+
+
+def _not_as_stated(row: Row, *, tables: bool) -> Iterator[str]:
+    """Give what is surely not as stated of one parameter."""
+    unit, doubts = _after(row["unit"]), row["doubts"]
+    spread, stated = (rounded(row[name], row[name]) + unit for name in ("spread", "stated_std"))
+    if Doubt.STD_TOO_SMALL in doubts:
+        why = "what was measured differs, or the stated std is too small" if tables else "that is too small"
+        among = "from table to table" if tables else "from case to case"
+        yield f"varies {row['ratio']:.3g} times as much {among} ({spread}) as its stated std ({stated}): {why}"
+    if Doubt.STD_TOO_LARGE in doubts:
+        yield f"varies less ({spread}) than its stated std says ({stated}): that is too large"
+    if Doubt.BIASED in doubts:
+        share = abs(row["bias"]) / row["stated_std"]
+        size = f"{rounded(row['bias'], row['bias_std'])} ± {rounded(row['bias_std'], row['bias_std'])}{unit}"
+        yield f"biased by {size}, {share:.2g} times its stated std"
+    if doubts and math.isfinite(row.get("coverage_lower", math.nan)):
+        low, high = (100.0 * row[f"coverage_{end}"] for end in ("lower", "upper"))
+        yield f"the 95 % intervals hold the truth in {100 * row['coverage']:.3g} % ({low:.3g} to {high:.3g} %)"
+
+
+def _settings(summary: Summary) -> Iterator[str]:
+    for name, times in summary.wide.items():
+        yield f"{name} varies {times:.2g} times its stated std over what is set"
+    if all(name == "table" for name in summary.settings):
+        return
+    dependences = {each.parameter: each for each in summary.dependences}
+    for parameter, rows in summary.groups[summary.groups["cases"] > 0].groupby("parameter", sort=False):
+        name = str(parameter)
+        if name in dependences:
+            yield _dependence(dependences[name])
+        for doubt, said in IN_GROUPS.items():
+            if count := sum(doubt in doubts for doubts in rows["doubts"]):
+                yield f"{name}: {said} in {count} of {len(rows)} groups"
+
+
+def _dependence(found: Dependence) -> str:
+    ends = (found.low, found.at_low), (found.high, found.at_high)
+    low, high = (f"{rounded(mean, found.stated_std)}{_after(found.unit)} ({_where(at)})" for mean, at in ends)
+    share = (found.high - found.low) / found.stated_std if found.stated_std > 0 else math.nan
+    times = f", {share:.2g} times its stated std" if share > 0 else ""
+    return f"{found.parameter} depends on what is set: its mean goes from {low} to {high}{times}"
+
+
+def _where(at: Mapping[str, Any]) -> str:
+    levels = {name: f"{level:.6g}" if isinstance(level, float) else str(level) for name, level in at.items()}
+    return ", ".join(f"{name.removeprefix('set.')} = {level}" for name, level in levels.items())
+
+
+def _after(unit: str) -> str:
+    return f" {unit}" if has_unit(unit) else ""
+
+
+def _optima(summary: Summary) -> Iterator[str]:
+    optima = summary.optima
+    if not len(optima):
+        return
+    total, best, sets = int(optima["cases"].sum()), int(optima["cases"].iloc[0]), int(optima["data_sets"].iloc[0])
+    if len(optima) == 1:
+        yield f"all {total} searches that converged ended at the same optimum" + (" of their data" if sets > 1 else "")
+        return
+    yield f"of {total} searches that converged, {total - best} ended at another optimum than the best"
+    if summary.rivals:
+        yield "optima with different values fit equally well: the data do not tell which is true; give bounds or priors"
