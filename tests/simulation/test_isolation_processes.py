@@ -21,6 +21,8 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import SimulationError
 from fmuid.models.component import Isolation
 from fmuid.models.system import System
+from fmuid.simulation.isolation.channel import Channel, Look
+from fmuid.simulation.isolation.process import SERVER, Host
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, RECORD, RECORD_FRAME, TIMES, U, expected, processes, thetas, wait_until
 from tests.support.misbehaving import Mode, lag, misbehaving_fmu
@@ -140,6 +142,45 @@ def test_no_process_is_left_when_fmuid_ends(folder: Path, name: str, mode: Mode)
             process.kill()
     assert process.returncode == -signal.Signals[name]
     assert ("KeyboardInterrupt" in said) == (name == "SIGINT")
+
+
+def called_pid(host: Host) -> int:
+    """Return the process id of a host as it says itself."""
+    return int(host.order("call", "os", "getpid", (), limit=20.0))
+
+
+@pytest.mark.parametrize("question", ["fork", "wait"])
+def test_an_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.MonkeyPatch, question: str) -> None:
+    """Ctrl-C after the server has its order and before its answer is read."""
+    host = Host([], 1e9)
+    assert called_pid(host) == host.pid
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as changed:
+        changed.setattr("fmuid.simulation.isolation.process.Channel.receive", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            Host([], 1e9) if question == "fork" else SERVER.status(host.pid)
+    others = [Host([], 1e9) for _ in range(2)]
+    assert [called_pid(other) for other in others] == [other.pid for other in others]
+    for each in (host, *others):
+        each.close()
+
+
+def test_garbage_that_is_collected_in_the_middle_of_a_question_asks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A system whose host is closed by the collector, in the thread that forks another."""
+    garbage, receive = Host([], 1e9), Channel.receive
+
+    def collect(channel: Channel, look: Look | None = None) -> object:
+        monkeypatch.undo()
+        garbage.kill()
+        return receive(channel, look)
+
+    monkeypatch.setattr("fmuid.simulation.isolation.process.Channel.receive", collect)
+    host = Host([], 1e9)
+    assert called_pid(host) == host.pid
+    host.close()
 
 
 @pytest.mark.parametrize("how", ["file", "stdin"])

@@ -55,7 +55,7 @@ class ForkServer:
         self._lock = threading.RLock()
         self._channel: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._owner, self._loaded = 0, False
+        self._owner, self._loaded, self._asking = 0, False, False
 
     def start(self) -> socket.socket:
         """Start the server where there is none; it loads its code while this process goes on."""
@@ -78,13 +78,10 @@ class ForkServer:
         """Return the process id of a new host that has loaded the modules and got the file descriptors."""
         for _ in range(MOST_STARTS):
             with self._lock:
-                channel = self.start()
                 try:
-                    socket.send_fds(channel, [pickle.dumps(("fork", list(modules)))], list(descriptors))
-                    found = Channel(channel).receive()
+                    found = self._ask("fork", list(modules), descriptors=descriptors)
                 except (EOFError, ConnectionError):
-                    self.stop()  # somebody has killed it: once more
-                    continue
+                    continue  # somebody has killed it: once more
                 self._loaded = True
                 if isinstance(found, str):
                     raise FmuidError(f"no process can be made for the FMU: {found}")
@@ -97,15 +94,29 @@ class ForkServer:
     def status(self, pid: int) -> int | None:
         """Return the status with which a host ended, None if it has not or nobody knows."""
         with self._lock:
-            if self._channel is None:
+            if self._channel is None or self._asking:  # by a collection of garbage in the middle of another question
                 return None
             try:
-                self._channel.sendall(pickle.dumps(("wait", pid, DEATH)))
-                status: int | None = Channel(self._channel).receive()
+                status: int | None = self._ask("wait", pid, DEATH)
             except (EOFError, ConnectionError):
-                self.stop()
                 return None
             return status
+
+    def _ask(self, *order: object, descriptors: Sequence[int] = ()) -> Any:
+        """Give an order and return the answer; whatever interrupts that ends the server, or the next took the answer.
+
+        All hosts end with it, which costs no simulation: there will be new ones.
+        """
+        self._asking = True
+        try:
+            channel = self.start()
+            socket.send_fds(channel, [pickle.dumps(order)], list(descriptors))
+            return Channel(channel).receive()
+        except BaseException:
+            self.stop()
+            raise
+        finally:
+            self._asking = False
 
     def stop(self) -> None:
         """End the server, and with it all hosts."""
