@@ -167,4 +167,4 @@ def _stand_in(given: ExperimentSettings, rows: int) -> Experiment:
     """Return an experiment in which nothing happens, with the columns of the study's words."""
     columns = [*given.inputs.values(), *given.outputs.values()]
     frame = pd.DataFrame({given.time: np.arange(rows, dtype=np.float64)} | dict.fromkeys(columns, 0.0))
-    return replace(given, discard=0.0).experiment(frame, str(given.table))
+    return given.model_copy(update={"discard": 0.0}).experiment(frame, str(given.table))

@@ -216,7 +216,7 @@ class Cases:
 
     def _put_starts(self, draft: _Draft, entry: int) -> None:
         given = self.settings.starts
-        draft.starts = given[entry] if isinstance(given, tuple) else self._start_ranges.draw(self.settings.seed, entry)
+        draft.starts = given[entry] if isinstance(given, list) else self._start_ranges.draw(self.settings.seed, entry)
 
     def _put_draw(self, draft: _Draft, entry: int) -> None:
         draft.draw = entry
@@ -267,7 +267,7 @@ class Cases:
 
     def _check_starts(self) -> None:
         given = self.settings.starts
-        for number, start in enumerate(given if isinstance(given, tuple) else ()):
+        for number, start in enumerate(given if isinstance(given, list) else ()):
             for name, value in start.items():
                 try:
                     replace(self.study.parameters[name], start=value)

@@ -177,7 +177,7 @@ class CaseRunner:
         clean = self._truths.get(key, lambda: self._simulate(experiments, truth))
         found = []
         for number, (experiment, outputs) in enumerate(zip(experiments, clean, strict=True)):
-            std = np.array([drawn.std[name] for name in experiment.output_names])
+            std = np.array([drawn.std_of(name) for name in experiment.output_names])
             values = outputs + std * noise(self._seed, case.record, draw, number, outputs.shape)
             found.append(experiment.with_outputs(np.where(np.isnan(experiment.output_values), np.nan, values)))
         return tuple(found)

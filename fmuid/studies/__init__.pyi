@@ -5,8 +5,8 @@ from .batch import Value as Value
 from .draft import Draft as Draft
 from .draft import skeleton as skeleton
 from .draft import write_draft as write_draft
+from .model import ExperimentSettings as ExperimentSettings
 from .monitoring import monitor_of as monitor_of
 from .monitoring import records_of as records_of
 from .monitoring import rule_of as rule_of
-from .settings import ExperimentSettings as ExperimentSettings
 from .study import Study as Study

@@ -5,22 +5,163 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import AfterValidator, Tag
 
 from fmuid.data import Experiment, Noise, Parameter
-from fmuid.diagnosis import LEVEL, Angle, Diagnosis, Fault, diagnose
+from fmuid.diagnosis import Rule
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt, Result
 from fmuid.models import System
-from fmuid.studies import toml as toml
+from fmuid.studies.model import ModelSettings, ModelWords
 from fmuid.studies.parameters import Knowns, Source
-from fmuid.studies.settings import MODEL_KEYS, ModelSettings, existing_file, model_of
-from fmuid.studies.toml import Section
+from fmuid.studies.words import (
+    BY_SHAPE,
+    TABLE_TAG,
+    VALUE_TAG,
+    Columns,
+    Entries,
+    File,
+    Kind,
+    Names,
+    Number,
+    Positive,
+    Share,
+    Text,
+    Texts,
+    Words,
+    must_be,
+    word,
+)
 
-DIAGNOSIS_KEYS = ("healthy", "inflate", "level", "faults")
-FAULT_KEYS = ("parameters", "angle", "names", "inputs")
-FAULT_PARAMETER_KEYS, ANGLE_KEYS = ("start", "nominal", "min", "max"), ("size", "period")
+if TYPE_CHECKING:
+    from fmuid.diagnosis import Angle, Diagnosis, Fault
+
+RULE = Rule()
+"""What is not said of a test."""
+
+
+def _factor(value: float) -> float:
+    if not value > 0:
+        raise must_be(FACTOR)
+    return value
+
+
+FACTOR = "a number above 0, inf for no prior"
+Factor = Annotated[float, AfterValidator(_factor), Kind(FACTOR)]
+Factors = Annotated[dict[str, Factor], Entries("a table { parameter = number }")]
+
+
+class AngleWords(Words):
+    """A parameter that is an angle."""
+
+    size: Text = word(..., "the parameter that is the size of this fault")
+    period: Positive = word(2.0 * math.pi, "of the angle")
+
+
+class FaultParameterWords(Words):
+    """A parameter of a fault."""
+
+    start: Number = word(0.0, "where the search begins; zero is the healthy machine")
+    nominal: Positive | None = word(None, "size, needed where the start is 0; of an angle: 1")
+    min: Number = word(-math.inf, "lower bound")
+    max: Number = word(math.inf, "upper bound")
+
+    def parameter(self, *, is_angle: bool) -> Parameter:
+        """Return the parameter; angles have a nominal without giving one.
+
+        Raises
+        ------
+        InputError
+            If its numbers do not fit together.
+        """
+        try:
+            return Parameter(self.start, self.min, self.max, self.nominal or (1.0 if is_angle else None))
+        except InputError as error:
+            raise self.error(f"is refused: {error}") from None
+
+
+class FaultWords(ModelWords):
+    """A fault to look for: a model of it, or parameters of the study's own model."""
+
+    parameters: dict[str, FaultParameterWords] = word({}, "those of the fault, zero where it is not there")
+    angle: Annotated[Annotated[Names, Tag(VALUE_TAG)] | Annotated[dict[str, AngleWords], Tag(TABLE_TAG)], BY_SHAPE] = (
+        word([], 'the parameters that are angles, ["theta0"]; or each with the size that it belongs to')
+    )
+    names: Texts = word({}, "what the study calls a variable, and what this model calls it")
+    inputs: Columns = word({}, "inputs that only this model has")
+
+    def fault(self) -> FaultSettings:
+        """Return the fault that the words describe.
+
+        Raises
+        ------
+        InputError
+            If it has no parameters, or words on a model and no model.
+        """
+        own = bool({"fmu", "components"} & self.model_fields_set)
+        for key in ModelWords.model_fields:
+            if not own and key in self.model_fields_set and key != "values":
+                raise self.error(f"has {key} and no model: give fmu or components, or leave {key} out")
+        if not self.parameters:
+            raise self.error(
+                "has no parameters: name those of the fault, zero without it, as in "
+                "parameters = { dR = { nominal = 1.0 } }"
+            )
+        return FaultSettings(
+            str(self.place),
+            replace(self.settings(), values={}) if own else None,
+            self.values,
+            {name: each.parameter(is_angle=name in self.angle) for name, each in self.parameters.items()},
+            self._angles(),
+            self.names,
+            self.inputs,
+        )
+
+    def _angles(self) -> Mapping[str, Angle] | Sequence[str]:
+        if isinstance(self.angle, list):
+            return self.angle
+        from fmuid.diagnosis import Angle
+
+        return {name: Angle(each.size, each.period) for name, each in self.angle.items()}
+
+
+class DiagnosisWords(Words):
+    """Which fault, and how large."""
+
+    healthy: File = word(..., "the result.json of an identification of the healthy machine", "healthy/result.json")
+    inflate: Annotated[Annotated[Factor, Tag(VALUE_TAG)] | Annotated[Factors, Tag(TABLE_TAG)], BY_SHAPE] = word(
+        1.0, "factor on its standard deviations, or one for each parameter: for changes that are no fault"
+    )
+    level: Share = word(RULE.level, "probability of a false alarm", RULE.level)
+    faults: dict[str, FaultWords] = word({}, "the faults to look for, by their names")
+
+    def settings(self, model: ModelSettings, loss: str, known: Knowns) -> DiagnosisSettings:
+        """Return the diagnosis of a study with this model, loss and these parameters.
+
+        Raises
+        ------
+        InputError
+            If there is no fault to look for, the healthy result cannot be read, or another word of the study does not
+            go with a diagnosis.
+        """
+        for said, there in (("[prior]", known.joint_prior is not None), (f'loss = "{loss}"', loss != "linear")):
+            if there:
+                raise self.error(f"does not go with {said} in this version: remove one of the two")
+        try:
+            result = Result.from_json(self.healthy)
+        except InputError as error:
+            raise self.error(f"healthy: {error}") from None
+        if not self.faults:
+            raise self.error("has no faults: describe at least one as [diagnosis.faults.<name>]")
+        names = tuple(name for name in result.names if not name.endswith("]") and name not in model.values)
+        return DiagnosisSettings(
+            Source(str(self.place), self.healthy, result, names),
+            self.inflate,
+            self.level,
+            {name: each.fault() for name, each in self.faults.items()},
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +199,8 @@ class FaultSettings:
         InputError
             If its FMUs cannot be read or its parameters are no fault's.
         """
+        from fmuid.diagnosis import Fault  # and all that decides, only where faults are looked for
+
         own = self.model is not None
         values = self.values if own else {**model.values, **self.values}
         for name in self.parameters:
@@ -119,6 +262,8 @@ class DiagnosisSettings:
         SimulationError
             If the simulation fails at the healthy estimate.
         """
+        from fmuid.diagnosis import diagnose
+
         hypotheses = {name: each.fault(system, model) for name, each in self.faults.items()}
         try:
             return diagnose(
@@ -137,111 +282,3 @@ class DiagnosisSettings:
             )
         except InputError as error:
             raise InputError(f"{self.source.where}: {error}") from None
-
-
-def read_diagnosis(top: Section, folder: Path, model: ModelSettings, loss: str, known: Knowns) -> DiagnosisSettings:
-    """Read the table ``[diagnosis]``.
-
-    Parameters
-    ----------
-    top : Section
-        The study file.
-    folder : Path
-        Paths are relative to it.
-    model : ModelSettings
-        Of the study.
-    loss : str
-    known : Knowns
-        The study's parameters.
-
-    Raises
-    ------
-    InputError
-        If a key is unknown, missing or of the wrong kind, there is no fault to look for, or another word of the study
-        does not go with a diagnosis.
-    """
-    section = top.table("diagnosis", DIAGNOSIS_KEYS)
-    for word, there in (("[prior]", known.joint_prior is not None), (f'loss = "{loss}"', loss != "linear")):
-        if there:
-            raise section.error(f"does not go with {word} in this version: remove one of the two")
-    path = existing_file(section, "healthy", "the result.json of an identification of the healthy machine", folder)
-    try:
-        result = Result.from_json(path)
-    except InputError as error:
-        raise section.error(f"healthy: {error}") from None
-    listed = list(section.table("faults", section.data.get("faults", {})).data)
-    if not listed:
-        raise section.error("has no faults: describe at least one as [diagnosis.faults.<name>]")
-    faults = section.table("faults", listed)
-    inflate: float | Mapping[str, float] = section.get("inflate", _inflate, 1.0)
-    names = tuple(name for name in result.names if not name.endswith("]") and name not in model.values)
-    return DiagnosisSettings(
-        Source(f"{section.file}: {section.where}", path, result, names),
-        inflate,
-        section.get("level", toml.share, LEVEL),
-        {name: _fault(faults.table(name, (*MODEL_KEYS, *FAULT_KEYS)), folder) for name in listed},
-    )
-
-
-def _factor(value: object) -> float:
-    if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
-        return float(value)
-    raise toml.MismatchError("a number above 0, inf for no prior")
-
-
-def _inflate(value: object) -> Any:
-    return toml.named(_factor)(value) if isinstance(value, dict) else _factor(value)
-
-
-def _fault(section: Section, folder: Path) -> FaultSettings:
-    own = {"fmu", "components"} & set(section.data)
-    model = model_of(section, folder) if own else None
-    for key in MODEL_KEYS:
-        if not own and key in section.data and key != "values":
-            raise section.error(f"has {key} and no model: give fmu or components, or leave {key} out")
-    if not section.data.get("parameters"):
-        raise section.error(
-            "has no parameters: name those of the fault, zero without it, as in parameters = { dR = { nominal = 1.0 } }"
-        )
-    listed = section.table("parameters", section.data["parameters"])
-    angles = _angles(section)
-    parameters = {
-        name: _parameter(listed.table(name, FAULT_PARAMETER_KEYS), 1.0 if name in angles else None)
-        for name in listed.data
-    }
-    return FaultSettings(
-        f"{section.file}: {section.where}",
-        model if model is None else replace(model, values={}),
-        section.get("values", toml.named(toml.scalar), {}),
-        parameters,
-        angles,
-        section.get("names", toml.named(toml.text), {}),
-        section.get("inputs", toml.columns, {}),
-    )
-
-
-def _parameter(section: Section, nominal: float | None) -> Parameter:
-    """Read a parameter of a fault, which starts at zero; angles have a nominal without giving one."""
-    try:
-        return Parameter(
-            section.get("start", toml.number, 0.0),
-            section.get("min", toml.number, -math.inf),
-            section.get("max", toml.number, math.inf),
-            section.get("nominal", toml.positive, nominal),
-        )
-    except InputError as error:
-        raise section.error(f"is refused: {error}") from None
-
-
-def _angles(section: Section) -> Mapping[str, Angle] | Sequence[str]:
-    given: Any = section.data.get("angle", [])
-    if not isinstance(given, dict):
-        listed: list[str] = section.get("angle", toml.names, [])
-        return listed
-    table = section.table("angle", given)
-    found = {}
-    for name in given:
-        words = table.table(name, ANGLE_KEYS)
-        size = words.need("size", toml.text, "the parameter that is the size of this fault")
-        found[name] = Angle(size, words.get("period", toml.positive, 2.0 * math.pi))
-    return found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +101,7 @@ def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -
         if path.stem in known:
             continue
         try:
-            record = replace(given, name=path.stem).experiment(read_table(path, given.time), str(path))
+            record = given.model_copy(update={"name": path.stem}).experiment(read_table(path, given.time), str(path))
         except InputError as error:
             raise InputError(f"{error} (inputs and outputs are those of {study.path})") from None
         yield record

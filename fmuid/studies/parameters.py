@@ -6,20 +6,71 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.models import System
-from fmuid.studies import toml as toml
-from fmuid.studies.settings import existing_file
-from fmuid.studies.toml import Section
+from fmuid.studies.toml import show
+from fmuid.studies.words import File, Finite, Flag, Matrix, Names, Number, Numbers, Place, Positive, Words, word
 from fmuid.text import nearest
 
-PARAMETER_KEYS = ("start", "min", "max", "nominal", "prior", "per_experiment")
-GIVEN_KEYS, RESULT_KEYS = ("mean", "std"), ("result", "inflate")
-JOINT_KEYS = ("names", "mean", "covariance", *RESULT_KEYS)
+
+class FromResult(Words):
+    """A prior that may come from an earlier result."""
+
+    result: File | None = word(None, "the result.json of an earlier identification", "healthy/result.json")
+    inflate: Positive = word(1.0, "factor on its standard deviations, for changes to be expected", 10)
+
+    def comes_from_result(self, given: Sequence[str], needed: Sequence[str]) -> bool:
+        """Whether it does, and not from numbers in the study, `given`, for which words are `needed`.
+
+        Raises
+        ------
+        InputError
+            If both are there, or words are missing.
+        """
+        if self.result is not None:
+            for key in given:
+                if key in self.model_fields_set:
+                    raise self.error(f"has both result and {key}: keep one of the two")
+            return True
+        if "inflate" in self.model_fields_set:
+            raise self.error("has inflate, which goes with result: name the result.json, or remove it")
+        for key in needed:
+            if key not in self.model_fields_set:
+                raise self.error(f"needs the key {key!r}: {type(self).model_fields[key].description}")
+        return False
+
+
+class PriorWords(FromResult):
+    """What is known of one parameter."""
+
+    mean: Finite | None = word(None, "its mean")
+    std: Positive | None = word(None, "its standard deviation")
+
+
+class JointPriorWords(FromResult):
+    """What is known of several parameters together."""
+
+    names: Names | None = word(
+        None,
+        "the parameters that it is about; with result, by default all that both have",
+        ["a", "b"],
+    )
+    mean: Numbers | None = word(None, "the means of the parameters that it names")
+    covariance: Matrix | None = word(None, "the covariance of the parameters that it names, row by row")
+
+
+class ParameterWords(Words):
+    """A parameter to identify, by its name in the FMU."""
+
+    start: Number = word(..., "where the search begins")
+    min: Number = word(-math.inf, "lower bound")
+    max: Number = word(math.inf, "upper bound")
+    nominal: Positive | None = word(None, "size, needed where the start is 0")
+    per_experiment: Flag = word(False, "one value for each experiment")
+    prior: PriorWords | None = word(None, "what is known of it")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,150 +145,115 @@ class Knowns:
     names: tuple[str, ...]
 
 
-def read_parameters(
-    top: Section, folder: Path, experiments: Sequence[str], held: Mapping[str, float | int | bool | str]
-) -> Knowns:
-    """Read the tables ``[parameters]`` and ``[prior]``.
+class Reader:
+    """Reads the parameters and their priors, each result file once.
 
     Parameters
     ----------
-    top : Section
+    top : Place
         The study file.
-    folder : Path
-        Results are named relative to it.
-    experiments : sequence of str
-        Names of the experiments.
     held : mapping
         The variables held at a value.
-
-    Raises
-    ------
-    InputError
-        If a key is unknown, missing or of the wrong kind, or a prior does not fit its parameter.
     """
-    return _Reader(top, folder, held).read(experiments)
 
-
-class _Reader:
-    """Reads the parameters and their priors, each result file once."""
-
-    def __init__(self, top: Section, folder: Path, held: Mapping[str, float | int | bool | str]) -> None:
-        self.top, self.folder, self.held = top, folder, held
+    def __init__(self, top: Place, held: Mapping[str, float | int | bool | str]) -> None:
+        self.top, self.held = top, held
         self.results: dict[Path, Result] = {}
         self.sources: list[Source] = []
 
-    def read(self, experiments: Sequence[str]) -> Knowns:
-        listed = list(self.top.table("parameters", self.top.data.get("parameters", {})).data)
-        section = self.top.table("parameters", listed)
-        parameters = {name: self._parameter(name, section.table(name, PARAMETER_KEYS)) for name in listed}
-        if not parameters:
-            if "prior" in self.top.data:
+    def read(
+        self, words: Mapping[str, ParameterWords], prior: JointPriorWords | None, experiments: Sequence[str]
+    ) -> Knowns:
+        """Return what a study with these experiments says of its parameters.
+
+        Raises
+        ------
+        InputError
+            If a prior does not fit its parameter, or its result cannot be read.
+        """
+        if not words:
+            if prior is not None:
                 raise self.top.error("has a [prior] and no parameters: name those to identify under [parameters]")
             return Knowns({}, None, (), ())
-        alone = self._set(parameters, experiments, None, "[parameters]")
-        if "prior" not in self.top.data:
+        parameters = {name: self._parameter(name, each) for name, each in words.items()}
+        alone = self._set(parameters, experiments, None, "parameters")
+        if prior is None:
             return Knowns(parameters, None, tuple(self.sources), alone.names)
-        joint = self._joint(self.top.table("prior", JOINT_KEYS), alone.names)
-        self._set(parameters, experiments, joint, "[prior]")
+        joint = self._joint(prior, alone.names)
+        self._set(parameters, experiments, joint, "prior")
         return Knowns(parameters, joint, tuple(self.sources), alone.names)
 
     def _set(
-        self, parameters: Mapping[str, Parameter], experiments: Sequence[str], joint: JointPrior | None, where: str
+        self, parameters: Mapping[str, Parameter], experiments: Sequence[str], joint: JointPrior | None, table: str
     ) -> ParameterSet:
         try:
             return ParameterSet(parameters, experiments, joint)
         except InputError as error:
-            raise InputError(f"{self.top.file}: {where}: {error}") from None
+            raise InputError(f"{self.top.below(table)}: {error}") from None
 
-    def _parameter(self, name: str, section: Section) -> Parameter:
-        words: dict[str, Any] = {
-            "start": section.need("start", toml.number, "where the search begins"),
-            "min": section.get("min", toml.number, -math.inf),
-            "max": section.get("max", toml.number, math.inf),
-            "nominal": section.get("nominal", toml.positive, None),
-            "per_experiment": section.get("per_experiment", toml.flag, False),
-        }
-        prior = self._normal(name, section) if "prior" in section.data else None
+    def _parameter(self, name: str, words: ParameterWords) -> Parameter:
+        prior = None if words.prior is None else self._normal(name, words.prior)
         try:
-            return Parameter(**words, prior=prior)
+            return Parameter(words.start, words.min, words.max, words.nominal, prior, words.per_experiment)
         except InputError as error:  # a Parameter does not know what it is called
-            raise InputError(f"{section.file}: {section.where}: {error}") from None
+            raise InputError(f"{words.place}: {error}") from None
 
-    def _normal(self, name: str, section: Section) -> Normal:
-        table = section.table("prior", (*GIVEN_KEYS, *RESULT_KEYS))
-        if not self._from_result(table, GIVEN_KEYS):
-            return Normal(
-                table.need("mean", toml.number, "its mean"), table.need("std", toml.positive, "its standard deviation")
-            )
-        path, result = self._result(table)
-        self._known(table, path, result, [name])
+    def _normal(self, name: str, words: PriorWords) -> Normal:
+        if not words.comes_from_result(("mean", "std"), ("mean", "std")):
+            assert words.mean is not None and words.std is not None
+            return Normal(words.mean, words.std)
+        path, result = self._result(words)
+        self._take(words, path, result, [name])
         try:
-            normal = result.normal(name, inflate=table.get("inflate", toml.positive, 1.0))
+            return result.normal(name, inflate=words.inflate)
         except InputError as error:
-            raise InputError(f"{table.file}: {table.where}: {path}: {error}") from None
-        self.sources.append(Source(f"{table.file}: {table.where}", path, result, (name,)))
-        return normal
+            raise InputError(f"{words.place}: {path}: {error}") from None
 
-    def _joint(self, table: Section, names: Sequence[str]) -> JointPrior:
-        chosen = table.get("names", toml.names, None)
-        for name in chosen or ():
+    def _joint(self, words: JointPriorWords, names: Sequence[str]) -> JointPrior:
+        for name in words.names or ():
             if name in self.held:
-                raise table.error(
-                    f"names {name!r}, which [model.values] holds at {toml.show(self.held[name])}: a prior is for "
+                raise words.error(
+                    f"names {name!r}, which [model.values] holds at {show(self.held[name])}: a prior is for "
                     "parameters to identify, so move it to [parameters] or leave it out here"
                 )
             if name not in names:
-                raise table.error(f"names {name!r}, which is no parameter of this study{nearest(name, names)}")
+                raise words.error(f"names {name!r}, which is no parameter of this study{nearest(name, names)}")
+        if words.comes_from_result(("mean", "covariance"), ("names", "mean", "covariance")):
+            return self._joint_from_result(words, names)
+        assert words.names is not None and words.mean is not None and words.covariance is not None
         try:
-            if self._from_result(table, ("mean", "covariance")):
-                return self._joint_from_result(table, chosen, names)
-            return self._joint_given(table, table.need("names", toml.names, "the parameters that it is about"))
+            return JointPrior(words.names, words.mean, words.covariance)
         except InputError as error:
-            said = str(error)
-            raise InputError(said if said.startswith(table.file) else f"{table.file}: {table.where}: {said}") from None
+            raise InputError(f"{words.place}: {error}") from None
 
-    def _joint_given(self, table: Section, names: Sequence[str]) -> JointPrior:
-        mean = table.need("mean", toml.numbers, "the means of the parameters that it names")
-        covariance = table.need("covariance", toml.matrix, "the covariance of the parameters that it names, row by row")
-        return JointPrior(names, mean, covariance)
-
-    def _joint_from_result(self, table: Section, chosen: Sequence[str] | None, names: Sequence[str]) -> JointPrior:
-        path, result = self._result(table)
-        shared = [name for name in names if name in result.names] if chosen is None else list(chosen)
+    def _joint_from_result(self, words: JointPriorWords, names: Sequence[str]) -> JointPrior:
+        path, result = self._result(words)
+        shared = words.names or [name for name in names if name in result.names]
         if not shared:
-            raise table.error(
+            raise words.error(
                 f"takes nothing from {path}: it has {', '.join(result.names)}, and this study {', '.join(names)}; "
                 "give the result of an identification of the same model"
             )
-        self._known(table, path, result, shared)
-        self.sources.append(Source(f"{table.file}: {table.where}", path, result, tuple(shared)))
+        self._take(words, path, result, shared)
         try:
-            return result.prior(shared, inflate=table.get("inflate", toml.positive, 1.0))
+            return result.prior(shared, inflate=words.inflate)
         except InputError as error:
-            raise table.error(f"cannot be taken from {path}: {error}") from None
+            raise words.error(f"cannot be taken from {path}: {error}") from None
 
-    def _from_result(self, table: Section, given: Sequence[str]) -> bool:
-        """Whether a prior comes from a result, and not from numbers in the study."""
-        if "result" not in table.data:
-            if "inflate" in table.data:
-                raise table.error("has inflate, which goes with result: name the result.json, or remove it")
-            return False
-        for key in given:
-            if key in table.data:
-                raise table.error(f"has both result and {key}: keep one of the two")
-        return True
-
-    def _result(self, table: Section) -> tuple[Path, Result]:
-        path = existing_file(table, "result", "the result.json of an earlier identification", self.folder)
+    def _result(self, words: FromResult) -> tuple[Path, Result]:
+        assert words.result is not None
+        path = words.result
         try:
             return path, self.results.setdefault(path, self.results.get(path) or Result.from_json(path))
         except InputError as error:
-            raise InputError(f"{table.file}: {table.where}: {error}") from None
+            raise InputError(f"{words.place}: {error}") from None
 
-    def _known(self, table: Section, path: Path, result: Result, names: Sequence[str]) -> None:
+    def _take(self, words: FromResult, path: Path, result: Result, names: Sequence[str]) -> None:
+        """Note which parameters are taken from a result, which must have them."""
         for name in names:
             if name not in result.names:
-                raise table.error(
+                raise words.error(
                     f"takes {name!r} from {path}, which has no such parameter{nearest(name, result.names)}; "
                     f"it has {', '.join(result.names)}"
                 )
+        self.sources.append(Source(str(words.place), path, result, tuple(names)))

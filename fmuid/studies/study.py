@@ -1,7 +1,6 @@
 """A study: model, experiments, parameters, priors, noise, estimator, and what is asked of the result, from a TOML file.
 
-`fmuid.studies.settings` and `fmuid.studies.parameters` have the words of the file; `fmuid.studies.toml` checks that
-there are no others.
+`fmuid.studies.study_file` has the words of the file.
 """
 
 from __future__ import annotations
@@ -21,21 +20,12 @@ from fmuid.estimation import Iteration, Marquardt, Result, identify
 from fmuid.model_problem import Problem
 from fmuid.models import System
 from fmuid.simulation import Fit, Simulator, fit_of
-from fmuid.studies import toml as toml
-from fmuid.studies.parameters import Source, read_parameters
-from fmuid.studies.settings import (
-    ExperimentSettings,
-    ModelSettings,
-    read_estimator,
-    read_experiments,
-    read_isolation,
-    read_loss,
-    read_model,
-    read_noise,
-    read_sensitivity,
-    read_uncertainty,
-)
-from fmuid.studies.toml import Section
+from fmuid.studies.model import ExperimentSettings, ModelSettings, named
+from fmuid.studies.overrides import override
+from fmuid.studies.parameters import Reader, Source
+from fmuid.studies.study_file import StudyFile
+from fmuid.studies.toml import read_toml
+from fmuid.studies.words import Place
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,9 +34,6 @@ if TYPE_CHECKING:
     from fmuid.estimation import GlobalResult, GlobalSearch, GlobalStep
     from fmuid.studies.batch import BatchSettings
     from fmuid.studies.diagnosis import DiagnosisSettings
-
-STUDY_KEYS: tuple[str, ...] = ("title", "model", "experiments", "parameters", "prior", "noise", "estimator")
-STUDY_KEYS += ("uncertainty", "diagnosis", "batch", "isolation")
 
 
 @dataclass(frozen=True)
@@ -108,7 +95,7 @@ class Study:
         path : path-like
             The TOML file. Paths in it are relative to it.
         overrides : sequence of str
-            Values to put in place of the file's, each as ``parameters.Rs.start=9`` (`fmuid.studies.toml.override`).
+            Values to put in place of the file's, each as ``parameters.Rs.start=9`` (`fmuid.studies.overrides`).
         isolated : bool
             Run the FMUs in a process of their own, as ``[isolation]`` says, which costs little and survives an FMU
             that crashes, hangs or takes all memory; default: in this process.
@@ -120,9 +107,9 @@ class Study:
             does not fit the parameters.
         """
         path = Path(path)
-        data = toml.read_toml(path)
+        data = read_toml(path)
         for setting in overrides:
-            toml.override(data, setting, str(path))
+            override(data, setting, str(path))
         return cls._of(data, path, f"{path} with --set" if overrides else str(path), isolated)
 
     @classmethod
@@ -145,38 +132,32 @@ class Study:
 
     @classmethod
     def _of(cls, data: dict[str, Any], path: Path, file: str, isolated: bool) -> Study:
-        top = Section(file, toml.TOP, data, STUDY_KEYS)
-        isolation = read_isolation(top)  # checked also where it is not asked for
-        model = replace(read_model(top, path.parent), isolation=isolation if isolated else None)
-        experiments = read_experiments(top, path.parent)
-        known = read_parameters(top, path.parent, [given.name for given in experiments], model.values)
-        estimator, asked = read_estimator(top), read_uncertainty(top, known.names)
-        loss, noise = read_loss(top, estimator, asked), read_noise(top)
-        diagnosis: DiagnosisSettings | None = None
-        batch: BatchSettings | None = None
-        if "diagnosis" in data:
-            from fmuid.studies.diagnosis import read_diagnosis  # and all that decides, only where a study asks for it
-
-            diagnosis = read_diagnosis(top, path.parent, model, loss, known)
-        if "batch" in data:
-            from fmuid.studies.batch import read_batch
-
-            batch = read_batch(top, path.parent, known, experiments, noise)
+        top = Place(file, path.parent)
+        words = StudyFile.read(data, top)
+        isolation = words.isolation.settings()  # checked also where it is not asked for
+        model = replace(words.model.settings(), isolation=isolation if isolated else None)
+        experiments = named(words.experiments, top)
+        names = [given.name for given in experiments]
+        known = Reader(top, model.values).read(words.parameters, words.prior, names)
+        estimator, asked, noise = words.estimator, words.uncertainty.settings(known.names), words.noise.settings()
+        search = estimator.settings()
+        estimator.check_loss(search, asked, top)
+        diagnosis, batch = words.diagnosis, words.batch
         return cls(
             path,
-            top.get("title", toml.text, ""),
+            words.title,
             model,
             experiments,
             known.parameters,
             noise,
-            estimator,
-            loss,
+            search,
+            estimator.loss,
             known.joint_prior,
             known.sources,
             asked,
-            read_sensitivity(top),
-            diagnosis,
-            batch,
+            estimator.sensitivity,
+            None if diagnosis is None else diagnosis.settings(model, estimator.loss, known),
+            None if batch is None else batch.of(known.parameters, experiments, noise),
             data,
         )
 

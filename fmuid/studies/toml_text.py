@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 from typing import Any
@@ -35,11 +34,3 @@ def parsed(text: str) -> dict[str, Any]:
         raise
     except ValueError:  # of `int`
         raise UnreadableError("a number in it has thousands of digits") from None
-
-
-def float_of(value: object) -> float:
-    """Return a number as a float; nan where it is none, or an integer that is too large for one."""
-    try:
-        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-    except OverflowError:
-        return math.nan

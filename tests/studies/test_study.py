@@ -16,8 +16,9 @@ from fmuid.errors import InputError
 from fmuid.estimation.global_search import GlobalSearch
 from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.models.component import Numerics
+from fmuid.studies.overrides import override
 from fmuid.studies.study import Study
-from fmuid.studies.toml import override, show
+from fmuid.studies.toml import show
 
 FULL = """
 title = "Coil"

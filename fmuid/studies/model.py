@@ -1,0 +1,260 @@
+"""The tables ``[model]`` and ``[[experiments]]`` of a study file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BeforeValidator, Tag
+
+from fmuid.data import Experiment
+from fmuid.fmi import KINDS
+from fmuid.models import (
+    DEFAULT_INTEGRATOR,
+    DEFAULT_TOLERANCE,
+    INTEGRATORS,
+    MASTERS,
+    Component,
+    Isolation,
+    Numerics,
+    System,
+)
+from fmuid.studies.words import (
+    BY_SHAPE,
+    TABLE_TAG,
+    VALUE_TAG,
+    Columns,
+    Entries,
+    File,
+    Names,
+    NotNegative,
+    Number,
+    Place,
+    Positive,
+    Scalars,
+    Share,
+    Text,
+    Texts,
+    Words,
+    one_of,
+    word,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """The table ``[model]``.
+
+    Attributes
+    ----------
+    components : mapping of str to (Path, Numerics)
+        The FMU files and how they are run; a single FMU, or a whole ``.ssp``, is the component ``""``.
+    connections : tuple of tuples
+        (output, input), both as ``component.variable``, or (output, input, factor, offset).
+    numerics : Numerics
+        How components run that do not say it themselves.
+    master : "jacobi" or "gauss-seidel"
+    values : mapping
+        The FMU variables held at a value.
+    connectors : mapping of str to tuple of str
+        Names of the system's own, and the variables that each of them sets.
+    isolation : Isolation or None
+        How the FMUs run in a process of their own; None: in this one.
+    """
+
+    components: Mapping[str, tuple[Path, Numerics]]
+    connections: tuple[tuple[str, str] | tuple[str, str, float, float], ...] = ()
+    numerics: Numerics = field(default_factory=Numerics)
+    master: str = "jacobi"
+    values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+    connectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    isolation: Isolation | None = None
+
+    def system(self) -> System:
+        """Return the model: its FMUs and their connections.
+
+        Raises
+        ------
+        InputError
+            If an FMU or SSP cannot be read, or a connection is wrong.
+        """
+        if "" not in self.components:
+            components = {name: Component(path, numerics) for name, (path, numerics) in self.components.items()}
+            return System(
+                components=components,
+                connections=self.connections,
+                numerics=self.numerics,
+                master=self.master,
+                connectors={name: [(each, 1.0, 0.0) for each in some] for name, some in self.connectors.items()},
+                isolation=self.isolation,
+            )
+        path, _ = self.components[""]
+        if path.suffix.lower() == ".ssp":
+            return System.read_ssp(path, self.numerics, self.master, self.isolation)
+        return System(path, numerics=self.numerics, isolation=self.isolation)
+
+
+# --- [model] ----------------------------------------------------------------------------
+
+
+class NumericsWords(Words):
+    """How an FMU is run."""
+
+    interface: Annotated[str, one_of(KINDS)] | None = word(
+        None,
+        'which of its two; default: "co-simulation" where the FMU offers it, with the integrator inside the FMU',
+        "model-exchange",
+    )
+    integrator: Annotated[str, one_of(INTEGRATORS)] | None = word(
+        None,
+        f'of model exchange; default: "{DEFAULT_INTEGRATOR}", and "cvode" once that finds the model stiff',
+        "cvode",
+    )
+    tolerance: Share | None = word(
+        None,
+        f"relative; default: {DEFAULT_TOLERANCE!r}, or what the FMU has inside",
+        DEFAULT_TOLERANCE,
+    )
+    step_size: Positive | None = word(None, "largest step, s; default: from sample to sample", 1e-3)
+
+    @property
+    def numerics(self) -> Numerics:
+        """The words as an object."""
+        return Numerics(self.interface, self.integrator, self.tolerance, self.step_size)
+
+
+class ComponentWords(NumericsWords):
+    """One of several FMUs."""
+
+    name: Text = word(..., "what its variables are prefixed with")
+    fmu: File = word(..., "the path of the FMU")
+
+
+class ConnectionWords(Words):
+    """An output that feeds an input."""
+
+    source: Text = word(..., "an output", alias="from")
+    target: Text = word(..., "the input that it feeds", alias="to")
+    factor: Number = word(1.0, "what the output is multiplied by")
+    offset: Number = word(0.0, "what is added then")
+
+    @property
+    def connection(self) -> tuple[str, str] | tuple[str, str, float, float]:
+        """The words as `fmuid.System` takes them."""
+        if self.model_fields_set <= {"source", "target"}:
+            return self.source, self.target
+        return self.source, self.target, self.factor, self.offset
+
+
+def _listed(value: Any) -> Any:
+    return [value] if isinstance(value, str) else value
+
+
+OneOrMore = Annotated[Names, BeforeValidator(_listed, json_schema_input_type=str | list[str])]
+
+
+class ModelWords(NumericsWords):
+    """The model: one FMU, or several coupled ones."""
+
+    fmu: File | None = word(None, "the path of the FMU, or of a system, .ssp")
+    master: Annotated[str, one_of(MASTERS)] = word("jacobi", "in which order several FMUs step")
+    values: Scalars = word({}, "FMU variables held at a value")
+    components: list[ComponentWords] = word([], "several FMUs in place of fmu; their variables are component.variable")
+    connections: list[ConnectionWords] = word([], "what feeds what")
+    connectors: Annotated[dict[str, OneOrMore], Entries("a table { name = variables }")] = word(
+        {}, "names of the system's own, and the variables that each of them sets"
+    )
+
+    def settings(self) -> ModelSettings:
+        """Return the model that the words describe.
+
+        Raises
+        ------
+        InputError
+            If it has no FMU, or words for one FMU and for several.
+        """
+        return ModelSettings(
+            self._components(),
+            tuple(each.connection for each in self.connections),
+            self.numerics,
+            self.master,
+            self.values,
+            {name: tuple(some) for name, some in self.connectors.items()},
+        )
+
+    def _components(self) -> dict[str, tuple[Path, Numerics]]:
+        if self.fmu is not None:
+            for key in ("components", "connections", "connectors"):
+                if key in self.model_fields_set:
+                    raise self.error(f"has both 'fmu' (one FMU) and {key} (of several): keep one of the two")
+            return {"": (self.fmu, self.numerics)}
+        if "components" not in self.model_fields_set:
+            raise self.error(
+                "needs the key 'fmu', the path of the FMU, or [[model.components]] where there are several"
+            )
+        found: dict[str, tuple[Path, Numerics]] = {}
+        for each in self.components:
+            if each.name in found:
+                raise each.error(f"has the name {each.name!r} of an earlier component: give each its own")
+            found[each.name] = each.fmu, each.numerics
+        if not found:
+            raise self.error("has no components: name them with [[model.components]]")
+        return found
+
+
+# --- [[experiments]] --------------------------------------------------------------------
+
+Interpolation = Annotated[str, one_of(("linear", "hold", "cubic"))]
+Interpolations = Annotated[dict[str, Interpolation], Entries("a table { input = interpolation }")]
+
+
+class ExperimentSettings(Words):
+    """One entry of ``[[experiments]]``, with the words of `fmuid.Experiment`."""
+
+    table: File = word(..., "the file of measurements")
+    name: Text = word("", "what messages and figures call it; default: the table's name without suffix")
+    time: Text = word("time", "the column of time, s")
+    inputs: Columns = word({}, "variables of the FMU that columns drive")
+    outputs: Columns = word(..., "the measured outputs, a list of names")
+    interpolation: Annotated[
+        Annotated[Interpolation, Tag(VALUE_TAG)] | Annotated[Interpolations, Tag(TABLE_TAG)], BY_SHAPE
+    ] = word("linear", 'between samples; "hold" for commands of a digital controller', "linear")
+    discard: NotNegative = word(0.0, "s of transient at the beginning, simulated but not counted", 0.0)
+    units: Texts = word({}, "of columns that are not in the FMU's unit: { variable = unit }")
+
+    def experiment(self, frame: pd.DataFrame, source: str) -> Experiment:
+        """Return the experiment that a table is with these words; messages call the table `source`.
+
+        Raises
+        ------
+        InputError
+            If the table has not what the words say.
+        """
+        words = {name: getattr(self, name) for name in ("time", "interpolation", "discard", "units", "name")}
+        return Experiment(frame, self.inputs, self.outputs, **words, source=source)
+
+
+def named(experiments: Sequence[ExperimentSettings], top: Place) -> tuple[ExperimentSettings, ...]:
+    """Return the experiments, each with its name.
+
+    Raises
+    ------
+    InputError
+        If there are none, one has no outputs, or two are of one name.
+    """
+    found: dict[str, ExperimentSettings] = {}
+    for each in experiments:
+        name = each.name or each.table.stem
+        if name in found:
+            raise each.error(f'is called {name!r} like an earlier one: give it a name of its own, name = "..."')
+        if not each.outputs:
+            raise each.error('has no outputs: name those that are measured, outputs = ["..."]')
+        found[name] = each.model_copy(update={"name": name})
+    if not found:
+        raise top.error("has no experiments: name at least one table with [[experiments]]")
+    return tuple(found.values())

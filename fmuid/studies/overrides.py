@@ -1,0 +1,120 @@
+"""Single values put in place of a study file's, as ``--set parameters.Rs.start=9`` asks."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Sequence
+from typing import Any
+
+from fmuid.errors import InputError
+from fmuid.studies.study_file import StudyFile
+from fmuid.studies.toml import show
+from fmuid.studies.toml_text import UnreadableError, parsed
+from fmuid.studies.words import entries_of, table_of
+from fmuid.text import nearest
+
+_SEGMENT = re.compile(r"""\s*(?:"([^"]*)"|'([^']*)'|([^."'\s]+))\s*(?:\.|$)""")
+
+
+def override(data: dict[str, Any], setting: str, file: str) -> None:
+    """Set one value of a study in place, as ``--set parameters.Rs.start=9`` asks.
+
+    Parameters
+    ----------
+    data
+        The content of the study file.
+    setting
+        ``path=value``. The path is dotted; list entries go by number (``experiments.0.table``); names that contain
+        dots may be quoted (``parameters."drive.M".start``) and need not be where only one reading is possible. The
+        value is TOML, or else a string.
+    file
+        The study file's name for messages.
+
+    Raises
+    ------
+    InputError
+        If the setting has no ``=``, or its path leads nowhere.
+    """
+    path, equals, text = setting.partition("=")
+    segments = _segments(path)
+    if not equals or not segments:
+        raise InputError(f"--set {setting}: expected path=value, as in --set parameters.Rs.start=9")
+    _assign(data, segments, _value(text.strip()), (), StudyFile, f"--set {setting}: {file}")
+
+
+def _segments(path: str) -> list[str]:
+    """Split a dotted path at the dots outside quotes; empty where it is not a path."""
+    found, position = [], 0
+    while position < len(path):
+        match = _SEGMENT.match(path, position)
+        if match is None:
+            return []
+        found.append(next(group for group in match.groups() if group is not None))
+        position = match.end()
+    return found if not path.rstrip().endswith(".") else []
+
+
+def _value(text: str) -> Any:
+    try:
+        found = parsed(f"value = {text}")
+    except (UnreadableError, tomllib.TOMLDecodeError):
+        return text
+    return found["value"] if len(found) == 1 else text
+
+
+def _assign(node: Any, segments: Sequence[str], value: Any, above: tuple[str, ...], shape: Any, where: str) -> None:
+    """Walk down `node`, which is of the type `shape`, along `segments` and set the last one to `value`."""
+    key: Any
+    if isinstance(node, list):
+        key, rest = _index(node, segments, above, where), segments[1:]
+    elif isinstance(node, dict):
+        key, rest = _key(node, segments, value, above, shape, where)
+    else:
+        raise InputError(f"{where} has {show(node)} for {'.'.join(above)}, which has no key {segments[0]!r}")
+    if rest:
+        below = shape if isinstance(node, list) else _below(shape, str(key))
+        _assign(node[key], rest, value, (*above, str(key)), below, where)
+    else:
+        node[key] = value
+
+
+def _index(node: list[Any], segments: Sequence[str], above: tuple[str, ...], where: str) -> int:
+    if not segments[0].isdecimal() or int(segments[0]) >= len(node):
+        name = ".".join(above)
+        raise InputError(
+            f"{where} has no {name}.{segments[0]}: the entries of {name} are numbered 0 to {len(node) - 1}"
+        )
+    return int(segments[0])
+
+
+def _key(
+    node: dict[str, Any], segments: Sequence[str], value: Any, above: tuple[str, ...], shape: Any, where: str
+) -> tuple[str, Sequence[str]]:
+    """Return the key of `node` that `segments` start with, and the segments left."""
+    joined = [".".join(segments[: count + 1]) for count in range(len(segments))]
+    here = ".".join(above)
+    present = [count for count, name in enumerate(joined) if name in node]
+    if len(present) > 1:
+        names = " or ".join(f'"{joined[count]}"' for count in present)
+        raise InputError(f"{where} has several keys this path may mean in {here}: quote the one meant, {names}")
+    if present:
+        return joined[present[0]], segments[present[0] + 1 :]
+    named = entries_of(shape)  # all that is left is one name there
+    if named is not None and (table_of(named) is None or isinstance(value, dict)):
+        return joined[-1], ()
+    if named is None and len(segments) == 1:
+        return segments[0], ()  # a new key: whether it is a known one is for the check of its table to say
+    below = _below(shape, segments[0])
+    if named is None and (table_of(below) is not None or entries_of(below) is not None):
+        node[segments[0]] = {}
+        return segments[0], segments[1:]
+    name = joined[-2] if named is not None and len(segments) > 1 else segments[0]
+    place = f"[{here}] has" if here else "the file has"
+    raise InputError(f"{where}: {place} no {name!r}{nearest(name, node)}")
+
+
+def _below(shape: Any, key: str) -> Any:
+    """Return the type of what a key of a type leads to, None where it is not known."""
+    table = table_of(shape)
+    return entries_of(shape) if table is None else table.types().get(key)

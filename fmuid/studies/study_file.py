@@ -1,0 +1,26 @@
+"""The study file: all its tables."""
+
+from __future__ import annotations
+
+from fmuid.studies.batch import BatchSettings
+from fmuid.studies.diagnosis import DiagnosisWords
+from fmuid.studies.model import ExperimentSettings, ModelWords
+from fmuid.studies.parameters import JointPriorWords, ParameterWords
+from fmuid.studies.settings import EstimatorWords, IsolationWords, NoiseWords, UncertaintyWords
+from fmuid.studies.words import Text, Words, word
+
+
+class StudyFile(Words):
+    """A study: model, experiments, parameters, and what is asked of them."""
+
+    title: Text = word("", "what the study is about")
+    model: ModelWords = word({}, "the model", validate_default=True)
+    experiments: list[ExperimentSettings] = word([], "the measurements")
+    parameters: dict[str, ParameterWords] = word({}, "the parameters to identify")
+    prior: JointPriorWords | None = word(None, "what is known of several parameters together")
+    noise: NoiseWords = word(NoiseWords(), "the noise of the measurements")
+    estimator: EstimatorWords = word(EstimatorWords(), "how the parameters are searched for")
+    uncertainty: UncertaintyWords = word(UncertaintyWords(), "more than the standard deviations, which are local")
+    diagnosis: DiagnosisWords | None = word(None, "which fault, and how large")
+    batch: BatchSettings | None = word(None, "many identifications")
+    isolation: IsolationWords = word(IsolationWords(), "what FMUs in a process of their own may do")
