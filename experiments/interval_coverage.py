@@ -124,7 +124,7 @@ def covered(case: str, level: float, sampling: Sampling, seed: int) -> NDArray[n
     result = fmuid.identify(problem)
     posterior = sample(problem, result, sampling)
     if not (result.converged and posterior.converged):
-        raise RuntimeError(f"{case}, draw {seed}: {result.status}; {posterior.status}")
+        raise RuntimeError(f"{case}, draw {seed}: {fmuid.describe(result)}; {posterior.status}")
     ends = [
         result.intervals(level).to_numpy(),
         np.array([(p.lower, p.upper) for p in profiles(problem, result, level=level)]),

@@ -41,6 +41,7 @@ from .models import Component as Component
 from .models import Isolation as Isolation
 from .models import Numerics as Numerics
 from .models import System as System
+from .reports import describe as describe
 from .simulation import Simulator as Simulator
 from .simulation import validate as validate
 from .studies import Study as Study

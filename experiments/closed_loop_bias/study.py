@@ -143,7 +143,7 @@ def estimate(record: pd.DataFrame, whole: bool) -> fmuid.Result:
     model, values = (loop(), CONTROL) if whole else (coil(), None)
     result = fmuid.identify(fmuid.Problem(model, experiment, parameters, values=values))
     if not result.converged:
-        raise RuntimeError(f"the search did not converge: {result.status}")
+        raise RuntimeError(f"the search did not converge: {fmuid.describe(result)}")
     return result
 
 

@@ -112,7 +112,7 @@ def identify(table: pd.DataFrame) -> fmuid.Result:
     parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
     result = fmuid.identify(fmuid.Problem(models()[0], experiment(table), parameters))
     if not result.converged:
-        raise RuntimeError(f"the search did not converge: {result.status}")
+        raise RuntimeError(f"the search did not converge: {fmuid.describe(result)}")
     return result
 
 

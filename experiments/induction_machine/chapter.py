@@ -100,7 +100,7 @@ def estimate(
     problem = fmuid.Problem(system(), data, parameters, noise=noise or fmuid.Noise(start=NOISE_VARIANCE))
     result = fmuid.identify(problem)
     if not result.converged:
-        raise RuntimeError(f"from {start}: {result.status}")
+        raise RuntimeError(f"from {start}: {fmuid.describe(result)}")
     return result
 
 

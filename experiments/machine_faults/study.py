@@ -104,7 +104,7 @@ def examine(record: pd.DataFrame, known: fmuid.Result) -> Finding:
     found = Finding(plain, models.stator_fit(record, known, plain), models.rotor_fit(record, known, plain))
     for result in (found.plain, found.stator):
         if not result.converged:
-            raise RuntimeError(f"the search did not converge: {result.status}")
+            raise RuntimeError(f"the search did not converge: {fmuid.describe(result)}")
     return found
 
 

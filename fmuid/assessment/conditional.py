@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.estimation import Criterion, Marquardt, SensitivityError, State, Status, best_step, search, triangle
+from fmuid.estimation import Criterion, Marquardt, Outcome, SensitivityError, State, best_step, search, triangle
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class Point:
         All parameters.
     residual, jacobian : (n_rows,) and (n_rows, N) arrays
         There, or very nearly so; of all parameters.
-    status : Status
+    outcome : Outcome
         How the search for the others ended.
     at_bounds : tuple of int
         The others that lie on a bound and are pushed outwards.
@@ -29,7 +29,7 @@ class Point:
     theta: Floats
     residual: Floats
     jacobian: Floats
-    status: Status = Status.CONVERGED
+    outcome: Outcome = Outcome.CONVERGED
     at_bounds: tuple[int, ...] = ()
 
     @property
@@ -120,13 +120,13 @@ def best_with(criterion: Criterion, index: int, value: float, start: Point) -> P
                 pass
         else:
             rest.jacobian(others, residual, central=True)
-            state.status = Status.CONVERGED
+            state.outcome = Outcome.CONVERGED
     except SensitivityError:
         return None
-    if state.status is None or state.status is Status.FAILING or rest.whole_jacobian is None:
+    if state.outcome is None or state.outcome is Outcome.FAILING or rest.whole_jacobian is None:
         return None
     at_bounds = tuple(int(i) for i in rest.others[state.held]) if rest.others.size else ()
-    return Point(rest.whole(state.theta), state.residual, rest.whole_jacobian, state.status, at_bounds)
+    return Point(rest.whole(state.theta), state.residual, rest.whole_jacobian, state.outcome, at_bounds)
 
 
 def _followed(rest: Conditional, start: Point, inner: Floats, moved: Floats) -> Floats:

@@ -143,6 +143,8 @@ class Posterior:
     status : str
         Whether the samples can be trusted and, where not, the remedy.
     converged : bool
+    interrupted : bool
+        Whether the keyboard ended it.
     names : tuple of str
     chain : (steps, walkers, N) array
         Every step of every walker, the first `burn` ones included.
@@ -164,6 +166,7 @@ class Posterior:
 
     status: str
     converged: bool
+    interrupted: bool
     names: tuple[str, ...]
     chain: Floats
     log_density: Floats
@@ -422,6 +425,7 @@ class _Sampler:
         found = Posterior(
             status="",
             converged=False,
+            interrupted=self.interrupted,
             names=self.problem.parameters.names,
             chain=chain,
             log_density=self.sampler.get_log_prob().copy(),

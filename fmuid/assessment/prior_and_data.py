@@ -328,12 +328,12 @@ def _search_data(problem: LeastSquares, result: Result, local: LocalModel) -> tu
             pass
         if not state.fresh:
             state.jacobian = alone.jacobian(state.theta, state.residual, central=True)
-        why = state.status.value if state.status is not None else why
+        why = state.outcome.value if state.outcome is not None else why
     except SensitivityError:
         why = "stopped where simulations fail"
     except KeyboardInterrupt:
-        state.status = None
-    if state.status is None or not state.status.converged:
+        state.outcome = None
+    if state.outcome is None or not state.outcome.converged:
         return f"The search for the optimum of the data alone did not converge, so it is extrapolated: {why}"
     held = [result.names[i] for i in np.flatnonzero(state.held)]
     if held:

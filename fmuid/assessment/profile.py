@@ -99,6 +99,8 @@ class Profile:
         J_min, and the rise above it at which the interval ends.
     notes : tuple of str
         What is to be known about the ends; none where all is ordinary.
+    interrupted : bool
+        Whether the keyboard ended it before both ends were found.
     table : DataFrame
         The points in the order of the parameter's values: all parameters, and ``criterion``.
     """
@@ -112,6 +114,7 @@ class Profile:
     minimum: float
     threshold: float
     notes: tuple[str, ...]
+    interrupted: bool
     table: pd.DataFrame
 
     @property
@@ -150,7 +153,7 @@ def profiles(
     Returns
     -------
     tuple of Profile
-        One a name. Interrupted from the keyboard: those so far, the last one saying so in its notes.
+        One a name. Interrupted from the keyboard: those so far, the last one `interrupted`.
 
     Raises
     ------
@@ -290,6 +293,7 @@ class _Profiler:
             minimum=self.origin.criterion,
             threshold=self.threshold,
             notes=tuple(notes),
+            interrupted=self.interrupted,
             table=table,
         )
 
@@ -332,11 +336,11 @@ class _Profiler:
 
     def _keep(self, side: _Side, point: Point) -> None:
         side.points.append(point)
-        if not point.status.converged and not side.doubtful:
+        if not point.outcome.converged and not side.doubtful:
             side.doubtful = True
             side.notes.append(
                 f"at {self.name} = {self._value(point):.6g} the search for the other parameters did not converge "
-                f"({point.status.value}): the criterion there may be lower than found"
+                f"({point.outcome.value}): the criterion there may be lower than found"
             )
         if self.progress is not None:
             self.progress(ProfilePoint(self.name, self._value(point), self._rise(point), self.threshold))

@@ -301,7 +301,7 @@ class _Explorer:
 
         self.profiles = profiles(self.problem, self.result, names, level=self.settings.level, progress=report)
         complete = len(self.profiles) == len(names)
-        return complete and not any(note.startswith("interrupted") for note in self.profiles[-1].notes)
+        return complete and not self.profiles[-1].interrupted
 
     def _sample(self) -> bool:
         if self.settings.posterior is None:
@@ -315,4 +315,4 @@ class _Explorer:
             self.progress(Step("posterior", f"step {step.step}{worth}", min(share, 1.0)))
 
         self.posterior = sample(self.problem, self.result, self.settings.posterior, report)
-        return not self.posterior.status.startswith("interrupted")
+        return not self.posterior.interrupted

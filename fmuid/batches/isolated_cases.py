@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fmuid.batches.run_case import CaseRunner, Outcome
+from fmuid.batches.run_case import CaseOutcome, CaseRunner
 from fmuid.models import Isolation
 from fmuid.simulation import FIRST_LIMIT, End, Host, default_limit, memory_share, workers_of
 from fmuid.studies import Study
@@ -26,7 +26,7 @@ def open_cases(data: Mapping[str, Any], path: Path) -> None:
     _runner[:] = [CaseRunner(Study.of(data, path))]
 
 
-def run_case(index: int) -> tuple[Outcome, float]:
+def run_case(index: int) -> tuple[CaseOutcome, float]:
     """Run a case; return also how long the longest simulation took so far, s."""
     outcome = _runner[0](index)
     return outcome, getattr(workers_of(_runner[0].study.system), "longest", 0.0)
@@ -58,9 +58,9 @@ class IsolatedCases:
         """All columns of a row in order, and their types (`CaseRunner.columns`)."""
         return self._careful.columns
 
-    def __call__(self, index: int) -> Outcome:
+    def __call__(self, index: int) -> CaseOutcome:
         """Run a case; one that fails has a row that says why."""
-        outcome: Outcome
+        outcome: CaseOutcome
         limit, printed = self._settings.time_limit or default_limit(self._longest), ""
         try:
             host = self._ready()

@@ -24,7 +24,7 @@ from fmuid.batches.cases import Case, Cases
 from fmuid.batches.draws import noise
 from fmuid.data import Experiment, read_table
 from fmuid.errors import FmuidError
-from fmuid.estimation import Marquardt, Result, Status, identify
+from fmuid.estimation import Marquardt, Outcome, Result, identify
 from fmuid.model_problem import Problem
 from fmuid.simulation import workers_of
 from fmuid.studies import ExperimentSettings, NoiseDraws, Study, Value
@@ -42,7 +42,7 @@ WHOLE, NUMBER, TEXT, FLAG, TIMESTAMP = "int64", "float64", "string", "bool", "da
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CaseOutcome:
     """What became of a case.
 
     Attributes
@@ -91,7 +91,7 @@ class CaseRunner:
         self._system = study.system
         self.columns = self._all_columns()
 
-    def __call__(self, index: int) -> Outcome:
+    def __call__(self, index: int) -> CaseOutcome:
         """Run a case; one that fails has a row that says why.
 
         Raises
@@ -105,7 +105,7 @@ class CaseRunner:
         elapsed, printed = time.perf_counter() - began, workers_of(self._system).printed()
         volatile = {"elapsed_s": elapsed, "finished": datetime.now(UTC), "worker": self._worker}
         row = dict.fromkeys(self.columns, math.nan) | {"case": case.index, **case.settings, **found, **volatile}
-        return Outcome(row, "\n".join([*warnings, *([printed] if printed else [])]))
+        return CaseOutcome(row, "\n".join([*warnings, *([printed] if printed else [])]))
 
     def _found(self, case: Case) -> dict[str, object]:
         """Return the columns that a case finds out, those of values that there are not left out."""
@@ -140,7 +140,7 @@ class CaseRunner:
         settings = self.study.estimator
         if isinstance(settings, Marquardt):
             result = identify(problem, settings)
-            interrupted = result.outcome is Status.INTERRUPTED
+            interrupted = result.outcome is Outcome.INTERRUPTED
         else:
             from fmuid.estimation import search_globally
 
@@ -213,7 +213,7 @@ def _words_of(result: Result) -> dict[str, object]:
     std = np.where(np.isfinite(result.std), result.std, np.nan)
     return {
         "status": "converged" if result.converged else "not converged",
-        "message": result.status,
+        "message": result.outcome.value,
         **{f"value.{name}": value for name, value in zip(result.names, result.values.tolist(), strict=True)},
         **{f"std.{name}": value for name, value in zip(result.names, std.tolist(), strict=True)},
         **{f"noise.{name}": value for name, value in result.noise_variance.items()},

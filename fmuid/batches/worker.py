@@ -19,7 +19,7 @@ from distributed.versions import get_package_info
 
 from fmuid.batches.dataset import bounded
 from fmuid.batches.parcel import Parcel
-from fmuid.batches.run_case import CaseRunner, Outcome
+from fmuid.batches.run_case import CaseOutcome, CaseRunner
 from fmuid.errors import FmuidError, InputError
 from fmuid.simulation import AVAILABLE
 from fmuid.studies import Study
@@ -121,7 +121,7 @@ def _check_worker(parcel: Parcel) -> None:
         raise InputError(f"the worker {_address()} {said}")
 
 
-def _runner_of(study: Study, isolated: bool) -> Callable[[int], Outcome]:
+def _runner_of(study: Study, isolated: bool) -> Callable[[int], CaseOutcome]:
     if not (isolated and AVAILABLE):
         return CaseRunner(study)
     from fmuid.batches.isolated_cases import IsolatedCases  # for Linux and macOS only
@@ -134,7 +134,7 @@ class _Bench:
 
     def __init__(self, parcel: Parcel, folder: Path) -> None:
         self.folder = folder
-        self.runner: Callable[[int], Outcome]
+        self.runner: Callable[[int], CaseOutcome]
         try:
             self.runner = _runner_of(parcel.unpack(folder), parcel.isolated)
         except FmuidError as error:

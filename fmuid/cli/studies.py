@@ -78,8 +78,8 @@ def identify(
         console.warn_unfed(read.simulators())
         with answering("saving what has been found (Ctrl-C again ends it without)"):
             result, search = _search(read, problem, start)
-            if result.local is None:
-                return _save_point(read, result, folder)
+            if search is not None and result.local is None:
+                return _save_point(read, search, folder)
             found, written = _found(read, problem, result, search, folder)
             console_result.show_result(found)
             plots.clear(folder / "figures")
@@ -142,7 +142,7 @@ def _explored(read: Study, problem: Problem, found: Findings, folder: Path) -> t
     return found, written + plots.save(figures_run.draw_uncertainty(found), folder / "figures")
 
 
-def _save_point(read: Study, result: Result, folder: Path) -> int:
+def _save_point(read: Study, search: GlobalResult, folder: Path) -> int:
     """Write the best point of a search that was interrupted before a fit began from it, of which no more is known."""
     from fmuid.reports import findings as report
     from fmuid.reports import write_estimates
@@ -150,10 +150,11 @@ def _save_point(read: Study, result: Result, folder: Path) -> int:
     from fmuid.reports.figures import style as plots
     from fmuid.simulation import fit
 
+    result = search.result
     written = report.write_point(folder, result, fit.parameter_units(read.system, result.names))
     written += write_estimates(folder, read.system, result)
     plots.clear(folder / "figures")
-    console.show_point(result)
+    console.show_point(result, search)
     console.show_files(written)
     return NOT_SUCCEEDED
 

@@ -12,7 +12,7 @@ from scipy import special
 from fmuid.assessment import VarianceTest
 from fmuid.diagnosis.decision import Reference
 from fmuid.errors import InputError
-from fmuid.estimation import Result, check_level
+from fmuid.estimation import Outcome, Result, check_level
 from fmuid.text import has_unit, listed, with_std
 
 Estimate = tuple[float, float]
@@ -30,7 +30,6 @@ _PLAIN_KEYS = (
     "criterion",
     "ended",
     "undetermined",
-    "status",
     "notes",
 )
 
@@ -115,7 +114,7 @@ class Hypothesis:
         Whether both searches ended at a minimum.
     undetermined : tuple of str
         Directions that leave the fault open, in words.
-    status : str
+    outcome : Outcome
         How the search ended.
     notes : tuple of str
     adjusted : float
@@ -143,7 +142,7 @@ class Hypothesis:
     criterion: float
     ended: bool
     undetermined: tuple[str, ...]
-    status: str
+    outcome: Outcome
     notes: tuple[str, ...] = ()
     adjusted: float = math.nan
     threshold: float = math.nan
@@ -187,6 +186,7 @@ class Hypothesis:
                 sizes[size.name] |= {"angle_value": None, "angle_std": None}
         return {
             **{key: getattr(self, key) for key in _PLAIN_KEYS},
+            "outcome": self.outcome.value,
             "sizes": sizes,
             "common": {name: {"value": value, "std": std} for name, (value, std) in self.common.items()},
             "reference": asdict(self.reference) | {"words": self.reference.words},
@@ -221,6 +221,7 @@ class Hypothesis:
             reference=Reference(
                 int(reference["free"]), tuple(reference["weights"]), number(reference["freedom"], math.inf)
             ),
+            outcome=Outcome(data["outcome"]),
             **words,
         )
 

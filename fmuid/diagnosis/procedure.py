@@ -32,7 +32,7 @@ from fmuid.diagnosis.faults import Fault, common_mode
 from fmuid.diagnosis.hypothesis import Hypothesis, Size
 from fmuid.diagnosis.verdict import Diagnosis, Test
 from fmuid.errors import InputError
-from fmuid.estimation import Marquardt, Result, Status, check_level, identify
+from fmuid.estimation import Marquardt, Outcome, Result, check_level, identify
 from fmuid.fmi import FMU
 from fmuid.model_problem import Problem
 from fmuid.models import System
@@ -277,8 +277,7 @@ def _starts(problem: Problem, healthy: Result, fault: Fault) -> list[np.ndarray]
 
 def _ended(result: Result) -> bool:
     """Whether a search has ended where nothing more is to be gained, whatever it determines."""
-    unfinished = (Status.ITERATION_LIMIT, Status.STALLED, Status.FAILING, Status.INTERRUPTED)
-    return result.outcome not in unfinished
+    return result.converged or result.outcome in (Outcome.UNDETERMINED, Outcome.RUNAWAY)
 
 
 def _colour(diagnostics: Diagnostics, fault: Fault) -> float:
@@ -335,7 +334,7 @@ def _hypothesis(
         criterion=best.criterion,
         ended=_ended(best) and _ended(without),
         undetermined=best.undetermined if any(not math.isfinite(each.std) for each in sizes) else (),
-        status=best.status,
+        outcome=best.outcome,
         notes=tuple(notes),
         strain=_strain(reading),
         variances=reading.variances,

@@ -144,7 +144,9 @@ class Diagnosis:
         if not self.ended:
             return "the search for the healthy model did not end at a minimum"
         each = next(each for each in self.hypotheses if not each.ended or each.undetermined)
-        return "; ".join(each.undetermined) if each.undetermined else f"{each.name}: {each.status}"
+        return (
+            "; ".join(each.undetermined) if each.undetermined else f"{each.name}: the search did not end at a minimum"
+        )
 
     @property
     def table(self) -> pd.DataFrame:

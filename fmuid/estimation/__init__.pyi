@@ -14,7 +14,6 @@ from .local_model import LocalModel as LocalModel
 from .marquardt.search import Iteration as Iteration
 from .marquardt.search import Marquardt as Marquardt
 from .marquardt.search import State as State
-from .marquardt.search import Status as Status
 from .marquardt.search import search as search
 from .marquardt.step import best_step as best_step
 from .marquardt.step import triangle as triangle
@@ -22,5 +21,7 @@ from .misfit import misfits as misfits
 from .misfit import refuse_loss as refuse_loss
 from .misfit import variances as variances
 from .model_derivatives import SENSITIVITIES as SENSITIVITIES
+from .outcome import AtBound as AtBound
+from .outcome import Outcome as Outcome
 from .result import Result as Result
 from .result import check_level as check_level

@@ -44,8 +44,9 @@ from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimation.box import Box
 from fmuid.estimation.identification import identify, point_result
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.marquardt.search import Marquardt, Status
+from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.estimation.misfit import Misfits, fitted, misfits, refuse_loss, variances
+from fmuid.estimation.outcome import Outcome
 from fmuid.estimation.result import Result
 from fmuid.text import nearest
 
@@ -123,19 +124,21 @@ class Optimum:
     theta : (N,) array
     criterion : float
         J_C (1.37) there; where noise variances are estimated, with those of the best optimum.
-    converged : bool
-        Whether it is a minimum with every parameter determined.
     hits : int
         How many of the fits ended here.
-    status : str
-        In the words of `Result`.
+    outcome : Outcome
+        How the best of these fits ended.
     """
 
     theta: Floats
     criterion: float
-    converged: bool
     hits: int
-    status: str
+    outcome: Outcome
+
+    @property
+    def converged(self) -> bool:
+        """Whether it is a minimum with every parameter determined."""
+        return self.outcome.converged
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,7 +362,7 @@ class _Search:
         self.results.append(result)
         self.ends.append(end)
         self.reached.append(float(self._remember(result.values[None], end)[0]))
-        if result.outcome is Status.INTERRUPTED:
+        if result.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
 
     def _known(self, start: Floats) -> bool:
@@ -396,17 +399,15 @@ class _Search:
     def _best_so_far(self) -> Result:
         """Return the best of all points tried: as its fit found it, or by itself where none has led there."""
         best = int(np.argmin(self.values))
-        count = len(self.results)
-        words = f"{Status.INTERRUPTED.value} of a global search, after {count} fit{'' if count == 1 else 's'}"
         if self.results and min(self.reached) <= self.values[best]:
             result = self.results[int(np.argmin(self.reached))]
-            return dataclasses.replace(result, status=words, outcome=Status.INTERRUPTED, converged=False)
-        return point_result(self.problem, self.thetas[best], words)
+            return dataclasses.replace(result, outcome=Outcome.INTERRUPTED)
+        return point_result(self.problem, self.thetas[best])
 
     def _finish(self) -> None:
         """Go on with the best fit where only its few iterations ended it."""
         best = int(np.argmin(self.reached))
-        if self.results[best].outcome is Status.ITERATION_LIMIT:
+        if self.results[best].outcome is Outcome.ITERATION_LIMIT:
             self._keep(identify(self.problem, self.settings.marquardt, start=self.results[best].values))
             for kept in (self.results, self.ends, self.reached):
                 del kept[best]
@@ -436,7 +437,7 @@ class _Search:
         """Return what stands for a group: its best fit, of those that converged if any did."""
         chosen = next((i for i in group if self.results[i].converged), group[0])
         result = self.results[chosen]
-        return Optimum(result.values, float(criteria[chosen]), result.converged, len(group), result.status), result
+        return Optimum(result.values, float(criteria[chosen]), len(group), result.outcome), result
 
     def _report(self, phase: Literal["spread", "evolution", "fits"], done: int, total: int) -> None:
         if self.progress is None:

@@ -16,7 +16,8 @@ from fmuid.estimation.criterion import Criterion, prepare
 from fmuid.estimation.history import History
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.local_model import LocalModel
-from fmuid.estimation.marquardt.search import Iteration, Marquardt, State, Status, search
+from fmuid.estimation.marquardt.search import Iteration, Marquardt, State, search
+from fmuid.estimation.outcome import AtBound, Outcome
 from fmuid.estimation.result import Result
 from fmuid.version import __version__
 
@@ -52,8 +53,8 @@ def identify(
     Returns
     -------
     Result
-        Also where the search did not converge or was interrupted from the keyboard: its status says so. Then nothing
-        more is simulated, and samples that do not count are NaN in `Result.fit`.
+        Also where the search did not converge or was interrupted from the keyboard: its `outcome` says so. Then
+        nothing more is simulated, and samples that do not count are NaN in `Result.fit`.
 
     Raises
     ------
@@ -67,23 +68,20 @@ def identify(
     return _Identification(problem, settings or Marquardt(), progress, start).run()
 
 
-def point_result(problem: LeastSquares, theta: Floats, status: str) -> Result:
-    """Return a point as a result, of which nothing but its values is known: nothing is simulated.
+def point_result(problem: LeastSquares, theta: Floats) -> Result:
+    """Return a point of an interrupted search as a result, of which nothing but its values is known.
 
     Parameters
     ----------
     problem : LeastSquares
     theta : (N,) array
-    status : str
     """
     parameters = problem.parameters
     covariance = np.full((len(parameters), len(parameters)), np.nan)
     np.fill_diagonal(covariance, np.inf)
     given = np.flatnonzero(~np.isnan(problem.variance))
     return Result(
-        status=status,
-        outcome=Status.INTERRUPTED,
-        converged=False,
+        outcome=Outcome.INTERRUPTED,
         names=parameters.names,
         values=theta.copy(),
         start=parameters.start.copy(),
@@ -129,17 +127,19 @@ class _Identification:
                 rough = number == 1 and self._repeats()
                 self._search(number, rough)
                 settled = not rough and not self._moved()
-                if settled or not self._status.converged or number == MAX_ROUNDS:
+                if settled or not self._outcome.converged or number == MAX_ROUNDS:
                     break
                 self._reweight()
         except KeyboardInterrupt:
-            self.state.status = Status.INTERRUPTED
+            self.state.outcome = Outcome.INTERRUPTED
             self._end_round(len(self.rounds) + 1)
-        return self._result(settled)
+        if self._outcome.converged and not settled:
+            self.state.outcome = Outcome.UNSETTLED
+        return self._result()
 
     @property
-    def _status(self) -> Status:
-        return self.state.status or Status.INTERRUPTED
+    def _outcome(self) -> Outcome:
+        return self.state.outcome or Outcome.INTERRUPTED
 
     def _search(self, number: int, rough: bool) -> None:
         for iteration in search(self.criterion, self.state, self.settings, rough=rough):
@@ -265,21 +265,18 @@ class _Identification:
         spread[: groups.size] = np.sqrt(power / curvature)[groups]
         return residual, jacobian, spread
 
-    def _result(self, settled: bool) -> Result:
+    def _result(self) -> Result:
         state, problem, parameters = self.state, self.problem, self.problem.parameters
         model, history = self._local_model(), self._history()
         local = model.combined
-        at_bounds = tuple(
-            f"{parameters.names[i]} is at its bound {state.theta[i]:g}" for i in np.flatnonzero(state.held)
-        )
+        at_bounds = tuple(AtBound(parameters.names[i], float(state.theta[i])) for i in np.flatnonzero(state.held))
         given = ~np.isnan(problem.variance)
         # away from a minimum the Jacobian, made where the simulation jumps, says nothing of the parameters
-        stalled = self._status is Status.STALLED
+        stalled = self._outcome is Outcome.STALLED
         undetermined = () if stalled else local.undetermined
+        ended = self._outcome.converged or self._outcome is Outcome.RUNAWAY
         return Result(
-            status=self._words(settled, undetermined, at_bounds),
-            outcome=self._status,
-            converged=self._status.converged and settled and not undetermined,
+            outcome=Outcome.UNDETERMINED if undetermined and ended else self._outcome,
             names=parameters.names,
             values=state.theta.copy(),
             start=self.start.copy(),
@@ -308,23 +305,9 @@ class _Identification:
             history=history,
         )
 
-    def _words(self, settled: bool, undetermined: tuple[str, ...], at_bounds: tuple[str, ...]) -> str:
-        words = [self._status.value]
-        if self._status.converged and not settled:
-            words = [f"the noise variances still move after {MAX_ROUNDS} repetitions: give them as noise.variance"]
-        elif undetermined and (self._status.converged or self._status is Status.RUNAWAY):
-            words = ["undetermined"]
-        if undetermined:
-            words.append("; ".join(undetermined) + ": give a prior, hold one of them at a value, or measure more")
-        if at_bounds:
-            words.append(
-                "; ".join(at_bounds) + ", and the data would move it further: widen the bound or check the model"
-            )
-        return ": ".join(words) if words[0] == "undetermined" else "; ".join(words)
-
     def _history(self) -> History:
         state, problem = self.state, self.problem
         predicted = problem.measured - self.criterion.unwhiten(state.residual)
-        ended = self._status is not Status.INTERRUPTED  # who interrupts a slow search waits for no simulation
+        ended = self._outcome is not Outcome.INTERRUPTED  # who interrupts a slow search waits for no simulation
         simulated = tuple(problem.outputs(state.theta, predicted, simulate=ended))
         return History(problem.parameters.names, tuple(self.trace), tuple(self.rounds), problem.experiments, simulated)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from fmuid.data import JointPrior, Normal
 from fmuid.errors import InputError
 from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
-from fmuid.estimation.marquardt.records import Status
+from fmuid.estimation.outcome import AtBound, Outcome
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
@@ -43,12 +43,8 @@ class Result:
 
     Attributes
     ----------
-    status : str
-        How the search ended and, where that is needed, the remedy.
-    outcome : Status
-        How the search ended; what decisions are made by.
-    converged : bool
-        Whether the search converged and every parameter is determined.
+    outcome : Outcome
+        How the search ended.
     names : tuple of str
     values, start : (N,) arrays
     prior_mean, prior_std : (N,) arrays
@@ -76,7 +72,7 @@ class Result:
         Directions that are determined to no better than the parameters' own magnitudes.
     prior_determined : tuple of str
         Directions that the data alone leave undetermined, and the prior decides.
-    at_bounds : tuple of str
+    at_bounds : tuple of AtBound
         Parameters that the data would push beyond a bound.
     version : str
         Of fmuid.
@@ -95,9 +91,7 @@ class Result:
         What `trace`, `rounds` and `fit` are made of. None where it was not kept in a file; they are empty then.
     """
 
-    status: str
-    outcome: Status
-    converged: bool
+    outcome: Outcome
     names: tuple[str, ...]
     values: Floats
     start: Floats
@@ -115,7 +109,7 @@ class Result:
     undetermined: tuple[str, ...]
     weak: tuple[str, ...]
     prior_determined: tuple[str, ...]
-    at_bounds: tuple[str, ...]
+    at_bounds: tuple[AtBound, ...]
     version: str
     models: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     sensitivity: str = ""
@@ -141,6 +135,11 @@ class Result:
     def fit(self) -> tuple[pd.DataFrame, ...]:
         """One table an experiment: time, and ``measured.<output>`` and ``simulated.<output>`` for each output."""
         return () if self.history is None else self.history.fit_frames()
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search converged and every parameter is determined."""
+        return self.outcome.converged
 
     def __getitem__(self, name: str) -> float:
         """Return the estimate of one parameter."""
@@ -264,8 +263,7 @@ class Result:
                     "pull": _plain(pull[i]),
                 }
         return {
-            "status": self.status,
-            "outcome": self.outcome.name.lower(),
+            "outcome": self.outcome.value,
             "converged": self.converged,
             "parameters": parameters,
             "covariance": {
@@ -283,7 +281,7 @@ class Result:
             "undetermined": list(self.undetermined),
             "weak": list(self.weak),
             "prior_determined": list(self.prior_determined),
-            "at_bounds": list(self.at_bounds),
+            "at_bounds": [asdict(each) for each in self.at_bounds],
             "version": self.version,
             "models": {component: dict(model) for component, model in self.models.items()},
             "sensitivity": self.sensitivity,
@@ -322,8 +320,8 @@ class Result:
             raise ValueError("the names of parameters and covariance differ")
         covariance = _array(data["covariance"]["matrix"], np.nan).reshape(len(names), len(names))
         lost = np.isnan(np.diag(covariance))
-        outcome = Status[str(data["outcome"]).upper()]
-        covariance[lost, lost] = np.nan if outcome is Status.STALLED else np.inf
+        outcome = Outcome(data["outcome"])
+        covariance[lost, lost] = np.nan if outcome is Outcome.STALLED else np.inf
         column = {
             key: _array([parameters[name].get(key) for name in names], np.nan)
             for key in ("value", "start", "prior_mean", "prior_std")
@@ -334,9 +332,7 @@ class Result:
             raise ValueError("a variance is negative")
         freedom, likelihood = data.get("degrees_of_freedom"), data.get("log_likelihood")
         return cls(
-            status=str(data["status"]),
             outcome=outcome,
-            converged=bool(data["converged"]),
             names=names,
             values=column["value"],
             start=column["start"],
@@ -354,7 +350,7 @@ class Result:
             undetermined=tuple(map(str, data.get("undetermined", ()))),
             weak=tuple(map(str, data.get("weak", ()))),
             prior_determined=tuple(map(str, data.get("prior_determined", ()))),
-            at_bounds=tuple(map(str, data.get("at_bounds", ()))),
+            at_bounds=tuple(AtBound(str(b["name"]), float(b["value"])) for b in data.get("at_bounds", ())),
             version=str(data["version"]),
             models={
                 str(c): {key: str(m.get(key, "")) for key in ("name", "digest", "run")}

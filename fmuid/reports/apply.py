@@ -13,6 +13,7 @@ from fmuid.estimation import Result
 from fmuid.files import exists, is_folder, replacing
 from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Unit, Value, Variable, Zipped, with_starts
 from fmuid.models import Quantity, System, read_ssv, unit_conversion, write_ssv
+from fmuid.reports.words.result import ending
 from fmuid.text import nearest
 
 ESTIMATES_FILE = "parameters.ssv"
@@ -151,7 +152,7 @@ def _read(path: Path, model: str, component: str | None) -> tuple[dict[str, _Est
             "identify again"
         )
     if not result.converged:
-        raise InputError(f"{path} has not converged: {result.status}; continue with fmuid identify --resume")
+        raise InputError(f"{path} has not converged: {ending(result)}; continue with fmuid identify --resume")
     return found, {}
 
 

@@ -16,7 +16,7 @@ import pandas as pd
 from fmuid.assessment import LEVEL
 from fmuid.data import ParameterSet
 from fmuid.errors import InputError
-from fmuid.estimation import Result, Status
+from fmuid.estimation import Outcome, Result
 from fmuid.files import file_name, replacing, write_table
 from fmuid.simulation import Fit, fit_of
 
@@ -84,8 +84,7 @@ def estimates_frame(result: Result, units: Sequence[str | None], level: float = 
 def at_minimum(result: Result, search: GlobalResult | None) -> bool:
     """Return whether a search has ended where more can be asked of the criterion, sure or not."""
     interrupted = search is not None and search.interrupted
-    undetermined = result.outcome is Status.RUNAWAY and bool(result.undetermined)
-    return not interrupted and (result.outcome.converged or undetermined)
+    return not interrupted and (result.converged or result.outcome is Outcome.UNDETERMINED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +154,7 @@ class Findings:
                     "criterion": optimum.criterion if math.isfinite(optimum.criterion) else None,
                     "hits": optimum.hits,
                     "converged": optimum.converged,
-                    "status": optimum.status,
+                    "outcome": optimum.outcome.value,
                     "parameters": dict(zip(self.search.names, optimum.theta.tolist(), strict=True)),
                 }
                 for optimum in self.search.optima

@@ -156,6 +156,7 @@ class Worker:
                 "%s: a reset does not bring it back to its beginning, so it is instantiated anew for every "
                 "simulation, which is slow and, for some FMUs, fails after a thousand times",
                 ", ".join(self._labels),
+                extra={"no_reset": True},
             )
 
     def _pass_on_warnings(self, failed: bool) -> None:

@@ -53,6 +53,8 @@ class Report:
         The sentence that ended it.
     warnings : list of str
         What the FMU, or fmuid, warned of.
+    no_reset : list of str
+        What was warned of where a reset does not bring the FMU back to its beginning.
     """
 
     doing: str = "was starting"
@@ -68,6 +70,7 @@ class Report:
     seconds: float = 0.0
     error: str = ""
     warnings: list[str] = field(default_factory=list)
+    no_reset: list[str] = field(default_factory=list)
 
     def write(self, path: Path) -> None:
         """Write it to a file."""
@@ -122,7 +125,7 @@ def attempt(path: Path, kind: str, share: float, target: Path) -> Report:
         The report's file.
     """
     report = Report()
-    with _warnings(report.warnings):
+    with _warnings(report):
         try:
             _run(report, FMU(path), kind, share, target)
         except SimulationError as error:
@@ -172,13 +175,14 @@ def observed(description: Description) -> list[str]:
 
 
 @contextmanager
-def _warnings(found: list[str]) -> Iterator[None]:
+def _warnings(report: Report) -> Iterator[None]:
     """Collect what is warned of, once each."""
 
     class Collect(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             whose = f"{record.args[0]}: " if isinstance(record.args, tuple) and record.args else ""
             text = record.getMessage().removeprefix(whose)  # there is only one FMU
+            found = report.no_reset if getattr(record, "no_reset", False) else report.warnings
             if text not in found:
                 found.append(text)
 

@@ -20,9 +20,6 @@ BUILD_FILE = "sources/buildDescription.xml"
 TIME_LIMIT = 60.0
 """How long the simulations of one try may take, s."""
 
-# What fmuid.simulation.executor warns of where an instance has to be made anew for every simulation.
-NO_RESET = "a reset does not bring it back"
-
 # Shares of the default experiment that are simulated, the second where the first takes too long: it tells a model that
 # is merely slow from one that hangs.
 SHARES = (1.0, 0.01)
@@ -158,7 +155,7 @@ def _interface(fmu: FMU, kind: str) -> list[Check]:
     checks = [Check(f"{kind}: instantiation", "ok"), _simulation(kind, tries)]
     if last.report.simulated:
         checks.append(_reset(kind, last))
-    said = tuple(text for text in last.report.warnings if NO_RESET not in text)
+    said = tuple(last.report.warnings)
     return [*checks, Check(f"{kind}: messages", "warning", said)] if said else checks
 
 
@@ -182,7 +179,7 @@ def _reset(kind: str, last: _Try) -> Check:
         return Check(name, "warning" if last.late else "failed", (last.trouble,))
     if report.differs:
         return Check(name, "failed", ("a second simulation gives other outputs than the first",))
-    lost = tuple(text for text in report.warnings if NO_RESET in text)
+    lost = tuple(report.no_reset)
     return Check(name, "warning" if lost else "ok", lost or ("a second simulation gives the same outputs",))
 
 

@@ -108,7 +108,7 @@ class Source:
         """
         notes = []
         if not self.result.converged:
-            notes.append(f"{self.path}, which priors are taken from, did not succeed: {self.result.status}")
+            notes.append(f"{self.path}, which priors are taken from, did not succeed: {self.result.outcome.value}")
         if not self.result.models:
             return [*notes, f"{self.path} does not say of which model it is a result"]
         for component in dict.fromkeys(system.split(name)[0] for name in self.names):

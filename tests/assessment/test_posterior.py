@@ -301,6 +301,7 @@ def test_interrupted_keeps_what_there_is() -> None:
 
     posterior = sample(problem, identify(problem), progress=stop)
     assert len(posterior.chain) == 40
+    assert posterior.interrupted
     assert posterior.status.startswith("interrupted after 40 steps; ")
     assert not posterior.converged
     assert posterior.samples.shape == (30 * 16, 2)

@@ -308,6 +308,7 @@ def test_interrupted_keeps_what_there_is() -> None:
     assert [profile.name for profile in found] == ["a", "b"]
     assert math.isfinite(found[0].upper)
     assert not found[0].notes
+    assert [each.interrupted for each in found] == [False, True]
     assert math.isnan(found[1].lower)
     assert found[1].notes == ("interrupted: the profile of b is not complete",)
     assert len(found[1].table) > 1

@@ -368,7 +368,7 @@ def test_names_that_no_file_has(folder: Path, capsys: pytest.CaptureFixture[str]
         assert name in refused(capsys, *command)
 
 
-RESULT = """{"status": "converged", "outcome": "converged", "converged": true,
+RESULT = """{"outcome": "converged", "converged": true,
 "parameters": {"R": {"value": 4.0, "std": 0.1, "start": 3.0}},
 "covariance": {"names": ["R"], "matrix": [[0.01]]}, "noise_variance": {"i": 1e-6}, "criterion": 1.0, "iterations": 1,
 "simulations": 2, "elapsed_s": 0.1, "version": "0"}"""
@@ -384,6 +384,8 @@ RESULT = """{"status": "converged", "outcome": "converged", "converged": true,
         ("4.0", "1" + "0" * 400),
         ("4.0", "[" * 100_000),
         ("0.01", "-0.01"),
+        ('"outcome": "converged"', '"outcome": "fine"'),
+        ('"outcome": "converged", ', ""),
     ],
 )
 def test_damaged_results(folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str) -> None:

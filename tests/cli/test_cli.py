@@ -42,7 +42,7 @@ interpolation = "hold"
 def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert fmuid_("identify", folder / "study.toml") == DONE
     found = result(folder / "results")
-    assert found["status"] == "converged"
+    assert found["outcome"] == "converged"
     assert found["converged"] is True
     for name, truth, start in (("R", R, 6.0), ("L", L, 0.05)):
         estimate = found["parameters"][name]
@@ -173,7 +173,7 @@ def test_interrupted_keeps_the_best_so_far(
     monkeypatch.setattr(progress.Progress, "__call__", interrupt)
     assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
     first = result(folder / "results")
-    assert first["status"].startswith("interrupted")
+    assert first["outcome"] == "interrupted"
     assert first["converged"] is False
     assert first["parameters"]["R"]["value"] != 6.0
     assert "Interrupted" in capsys.readouterr().out

@@ -55,7 +55,7 @@ def test_a_search(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch, ca
     assert command("identify", folder / "study.toml") == NOT_SUCCEEDED
     assert capsys.readouterr().err == ANSWER + "\n"
     found = result(folder / "results")
-    assert found["status"].startswith("interrupted: these are the best values so far")
+    assert (found["outcome"], found["converged"]) == ("interrupted", False)
     assert found["parameters"]["R"]["value"] != 6.0
     assert (folder / "results/figures/fit.png").is_file()
     assert simulations
@@ -83,7 +83,7 @@ def test_a_global_search(folder: Path, number: int, monkeypatch: pytest.MonkeyPa
     assert error == ANSWER + "\n"
     assert "Interrupted: these are the best values so far of a global search, after 0 fits" in out
     found = result(folder / "results")
-    assert found["status"].startswith("interrupted: these are the best values so far of a global search, after 0 fits")
+    assert (found["outcome"], found["converged"]) == ("interrupted", False)
     assert found["parameters"]["R"]["std"] is None
     left = {path.name for path in (folder / "results").rglob("*") if path.is_file()}
     assert left == {"result.json", "estimates.csv", "mine.csv"}
@@ -111,7 +111,7 @@ def test_what_follows(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("fmuid.assessment.prior_and_data.prepare", killing(number, lambda *_: True, criterion.prepare))
     assert command("identify", folder / "study.toml") == (DONE if number == signal.SIGINT else NOT_SUCCEEDED)
     found = result(folder / "results")
-    assert found["status"] == "converged"
+    assert found["outcome"] == "converged"
     assert ("profiles" in found) == (number == signal.SIGINT)
 
 

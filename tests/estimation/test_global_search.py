@@ -19,7 +19,9 @@ from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.estimation.misfit import misfits
+from fmuid.estimation.outcome import Outcome
 from fmuid.model_problem import Problem
+from fmuid.reports.words.result import ending
 from tests.support.paths import ROOT
 
 METHODS: tuple[Method, ...] = ("evolution", "multistart")
@@ -78,7 +80,7 @@ def test_multistart_lists_all_optima_in_order() -> None:
     np.testing.assert_allclose([o.criterion for o in inside], squares[order] / 0.04, rtol=1e-5)
     assert sum(o.hits for o in found.optima) == found.fits == 100
     assert len(found.optima) <= minima.size + 2
-    assert all(o.converged and o.status for o in found.optima)
+    assert all(o.converged for o in found.optima)
     criteria = found.table["criterion"].to_numpy()
     assert (np.diff(criteria) >= 0).all()
 
@@ -138,7 +140,7 @@ def test_valley_is_one_optimum(method: Method) -> None:
     assert optimum.hits == found.fits >= (12 if method == "multistart" else 1)
     assert not optimum.converged
     assert not found.result.converged
-    assert "undetermined" in optimum.status
+    assert optimum.outcome is Outcome.UNDETERMINED
     assert optimum.theta[0] * optimum.theta[1] == pytest.approx(2.0, abs=0.1)
 
 
@@ -357,7 +359,9 @@ def test_interruption_keeps_what_is_found(method: Method, calls: int, complete: 
     assert found.interrupted
     assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
     assert not found.result.converged
-    assert found.result.status.startswith("interrupted: these are the best values so far of a global search, after ")
+    assert found.result.outcome is Outcome.INTERRUPTED
+    said = f"interrupted: these are the best values so far of a global search, after {found.fits} fit"
+    assert ending(found.result, found).startswith(said)
     assert sum(o.hits for o in found.optima) == found.fits < 40
     squares = [((np.sin(w * TIMES) - problem.measured) ** 2).sum() for w in seen[:complete]]
     assert ((np.sin(found.result["w"] * TIMES) - problem.measured) ** 2).sum() <= 1.0001 * min(squares)

@@ -39,7 +39,7 @@ def noisy(y: Floats) -> Floats:
 
 
 def check(result: Result, truth: list[float]) -> None:
-    assert result.converged, result.status
+    assert result.converged, result.outcome
     assert (np.abs(result.values - truth) < 4.0 * result.std).all()
     assert result.simulations < 400
 

@@ -12,8 +12,9 @@ from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.criterion import prepare
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.marquardt.search import Iteration, Marquardt, State, Status, search
+from fmuid.estimation.marquardt.search import Iteration, Marquardt, State, search
 from fmuid.estimation.marquardt.step import best_step, triangle
+from fmuid.estimation.outcome import Outcome
 
 TIMES = np.linspace(0.0, 3.0, 120)
 TRUTH = np.array([3.0, 1.2, 0.5])
@@ -52,7 +53,7 @@ def test_same_optimum_as_scipy() -> None:
     state, trace, problem = run(decay, y, STARTS)
     exact, _, _ = run(decay, y, STARTS, Marquardt(tolerance=1e-9))
     reference = curve_fit(model, TIMES, y, TRUTH, jac=jacobian, xtol=1e-15, ftol=1e-15)[0]
-    assert state.status is Status.CONVERGED
+    assert state.outcome is Outcome.CONVERGED
     np.testing.assert_allclose(state.theta, reference, rtol=3e-6)
     np.testing.assert_allclose(exact.theta, reference, rtol=1e-8)
     assert problem.simulations < 60
@@ -76,8 +77,8 @@ def test_a_rough_search_ends_earlier_near_the_optimum() -> None:
 
 def test_data_without_noise_are_fitted_to_rounding() -> None:
     state, _, _ = run(decay, decay(TRUTH), STARTS)
-    assert state.status is not None
-    assert state.status.converged
+    assert state.outcome is not None
+    assert state.outcome.converged
     np.testing.assert_allclose(state.theta, TRUTH, rtol=1e-9)
 
 
@@ -132,7 +133,7 @@ def test_an_optimum_on_a_bound() -> None:
         return model(t, a, k, 0.4)
 
     reference = curve_fit(held, TIMES, y, TRUTH[:2], xtol=1e-15, ftol=1e-15)[0]
-    assert state.status is Status.CONVERGED
+    assert state.outcome is Outcome.CONVERGED
     assert state.held.tolist() == [False, False, True]
     np.testing.assert_allclose(state.theta, [*reference, 0.4], rtol=3e-6)
 
@@ -166,7 +167,7 @@ def test_points_that_fail_are_rejected(raises: bool) -> None:
     state, trace, _ = run(fragile, y, [Parameter(0.2), Parameter(2.5), Parameter(-1.0)])
     free, _, _ = run(decay, y, STARTS)
     assert any(not i.accepted and np.isnan(i.criterion) for i in trace)
-    assert state.status is Status.CONVERGED
+    assert state.outcome is Outcome.CONVERGED
     np.testing.assert_allclose(state.theta, free.theta, rtol=3e-6)
 
 
@@ -183,8 +184,7 @@ def test_simulations_that_all_fail_around_a_point_end_the_search() -> None:
     next(steps), next(steps)
     armed = True
     assert len(list(steps)) < 20
-    assert state.status is Status.FAILING
-    assert "bounds" in state.status.value
+    assert state.outcome is Outcome.FAILING
 
 
 @pytest.mark.parametrize("digits", [6, 4, 2])
@@ -193,8 +193,8 @@ def test_outputs_that_jump(digits: int) -> None:
     y = measured()
     state, _, problem = run(lambda theta: np.round(decay(theta), digits), y, STARTS)
     smooth, _, _ = run(decay, y, STARTS)
-    assert state.status is not None
-    assert state.status.converged
+    assert state.outcome is not None
+    assert state.outcome.converged
     std = np.sqrt(np.diag(np.linalg.inv(smooth.jacobian.T @ smooth.jacobian)) * np.mean(smooth.residual**2))
     assert (np.abs(state.theta - smooth.theta) < [0.0, 0.0, 0.2, 0.0, 0.003, 0.0, 0.001][digits] * std).all()
     assert problem.simulations < 120
@@ -220,9 +220,8 @@ def test_parameters_that_run_away_end_the_search() -> None:
 
     y = 1.01 * np.exp(-1.2 * TIMES) + 0.01 * np.random.default_rng(3).standard_normal(TIMES.size)
     state, trace, _ = run(ratio, y, [Parameter(1.0), Parameter(1.0)])
-    assert state.status is Status.RUNAWAY
-    assert not state.status.converged
-    assert "give a prior, bounds" in state.status.value
+    assert state.outcome is Outcome.RUNAWAY
+    assert not state.outcome.converged
     assert state.theta[0] / state.theta[1] == pytest.approx(1.2, rel=2e-2)
     assert state.theta.max() < 1e6
     assert len(trace) < 40
@@ -230,9 +229,8 @@ def test_parameters_that_run_away_end_the_search() -> None:
 
 def test_the_iteration_limit() -> None:
     state, trace, _ = run(decay, measured(), STARTS, Marquardt(max_iterations=2))
-    assert state.status is Status.ITERATION_LIMIT
+    assert state.outcome is Outcome.ITERATION_LIMIT
     assert trace[-1].number == 2
-    assert "max_iterations" in state.status.value
 
 
 def test_two_parameters_that_act_alike_do_not_wander() -> None:
@@ -244,7 +242,7 @@ def test_two_parameters_that_act_alike_do_not_wander() -> None:
         [Parameter(0.5), Parameter(0.7), *STARTS[1:]],
     )
     single, _, _ = run(decay, y, STARTS)
-    assert state.status is Status.CONVERGED
+    assert state.outcome is Outcome.CONVERGED
     assert state.theta[0] + state.theta[1] == pytest.approx(single.theta[0], rel=1e-5)
     np.testing.assert_allclose(state.theta[2:], single.theta[1:], rtol=1e-5)
     assert np.abs(state.theta[:2]).max() < 5.0

@@ -93,7 +93,7 @@ def scipy_digits(name: str, start: int) -> float:
 @pytest.mark.parametrize(("name", "start"), CASES)
 def test_certified_values(name: str, start: int) -> None:
     reference, result = solve(name, start)
-    assert result.converged, result.status
+    assert result.converged, result.outcome
     assert digits(result.values, reference.certified) >= DIGITS
     assert digits(result.std, reference.std) >= 2
     residual = reference.y - result.fit[0]["simulated.y"].to_numpy()

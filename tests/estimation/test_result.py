@@ -18,11 +18,15 @@ from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.data.predictors import Table
 from fmuid.errors import InputError
+from fmuid.estimation import identification
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.marquardt.search import Iteration, Marquardt
+from fmuid.estimation.outcome import AtBound, Outcome
 from fmuid.estimation.result import Result
+from fmuid.reports.findings import at_minimum
+from fmuid.reports.words.result import ending
 from tests.support.problems import Fake, coil_problem
 
 TIMES = np.linspace(0.0, 3.0, 100)
@@ -44,7 +48,7 @@ def two_output_problem(seed: int = 1, **words: Any) -> LeastSquares:
 def test_every_output_gets_its_own_variance() -> None:
     result = identify(two_output_problem())
     assert result.converged
-    assert result.status == "converged"
+    assert result.outcome is Outcome.CONVERGED
     assert result.noise_variance["u"] == pytest.approx(400.0, rel=0.3)
     assert result.noise_variance["i"] == pytest.approx(1e-8, rel=0.3)
     assert (np.abs(result.values - [1.5, 2.0]) < 3.5 * result.std).all()
@@ -173,13 +177,13 @@ def test_what_cannot_be_told_apart_is_named() -> None:
     told = re.match(
         r"undetermined: R, L and dR cannot be told apart: raising dR by 1 % while "
         r"R falls by (\S+) % and L falls by (\S+) % changes no output; ",
-        result.status,
+        ending(result),
     )
     assert told is not None
     shares = [result["dR"] / result["R"], 0.0494 * result["dR"] / result["L"]]
     assert [float(share) for share in told.groups()] == pytest.approx(shares, rel=0.01)
-    assert "only R + dR and L + 0.0494 dR are determined" in result.status
-    assert "give a prior" in result.status
+    assert "only R + dR and L + 0.0494 dR are determined" in ending(result)
+    assert "give a prior" in ending(result)
     assert np.isinf(result.std).all()
     assert result["R"] + result["dR"] == pytest.approx(5.0, abs=0.3)
     assert result["L"] + 0.0494 * result["dR"] == pytest.approx(0.1494, abs=0.01)
@@ -238,8 +242,8 @@ def test_strong_correlations_are_listed() -> None:
 def test_bounds_are_named() -> None:
     result = identify(two_output_problem(parameters={"k": Parameter(0.8, min=0.0, max=1.2)}))
     assert result.converged
-    assert result.at_bounds == ("k is at its bound 1.2",)
-    assert "widen the bound" in result.status
+    assert result.at_bounds == (AtBound("k", 1.2),)
+    assert "widen the bound" in ending(result)
     assert result["k"] == 1.2
 
 
@@ -274,7 +278,7 @@ def test_an_interrupted_search_keeps_its_best_point() -> None:
 
     result = identify(two_output_problem(), progress=stop)
     assert not result.converged
-    assert result.status.startswith("interrupted")
+    assert result.outcome is Outcome.INTERRUPTED
     best = min((i for i in seen if i.accepted), key=lambda i: i.criterion)
     np.testing.assert_array_equal(result.values, best.theta)
     assert np.isfinite(result.std).all()
@@ -293,15 +297,25 @@ def test_an_interruption_inside_a_simulation() -> None:
 
     y = 3.0 * np.exp(-TIMES) + 0.01 * np.sin(50.0 * TIMES)
     result = identify(LeastSquares.from_function(function, y, {"a": Parameter(1.0), "k": Parameter(3.0)}))
-    assert result.status.startswith("interrupted")
+    assert result.outcome is Outcome.INTERRUPTED
     assert result.criterion < result.trace["criterion"].iloc[0]
 
 
 def test_the_iteration_limit_is_not_convergence() -> None:
     result = identify(two_output_problem(), Marquardt(max_iterations=1))
     assert not result.converged
-    assert "raise max_iterations" in result.status
+    assert result.outcome is Outcome.ITERATION_LIMIT
+    assert "raise max_iterations" in ending(result)
     assert result.iterations == 1
+
+
+def test_variances_that_do_not_settle_are_not_convergence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(identification, "MAX_ROUNDS", 1)
+    result = identify(two_output_problem())
+    assert result.outcome is Outcome.UNSETTLED
+    assert not result.converged
+    assert not at_minimum(result, None)
+    assert "give them as noise.variance" in ending(result)
 
 
 def test_the_trace() -> None:
@@ -325,7 +339,7 @@ def test_start_elsewhere() -> None:
 def test_result_json_keeps_the_contract(tmp_path: Path) -> None:
     result = identify(two_output_problem(parameters={"k": Parameter(0.8, prior=Normal(1.4, 0.1))}))
     data = result.to_json_dict()
-    keys = {"status", "converged", "parameters", "covariance", "noise_variance", "criterion", "iterations"}
+    keys = {"outcome", "converged", "parameters", "covariance", "noise_variance", "criterion", "iterations"}
     assert keys | {"simulations", "elapsed_s", "version"} <= set(data)
     assert set(data["parameters"]["k"]) == {"value", "std", "start", "prior_mean", "prior_std", "pull"}
     assert set(data["parameters"]["gain"]) == {"value", "std", "start"}

@@ -18,9 +18,10 @@ from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import FiniteDifferences
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.marquardt.records import Status
+from fmuid.estimation.outcome import Outcome
 from fmuid.estimation.result import Result
 from fmuid.reports.apply import apply_result
+from fmuid.reports.words.result import ending
 from tests.support.paths import FMUS
 
 Function = Callable[[Floats], Floats]
@@ -101,8 +102,8 @@ def test_noise_that_was_not_there_at_the_start(amplitude: float, std: float) -> 
     """The optimum and the standard deviations of the smooth simulation, and nothing that cannot be told apart."""
     y, reference = smooth(std)
     result = fit(chattering(amplitude), y, GROWTH_START)
-    assert result.converged, result.status
-    assert result.outcome in (Status.CONVERGED, Status.ACCURACY)
+    assert result.converged, result.outcome
+    assert result.outcome in (Outcome.CONVERGED, Outcome.ACCURACY)
     assert (np.abs(result.values - reference.values) < 0.3 * reference.std).all()
     np.testing.assert_allclose(result.std, reference.std, rtol=0.1)
 
@@ -111,7 +112,7 @@ def test_noise_that_was_not_there_at_the_start(amplitude: float, std: float) -> 
 def test_kinks_seen_through_an_adaptive_integrator(seed: int) -> None:
     """min and max: steps of differences that fit the noise at the start end the search far from any optimum."""
     result = fit(lambda theta: push(theta, 1e-4), noisy(push(PUSH_TRUTH, 1e-9), 0.1, seed), (1.5, 1.5, 0.8))
-    assert result.outcome.converged, result.status
+    assert result.outcome.converged, result.outcome
     assert (np.abs(result.values - PUSH_TRUTH) < 4.0 * result.std).all()
 
 
@@ -156,7 +157,7 @@ def stalled(monkeypatch: pytest.MonkeyPatch) -> Result:
 
 
 def test_a_stalled_search_claims_nothing(stalled: Result, tmp_path: Path) -> None:
-    assert stalled.outcome is Status.STALLED
+    assert stalled.outcome is Outcome.STALLED
     assert not stalled.converged
     assert np.isnan(stalled.std).all()
     assert stalled.intervals().isna().to_numpy().all()
@@ -164,7 +165,7 @@ def test_a_stalled_search_claims_nothing(stalled: Result, tmp_path: Path) -> Non
     path = tmp_path / "result.json"
     path.write_text(json.dumps(stalled.to_json_dict(), allow_nan=False))
     again = Result.from_json(path)
-    assert again.outcome is Status.STALLED
+    assert again.outcome is Outcome.STALLED
     assert np.isnan(again.std).all()
     with pytest.raises(InputError, match="has not converged: stalled"):
         apply_result(path, FMUS / "Coil" / "Coil.fmu", tmp_path / "new.fmu")
@@ -174,10 +175,10 @@ def test_what_is_as_accurate_as_the_simulation_may_be_applied(tmp_path: Path) ->
     y = noisy(push(PUSH_TRUTH, 1e-9), 0.1, 1)
     parameters = {"R": Parameter(1.5), "L": Parameter(1.5), "brake": Parameter(0.8)}
     result = identify(LeastSquares.from_function(lambda theta: push(theta, 1e-4), y, parameters))
-    assert result.outcome is Status.ACCURACY
+    assert result.outcome is Outcome.ACCURACY
     content = result.to_json_dict()
     assert content["outcome"] == "accuracy"
-    assert content["status"].startswith("converged to the accuracy of the simulation: make it more accurate")
+    assert ending(result).startswith("converged to the accuracy of the simulation: make it more accurate")
     del content["parameters"]["brake"]
     content["covariance"] = {"names": ["R", "L"], "matrix": np.eye(2).tolist()}
     path = tmp_path / "result.json"

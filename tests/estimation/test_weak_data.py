@@ -17,7 +17,9 @@ from fmuid.errors import InputError
 from fmuid.estimation.covariance import UNDETERMINED_STD, local_covariance
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.outcome import AtBound, Outcome
 from fmuid.estimation.result import Result
+from fmuid.reports.words.result import ending
 from tests.support.paths import FMUS
 from tests.support.problems import Fake, coil
 
@@ -48,7 +50,8 @@ def test_a_fault_that_looks_like_another_resistance() -> None:
         LeastSquares.from_function(lambda theta: np.full(600, 1.0 / (theta[0] + theta[1])), y, parameters)
     )
     assert not result.converged
-    assert result.status == (
+    assert result.outcome is Outcome.UNDETERMINED
+    assert ending(result) == (
         "undetermined: R and dR cannot be told apart: only R + dR is determined: "
         "give a prior, hold one of them at a value, or measure more"
     )
@@ -71,7 +74,7 @@ def test_any_prior_on_the_direction_determines_it() -> None:
 def test_a_vague_prior_leaves_it_undetermined_in_effect() -> None:
     result = coil_result(STEPS, dR=Normal(0.0, 200.0))
     assert not result.converged
-    assert result.status.startswith("undetermined: R, L and dR cannot be told apart in effect: only R + dR and L + ")
+    assert ending(result).startswith("undetermined: R, L and dR cannot be told apart in effect: only R + dR and L + ")
     assert result.std[2] == pytest.approx(200.0, rel=0.01)
 
 
@@ -95,8 +98,8 @@ def test_a_runaway_is_stopped_and_named() -> None:
     """As R and L grow together the model becomes a straight line, which fits that noise better than any coil."""
     result = resting_coil()
     assert not result.converged
-    assert result.status.startswith("undetermined: R and L cannot be told apart in effect: only R - 0.006")
-    assert "times their magnitude: give a prior" in result.status
+    assert ending(result).startswith("undetermined: R and L cannot be told apart in effect: only R - 0.006")
+    assert "times their magnitude: give a prior" in ending(result)
     assert (result.std[:2] > UNDETERMINED_STD * np.abs(result.values[:2])).all()
     assert result.iterations < 60
     assert result.trace.loc[result.trace["accepted"], "L"].max() < 1e4
@@ -105,8 +108,8 @@ def test_a_runaway_is_stopped_and_named() -> None:
 
 def test_a_bound_holds_a_runaway() -> None:
     result = resting_coil(L=10.0)
-    assert result.at_bounds == ("L is at its bound 10",)
-    assert "widen the bound or check the model" in result.status
+    assert result.at_bounds == (AtBound("L", 10.0),)
+    assert "widen the bound or check the model" in ending(result)
 
 
 def test_parameters_may_travel_far_for_a_gain() -> None:
@@ -167,7 +170,7 @@ def test_nearly_alike_parameters_are_named_together() -> None:
         LeastSquares.from_function(lambda theta: 1.0 / (theta[0] + theta[1] * (1.0 + 1e-6 * TIMES)), y, parameters)
     )
     assert not result.converged
-    assert result.status.startswith("undetermined: R and dR cannot be told apart in effect: only R + dR is determined")
+    assert ending(result).startswith("undetermined: R and dR cannot be told apart in effect: only R + dR is determined")
     assert (result.std > 0.3 * np.abs(result.values)).all()
     assert result.values.sum() == pytest.approx(5.0, rel=1e-3)
 

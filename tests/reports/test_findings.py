@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ import pytest
 from fmuid.data.parameters import Parameter
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.marquardt.search import Marquardt, Status
+from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.outcome import Outcome
 from fmuid.files import file_name
 from fmuid.reports.console import result as console_result
 from fmuid.reports.findings import at_minimum
+from fmuid.reports.words.result import ending
 from fmuid.text import rounded, with_std
 
 
@@ -62,4 +65,18 @@ def test_at_minimum(iterations: int, ended: bool) -> None:
     problem = LeastSquares.from_function(lambda t: np.exp(-t[0] * x), np.exp(-2.0 * x), {"a": Parameter(20.0)})
     result = identify(problem, Marquardt(iterations))
     assert at_minimum(result, None) is ended
-    assert result.status.startswith(Status.ITERATION_LIMIT.value) is not ended
+    assert (result.outcome is Outcome.ITERATION_LIMIT) is not ended
+
+
+ENDED = {Outcome.CONVERGED, Outcome.ACCURACY, Outcome.UNDETERMINED}
+
+
+@pytest.mark.parametrize("outcome", Outcome)
+def test_what_may_be_asked_for_more(outcome: Outcome) -> None:
+    """Not a criterion whose noise variances still move, either: it is another one the next time."""
+    x = np.linspace(0.0, 1.0, 20)
+    problem = LeastSquares.from_function(lambda t: np.exp(-t[0] * x), np.exp(-2.0 * x), {"a": Parameter(20.0)})
+    result = replace(identify(problem), outcome=outcome)
+    assert at_minimum(result, None) is (outcome in ENDED)
+    assert result.converged is (outcome in ENDED - {Outcome.UNDETERMINED})
+    assert ending(result)

@@ -43,7 +43,6 @@ def folder(tmp_path: Path) -> Path:
 def earlier(folder: Path, **changes: Any) -> None:
     """Write a result of the coil, with some of its entries changed."""
     content: dict[str, Any] = {
-        "status": "converged",
         "outcome": "converged",
         "converged": True,
         "parameters": {"R": {"value": 4.0, "std": 0.02, "start": 5.0}, "L": {"value": 0.1, "std": 1e-4, "start": 0.1}},
@@ -162,9 +161,9 @@ def test_another_build_is_noted(folder: Path) -> None:
 
 
 def test_result_without_model_and_result_that_failed_are_noted(folder: Path) -> None:
-    earlier(folder, models={}, converged=False, status="stopped at the iteration limit")
+    earlier(folder, models={}, outcome="iteration_limit", converged=False)
     failed, unknown = read(folder, '[prior]\nresult = "healthy.json"').notes
-    assert "did not succeed: stopped at the iteration limit" in failed
+    assert "did not succeed: iteration_limit" in failed
     assert "does not say of which model it is" in unknown
 
 

@@ -11,7 +11,6 @@ def result(folder: Path, values: dict[str, tuple[float, float | None]], **change
     """Write a result.json with these values and standard deviations, and return its path."""
     variances = [None if std is None else std**2 for _, std in values.values()]
     content = {
-        "status": "converged",
         "outcome": "converged",
         "converged": True,
         "parameters": {name: {"value": v, "std": std, "start": 1.0} for name, (v, std) in values.items()},

@@ -1,9 +1,8 @@
-"""What goes into a search for the least sum of squares, what comes out, and how it ended."""
+"""What goes into a search for the least sum of squares, and what comes out."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
+from fmuid.estimation.outcome import Outcome
 
 # Most problems need 5 to 20 steps; the most crooked of the NIST reference problems (Bennett5) need several hundred.
 MAX_ITERATIONS = 1000
@@ -49,34 +49,6 @@ class LeastSquares(Protocol):
 
     def measure_noise(self, theta: Floats, residual: Floats, steps: Floats) -> tuple[float, bool]:
         """Measure the simulation's noise anew, in steps (N,), and use it; return that of ‖residual‖² and if it grew."""
-
-
-class Status(Enum):
-    """How a search ended; the text says what to do about it."""
-
-    CONVERGED = "converged"
-    ACCURACY = (
-        "converged to the accuracy of the simulation: make it more accurate (step_size, its tolerance) for more digits"
-    )
-    ITERATION_LIMIT = "stopped at the iteration limit: raise max_iterations or start nearer"
-    RUNAWAY = (
-        "stopped: parameters run away by orders of magnitude, and the fit gains nothing by it: "
-        "give a prior, bounds or a start nearer by, or measure more"
-    )
-    STALLED = (
-        "stalled: no step lowers the criterion although its slope says so; "
-        "make the simulation more accurate (step_size, its tolerance) or start elsewhere"
-    )
-    FAILING = (
-        "stopped at the edge of what can be simulated, every step that would lower the criterion fails: "
-        "give bounds that keep the search where the model is sound, or start elsewhere"
-    )
-    INTERRUPTED = "interrupted: these are the best values so far"
-
-    @property
-    def converged(self) -> bool:
-        """Whether the point reached is a minimum as far as the simulation can tell."""
-        return self in (Status.CONVERGED, Status.ACCURACY)
 
 
 @dataclass(frozen=True)
@@ -160,7 +132,7 @@ class State:
         Steps tried so far.
     rate : float
         By which the last Gauss–Newton steps came nearer to the optimum.
-    status : Status or None
+    outcome : Outcome or None
         How the search ended, None while it has not.
     held : (N,) array of bool
         Parameters on a bound that the criterion would push further out.
@@ -173,5 +145,5 @@ class State:
     fresh: bool = True
     iterations: int = 0
     rate: float = 1.0
-    status: Status | None = None
+    outcome: Outcome | None = None
     held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))

@@ -27,9 +27,9 @@ from fmuid.estimation.marquardt.records import Iteration as Iteration
 from fmuid.estimation.marquardt.records import LeastSquares as LeastSquares
 from fmuid.estimation.marquardt.records import Marquardt as Marquardt
 from fmuid.estimation.marquardt.records import State as State
-from fmuid.estimation.marquardt.records import Status as Status
 from fmuid.estimation.marquardt.stagnation import SLOW, WORTHLESS, Stagnation
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
+from fmuid.estimation.outcome import Outcome
 
 # The search ends where, all together, the parameters have no more than this share of their standard deviations to go.
 OFFSET_TOLERANCE = 1e-3
@@ -68,7 +68,7 @@ def search(problem: LeastSquares, state: State, settings: Marquardt, *, rough: b
     ----------
     problem : LeastSquares
     state : State
-        Changed in place; `status` is set at the end.
+        Changed in place; `outcome` is set at the end.
     settings : Marquardt
     rough : bool
         End already where a tenth of the standard deviations is left, to go on with a changed problem.
@@ -106,13 +106,13 @@ class _Search:
         yield self._record(state.theta, self.square, math.nan, accepted=True)
         if not state.fresh:
             self._renew()
-        while state.status is None:
+        while state.outcome is None:
             low, high = self.problem.lower - state.theta, self.problem.upper - state.theta
             newton = best_step(self.reduced, self.lengths, low, high, least=self.least)
             state.held = newton.held & ((low >= 0) | (high <= 0))
             self._measure(newton)
-            state.status = self._ended()
-            if state.status is not None:
+            state.outcome = self._ended()
+            if state.outcome is not None:
                 return
             if self._outdated():
                 self._renew()
@@ -180,7 +180,7 @@ class _Search:
 
     def _renew_after_step(self) -> None:
         if self.state.iterations >= self.settings.max_iterations:
-            self.state.status = Status.ITERATION_LIMIT
+            self.state.outcome = Outcome.ITERATION_LIMIT
         else:
             self._renew()
 
@@ -192,7 +192,7 @@ class _Search:
         try:
             state.jacobian = self.problem.jacobian(state.theta, state.residual, central=central)
         except SensitivityError:
-            state.status = Status.FAILING
+            state.outcome = Outcome.FAILING
             return
         if not state.fresh:
             self.previous_offset = self.fresh_offset
@@ -295,31 +295,31 @@ class _Search:
         rate = self.state.rate
         return max(self.offset, rate * self.fresh_offset), max(self.change, rate * self.fresh_change)
 
-    def _ended(self) -> Status | None:
+    def _ended(self) -> Outcome | None:
         """Decide whether the search is over, before it takes another step."""
         state, rejections = self.state, self.radius.rejections
         offset, change = self._remaining()
         if self.rough and offset <= ROUGH_OFFSET:
-            return Status.CONVERGED
+            return Outcome.CONVERGED
         if self.accurate and offset <= OFFSET_TOLERANCE and change <= self.settings.tolerance:
-            return Status.CONVERGED
+            return Outcome.CONVERGED
         if self.accurate and self.predicted <= self._criterion_noise():
             settled = state.fresh and self.offset > SETTLED * self.previous_offset
             if settled or offset <= NOISE_MARGIN * self._offset_noise():
-                return Status.CONVERGED if self.offset <= NEAR else Status.ACCURACY
+                return Outcome.CONVERGED if self.offset <= NEAR else Outcome.ACCURACY
         if self._in_vain():
             little = self.offset <= IN_VAIN or self.predicted <= NOISE_SURPRISE * self._criterion_noise()
-            return Status.ACCURACY if little else Status.STALLED
+            return Outcome.ACCURACY if little else Outcome.STALLED
         if self.radius.failures >= HOPELESS_FAILURES:
-            return Status.FAILING
+            return Outcome.FAILING
         if rejections > SUSPICIOUS_REJECTIONS and state.central and self.near:
-            return Status.CONVERGED
+            return Outcome.CONVERGED
         size = self._length(self.problem.magnitudes(state.theta))
         if state.central and rejections and self.radius.value <= VANISHING_STEP * size:
-            return Status.ACCURACY if self.predicted <= NOISE_SURPRISE * self._criterion_noise() else Status.STALLED
+            return Outcome.ACCURACY if self.predicted <= NOISE_SURPRISE * self._criterion_noise() else Outcome.STALLED
         if (np.abs(state.theta) > RUNAWAY * self.grown_from).any():
-            return Status.RUNAWAY
-        return Status.ITERATION_LIMIT if state.iterations >= self.settings.max_iterations else None
+            return Outcome.RUNAWAY
+        return Outcome.ITERATION_LIMIT if state.iterations >= self.settings.max_iterations else None
 
     def _in_vain(self) -> bool:
         """Whether the search gains nothing although the noise was measured anew."""

@@ -12,8 +12,9 @@ from rich.measure import Measurement
 from rich.table import Table
 
 from fmuid.assessment import WRONG_STD
-from fmuid.estimation import Status
+from fmuid.estimation import Outcome
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.reports.words.result import capitalised, ending, remarks
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
@@ -34,21 +35,21 @@ def show_result(found: Findings) -> None:
     out.print()
     if found.search is not None:
         out.print(_optima(out, found.search))
-        for sentence in _rivals(found.search):
-            out.print(f"[yellow]note:[/] {escape(sentence)}", soft_wrap=True)
+        for remark in _rivals(found.search):
+            out.print(f"[yellow]note:[/] {escape(remark)}", soft_wrap=True)
         out.print()
     out.print(_estimates(out, found))
     if found.has_prior:
         out.print()
         out.print(_reading(out, found))
-    for sentence in _remarks(result):
-        out.print(f"[yellow]note:[/] {escape(sentence)}", soft_wrap=True)
-    for sentence in (*found.reading.words, *found.diagnostics.words):
-        out.print(escape(sentence), soft_wrap=True)
+    for remark in remarks(result):
+        out.print(f"[yellow]note:[/] {escape(remark)}", soft_wrap=True)
+    for remark in (*found.reading.words, *found.diagnostics.words):
+        out.print(escape(remark), soft_wrap=True)
     out.print(f"Misfit: {escape(_misfit(fits))}", soft_wrap=True)
     out.print(f"Residual: {escape(_noise(result, fits))}", soft_wrap=True)
     color = "green" if result.converged else "red"
-    out.print(f"[bold {color}]{escape(result.status[0].upper() + result.status[1:])}[/]", soft_wrap=True)
+    out.print(f"[bold {color}]{escape(capitalised(ending(result, found.search)))}[/]", soft_wrap=True)
     for component, model in result.models.items():
         out.print(f"[dim]{escape(component or model['name'])} run as {escape(model['run'])}[/]", soft_wrap=True)
     if result.sensitivity:
@@ -154,7 +155,7 @@ def _columns(found: Findings) -> dict[str, list[str]]:
     limits = result.intervals(found.level).to_numpy().tolist()
     # where nothing is known of a value, its digits must not look as if there were
     cells["value"] = [f"{value:.2g} ± ?" if std == math.inf else with_std(value, std) for value, std in rows]
-    if result.outcome is not Status.STALLED:  # which has no intervals
+    if result.outcome is not Outcome.STALLED:  # which has no intervals
         shares = [f"{100 * std / abs(value):.2g} %" if value and std < math.inf else "" for value, std in rows]
         cells["rel. std"] = shares
         cells[_interval_head(found.level)] = [
@@ -174,27 +175,12 @@ def _interval_head(level: float) -> str:
 def _note(found: Findings, name: str) -> str:
     """Return what the table's last column says of one parameter."""
     words = []
-    if any(sentence.startswith(f"{name} is at its bound") for sentence in found.result.at_bounds):
+    if any(bound.name == name for bound in found.result.at_bounds):
         words.append("at its bound")
     factor = found.diagnostics.inflation.get(name, math.nan)
     if factor >= WRONG_STD:
         words.append(f"std {factor:.2g} x too small")
     return ", ".join(words)
-
-
-def _remarks(result: Result) -> list[str]:
-    """Return the sentences on what the estimates do not show by themselves."""
-    pairs = [
-        f"{one} and {other} move together (correlation {share:+.3f}): their intervals do not hold one by one"
-        for one, other, share in result.strong_correlations
-    ]
-    moved = [
-        f"{name} changes no output at the start that was given: the search set out from {name} = {result.start[i]:g}"
-        for i, name in enumerate(result.names)
-        if name in result.moved_start
-    ]
-    prior = [f"without the prior, {sentence}" for sentence in result.prior_determined]
-    return [*moved, *pairs, *result.weak, *prior]
 
 
 def show_uncertainty(found: Findings) -> None:

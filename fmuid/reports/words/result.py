@@ -1,0 +1,84 @@
+"""What is to be said of a result: how its search ended, what it leaves open, and what to do about it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fmuid.estimation import Outcome
+
+if TYPE_CHECKING:
+    from fmuid.estimation import GlobalResult, Result
+
+ENDS = {
+    Outcome.CONVERGED: "converged",
+    Outcome.ACCURACY: (
+        "converged to the accuracy of the simulation: make it more accurate (step_size, its tolerance) for more digits"
+    ),
+    Outcome.UNDETERMINED: "undetermined",
+    Outcome.UNSETTLED: (
+        "the noise variances still move from one repetition of the search to the next: give them as noise.variance"
+    ),
+    Outcome.ITERATION_LIMIT: "stopped at the iteration limit: raise max_iterations or start nearer",
+    Outcome.RUNAWAY: (
+        "stopped: parameters run away by orders of magnitude, and the fit gains nothing by it: "
+        "give a prior, bounds or a start nearer by, or measure more"
+    ),
+    Outcome.STALLED: (
+        "stalled: no step lowers the criterion although its slope says so; "
+        "make the simulation more accurate (step_size, its tolerance) or start elsewhere"
+    ),
+    Outcome.FAILING: (
+        "stopped at the edge of what can be simulated, every step that would lower the criterion fails: "
+        "give bounds that keep the search where the model is sound, or start elsewhere"
+    ),
+    Outcome.INTERRUPTED: "interrupted: these are the best values so far",
+}
+"""How a search ended, and what to do about it."""
+
+
+def result_words(result: Result) -> tuple[str, ...]:
+    """Return all that is to be said of a result: how it ended first, then what the estimates do not show."""
+    return ending(result), *remarks(result)
+
+
+def ending(result: Result, search: GlobalResult | None = None) -> str:
+    """Return how an identification ended and, where that is needed, the remedy.
+
+    Parameters
+    ----------
+    result : Result
+    search : GlobalResult, optional
+        The search of the whole box that the result is of.
+    """
+    words = [ENDS[result.outcome] + (_so_far(search) if search is not None and search.interrupted else "")]
+    if result.undetermined:
+        told = "; ".join(result.undetermined) + ": give a prior, hold one of them at a value, or measure more"
+        words = [f"{words[0]}: {told}"] if result.outcome is Outcome.UNDETERMINED else [*words, told]
+    if result.at_bounds:
+        bounds = "; ".join(f"{each.name} is at its bound {each.value:g}" for each in result.at_bounds)
+        words.append(f"{bounds}, and the data would move it further: widen the bound or check the model")
+    return "; ".join(words)
+
+
+def _so_far(search: GlobalResult) -> str:
+    return f" of a global search, after {search.fits} fit{'' if search.fits == 1 else 's'}"
+
+
+def remarks(result: Result) -> tuple[str, ...]:
+    """Return the sentences on what the estimates do not show by themselves."""
+    pairs = [
+        f"{one} and {other} move together (correlation {share:+.3f}): their intervals do not hold one by one"
+        for one, other, share in result.strong_correlations
+    ]
+    moved = [
+        f"{name} changes no output at the start that was given: the search set out from {name} = {result.start[i]:g}"
+        for i, name in enumerate(result.names)
+        if name in result.moved_start
+    ]
+    prior = [f"without the prior, {sentence}" for sentence in result.prior_determined]
+    return *moved, *pairs, *result.weak, *prior
+
+
+def capitalised(words: str) -> str:
+    """Return words with a capital at their beginning."""
+    return words[0].upper() + words[1:]
