@@ -11,7 +11,7 @@ static const size_t MAX_EVENTS = 10000;  /* of one advance: chattering, or bounc
 static const double INPUT_JUMP = 1e-9;   /* of an input's magnitude: less is rounding of its curves */
 
 void copy(size_t n, const double *from, double *to) {
-  for (size_t i = 0; i < n; i++) to[i] = from[i];
+  if (n > 0) memcpy(to, from, n * sizeof(double));
 }
 
 /* ---- memory ---- */

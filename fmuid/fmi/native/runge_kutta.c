@@ -57,11 +57,12 @@ static double larger(double a, double b) { return b > a ? b : a; }
 static double square(double a) { return a * a; }
 
 /* Add h times the weighted sum of the first slopes to y. */
-static void combine(const Integrator *self, size_t count, const double *weights, double h, double *y) {
+static void combine(const Integrator *self, size_t count, const double *weights, double h, double *restrict y) {
+  const size_t n = self->n_total;
   for (size_t q = 0; q < count; q++) {
-    const double weight = h * weights[q], *slope = self->slopes[q];
+    const double weight = h * weights[q], *restrict slope = self->slopes[q];
     if (weight == 0.0) continue;
-    for (size_t i = 0; i < self->n_total; i++) y[i] += weight * slope[i];
+    for (size_t i = 0; i < n; i++) y[i] += weight * slope[i];
   }
 }
 
