@@ -24,6 +24,7 @@ from scipy.optimize import least_squares
 
 import fmuid
 from fmuid.fmi.instance import Instance
+from fmuid.fmi.native.build import compiler_here
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent
@@ -115,7 +116,7 @@ def c_simulation(experiment: fmuid.Experiment, folder: Path) -> Callable[[Array]
     source, library = folder / "loop.c", folder / ("loop" + fmpy.sharedLibraryExtension)
     source.write_text(LOOP_IN_C)
     headers = Path(fmpy.__file__).parent / "c-code"
-    compiler = [sys.executable, "-m", "ziglang", "cc", "-O2", "-shared", "-fPIC", f"-I{headers}"]
+    compiler = [*compiler_here(), "-O2", "-shared", "-fPIC", f"-I{headers}"]
     subprocess.run([*compiler, str(source), "-o", str(library)], check=True)
     loop = ctypes.CDLL(str(library)).loop
     fmu = fmuid.FMU(FMU_FILE)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import signal
 import subprocess
-import sys
 import zipfile
 from collections.abc import Iterator
 from functools import cache
@@ -16,6 +15,7 @@ import pandas as pd
 import pytest
 
 from experiments.induction_machine import make_table
+from fmuid.fmi.native.build import compiler_here
 from tests.support.paths import HERE
 from tests.support.probe_fmu import ProbeMaker
 
@@ -54,7 +54,7 @@ _UNITS = """
 def _probe_library(folder: Path, defines: tuple[str, ...]) -> bytes:
     headers = Path(fmpy.__file__).parent / "c-code"
     library = folder / f"probe{'-'.join(defines)}{fmpy.sharedLibraryExtension}"
-    command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", f"-I{headers}", "-o", str(library)]
+    command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}", "-o", str(library)]
     command += ["-Wno-unused-parameter"] + [f"-D{define}" for define in defines] + [str(HERE / "probe" / "probe.c")]
     subprocess.run(command, check=True, capture_output=True)
     return library.read_bytes()

@@ -22,6 +22,7 @@ from scipy.integrate import solve_ivp
 
 from fmuid.errors import InputError, ModelicaError, ModelicaWarning
 from fmuid.export import export_fmu
+from fmuid.fmi.native.build import compiler_here
 from tests.support.exported import here_only
 from tests.support.paths import FMUS
 
@@ -568,6 +569,6 @@ def test_sources_rebuild(tmp_path: Path) -> None:
     fmpy.extract(str(FMUS / "Coil" / "Coil.fmu"), unzipdir=str(tmp_path))
     listed = {file.get("name") for file in description(FMUS / "Coil" / "Coil.fmu").iter("File")}
     assert listed == {"fmi2.c"}
-    command = [sys.executable, "-m", "ziglang", "cc", "-Wall", "-Wextra", "-shared", "-fPIC", "fmi2.c", "-o", "x.so"]
+    command = [*compiler_here(), "-Wall", "-Wextra", "-shared", "-fPIC", "fmi2.c", "-o", "x.so"]
     done = subprocess.run(command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

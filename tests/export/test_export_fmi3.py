@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import struct
 import subprocess
-import sys
 import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
@@ -17,6 +16,7 @@ from fmpy.validation import validate_fmu
 
 from fmuid.errors import InputError
 from fmuid.export import export_fmu
+from fmuid.fmi.native.build import compiler_here
 from tests.support.exported import export_text, running
 from tests.support.modelica import FRICTION
 from tests.support.paths import FMUS
@@ -247,6 +247,6 @@ def test_sources_rebuild(twins: Twins, tmp_path: Path) -> None:
     assert configuration.get("modelIdentifier") == "Coil"
     sources = [str(each.get("name")) for each in root.iter("SourceFile")]
     assert sources == ["fmi3.c"]
-    command = [sys.executable, "-m", "ziglang", "cc", "-std=c99", "-Wall", "-shared", "-fPIC", *sources, "-o", "x.so"]
+    command = [*compiler_here(), "-std=c99", "-Wall", "-shared", "-fPIC", *sources, "-o", "x.so"]
     done = subprocess.run(command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")

@@ -25,6 +25,7 @@ from fmuid.fmi import codes
 from fmuid.fmi.failures import describe
 from fmuid.fmi.integrator import Integrator, function_table
 from fmuid.fmi.native import core
+from fmuid.fmi.native.build import compiler_here
 from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import ball, coil_response
 from tests.support.hybrid import hybrid_fmu
@@ -51,7 +52,7 @@ def libraries(tmp_path_factory: pytest.TempPathFactory) -> Libraries:
     found = {}
     for version in (2, 3):
         path = folder / f"hybrid{version}{fmpy.sharedLibraryExtension}"
-        command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", f"-I{headers}", f"-DFMI={version}"]
+        command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}", f"-DFMI={version}"]
         subprocess.run([*command, "-o", str(path), str(HERE / "probe" / "hybrid.c")], check=True, capture_output=True)
         found[version] = ctypes.CDLL(str(path))
         found[version].make.restype = ctypes.c_void_p

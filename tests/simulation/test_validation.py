@@ -15,6 +15,7 @@ import pytest
 import fmuid
 from fmuid.cli.app import run
 from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.fmi.native.build import compiler_here
 from fmuid.simulation import smoke, validation
 from fmuid.simulation.smoke import Report
 from fmuid.simulation.validation import Check, Validation, validate
@@ -92,7 +93,7 @@ def troubled(probe: ProbeMaker, tmp_path_factory: pytest.TempPathFactory) -> Pat
     (folder / "probe.c").write_text("#include <stdio.h>\n" + source, encoding="utf-8")
     binary = f"probe{fmpy.sharedLibraryExtension}"
     headers = Path(fmpy.__file__).parent / "c-code"
-    command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", f"-I{headers}"]
+    command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}"]
     subprocess.run([*command, "-o", str(folder / binary), str(folder / "probe.c")], check=True, capture_output=True)
     with zipfile.ZipFile(probe()) as archive:
         text = archive.read("modelDescription.xml")
@@ -155,7 +156,7 @@ def cached(fault: str, path: Path, monkeypatch: pytest.MonkeyPatch) -> Validatio
 def test_a_shared_library_that_is_missing(probe: ProbeMaker, tmp_path: Path) -> None:
     (tmp_path / "absent.c").write_text("int absent(void) { return 1; }", encoding="utf-8")
     (tmp_path / "probe.c").write_text("int absent(void); int needs(void) { return absent(); }", encoding="utf-8")
-    compiler = [sys.executable, "-m", "ziglang", "cc", "-shared", "-fPIC"]
+    compiler = [*compiler_here(), "-shared", "-fPIC"]
     library = ["-o", "libabsent.so.3", "-Wl,-soname,libabsent.so.3", "absent.c"]
     for arguments in (library, ["-o", "probe.so", "probe.c", "./libabsent.so.3"]):
         subprocess.run([*compiler, *arguments], check=True, capture_output=True, cwd=tmp_path)

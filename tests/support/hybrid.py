@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import zipfile
 from functools import cache
 from pathlib import Path
 
 import fmpy
 
+from fmuid.fmi.native.build import compiler_here
 from tests.support.paths import HERE
 
 # As in probe/hybrid.c.
@@ -22,7 +22,7 @@ X, DX, P, U, COUNT, START = 0, 3, 6, 10, 13, 23
 def _library(folder: Path, version: int) -> bytes:
     headers = Path(fmpy.__file__).parent / "c-code"
     path = folder / f"hybrid{version}{fmpy.sharedLibraryExtension}"
-    command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", f"-I{headers}", f"-DFMI={version}"]
+    command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}", f"-DFMI={version}"]
     subprocess.run([*command, "-o", str(path), str(HERE / "probe" / "hybrid.c")], check=True, capture_output=True)
     return path.read_bytes()
 

@@ -301,6 +301,6 @@ def _renumbered(library: Any) -> str:
     wires = [wire.upper() for wire in codes.WIRES]
     names: list[str] = [*wires, *wires, *codes.FAILURES]
     told = library.code_names()
-    theirs: list[str] = [(told[i] or b"").decode() for i in range(len(names) + 1)]
-    wrong = [name or other for name, other in zip([*names, ""], theirs, strict=True) if name != other]
+    theirs = [name.decode() for name in itertools.takewhile(bool, map(told.__getitem__, itertools.count()))]
+    wrong = [name or other for name, other in itertools.zip_longest(names, theirs, fillvalue="") if name != other]
     return wrong[0] if wrong else ""

@@ -86,6 +86,18 @@ def compiler(target: str | None) -> list[str]:
     return shlex.split(named)
 
 
+def compiler_here() -> list[str]:
+    """Return the command of a compiler for this machine, whatever else its processor has that others have not.
+
+    Raises
+    ------
+    BuildError
+        If there is no compiler.
+    """
+    tag = tag_here()
+    return compiler(TARGETS[tag][0] if tag else None)
+
+
 def build(output: Path, target: str | None, flags: tuple[str, ...] = FLAGS) -> Path:
     """Compile the library.
 

@@ -126,7 +126,8 @@ static bool has_changed(const Plan *plan, const Operation *o) {
 static Verdict before_setting(Simulation *self, const Operation *o) {
   const size_t c = (size_t)o->component;
   const Component *component = &self->plan->components[c];
-  if (o->when & LATCHED && self->substep % self->grid->strides[c] != 0) return SKIP;
+  const int64_t *strides = self->grid->strides;
+  if (o->when & LATCHED && strides && self->substep % strides[c] != 0) return SKIP;
   if (!(o->when & (AS_EVENT | AT_STEPS | WITH_RESTART))) return GO;
   const bool changed = has_changed(self->plan, o);
   if (component->mode != RUNNING) return GO;

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import zipfile
 from collections.abc import Mapping
 from enum import IntEnum
@@ -14,6 +13,8 @@ from typing import Any
 import fmpy
 import numpy as np
 from numpy.typing import NDArray
+
+from fmuid.fmi.native.build import compiler_here
 
 HERE = Path(__file__).parent
 START_VALUES = {"gain": 1.0, "T": 1.0, "mode": 0.0, "at": 0.0, "bad_from": -1e300, "bad_to": 1e300} | {
@@ -79,7 +80,7 @@ class Where(IntEnum):
 def _library(folder: Path, version: int, at_loading: Mode | None) -> bytes:
     headers = Path(fmpy.__file__).parent / "c-code"
     path = folder / f"misbehaving{version}{'' if at_loading is None else at_loading.name}{fmpy.sharedLibraryExtension}"
-    command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", "-fno-sanitize=undefined"]
+    command = [*compiler_here(), "-O1", "-shared", "-fPIC", "-fno-sanitize=undefined"]
     command += [f"-I{headers}", f"-DFMI={version}", "-DMODES=" + ",".join(mode.name for mode in Mode)]
     command += [] if at_loading is None else [f"-DAT_LOADING={at_loading.name}"]
     subprocess.run([*command, "-o", str(path), str(HERE / "misbehaving.c")], check=True, capture_output=True)

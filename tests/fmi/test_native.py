@@ -1,0 +1,286 @@
+"""The core in C: how it is built and loaded, what Python refuses before it sees it, and what only it does."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import sys
+import threading
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+from fmuid.data.experiment import Experiment
+from fmuid.errors import InputError, SimulationError
+from fmuid.fmi import codes, native
+from fmuid.fmi.checks import check_arrays, check_plan
+from fmuid.fmi.instance import Instance
+from fmuid.fmi.layout import Operation, Run, new_reports
+from fmuid.fmi.loop import Loop
+from fmuid.fmi.native import build
+from fmuid.models.component import Numerics
+from fmuid.models.system import System
+from fmuid.simulation.plan import PlannedRun
+from fmuid.simulation.simulator import Simulator
+from tests.support.exported import export_text
+from tests.support.hybrid import hybrid_fmu
+from tests.support.paths import FMUS
+from tests.support.probe_fmu import ProbeMaker
+
+Array = NDArray[np.float64]
+TIMES: Array = np.linspace(0.0, 1.0, 5)
+
+
+@pytest.fixture
+def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The sources of the core in a folder of their own."""
+    folder = tmp_path / "native"
+    shutil.copytree(build.HERE, folder, ignore=shutil.ignore_patterns("core-*", "__pycache__"))
+    monkeypatch.setattr(build, "HERE", folder)
+    return folder
+
+
+# --- built and loaded
+
+
+def test_it_compiles_without_a_warning(tmp_path: Path) -> None:
+    tag = build.tag_here()
+    target = build.TARGETS[tag][0] if tag else None
+    assert build.build(tmp_path / "core.so", target, (*build.FLAGS, *build.WARNINGS)).is_file()
+
+
+def test_changed_sources_are_compiled_anew(copied: Path) -> None:
+    first = native._path()
+    assert native._path() == first
+    with (copied / "log.c").open("a") as source:
+        source.write("/* changed */\n")
+    second = native._path()
+    assert second != first
+    assert [path.name for path in copied.glob("core-*")] == [second.name]
+
+
+def test_without_a_compiler_it_is_one_sentence(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(InputError, match=r"core is not compiled from the sources in .*there is no C compiler: install"):
+        native._path()
+    monkeypatch.setenv("CC", f"{sys.executable} -c 'raise SystemExit(3)'")
+    with pytest.raises(InputError, match=r"fails to compile the core"):
+        native._path()
+    assert not list(copied.glob("core-*"))
+
+
+def test_a_missing_library_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build, "HERE", tmp_path)
+    with pytest.raises(InputError, match=r"fmuid's compiled core is missing in .*; install fmuid"):
+        native._path()
+
+
+def test_a_library_of_other_sources_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = native.core()
+    assert native._difference(library) == ""
+
+    class Grid(ctypes.Structure):
+        whole: ClassVar[bool] = True
+        _fields_: ClassVar[list[tuple[str, Any]]] = [
+            ("n_times", ctypes.c_size_t),
+            *((name, ctypes.c_void_p) for name in ("times", "inputs", "slopes", "strides", "substeps")),
+        ]
+
+    with monkeypatch.context() as patch:
+        patch.setitem(native.Mirror.kinds, "Grid", Grid)
+        assert native._difference(library) == "Grid"
+    with monkeypatch.context() as patch:
+        patch.delitem(native.Mirror.kinds, "Loop")
+        assert native._difference(library) == "Loop"
+    monkeypatch.setattr(codes, "FAILURES", (*codes.FAILURES[:2], "MORE", *codes.FAILURES[2:]))
+    assert native._difference(library) == "MORE"
+
+
+def test_every_compiler_is_told_its_target() -> None:
+    """Without one it takes the instructions of the machine that builds: other digits, and none on older machines."""
+    root = Path(__file__).parents[2]
+    for path in (*root.glob("tests/**/*.py"), *root.glob("experiments/**/*.py"), *root.glob("fmuid/**/*.py")):
+        if path != Path(__file__):
+            said = path.read_text(encoding="utf-8")
+            assert '"ziglang", "cc"' not in said or '"cc", "-target"' in said, path
+
+
+# --- what Python refuses
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, tuple[Run, list[int]]]:
+    """Plans of all kinds with the versions of their components: connected, with a loop, by model exchange."""
+    frame = pd.DataFrame({"time": TIMES, "u": np.sin(TIMES), "i": 0.0})
+    coil = FMUS / "Coil" / "Coil.fmu"
+    pair = System(components={"a": coil, "b": coil}, connections=[("a.i", "b.u", 2.0, 1.0)], master="gauss-seidel")
+    single = Experiment(frame, ["u"], ["i"])
+    return {
+        "pair": (PlannedRun(pair, Experiment(frame, {"a.u": "u"}, {"b.i": "i"}), ["a.R"], {}, None), [2, 2]),
+        "co-simulation": (PlannedRun(System(coil), single, ["R", "L"], {}, 0.01), [2]),
+        "model exchange": (
+            PlannedRun(System(coil, numerics=Numerics("model-exchange")), single, ["R"], {}, None),
+            [2],
+        ),
+    }
+
+
+@pytest.mark.parametrize("name", ["pair", "co-simulation", "model exchange"])
+def test_no_operation_that_points_nowhere_gets_through(runs: dict[str, tuple[Run, list[int]]], name: str) -> None:
+    run, versions = runs[name]
+    check_plan(run.plan, run.grid, versions)
+    for i, operation in enumerate(run.plan.operations):
+        for field in Operation._fields:
+            if operation.function == codes.COPY and field in ("component", "n_values", "wire", "when"):
+                continue  # of no meaning
+            for wrong in (-1, -(2**40), 10**6, 2**62):
+                operations = list(run.plan.operations)
+                operations[i] = operation._replace(**{field: wrong})
+                with pytest.raises(ValueError, match="operations"):
+                    check_plan(run.plan._replace(operations=tuple(operations)), run.grid, versions)
+
+
+@pytest.mark.parametrize("name", ["pair", "co-simulation", "model exchange"])
+def test_no_index_that_points_nowhere_gets_through(runs: dict[str, tuple[Run, list[int]]], name: str) -> None:
+    run, versions = runs[name]
+    for part, kinds in (
+        ("plan", ("stages", "parameter_signals", "input_signals", "input_modes", "derivative_signals")),
+        ("plan", ("output_signals", "output_terms", "groups")),
+        ("grid", ("substeps", "strides")),
+    ):
+        for kind in kinds:
+            whole = getattr(run, part)
+            given = getattr(whole, kind)
+            for place in np.ndindex(given.shape):
+                for wrong in (-7, -(2**62), 2**62):
+                    if part == "grid" and wrong > 0:
+                        continue  # many substeps are not wrong
+                    changed = given.copy()
+                    changed[place] = wrong
+                    both = {"plan": run.plan, "grid": run.grid} | {part: whole._replace(**{kind: changed})}
+                    with pytest.raises(ValueError, match="of a plan"):
+                        check_plan(both["plan"], both["grid"], versions)
+            for other in (given.astype(np.int32), given[:-1] if kind != "groups" else given[:, :1]):
+                both = {"plan": run.plan, "grid": run.grid} | {part: whole._replace(**{kind: other})}
+                if other.dtype == np.int32 or kind not in ("parameter_signals", "output_signals", "output_terms"):
+                    with pytest.raises(ValueError, match="of a plan"):
+                        check_plan(both["plan"], both["grid"], versions)
+
+
+def test_random_plans_are_refused_or_run(runs: dict[str, tuple[Run, list[int]]]) -> None:
+    """Small indices at random: what gets through the checks does not crash (best seen under a sanitizer)."""
+    rng = np.random.default_rng(12)
+    run, _ = runs["pair"]
+    fmu = System(FMUS / "Coil" / "Coil.fmu").components[""].fmu
+    instances = [Instance(fmu, "co-simulation", name) for name in "ab"]
+    used, refused, tried = np.zeros(2, np.intp), 0, 300
+    for _ in range(tried):
+        operations = list(run.plan.operations)
+        i, field = rng.integers(len(operations)), str(rng.choice(Operation._fields))
+        operations[i] = operations[i]._replace(**{field: int(rng.integers(-1, 30))})
+        plan = run.plan._replace(operations=tuple(operations))
+        try:
+            loop = Loop(plan, run.grid, instances, used)
+        except (ValueError, InputError):
+            refused += 1
+            continue
+        loop.run(np.full((1, 1), 4.0), np.empty((1, TIMES.size, 1)), new_reports(1))
+    assert 0 < refused < tried
+    for instance in instances:
+        instance.close()
+
+
+def test_arrays_of_other_shapes_are_refused(runs: dict[str, tuple[Run, list[int]]]) -> None:
+    run, _ = runs["pair"]
+    right = np.zeros((3, 1)), np.zeros((3, TIMES.size, 1)), new_reports(3)
+    check_arrays(run.plan, run.grid, *right)
+    for i, name in enumerate(("thetas", "outputs", "reports")):
+        for wrong in (right[i][:, :0], right[i].astype(np.float32), np.asfortranarray(np.repeat(right[i], 2, 1))):
+            arrays: list[Any] = list(right)
+            arrays[i] = wrong
+            with pytest.raises(ValueError, match=name):
+                check_arrays(run.plan, run.grid, *arrays)
+    with pytest.raises(ValueError, match="outputs"):
+        check_arrays(run.plan, run.grid, right[0], right[1][:2], right[2])
+
+
+# --- what it does
+
+
+@pytest.mark.parametrize("method", ["rk4", "rk45"])
+def test_a_simulation_is_cancelled_inside_its_integrator(tmp_path: Path, method: str) -> None:
+    """Two samples, with more steps between them than ever come to an end."""
+    step = 1e-9 if method == "rk4" else None
+    numerics = Numerics("model-exchange", method, tolerance=1e-13, step_size=step)
+    system = System(hybrid_fmu(tmp_path, "van_der_pol"), numerics=numerics)
+    frame = pd.DataFrame({"time": [0.0, 1e5], "x": 0.0})
+    run = PlannedRun(system, Experiment(frame, [], {"x0": "x"}), [], {"p0": 1.0, "start0": 2.0}, None)
+    (component,) = system.components.values()
+    instance, used = Instance(component.fmu, component.kind, "x"), np.zeros(1, np.intp)
+    loop, reports = Loop(run.plan, run.grid, [instance], used), new_reports(1)
+    thread = threading.Thread(target=loop.run, args=(np.zeros((1, 0)), np.zeros((1, 2, 1)), reports))
+    state = loop._integrators[0]
+    assert state is not None
+    thread.start()
+    while state.state.n_steps < 10 and thread.is_alive():
+        pass
+    loop.cancel()
+    thread.join(60.0)
+    assert not thread.is_alive()
+    assert reports[0, 0] == codes.CANCELLED
+    assert 0.0 < reports[0, 5:].view(np.float64)[0] < 1e5
+    instance.close()
+
+
+@pytest.mark.parametrize("value", [2.0**31, -(2.0**31) - 1, 1e300])
+def test_a_value_that_the_type_of_its_variable_cannot_hold_is_said(probe: ProbeMaker, value: float) -> None:
+    frame = pd.DataFrame({"time": TIMES, "n": [0.0, 1.0, 2.0, value, 0.0], "y": 0.0})
+    simulator = Simulator(probe(), Experiment(frame, {"n": "n"}, {"ten_n": "y"}))
+    with pytest.raises(SimulationError, match=r"a value is not within the range of the type of its variable") as error:
+        simulator([])
+    assert error.value.time == TIMES[3]
+
+
+TWO_INPUTS = """
+model Sum
+  input Real u;
+  input Real v;
+  output Real x(start = 0, fixed = true);
+equation
+  der(x) = 10 * (u + v) - x;
+end Sum;
+"""
+
+
+def test_held_inputs_beside_those_that_go_by_midpoints(tmp_path: Path) -> None:
+    """An FMU that cannot interpolate: the first substep of an interval must have the held input as of its beginning."""
+    rng = np.random.default_rng(5)
+    times: Array = np.linspace(0.0, 1.0, 21)
+    frame = pd.DataFrame({"time": times, "u": 0.0, "v": rng.normal(size=21), "x": 0.0})
+    experiment = Experiment(frame, ["u", "v"], ["x"], interpolation={"u": "linear", "v": "hold"})
+    got = Simulator(export_text(tmp_path, TWO_INPUTS, fmi="3.0"), experiment, interface="co-simulation")([])[:, 0]
+    x = np.zeros(21)
+    for k, h in enumerate(np.diff(times)):
+        x[k + 1] = 10 * frame["v"][k] + (x[k] - 10 * frame["v"][k]) * np.exp(-h)
+    assert np.abs(got - x).max() < 1e-6
+
+
+def test_messages_are_formatted_and_bounded() -> None:
+    log, text = native.Log(), ctypes.c_char_p
+    say = native.core()["log_message"]  # a handle of our own
+    say.restype, say.argtypes = None, [ctypes.c_void_p, text, ctypes.c_int32, text, text]
+    say(ctypes.byref(log), b"name", 1, b"category", b"%s of %d", text(b"seven"), ctypes.c_int(9))
+    say(ctypes.byref(log), b"name", 3, b"category", b"%s", text(b"x" * 10_000))
+    say(ctypes.byref(log), b"name", 0, None, None)
+    assert (log.messages[0].status, log.messages[0].text) == (1, b"seven of 9")
+    assert len(log.messages[1].text) == 2047
+    for _ in range(100):
+        say(ctypes.byref(log), b"name", 0, b"category", b"again")
+    assert log.count == len(log.messages) == 20
+    say(None, b"name", 0, b"category", b"to nobody")
