@@ -26,7 +26,7 @@ from fmuid.estimation.identification import MOVED
 from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
 from fmuid.estimation.numerical_noise import NOISE_POINTS
 from fmuid.models.component import DEFAULT_TOLERANCE
-from fmuid.simulation.isolation.isolated import FIRST_LIMIT, LEAST_LIMIT, SLOWER
+from fmuid.simulation.isolation.keeper import FIRST_LIMIT, LEAST_LIMIT, SLOWER
 from fmuid.simulation.plan import LINEAR_SUBSTEPS
 from fmuid.studies.study import Study
 

@@ -13,17 +13,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from fmuid.batches.parcel import Copies
 from fmuid.batches.run_case import CaseOutcome, CaseRunner
 from fmuid.models import Isolation
-from fmuid.simulation import FIRST_LIMIT, End, Host, default_limit, memory_share, workers_of
+from fmuid.simulation import FIRST_LIMIT, End, Host, Keeper, workers_of
 from fmuid.studies import Study
 
 _runner: list[CaseRunner] = []  # of a process that runs cases
 
 
-def open_cases(data: Mapping[str, Any], path: Path) -> None:
+def open_cases(data: Mapping[str, Any], path: Path, copies: Copies | None) -> None:
     """Make this process one that runs the cases of a study."""
-    _runner[:] = [CaseRunner(Study.of(data, path))]
+    _runner[:] = [CaseRunner(Study.of(data, path), copies)]
 
 
 def run_case(index: int) -> tuple[CaseOutcome, float]:
@@ -39,6 +40,8 @@ class IsolatedCases:
     ----------
     study : Study
         With a ``[batch]``.
+    copies : Copies, optional
+        As for `CaseRunner`.
 
     Raises
     ------
@@ -46,12 +49,11 @@ class IsolatedCases:
         As `CaseRunner`.
     """
 
-    def __init__(self, study: Study) -> None:
-        self._study, self._settings = study, study.model.isolation or Isolation()
-        self._careful = CaseRunner(replace(study, model=replace(study.model, isolation=self._settings)))
-        self._memory = 1e6 * self._settings.memory if self._settings.memory else memory_share()
-        self._host: Host | None = None
-        self._longest = 0.0
+    def __init__(self, study: Study, copies: Copies | None = None) -> None:
+        settings = study.model.isolation or Isolation()
+        self._opened = study.data, study.path, copies
+        self._careful = CaseRunner(replace(study, model=replace(study.model, isolation=settings)), copies)
+        self._keeper = Keeper(settings, [__name__])
 
     @property
     def columns(self) -> dict[str, str]:
@@ -61,33 +63,19 @@ class IsolatedCases:
     def __call__(self, index: int) -> CaseOutcome:
         """Run a case; one that fails has a row that says why."""
         outcome: CaseOutcome
-        limit, printed = self._settings.time_limit or default_limit(self._longest), ""
+        keeper = self._keeper
         try:
-            host = self._ready()
-            outcome, self._longest = host.order(
-                "call", __name__, "run_case", (index,), limit=limit, idle_limit=math.inf
+            host = keeper.host(self._begin)
+            outcome, keeper.longest = host.order(
+                "call", __name__, "run_case", (index,), limit=keeper.time_limit, idle_limit=math.inf
             )
             host.simulations += int(str(outcome.row["simulations"]))
-            if host.outgrown(self._settings.recycle):
-                self.close()
-            printed = host.printed()
+            keeper.replace_outgrown()
         except End:
-            printed = self._host.printed() if self._host is not None else ""
-            self._host = None
+            keeper.bury()
             outcome = self._careful(index)
-        return replace(outcome, log="\n".join(filter(None, [outcome.log, printed])))
+        return replace(outcome, log="\n".join(filter(None, [outcome.log, keeper.printed()])))
 
-    def _ready(self) -> Host:
-        """Return the process, a new one where there is none."""
-        if self._host is not None and self._host.alive:
-            return self._host
-        host = self._host = Host(["fmuid.batches.isolated_cases"], self._memory)
+    def _begin(self, host: Host) -> None:
         host.order("watch", limit=FIRST_LIMIT)
-        host.order("call", __name__, "open_cases", (self._study.data, self._study.path), limit=FIRST_LIMIT)
-        return host
-
-    def close(self) -> None:
-        """End the process; a later case makes a new one."""
-        if self._host is not None:
-            self._host.close()
-        self._host = None
+        host.order("call", __name__, "open_cases", self._opened, limit=FIRST_LIMIT)

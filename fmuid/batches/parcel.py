@@ -5,14 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import platformdirs
 
 from fmuid.errors import InputError
 from fmuid.fmi import file_digest
@@ -27,6 +24,26 @@ CHANGES_TOLD = 4
 _MISSING = object()
 
 
+@dataclass(frozen=True)
+class Copies:
+    """Files below a folder that are copies of the user's, by whose names they go in messages.
+
+    Attributes
+    ----------
+    folder : Path
+    originals : mapping of str to str
+        The user's names of the files, by theirs below the folder.
+    """
+
+    folder: Path
+    originals: Mapping[str, str]
+
+    def original(self, path: Path) -> Path:
+        """Return the user's file that a file is a copy of; the file itself where it is none."""
+        name = path.relative_to(self.folder).as_posix() if path.is_relative_to(self.folder) else ""
+        return Path(self.originals.get(name, path))
+
+
 @dataclass(eq=False)
 class Parcel:
     """A study as it travels to workers: its words, and the content of all its files but the records.
@@ -36,15 +53,13 @@ class Parcel:
     token : str
         Tells it from all others.
     path : str
-        The study file as messages name it.
+        The user's study file.
     data : dict
         The study with names of files in the parcel's folder.
     files : dict of str to bytes
         Their content, by these names.
-    shown : dict of str to str
-        What stands in the user's own name of each file and record in place of its folder in the parcel's.
-    cache : str
-        The user's cache of unpacked archives.
+    originals : dict of str to str
+        The user's names of all files and records, by those in the parcel's folder.
     isolated : bool
         Whether FMUs run in processes of their own.
     versions : dict of str to str
@@ -57,8 +72,7 @@ class Parcel:
     path: str
     data: dict[str, Any]
     files: dict[str, bytes]
-    shown: dict[str, str]
-    cache: str
+    originals: dict[str, str]
     isolated: bool
     versions: dict[str, str | None]
     unpacked: Any = None
@@ -75,15 +89,12 @@ class Parcel:
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
-        return Study.of(self.data, folder / "study.toml", isolated=self.isolated)
+        data = _renamed(self.data, lambda name: str(folder / name) if name in self.originals else name)
+        return Study.of(data, self.path, isolated=self.isolated)
 
-    def in_users_words(self, text: str, folder: Path) -> str:
-        """Return a message with the user's own names of files in place of those below the folder."""
-        if str(folder) in text:
-            pattern = re.escape(str(folder)) + r"[\\/](\w+)[\\/](\d+)[\\/]"
-            text = re.sub(pattern, lambda found: self.shown.get(f"{found[1]}/{found[2]}", found[0]), text)
-            text = text.replace(str(folder / "study.toml"), self.path)
-        return text.replace(_cache(), self.cache)
+    def copies(self, folder: Path) -> Copies:
+        """Return whose copies the files below the folder are."""
+        return Copies(folder, self.originals)
 
 
 class Bundle:
@@ -110,22 +121,18 @@ class Bundle:
         self._records = {path: f"records/{k:06d}/{path.name}" for k, path in enumerate(found.values())}
         self._names: dict[Path, str] = {}
         self._known = set(study.files())
-        data = self._renamed({key: value for key, value in study.data.items() if key not in APART})
+        data = _renamed({key: value for key, value in study.data.items() if key not in APART}, self._name_of)
         if found:
             data["batch"]["tables"] = {name: self._records[path] for name, path in found.items()}
         self.digests = {path: _digest(path) for path in (*self._names, *self._records)}
         files = {name: content for path, name in self._names.items() if (content := self._content(path)) is not None}
-        shown = {
-            name.rpartition("/")[0]: str(path).removesuffix(path.name)
-            for path, name in (*self._names.items(), *self._records.items())
-        }
+        originals = {name: str(path) for path, name in (*self._names.items(), *self._records.items())}
         self.parcel = Parcel(
             uuid.uuid4().hex,
             str(study.path),
             data,
             files,
-            shown,
-            _cache(),
+            originals,
             isolated,
             dict(versions),
         )
@@ -147,15 +154,11 @@ class Bundle:
         files = {_relative(path, self._base): digest for path, digest in self.digests.items()}
         return {"fmuid": __version__, "study": told, "files": files}
 
-    def _renamed(self, node: Any, key: str = "") -> Any:
-        """Return a part of the study with the parcel's names of files."""
-        if isinstance(node, Mapping):
-            return {str(name): self._renamed(value, str(name)) for name, value in node.items()}
-        if isinstance(node, list):
-            return [self._renamed(value, key) for value in node]
-        path = self._base / node if isinstance(node, str) and key in FILE_KEYS else None
-        if path is None or path not in self._known:
-            return node
+    def _name_of(self, name: str) -> str:
+        """Return the parcel's name of a file that the study names."""
+        path = self._base / name
+        if path not in self._known:
+            return name
         return self._names.setdefault(path, f"files/{len(self._names):03d}/{path.name}")
 
     def _content(self, path: Path) -> bytes | None:
@@ -195,6 +198,16 @@ def changes(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     return found
 
 
+def _renamed(node: Any, rename: Callable[[str], str], key: str = "") -> Any:
+    """Return a part of a study with other names of files."""
+    if isinstance(node, Mapping):
+        # [batch.tables] has files by the names of their records
+        return {str(name): _renamed(each, rename, "table" if key == "tables" else name) for name, each in node.items()}
+    if isinstance(node, list):
+        return [_renamed(value, rename, key) for value in node]
+    return rename(node) if isinstance(node, str) and key in FILE_KEYS else node
+
+
 def _leaves(node: Any, above: str = "") -> Iterator[tuple[str, Any]]:
     """Give the values of nested tables by their dotted names."""
     if isinstance(node, Mapping) and node:
@@ -219,7 +232,3 @@ def _relative(path: Path, base: Path) -> str:
         return Path(os.path.relpath(path, base)).as_posix()
     except ValueError:  # on another drive
         return path.as_posix()
-
-
-def _cache() -> str:
-    return str(Path(platformdirs.user_cache_dir("fmuid")))

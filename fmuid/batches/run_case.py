@@ -22,6 +22,7 @@ from fmuid.arrays import Floats
 from fmuid.batches.case_problem import problem_of, truth_simulators, truth_values
 from fmuid.batches.cases import Case, Cases
 from fmuid.batches.draws import noise
+from fmuid.batches.parcel import Copies
 from fmuid.data import Experiment, read_table
 from fmuid.errors import FmuidError
 from fmuid.estimation import Marquardt, Outcome, Result, identify
@@ -67,6 +68,8 @@ class CaseRunner:
     ----------
     study : Study
         With a ``[batch]``. Its tables may be missing, for which their cases fail.
+    copies : Copies, optional
+        Files of the study that are copies and go by the names of the originals in messages.
 
     Attributes
     ----------
@@ -81,14 +84,17 @@ class CaseRunner:
         As `Cases`, or if an FMU cannot be read.
     """
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Study, copies: Copies | None = None) -> None:
         self.study, self.cases = study, Cases(study)
+        self._copies = copies or Copies(Path(), {})
         self._drawn, self._seed = self.cases.settings.noise, self.cases.settings.seed
         self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.outputs))
         self._tables: _Recent[Path | None, tuple[Experiment, ...]] = _Recent()
         self._truths: _Recent[object, tuple[Floats, ...]] = _Recent()
         self._worker = f"{platform.node()}:{os.getpid()}"
         self._system = study.system
+        for model in self._system.components.values():
+            model.fmu.path = self._copies.original(model.fmu.file)
         self.columns = self._all_columns()
 
     def __call__(self, index: int) -> CaseOutcome:
@@ -162,11 +168,12 @@ class CaseRunner:
 
     def _experiment(self, given: ExperimentSettings, table: Path) -> Experiment:
         """Read a table; the outputs need not be in it where they are simulated."""
-        frame = read_table(table, given.time)
+        source = str(self._copies.original(table))
+        frame = read_table(table, given.time, source=source)
         if self._drawn is not None:
             missing = [column for column in given.outputs.values() if column not in frame.columns]
             frame = frame.assign(**dict.fromkeys(missing, 0.0))
-        return given.experiment(frame, str(table))
+        return given.experiment(frame, source)
 
     def _disturbed(
         self, case: Case, draw: int, drawn: NoiseDraws, experiments: tuple[Experiment, ...]

@@ -18,7 +18,7 @@ from distributed import get_worker
 from distributed.versions import get_package_info
 
 from fmuid.batches.dataset import bounded
-from fmuid.batches.parcel import Parcel
+from fmuid.batches.parcel import Copies, Parcel
 from fmuid.batches.run_case import CaseOutcome, CaseRunner
 from fmuid.errors import FmuidError, InputError
 from fmuid.simulation import AVAILABLE
@@ -99,13 +99,7 @@ def run_group(parcel: Parcel, cases: Sequence[int], records: Mapping[str, bytes]
         for name in records:
             (bench.folder / name).unlink(missing_ok=True)
     rows = [dict(outcome.row) for outcome in outcomes]
-    for row in rows:
-        row["message"] = parcel.in_users_words(str(row["message"]), bench.folder)
-    logs = {
-        case: bounded(parcel.in_users_words(outcome.log, bench.folder))
-        for case, outcome in zip(cases, outcomes, strict=True)
-        if outcome.log
-    }
+    logs = {case: bounded(outcome.log) for case, outcome in zip(cases, outcomes, strict=True) if outcome.log}
     return GroupResult(rows, logs, seconds)
 
 
@@ -121,12 +115,12 @@ def _check_worker(parcel: Parcel) -> None:
         raise InputError(f"the worker {_address()} {said}")
 
 
-def _runner_of(study: Study, isolated: bool) -> Callable[[int], CaseOutcome]:
+def _runner_of(study: Study, copies: Copies, isolated: bool) -> Callable[[int], CaseOutcome]:
     if not (isolated and AVAILABLE):
-        return CaseRunner(study)
+        return CaseRunner(study, copies)
     from fmuid.batches.isolated_cases import IsolatedCases  # for Linux and macOS only
 
-    return IsolatedCases(study)
+    return IsolatedCases(study, copies)
 
 
 class _Bench:
@@ -134,11 +128,7 @@ class _Bench:
 
     def __init__(self, parcel: Parcel, folder: Path) -> None:
         self.folder = folder
-        self.runner: Callable[[int], CaseOutcome]
-        try:
-            self.runner = _runner_of(parcel.unpack(folder), parcel.isolated)
-        except FmuidError as error:
-            raise InputError(parcel.in_users_words(str(error), folder)) from None
+        self.runner = _runner_of(parcel.unpack(folder), parcel.copies(folder), parcel.isolated)
 
     def put(self, name: str, content: bytes) -> None:
         path = self.folder / name

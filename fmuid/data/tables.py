@@ -25,7 +25,7 @@ _LISTED_NAMES = 12
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
 
 
-def read_table(path: Path | str, time: str = "time") -> pd.DataFrame:
+def read_table(path: Path | str, time: str = "time", *, source: str | None = None) -> pd.DataFrame:
     """Read a table of measurements.
 
     - ``.csv``: comma-separated, decimal points, UTF-8, names in the first line (names with commas in double quotes).
@@ -45,6 +45,8 @@ def read_table(path: Path | str, time: str = "time") -> pd.DataFrame:
         The file; its suffix says the format.
     time : str
         Name of the time column, s.
+    source : str, optional
+        What the table is called in messages; default: its path.
 
     Returns
     -------
@@ -58,24 +60,27 @@ def read_table(path: Path | str, time: str = "time") -> pd.DataFrame:
         Where the file is missing, unreadable, empty, of an unknown format, or has no numeric time column.
     """
     path = Path(path)
+    source = source or str(path)
     readers = {".csv": _read_csv, ".parquet": _read_parquet, ".mat": _read_mat}
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise InputError(
-            f"{path}: tables of the kind {path.suffix or 'without suffix'!r} are not read: "
+            f"{source}: tables of the kind {path.suffix or 'without suffix'!r} are not read: "
             f"save it as one of {', '.join(readers)}"
         )
     if not is_file(path):
-        raise InputError(f"{path}: {'this is a folder' if is_folder(path) else 'there is no such file'}: give a table")
+        raise InputError(
+            f"{source}: {'this is a folder' if is_folder(path) else 'there is no such file'}: give a table"
+        )
     try:
-        frame = reader(path, time)
+        frame = reader(path, time, source)
     except PermissionError:
-        raise InputError(f"{path}: the file may not be read: change its permissions") from None
+        raise InputError(f"{source}: the file may not be read: change its permissions") from None
     if time not in frame.columns:
-        raise InputError(f"{path}: {missing_column('time', time, frame.columns)}")
+        raise InputError(f"{source}: {missing_column('time', time, frame.columns)}")
     if len(frame) == 0:
-        raise InputError(f"{path}: the table has a header but no rows: give measured samples")
-    numeric_column(frame, time, str(path))
+        raise InputError(f"{source}: the table has a header but no rows: give measured samples")
+    numeric_column(frame, time, source)
     return frame
 
 
@@ -143,11 +148,11 @@ def _first_text(series: pd.Series[Any]) -> tuple[int, str]:
     return (cells[0][0], str(cells[0][1])) if cells else (1, "")
 
 
-def _read_csv(path: Path, time: str) -> pd.DataFrame:
+def _read_csv(path: Path, time: str, source: str) -> pd.DataFrame:
     try:
         rows = _csv_rows(path)
         header = [name.strip() for name in next(rows, [])]
-        _check_csv_header(path, time, header, next(rows, []))
+        _check_csv_header(source, time, header, next(rows, []))
         frame = pd.read_csv(
             path,
             header=0,
@@ -158,12 +163,12 @@ def _read_csv(path: Path, time: str) -> pd.DataFrame:
             low_memory=False,
         )
         if frame[header[-1]].hasnans:  # as it is, too, where a row ends early
-            _check_csv_rows(path, len(header))
+            _check_csv_rows(path, source, len(header))
     except UnicodeDecodeError:
-        raise InputError(f"{path}: the file is no UTF-8 text: save it as a UTF-8 CSV file") from None
+        raise InputError(f"{source}: the file is no UTF-8 text: save it as a UTF-8 CSV file") from None
     except (csv.Error, pd.errors.ParserError) as error:
         raise InputError(
-            f"{path}: the file is no CSV table ({str(error).strip()}): give every row as many cells as the header"
+            f"{source}: the file is no CSV table ({str(error).strip()}): give every row as many cells as the header"
         ) from None
     return frame
 
@@ -174,13 +179,13 @@ def _csv_rows(path: Path) -> Iterator[list[str]]:
         yield from (row for row in csv.reader(file, skipinitialspace=True) if len(row) > 1 or "".join(row).strip())
 
 
-def _check_csv_rows(path: Path, names: int) -> None:
+def _check_csv_rows(path: Path, source: str, names: int) -> None:
     """Refuse rows with too few cells, which pandas fills up as if samples were missing."""
     for number, row in enumerate(_csv_rows(path)):
         if len(row) < names:
             raise InputError(
-                f"{path}: the header has {names} names but row {number} has {_cells(len(row))}: give every row as many "
-                "cells as the header, empty ones where samples are missing"
+                f"{source}: the header has {names} names but row {number} has {_cells(len(row))}: give every row as "
+                "many cells as the header, empty ones where samples are missing"
             )
 
 
@@ -188,24 +193,24 @@ def _cells(count: int) -> str:
     return f"{count} cell{'s' * (count != 1)}"
 
 
-def _check_csv_header(path: Path, time: str, header: list[str], first: list[str]) -> None:
+def _check_csv_header(source: str, time: str, header: list[str], first: list[str]) -> None:
     """Refuse what pandas would read silently as something else."""
     if not any(header):
-        raise InputError(f"{path}: the table is empty: give a header with the names and rows of samples")
+        raise InputError(f"{source}: the table is empty: give a header with the names and rows of samples")
     if time not in header:
         for separator, word in ((";", "semicolons"), ("\t", "tabs")):
             if separator in "".join(header):
                 raise InputError(
-                    f"{path}: the table is separated by {word}: separate it by commas and write decimal points"
+                    f"{source}: the table is separated by {word}: separate it by commas and write decimal points"
                 )
         if all(_is_number(name) for name in header):
-            raise InputError(f"{path}: the first line holds numbers: put the names there, {time!r} among them")
+            raise InputError(f"{source}: the first line holds numbers: put the names there, {time!r} among them")
     for name in header:
         if header.count(name) > 1:
-            raise InputError(f"{path}: the column {name!r} is there twice: rename or remove one of the two")
+            raise InputError(f"{source}: the column {name!r} is there twice: rename or remove one of the two")
     if first and len(first) != len(header):
         raise InputError(
-            f"{path}: the header has {len(header)} names but row 1 has {len(first)} cells: give every row as many "
+            f"{source}: the header has {len(header)} names but row 1 has {len(first)} cells: give every row as many "
             f'cells as the header, names with commas in quotes, such as "x[1,2]", and write decimal points'
         )
 
@@ -218,17 +223,17 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _read_parquet(path: Path, time: str) -> pd.DataFrame:
+def _read_parquet(path: Path, time: str, source: str) -> pd.DataFrame:
     try:
         frame = pd.read_parquet(path, engine="pyarrow")
     except PermissionError:
         raise
     except Exception:  # pyarrow's own errors are few, but on broken files there are others, even KeyError
-        raise InputError(f"{path}: the file is no readable Parquet table: write it again") from None
+        raise InputError(f"{source}: the file is no readable Parquet table: write it again") from None
     return frame.reset_index() if frame.index.name == time and time not in frame.columns else frame
 
 
-def _read_mat(path: Path, time: str) -> pd.DataFrame:
+def _read_mat(path: Path, time: str, source: str) -> pd.DataFrame:
     from scipy.io import loadmat  # slow to import, and needed for this format only
 
     try:
@@ -242,39 +247,39 @@ def _read_mat(path: Path, time: str) -> pd.DataFrame:
         raise
     except NotImplementedError:
         raise InputError(
-            f"{path}: MAT files of version 7.3 are not read: save it by save(…, '-v7') in MATLAB, or as CSV"
+            f"{source}: MAT files of version 7.3 are not read: save it by save(…, '-v7') in MATLAB, or as CSV"
         ) from None
     except Exception:  # scipy raises errors of many kinds, on broken files even TypeError and struct.error
-        raise InputError(f"{path}: the file is no readable MAT file: write it again") from None
+        raise InputError(f"{source}: the file is no readable MAT file: write it again") from None
     arrays = {name: value for name, value in content.items() if isinstance(value, np.ndarray)}
     if "Aclass" in arrays and arrays["Aclass"].dtype.kind == "U":
-        return _result_frame(path, arrays, time)
+        return _result_frame(source, arrays, time)
     vectors = {
         name: value.ravel()
         for name, value in arrays.items()
         if value.dtype.kind in "biuf" and value.size == max(value.shape, default=0)
     }
     if time not in vectors:
-        raise InputError(f"{path}: {missing_column('time', time, vectors)}")
+        raise InputError(f"{source}: {missing_column('time', time, vectors)}")
     length = vectors[time].size
     return pd.DataFrame({name: value for name, value in vectors.items() if value.size == length})
 
 
-def _result_frame(path: Path, arrays: dict[str, npt.NDArray[Any]], time: str) -> pd.DataFrame:
+def _result_frame(source: str, arrays: dict[str, npt.NDArray[Any]], time: str) -> pd.DataFrame:
     """Return the table in a result file of OpenModelica or Dymola (Aclass version 1.1, and 1.0 of Dymola's export)."""
     kind = ["".join(row).strip(" \0") for row in arrays["Aclass"]]
     if kind[0] != "Atrajectory" or len(kind) < 4 or kind[3] not in ("binTrans", "binNormal"):
-        raise InputError(f"{path}: the file holds {kind[0]!r} data and no trajectories: give a simulation result")
+        raise InputError(f"{source}: the file holds {kind[0]!r} data and no trajectories: give a simulation result")
     if kind[3] == "binTrans":
         arrays = {name: value if name == "Aclass" else value.T for name, value in arrays.items()}
     try:
         columns = _version_1_0(arrays) if "data" in arrays else _version_1_1(arrays)
     except (KeyError, IndexError, ValueError):
-        raise InputError(f"{path}: the result file is incomplete: simulate again") from None
+        raise InputError(f"{source}: the result file is incomplete: simulate again") from None
     names = [time if name.lower() == time.lower() else name for name in columns]
     frame = pd.DataFrame(dict(zip(names, columns.values(), strict=True)))
     if time not in frame.columns:
-        raise InputError(f"{path}: {missing_column('time', time, names)}")
+        raise InputError(f"{source}: {missing_column('time', time, names)}")
     times = frame[time].to_numpy()
     inside = np.zeros(len(times), dtype=bool)
     inside[1:-1] = (times[1:-1] == times[:-2]) & (times[1:-1] == times[2:])

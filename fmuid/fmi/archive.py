@@ -61,8 +61,9 @@ class Zipped:
 
     Parameters
     ----------
-    path : Path
-        The file.
+    file : Path
+    path : Path, optional
+        What messages call it; default: the same.
 
     Attributes
     ----------
@@ -77,18 +78,18 @@ class Zipped:
         If the file cannot be read as a zip archive, or one of its entries is refused.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.limit, self._written = path, _largest_total(), 0
+    def __init__(self, file: Path, path: Path | None = None) -> None:
+        self.path, self.limit, self._written = path or file, _largest_total(), 0
         try:
-            self._file = _Bounded(io.FileIO(path))
+            self._file = _Bounded(io.FileIO(file))
         except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
+            raise InputError(f"{self.path} cannot be read: {error.strerror or error}") from None
         try:
             self._archive = zipfile.ZipFile(self._file)
             self.entries = tuple(self._archive.infolist())
             for entry in self.entries:  # as some tools on Windows write names, against the format's specification
                 entry.filename = entry.filename.replace("\\", "/")
-            self._size = path.stat().st_size
+            self._size = file.stat().st_size
             self._check()
         except _DAMAGES as error:
             self._file.close()

@@ -20,6 +20,13 @@ class FMU:
     path : path-like
         The ``.fmu`` file.
 
+    Attributes
+    ----------
+    file : Path
+        Where it is read.
+    path : Path
+        What messages call it: the same, unless who reads a copy of somebody's file puts that file's name here.
+
     Raises
     ------
     InputError
@@ -28,8 +35,8 @@ class FMU:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self.description: Description = read_description(self.path)
+        self.file = self.path = Path(path)
+        self.description: Description = read_description(self.file)
 
     def __repr__(self) -> str:
         return f"FMU({str(self.path)!r})"
@@ -42,12 +49,12 @@ class FMU:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the file, the key of the unpacking cache and what identifies the model in results."""
-        return file_digest(self.path)
+        return file_digest(self.file)
 
     @cached_property
     def platforms(self) -> tuple[str, ...]:
         """The platform folders below ``binaries/``."""
-        with Zipped(self.path) as archive:
+        with Zipped(self.file, self.path) as archive:
             parts = [PurePosixPath(name).parts for name in archive.names]
         return tuple(sorted({p[1] for p in parts if len(p) > 2 and p[0] == "binaries"}))
 
@@ -60,7 +67,7 @@ class FMU:
         InputError
             If the archive is refused, or nothing can be written there.
         """
-        return unpacked(self.path, self.digest)
+        return unpacked(self.file, self.digest, self.path)
 
     def library(self, identifier: str) -> Path:
         """Return the shared library of one interface for this platform.

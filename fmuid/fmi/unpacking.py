@@ -31,17 +31,19 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def unpacked(path: Path, digest: str) -> Path:
+def unpacked(file: Path, digest: str, path: Path | None = None) -> Path:
     """Return the folder of an unpacked archive in the user's cache.
 
     It is unpacked where it is not there yet, and files that are missing there, or binaries of another size, again.
 
     Parameters
     ----------
-    path : Path
+    file : Path
         The archive.
     digest : str
         Its `file_digest`.
+    path : Path, optional
+        What messages call it; default: the same.
 
     Raises
     ------
@@ -52,7 +54,7 @@ def unpacked(path: Path, digest: str) -> Path:
     cache = Path(platformdirs.user_cache_dir("fmuid"))
     shelf = cache / "unpacked"
     target = shelf / digest
-    with Zipped(path) as archive:
+    with Zipped(file, path) as archive:
         try:
             for folder in (cache, shelf):
                 _make_private(folder)
@@ -62,7 +64,7 @@ def unpacked(path: Path, digest: str) -> Path:
                 _make_private(target)
                 _repair(archive, target)
         except (OSError, UnicodeError) as error:  # the latter of names that the file system cannot write
-            raise InputError(f"{path} cannot be unpacked below {shelf}: {error}") from error
+            raise InputError(f"{archive.path} cannot be unpacked below {shelf}: {error}") from error
     return target
 
 

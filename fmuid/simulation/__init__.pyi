@@ -3,10 +3,9 @@ from .fit import Fit as Fit
 from .fit import fit_of as fit_of
 from .fit import parameter_units as parameter_units
 from .isolation.ends import End as End
-from .isolation.isolated import FIRST_LIMIT as FIRST_LIMIT
-from .isolation.isolated import default_limit as default_limit
-from .isolation.isolated import memory_share as memory_share
 from .isolation.isolated import printed as printed
+from .isolation.keeper import FIRST_LIMIT as FIRST_LIMIT
+from .isolation.keeper import Keeper as Keeper
 from .isolation.process import SERVER as SERVER
 from .isolation.process import Host as Host
 from .isolation.server import AVAILABLE as AVAILABLE

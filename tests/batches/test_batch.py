@@ -8,6 +8,7 @@ import inspect
 import json
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -35,7 +36,7 @@ from fmuid.cli import batch as cli_batch
 from fmuid.errors import FmuidError, InputError
 from fmuid.reports.console.progress import BatchProgress
 from fmuid.studies.study import Study
-from tests.support.coil_study import STUDY, coil_table, fmuid_
+from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_
 
 DRAWS = 30
 # Samples of a table whose identification takes long enough to be disturbed.
@@ -152,6 +153,18 @@ def test_messages_name_the_users_own_files(fleet: Path, here: Any) -> None:
     failed = found.frame[found.frame["status"] == "failed"]
     assert failed["table"].tolist() == ["r2", "r2"]
     assert failed["message"].str.startswith(str(fleet / "records" / "r2.csv")).all()
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_messages_name_the_users_own_model(folder: Path, here: Any, isolated: bool) -> None:
+    shutil.copy(COIL, folder / "mine.fmu")
+    text = write(folder, "[batch]\nvalues = { L = [0.0, 0.1] }\n").joinpath("study.toml").read_text(encoding="utf-8")
+    (folder / "study.toml").write_text(text.replace(COIL.as_posix(), "mine.fmu"), encoding="utf-8")
+    here()
+    found = Batch(folder / "study.toml", folder / "out", isolated=isolated).run().frame
+    same(found, expected(folder))
+    assert found["status"].tolist() == ["failed", "converged"]
+    assert f"simulation of {folder / 'mine.fmu'} failed" in found["message"][0]
 
 
 def test_logs(folder: Path, here: Any, monkeypatch: pytest.MonkeyPatch) -> None:

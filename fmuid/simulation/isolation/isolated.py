@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import threading
 import weakref
 from collections.abc import Mapping
@@ -25,21 +24,13 @@ from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmi import Run, codes, shares
 from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
 from fmuid.simulation.isolation.ends import GREW, HUNG, KILLED, End
+from fmuid.simulation.isolation.keeper import FIRST_LIMIT, MOST_KILLS, Keeper, left
 from fmuid.simulation.isolation.process import MEASURE_EVERY, Host
 
-SLOWER = 100.0
-"""How much longer than all before a simulation may take by default."""
-LEAST_LIMIT = 5.0
-"""The shortest default time limit, s: machines are busy at times."""
-FIRST_LIMIT = 60.0
-"""The default time limit before any simulation has ended, or one of as many steps, s; and more for each step:"""
 STEP_LIMIT = 1e-4
-"""s of each communication step, far more than a step takes but of a model that computes for long."""
-LEAST_MEMORY = 1e9  # bytes that a process may take by default even on a small machine
+"""What is added to `FIRST_LIMIT` for each communication step, s: far more than one takes, but of a slow model."""
 CHUNK = 1 << 25  # bytes of outputs that are shared at a time
-MOST_KILLS = 3  # of the same simulation, from outside; then it is at fault after all
 _log = logging.getLogger("fmuid.fmu")
-_left: list[str] = []  # what FMUs printed whose workers are gone
 _living: weakref.WeakSet[IsolatedWorkers] = weakref.WeakSet()
 
 
@@ -63,15 +54,12 @@ class IsolatedWorkers:
         self.lock = threading.RLock()
         self._components, self._settings = dict(components), settings
         self._limit = min(limit, settings.threads or limit)
-        self._memory = 1e6 * settings.memory if settings.memory else memory_share()
-        self._hosts: list[Host] = []  # the one that there is, in a list that outlives these workers
+        self._keeper = Keeper(settings, [])
         self._resets: bool | None = None  # False: a reset crashes the FMU
         self._numbers: weakref.WeakKeyDictionary[Run, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()
-        self._longest, self._steps = 0.0, 0  # of all simulations: the longest, and the one of most steps
-        self._text = ""
+        self._steps = 0  # of the simulation with most of them
         _living.add(self)
-        self._closing = weakref.finalize(self, _shut, self._hosts)
 
     # --- simulations
 
@@ -83,12 +71,11 @@ class IsolatedWorkers:
         first, largest = 0, max(1, CHUNK // max(1, outputs[:1].nbytes))
         while first < len(thetas):
             # the first ones by themselves, so that what they need is known and not taken for growth
-            often = 1 if not self._host().simulations else max(1, int(MEASURE_EVERY / max(self._longest, 1e-6)))
+            often = 1 if not self._host().simulations else max(1, int(MEASURE_EVERY / max(self._keeper.longest, 1e-6)))
             most = min(largest, self._limit * often, self._settings.recycle or largest)
             part = slice(first, first + most)
             self._run_part(run, thetas[part], outputs[part], reports[part])
-            if self._host().outgrown(self._settings.recycle):
-                self._replace()
+            self._keeper.replace_outgrown()
             first = part.stop
 
     def _run_part(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
@@ -96,7 +83,7 @@ class IsolatedWorkers:
         kills, unblamed = np.zeros(len(thetas), np.intp), 0
         while left.size:
             if suspects:
-                self._replace()  # they run alone, each in a fresh process
+                self._keeper.replace()  # they run alone, each in a fresh process
             group = np.array(suspects[:1], np.intp) if suspects else left
             fresh = self._host().simulations == 0
             end, undone = self._attempt(run, thetas, outputs, reports, group)
@@ -106,7 +93,7 @@ class IsolatedWorkers:
             suspects = [each for each in suspects if each in left]
             if end is None:
                 continue
-            doing = self._bury()
+            doing = self._keeper.bury()[: self._limit]
             blamed = self._blamed(group, undone, doing)
             if not blamed:
                 unblamed = unblamed + 1 if len(undone) == len(group) else 0
@@ -140,7 +127,7 @@ class IsolatedWorkers:
             stiff, longest = host.order(
                 "run", number, shape, size, varying, limit=self._time_limit(run), reports=their_reports
             )
-            self._longest = max(self._longest, longest)
+            self._keeper.longest = max(self._keeper.longest, longest)
             self._steps = max(self._steps, _steps(run))
             for component in stiff:
                 list(self._components.values())[component].stiff = True
@@ -168,7 +155,7 @@ class IsolatedWorkers:
         if self._settings.time_limit:
             return self._settings.time_limit
         first = FIRST_LIMIT + STEP_LIMIT * _steps(run) if _steps(run) > self._steps else 0.0
-        return max(first, default_limit(self._longest))
+        return max(first, self._keeper.time_limit)
 
     def failure(
         self,
@@ -192,7 +179,7 @@ class IsolatedWorkers:
                 )
                 return found
             except End as end:
-                self._bury()
+                self._keeper.bury()
                 kind, number = end.kind, end.number
         return SimulationError(self._labels, math.nan, parameters, End(kind, number).words())
 
@@ -208,20 +195,18 @@ class IsolatedWorkers:
 
     def _host(self) -> Host:
         """Return the process, a new one where there is none."""
-        if self._hosts and self._hosts[0].alive:
-            return self._hosts[0]
+        try:
+            return self._keeper.host(self._begin)
+        except End:
+            raise FmuidError(
+                f"the process that is to run {self._labels} ends again and again before it has begun"
+            ) from None
+
+    def _begin(self, host: Host) -> None:
         for _, model in self._models:
             model.fmu.directory  # noqa: B018  # unpacked here, where what is wrong with it can be said
-        for _ in range(MOST_KILLS):
-            host = Host([], self._memory)
-            try:
-                host.order("start", self._components, self._limit, self._resets, limit=FIRST_LIMIT)
-            except End:
-                continue
-            self._hosts[:] = [host]
-            self._known.clear()
-            return host
-        raise FmuidError(f"the process that is to run {self._labels} ends again and again before it has begun")
+        self._known.clear()
+        host.order("start", self._components, self._limit, self._resets, limit=FIRST_LIMIT)
 
     def _tell(self, host: Host, run: Run) -> int:
         """Return the number of a run, which the process knows now."""
@@ -240,19 +225,6 @@ class IsolatedWorkers:
             self._known.add(number)
         return number
 
-    def _bury(self) -> NDArray[np.intp]:
-        """Part with a process that has ended; return what its workers were doing."""
-        host = self._hosts.pop()
-        self._text += host.printed()
-        return host.states[: self._limit].copy()
-
-    def _replace(self) -> None:
-        """End the process if it has simulated anything."""
-        if self._hosts and self._hosts[0].simulations:
-            host = self._hosts.pop()
-            host.close()
-            self._text += host.printed()
-
     def _write(self, end: End, indices: NDArray[np.intp], reports: NDArray[np.intp]) -> None:
         limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory}
         reports[indices, :4] = codes.PROCESS, end.kind, end.number if limits.get(end.kind, 1) else 0, -1
@@ -268,40 +240,18 @@ class IsolatedWorkers:
     def printed(self) -> str:
         """Return and forget what the FMUs printed."""
         with self.lock:
-            text, self._text = self._text, ""
-            return text + (self._hosts[0].printed() if self._hosts else "")
+            return self._keeper.printed()
 
     def close(self) -> None:
         """End the process; a later simulation makes a new one."""
         with self.lock:
-            self._replace()
+            self._keeper.replace()
 
 
 def printed() -> str:
     """Return and forget what all FMUs printed that nobody has asked their workers for."""
-    text = "".join([*_left, *(workers.printed() for workers in list(_living))])
-    _left.clear()
-    return text
-
-
-def _shut(hosts: list[Host]) -> None:
-    for host in hosts:
-        host.close()
-        _left.extend(filter(None, [host.printed()]))
-    hosts.clear()
-
-
-def default_limit(longest: float) -> float:
-    """Return how long a simulation may take where the longest so far took `longest`, both s; 0 before there was any."""
-    return max(LEAST_LIMIT, SLOWER * longest) if longest else FIRST_LIMIT
+    return "".join([*left(), *(workers.printed() for workers in list(_living))])
 
 
 def _steps(run: Run) -> int:
     return int(run.grid.substeps.sum())
-
-
-def memory_share() -> float:
-    """Return how much memory a process may take by default, bytes."""
-    import psutil
-
-    return max(LEAST_MEMORY, psutil.virtual_memory().total / (2 * (os.cpu_count() or 1)))
