@@ -26,8 +26,8 @@ from fmuid.estimation.identification import MOVED
 from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
 from fmuid.estimation.numerical_noise import NOISE_POINTS
 from fmuid.models.component import DEFAULT_TOLERANCE
+from fmuid.simulation.grid import LINEAR_SUBSTEPS
 from fmuid.simulation.isolation.keeper import FIRST_LIMIT, LEAST_LIMIT, SLOWER
-from fmuid.simulation.plan import LINEAR_SUBSTEPS
 from fmuid.studies.study import Study
 
 ROOT = Path(__file__).parents[1]

@@ -11,7 +11,15 @@ from fmuid.arrays import Floats
 from fmuid.errors import InputError, RefusedError
 from fmuid.models import DEFAULT_TOLERANCE
 from fmuid.simulation.executor import workers_of
-from fmuid.simulation.forward_run import DirectionalRun, Refusal, TwinRun, extended_by, initial_run
+from fmuid.simulation.forward_run import (
+    Refusal,
+    SensitivityRun,
+    directional_run,
+    extended_by,
+    initial_run,
+    initial_states,
+    twin_run,
+)
 from fmuid.simulation.simulator import Simulator
 
 
@@ -122,10 +130,10 @@ class ForwardSensitivities:
         self._simulator, self._model = simulator, model
         variables = [simulator.system.variables[name] for name, *_ in simulator.targets]
         self._nominal = np.array([abs(variable.nominal or 1.0) for variable in variables])
-        self._directional = DirectionalRun.of(simulator)
+        self._directional = directional_run(simulator)
         self._initial = initial_run(simulator) if self._directional else None
         self._checked = False
-        self._twins: TwinRun | None = None
+        self._twins: SensitivityRun | None = None
         self._lock = threading.RLock()  # the arrays of a run hold one theta
 
     @property
@@ -169,7 +177,7 @@ class ForwardSensitivities:
                 return self._derivatives(theta)
         return gathered
 
-    def _by_directional_derivatives(self, run: DirectionalRun, values: Floats, magnitudes: Floats) -> Floats | None:
+    def _by_directional_derivatives(self, run: SensitivityRun, values: Floats, magnitudes: Floats) -> Floats | None:
         """Return the derivatives by variables, in the units of the FMU, None if the FMU does not give them."""
         initial = self._initial_sensitivities(values, magnitudes)
         if initial is None:
@@ -187,7 +195,7 @@ class ForwardSensitivities:
             return None
         steps = np.diag(CENTRAL_STEP * magnitudes)
         changed = np.concatenate([values + steps, values - steps])
-        states = self._initial.states(workers_of(self._simulator.system), changed)
+        states = initial_states(self._initial, workers_of(self._simulator.system), changed)
         if states is None:
             return None
         n = values.size
@@ -207,7 +215,7 @@ class ForwardSensitivities:
             name = self._model.fmu.path.name
             return Refusal(f"{name} can be instantiated only once, and differences need twins of it")
         if self._twins is None:
-            self._twins = TwinRun.of(self._simulator)
+            self._twins = twin_run(self._simulator)
         run, changed = self._twins, values + TWIN_STEP * magnitudes
         tolerance = self._model.numerics.tolerance or DEFAULT_TOLERANCE
         run.given.magnitudes[:] = magnitudes * min(1.0, tolerance / TWIN_TOLERANCE)

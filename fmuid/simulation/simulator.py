@@ -14,7 +14,8 @@ from fmuid.errors import InputError, SimulationError
 from fmuid.fmi import FMU, new_reports
 from fmuid.models import Isolation, Numerics, System, Value, column_conversion
 from fmuid.simulation.executor import workers_of
-from fmuid.simulation.plan import PlannedRun
+from fmuid.simulation.plan import run_of
+from fmuid.simulation.task import task_of
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ class Simulator:
             for name, factor, offset in self.system.targets(parameter)
         ]
         names = [name for name, *_ in self._targets]
-        self._run = PlannedRun(self.system, experiment, names, self._target_values(), step_size)
+        self._run = run_of(task_of(self.system, experiment, names, self._target_values(), step_size))
         self._workers = workers_of(self.system)
         self._conversions = self._output_conversions()
         fed = {*names, *self._target_values(), *self.system.connected_inputs, *self.system.connectors}

@@ -24,8 +24,9 @@ from fmuid.fmi.loop import Loop
 from fmuid.fmi.native import build
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
-from fmuid.simulation.plan import PlannedRun
+from fmuid.simulation.plan import run_of
 from fmuid.simulation.simulator import Simulator
+from fmuid.simulation.task import task_of
 from tests.support.exported import export_text
 from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS
@@ -122,10 +123,10 @@ def runs() -> dict[str, tuple[Run, list[int]]]:
     pair = System(components={"a": coil, "b": coil}, connections=[("a.i", "b.u", 2.0, 1.0)], master="gauss-seidel")
     single = Experiment(frame, ["u"], ["i"])
     return {
-        "pair": (PlannedRun(pair, Experiment(frame, {"a.u": "u"}, {"b.i": "i"}), ["a.R"], {}, None), [2, 2]),
-        "co-simulation": (PlannedRun(System(coil), single, ["R", "L"], {}, 0.01), [2]),
+        "pair": (run_of(task_of(pair, Experiment(frame, {"a.u": "u"}, {"b.i": "i"}), ["a.R"], {}, None)), [2, 2]),
+        "co-simulation": (run_of(task_of(System(coil), single, ["R", "L"], {}, 0.01)), [2]),
         "model exchange": (
-            PlannedRun(System(coil, numerics=Numerics("model-exchange")), single, ["R"], {}, None),
+            run_of(task_of(System(coil, numerics=Numerics("model-exchange")), single, ["R"], {}, None)),
             [2],
         ),
     }
@@ -220,7 +221,7 @@ def test_a_simulation_is_cancelled_inside_its_integrator(tmp_path: Path, method:
     numerics = Numerics("model-exchange", method, tolerance=1e-13, step_size=step)
     system = System(hybrid_fmu(tmp_path, "van_der_pol"), numerics=numerics)
     frame = pd.DataFrame({"time": [0.0, 1e5], "x": 0.0})
-    run = PlannedRun(system, Experiment(frame, [], {"x0": "x"}), [], {"p0": 1.0, "start0": 2.0}, None)
+    run = run_of(task_of(system, Experiment(frame, [], {"x0": "x"}), [], {"p0": 1.0, "start0": 2.0}, None))
     (component,) = system.components.values()
     instance, used = Instance(component.fmu, component.kind, "x"), np.zeros(1, np.intp)
     loop, reports = Loop(run.plan, run.grid, [instance], used), new_reports(1)

@@ -1,0 +1,171 @@
+"""What is to be simulated, and how each input and each component takes part in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from fmuid.data import Experiment
+from fmuid.errors import InputError
+from fmuid.fmi import codes
+from fmuid.models import System, Value, check_roles
+
+
+class Target(NamedTuple):
+    """Which column feeds a variable: factor times it plus offset."""
+
+    column: int
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Task:
+    """One system over one experiment.
+
+    Attributes
+    ----------
+    system : System
+    experiment : Experiment
+    parameters : tuple of str
+        The variables that theta sets, in its order.
+    values : mapping of str to number, bool or str
+        All variables that are set before the initialisation but the parameters.
+    step_size : float or None
+        Largest communication step, s, in place of the system's.
+    targets : dict of str to Target
+        The variables that the table feeds.
+    modes : dict of str to int
+        How each of them varies between the samples (`codes.HELD` and so on).
+    steps : dict of str to float or None
+        The largest communication step of each component, s; None where the samples decide.
+    """
+
+    system: System
+    experiment: Experiment
+    parameters: tuple[str, ...]
+    values: Mapping[str, Value]
+    step_size: float | None
+    targets: dict[str, Target]
+    modes: dict[str, int]
+    steps: dict[str, float | None]
+
+    def start(self, name: str) -> float:
+        """Return the start value of a variable, 0 where it has no number."""
+        start = self.system.variables[name].start
+        return float(start) if isinstance(start, int | float) else 0.0
+
+    def elements(self, name: str) -> list[str]:
+        """Return the elements of the array that a variable is one of, or just the variable."""
+        component, _ = self.system.split(name)
+        return [self.system.full_name(component, each) for each in self.system.variables[name].array] or [name]
+
+    def polynomial_rows(self, component: str) -> list[str]:
+        """Return the inputs of a component that vary continuously, with all elements of the arrays among them."""
+        rows: dict[str, None] = {}
+        for name, mode in self.modes.items():
+            if mode != codes.BY_STEPPER or self.system.split(name)[0] != component or name in rows:
+                continue
+            elements = self.elements(name)
+            held = [element for element in elements if self.modes.get(element, mode) != mode]
+            if held:
+                raise InputError(
+                    f"{held[0]!r} is held between the samples and {name!r} is not, and both are elements of one array "
+                    f"of {self.system.label}; give them one interpolation"
+                )
+            rows |= dict.fromkeys(elements)
+        return list(rows)
+
+    def when(self, name: str, connected: bool) -> int:
+        """Return when a variable may be set once the simulation runs, as bits (`codes`)."""
+        component, inner = self.system.split(name)
+        model = self.system.components[component]
+        description = model.fmu.description
+        steps = [step for step in self.steps.values() if step is not None]
+        latched = codes.LATCHED if steps and (self.steps[component] or 0.0) > min(steps) else codes.ALWAYS
+        exchanging = model.kind == "model-exchange"
+        if not exchanging and not description.interfaces[model.kind].event_mode:
+            return latched
+        if connected and description.variables[inner].continuous:
+            return latched | (codes.WITH_RESTART if exchanging else codes.ALWAYS)
+        if exchanging and not connected and self.modes[name] == codes.BY_MIDPOINT:
+            return latched | codes.WITH_RESTART
+        if not connected and self.modes[name] != codes.HELD:
+            return latched | (codes.AT_STEPS if exchanging else codes.ALWAYS)
+        return latched | codes.AS_EVENT
+
+
+def task_of(
+    system: System,
+    experiment: Experiment,
+    parameters: Sequence[str],
+    values: Mapping[str, Value],
+    step_size: float | None,
+) -> Task:
+    """Return the task of a system and an experiment.
+
+    Parameters
+    ----------
+    system : System
+    experiment : Experiment
+    parameters : sequence of str
+        The variables that theta sets, in its order.
+    values : mapping of str to number, bool or str
+        Variables held at a value.
+    step_size : float, optional
+        Largest communication step, s, in place of the system's; default: from sample to sample.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or of the wrong causality or type, or is given twice, or the step is not positive.
+    """
+    check_roles(system, experiment, parameters, values)
+    if step_size is not None and not step_size > 0:
+        raise InputError(f"step_size must be a positive number of seconds, not {step_size:g}")
+    targets = _targets(system, experiment)
+    modes = {name: _mode(system, name, bool(experiment.held[each.column])) for name, each in targets.items()}
+    known = _known_values(system, {*parameters, *targets, *system.connected_inputs}) | dict(values)
+    steps = _component_steps(system, step_size)
+    return Task(system, experiment, tuple(parameters), known, step_size, targets, modes, steps)
+
+
+def _targets(system: System, experiment: Experiment) -> dict[str, Target]:
+    """Return the variables that the table feeds, with their columns; a connector of the system may feed several."""
+    found: dict[str, Target] = {}
+    for column, given in enumerate(experiment.input_names):
+        for name, factor, offset in system.targets(given):
+            if name in found:
+                raise InputError(f"{experiment.source} feeds {name!r} twice, through {given!r} too; keep one")
+            found[name] = Target(column, factor, offset)
+    return found
+
+
+def _mode(system: System, name: str, held: bool) -> int:
+    component, inner = system.split(name)
+    model = system.components[component]
+    description = model.fmu.description
+    if held or not description.variables[inner].continuous:
+        return codes.HELD
+    if model.kind == "model-exchange":  # whose integrators set 64-bit numbers
+        return codes.BY_STEPPER if description.variables[inner].wire == "Float64" else codes.BY_MIDPOINT
+    return codes.BY_DERIVATIVE if description.interfaces[model.kind].interpolates_inputs else codes.BY_MIDPOINT
+
+
+def _known_values(system: System, fed: set[str]) -> dict[str, Value]:
+    """Return the values that the system has for what is not fed: its own, and those written into an FMU."""
+    applied: dict[str, Value] = {
+        system.full_name(component, name): value
+        for component, model in system.components.items()
+        for name, value in model.fmu.description.applied.items()
+    }
+    return {name: value for name, value in (applied | system.values).items() if name not in fed}
+
+
+def _component_steps(system: System, step_size: float | None) -> dict[str, float | None]:
+    alone = len(system.components) == 1  # its integrator may step as it likes between the samples
+    return {
+        name: None if alone and model.kind == "model-exchange" else step_size or model.numerics.step_size
+        for name, model in system.components.items()
+    }
