@@ -20,7 +20,7 @@ import ziglang  # type: ignore[import-untyped]  # noqa: F401 - run as a module; 
 from fmuid.errors import FmuidError
 from fmuid.export.codegen import header
 from fmuid.export.description import build_description, description
-from fmuid.export.equations import System
+from fmuid.export.explicit_model import ExplicitModel
 from fmuid.processes import python_command
 
 _LINUX, _WINDOWS, _INTEL, _APPLE = "x86_64-linux-gnu.2.17", "x86_64-windows-gnu", "x86_64-macos", "aarch64-macos"
@@ -50,7 +50,7 @@ _HEADERS = {
 _PAGE = 1 << 14  # of Apple silicon; slices of a universal binary begin on one
 
 
-def build(system: System, fmi: str) -> bytes:
+def build(system: ExplicitModel, fmi: str) -> bytes:
     """Return the FMU of a model, of version `fmi`: a key of `PLATFORMS`.
 
     Raises

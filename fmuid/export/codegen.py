@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from fmuid.export.equations import System, column
+from fmuid.export.explicit_model import ExplicitModel, column
 
 _FORMATS = {
     ca.OP_ADD: "{} + {}",
@@ -40,7 +40,7 @@ _FORMATS = {
 }
 
 
-def header(system: System, guid: str) -> str:
+def header(system: ExplicitModel, guid: str) -> str:
     """Return the text of `model.h`, the same for the same model."""
     model, x, u, p, t, r = system.model, system.x, system.u, system.p, system.t, system.r
     number = system.numbers.get
@@ -97,7 +97,7 @@ def _numbers(values: list[float]) -> str:
     return ", ".join(map(repr, values)) or "0.0"  # C wants at least one
 
 
-def _hoist(system: System) -> tuple[Any, Any, Any, Any, Any]:
+def _hoist(system: ExplicitModel) -> tuple[Any, Any, Any, Any, Any]:
     """Split off what depends on parameters alone.
 
     Returns
@@ -113,7 +113,7 @@ def _hoist(system: System) -> tuple[Any, Any, Any, Any, Any]:
     return *_split(system, ca.densify(unknowns)), column([reciprocals, *symbols]), cached
 
 
-def _split(system: System, unknowns: Any) -> tuple[Any, Any, Any]:
+def _split(system: ExplicitModel, unknowns: Any) -> tuple[Any, Any, Any]:
     """Return the parts of a column that belong to the derivatives, the other variables and the event indicators."""
     first, second = system.x.numel(), system.x.numel() + len(system.others)
     rates, others, indicators = ca.vertsplit(unknowns, [0, first, second, unknowns.numel()])

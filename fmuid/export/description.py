@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from fmuid.export.equations import System
-from fmuid.export.variables import Unknown, Variable, attribute, indicators, unit_definitions, unknowns, variables
+from fmuid.export.explicit_model import ExplicitModel
+from fmuid.export.variables import (
+    DescribedVariable,
+    Unknown,
+    attribute,
+    indicators,
+    unit_definitions,
+    unknowns,
+    variables,
+)
 
 _HEAD = '<?xml version="1.0" encoding="UTF-8"?>'
 
 
-def description(system: System, guid: str, fmi: str) -> str:
+def description(system: ExplicitModel, guid: str, fmi: str) -> str:
     """Return the text of modelDescription.xml; by the `guid`, binary and description recognise each other."""
     return "\n".join([_HEAD, *(_fmi2 if fmi == "2.0" else _fmi3)(system, guid), "</fmiModelDescription>", ""])
 
@@ -30,7 +38,7 @@ def build_description(model: str, source: str) -> str:
     )
 
 
-def _fmi2(system: System, guid: str) -> list[str]:
+def _fmi2(system: ExplicitModel, guid: str) -> list[str]:
     model, found, dependent = system.model, variables(system), unknowns(system)
     index = {each.name: k for k, each in enumerate(found, start=1)}
     capabilities = (
@@ -59,7 +67,7 @@ def _fmi2(system: System, guid: str) -> list[str]:
     ]
 
 
-def _common(system: System) -> list[str]:
+def _common(system: ExplicitModel) -> list[str]:
     model = system.model
     stop = attribute("stopTime", model.stop_time)
     return [
@@ -68,7 +76,7 @@ def _common(system: System) -> list[str]:
     ]
 
 
-def _described(variable: Variable) -> str:
+def _described(variable: DescribedVariable) -> str:
     """Return the attributes that variables have in both versions."""
     return (
         f'name="{variable.name}" valueReference="{variable.reference}"'
@@ -77,7 +85,7 @@ def _described(variable: Variable) -> str:
     )
 
 
-def _scalar_variable(variable: Variable, index: dict[str, int]) -> str:
+def _scalar_variable(variable: DescribedVariable, index: dict[str, int]) -> str:
     derivative = attribute("derivative", str(index[variable.state]) if variable.state else None)
     attributes = "".join(attribute(*each) for each in variable.attributes)
     return f"  <ScalarVariable {_described(variable)}><Real{attributes}{derivative}/></ScalarVariable>"
@@ -93,9 +101,9 @@ def _numbers(unknown: Unknown, numbers: dict[str, int]) -> str:
     return " ".join(map(str, sorted(numbers[name] for name in unknown.dependencies if name in numbers)))
 
 
-def _fmi3(system: System, guid: str) -> list[str]:
+def _fmi3(system: ExplicitModel, guid: str) -> list[str]:
     model, dependent = system.model, unknowns(system)
-    time = Variable("time", len(system.names()) - 1, "independent", "simulation time")
+    time = DescribedVariable("time", len(system.names()) - 1, "independent", "simulation time")
     found = [*variables(system), *indicators(system), time]
     references = {each.name: each.reference for each in found}
     capabilities = (
@@ -130,7 +138,7 @@ def _fmi3(system: System, guid: str) -> list[str]:
     ]
 
 
-def _float64(variable: Variable, references: dict[str, int]) -> str:
+def _float64(variable: DescribedVariable, references: dict[str, int]) -> str:
     derivative = attribute("derivative", str(references[variable.state]) if variable.state else None)
     attributes = "".join(attribute(*each) for each in variable.attributes)
     return f"  <Float64 {_described(variable)}{attributes}{derivative}/>"

@@ -16,15 +16,15 @@ where it should be larger, and symbol - a, positive where it should be smaller. 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 
 from fmuid.errors import ModelicaError
+from fmuid.export.explicit_model import ExplicitModel, Relation, column, written_out
 from fmuid.export.loops import always_singular, first_loop, solve_linear
-from fmuid.export.syntax import Declaration, Equation, Model, Node
+from fmuid.export.syntax import Declaration, Equation, Expression, Model
 from fmuid.text import nearest
 
 _OPERATIONS: dict[str, Callable[..., Any]] = {
@@ -55,69 +55,6 @@ _WHOLE: dict[str, Callable[..., Any]] = {
 """The functions that are written with floor, given as the first argument."""
 
 
-@dataclass(frozen=True)
-class Relation:
-    """A relation or floor() that makes events, as written; `name` is that of its event indicator."""
-
-    name: str
-    text: str
-    line: int
-
-
-@dataclass(frozen=True)
-class System:
-    """An explicit model: dx/dt = derivatives, w = algebraic, z = indicators, each of (x, u, p, t, r); x(0) = starts(p).
-
-    The declarations are those of the states x, inputs u, parameters p, other variables w and event indicators z, in
-    the order of the elements of the symbols and expressions (SX columns); t is the time, s. The relations r are 0 or 1:
-    an event sets r to z > 0. Behind them, r has the whole numbers floor(counted), for each of which z has two elements.
-    `reciprocals` are symbols in these expressions and what they stand for, functions
-    1/(coefficient) of p alone: many evaluations share one. `numbers` are attributes: (variable, "value", "start",
-    "min", "max" or "nominal") -> number. `jumps` is the line of the first relation or function that jumps, or 0.
-    """
-
-    model: Model
-    states: tuple[Declaration, ...]
-    inputs: tuple[Declaration, ...]
-    parameters: tuple[Declaration, ...]
-    others: tuple[Declaration, ...]
-    relations: tuple[Relation, ...]
-    integers: tuple[Relation, ...]
-    x: Any
-    u: Any
-    p: Any
-    t: Any
-    r: Any
-    derivatives: Any
-    algebraic: Any
-    indicators: Any
-    counted: Any
-    starts: Any
-    reciprocals: tuple[tuple[Any, Any], ...]
-    numbers: Mapping[tuple[str, str], float]
-    jumps: int
-
-    def names(self) -> list[str]:
-        """Names of all variables in the order of their FMI value references."""
-        known = [each.name for group in (self.states, self.inputs, self.parameters) for each in group]
-        rates, others = [f"der({each.name})" for each in self.states], [each.name for each in self.others]
-        return [*known, *rates, *others, *self.indicator_names(), "time"]
-
-    def indicator_names(self) -> list[str]:
-        """Names of the event indicators."""
-        ends = [f"{each.name}.{end}" for each in self.integers for end in ("up", "down")]
-        return [*(each.name for each in self.relations), *ends]
-
-    def plain(self, expression: Any) -> Any:
-        """Return the expression with its reciprocals written out."""
-        return _plain(expression, self.reciprocals)
-
-
-def _plain(expression: Any, reciprocals: Collection[tuple[Any, Any]]) -> Any:
-    symbols, values = (column(each[k] for each in reciprocals) for k in (0, 1))
-    return ca.substitute(expression, symbols, values)
-
-
 def _choice(args: list[Any]) -> Any:
     """Return the if-expression of conditions and values by turns, the last value being that of else."""
     *pairs, result = args
@@ -126,12 +63,7 @@ def _choice(args: list[Any]) -> Any:
     return result
 
 
-def column(elements: Any) -> Any:
-    """Return an SX column of scalar expressions."""
-    return ca.vertcat(*elements, ca.SX(0, 1))
-
-
-def analyse(model: Model) -> System:
+def analyse(model: Model) -> ExplicitModel:
     """Check a model and solve it for its derivatives and algebraic variables.
 
     Raises
@@ -162,7 +94,7 @@ class _Analysis:
     def error(self, line: int, text: str) -> ModelicaError:
         return ModelicaError(self.model.file, line, text)
 
-    def run(self) -> System:
+    def run(self) -> ExplicitModel:
         for each in self.model.declarations:
             if each.name in self.declared:
                 first = self.declared[each.name].line
@@ -187,7 +119,7 @@ class _Analysis:
         held = [*self.relations.values(), *self.integers.values()]
         counted = column(value for _, value, _ in self.integers.values())
         ends = (end for symbol, value, _ in self.integers.values() for end in (symbol + 1 - value, symbol - value))
-        return System(
+        return ExplicitModel(
             model=self.model,
             states=tuple(states),
             inputs=tuple(inputs),
@@ -240,10 +172,10 @@ class _Analysis:
             if self.numbers.get((each.name, "nominal"), 1.0) <= 0:
                 raise self.error(each.line, f"'nominal' of '{each.name}' must be positive: give its magnitude")
 
-    def number(self, node: Node, what: str) -> float:
+    def number(self, node: Expression, what: str) -> float:
         return float(self.expression(node, f"{what} must be a number, or an expression of constants above it"))
 
-    def expression(self, node: Node, demand: str) -> Any:
+    def expression(self, node: Expression, demand: str) -> Any:
         """Return an expression's SX; if a name in it is not known, say what is demanded of the expression."""
         if node.op == "number":
             return ca.SX(node.args[0])
@@ -271,7 +203,7 @@ class _Analysis:
             raise self.error(node.line, f"'{node.op}' gives no finite number here: correct its operands")
         return result
 
-    def relation(self, node: Node, left: Any, right: Any) -> Any:
+    def relation(self, node: Expression, left: Any, right: Any) -> Any:
         """Return a relation's symbol; where it makes no event, its value."""
         negated = node.op in ("<=", ">=")
         indicator = left - right if node.op in (">", "<=") else right - left
@@ -282,7 +214,7 @@ class _Analysis:
             value = self.relations.setdefault(str(indicator), entry)[0]
         return ca.logic_not(value) if negated else value
 
-    def whole(self, node: Node, value: Any) -> Any:
+    def whole(self, node: Expression, value: Any) -> Any:
         """Return the symbol of floor(value); where it makes no event, the expression of it."""
         if not self.makes_events(node, value):
             return ca.floor(value)
@@ -290,7 +222,7 @@ class _Analysis:
         entry = ca.SX.sym(name), value, Relation(name, node.text, node.line)
         return self.integers.setdefault(str(value), entry)[0]
 
-    def makes_events(self, node: Node, tested: Any) -> bool:
+    def makes_events(self, node: Expression, tested: Any) -> bool:
         """Note that a function of an expression jumps; return whether it has to make events of it."""
         known = self.parameters | {symbol.name() for symbol, _ in self.reciprocals.values()}
         self.tested.append(tested)
@@ -389,7 +321,7 @@ class _Analysis:
             text = f"{where}, which is not linear in {', '.join(nonlinear)}, is outside the exported subset"
             raise self.error(equations[0].line, f"{text}: solve it by hand, so that each equation gives one unknown")
         values = {name: self.numbers[name, "value"] for name in self.parameters}
-        if always_singular(_plain(matrix, self.reciprocals.values()), values):
+        if always_singular(written_out(matrix, self.reciprocals.values()), values):
             lines = ", ".join(str(each.line) for each in equations)
             text = f"the equations of lines {lines} follow from each other or are in contradiction: correct them"
             raise self.error(equations[0].line, f"{where} has no unique solution, {text}")

@@ -15,7 +15,7 @@ from pymoca.generated.ModelicaLexer import ModelicaLexer
 from pymoca.generated.ModelicaParser import ModelicaParser as Rules
 
 from fmuid.errors import InputError, ModelicaError
-from fmuid.export.syntax import FUNCTIONS, MODIFIERS, Declaration, Equation, Model, Node
+from fmuid.export.syntax import FUNCTIONS, MODIFIERS, Declaration, Equation, Expression, Model
 from fmuid.text import nearest
 
 _FLAT = "write one flat model"
@@ -178,7 +178,7 @@ class _Walk:
         inner, comment = rule.declaration(), rule.comment()
         self.refuse(rule.condition_attribute(), inner.array_subscripts(), comment.annotation())
         name, unit, value = self.identifier(inner), None, None
-        modifiers: dict[str, Node] = {}
+        modifiers: dict[str, Expression] = {}
         modification = inner.modification()
         if isinstance(modification, Rules.Modification_classContext):
             for key, given in self.arguments(modification.class_modification()).items():
@@ -193,7 +193,7 @@ class _Walk:
                 elif key == "fixed":
                     if _text(given).lstrip("= ") != "true":
                         raise self.error(given, f"fixed{_text(given)}", "states are fixed=true at their start")
-                    modifiers[key] = Node(given.start.line, "number", (1.0,))
+                    modifiers[key] = Expression(given.start.line, "number", (1.0,))
                 else:
                     modifiers[key] = self.value(key, given)
         if modification is not None and modification.expression() is not None:
@@ -218,7 +218,7 @@ class _Walk:
                 raise self.error(argument, f"'{key}' without a value", f"write {key}=...")
         return result
 
-    def value(self, key: str, rule: Any) -> Node:
+    def value(self, key: str, rule: Any) -> Expression:
         """Return the expression of ``= expression``."""
         if not isinstance(rule, Rules.Modification_assignmentContext):
             raise self.error(rule, f"'{key}{_text(rule)}'", f"write {key}=...")
@@ -240,14 +240,14 @@ class _Walk:
         left, right = self.simple(options.simple_expression()), self.expression(options.expression())
         return Equation(options.start.line, left, right)
 
-    def expression(self, rule: Any) -> Node:
+    def expression(self, rule: Any) -> Expression:
         if isinstance(rule, Rules.Expression_ifContext):
             pairs = zip(rule.conditions, rule.blocks[:-1], strict=True)
             args = [part for condition, value in pairs for part in (self.condition(condition), self.expression(value))]
-            return Node(rule.start.line, "if", (*args, self.expression(rule.blocks[-1])))
+            return Expression(rule.start.line, "if", (*args, self.expression(rule.blocks[-1])))
         return self.simple(rule.simple_expression())
 
-    def condition(self, rule: Any) -> Node:
+    def condition(self, rule: Any) -> Expression:
         """Return the condition of an if-expression."""
         if isinstance(rule, Rules.Expression_ifContext):
             raise self.error(rule, "if-expression as a condition", "join relations with and, or, not")
@@ -255,52 +255,52 @@ class _Walk:
             raise self.error(rule, "range", _SCALARS)
         return self.logical(rule.simple_expression().expr(0))
 
-    def logical(self, rule: Any) -> Node:
+    def logical(self, rule: Any) -> Expression:
         line = rule.start.line
         if isinstance(rule, Rules.Expr_relContext):
             if rule.op.text not in _RELATIONS:
                 raise self.error(rule, f"relation '{rule.op.text}'", f"{' '.join(_RELATIONS)} are supported")
             left, right = (self.operation(each) for each in rule.expr())
-            return Node(line, rule.op.text, (left, right), " ".join(_text(rule).split()))
+            return Expression(line, rule.op.text, (left, right), " ".join(_text(rule).split()))
         if isinstance(rule, Rules.Expr_andContext | Rules.Expr_orContext):
             op = "and" if isinstance(rule, Rules.Expr_andContext) else "or"
-            return Node(line, op, tuple(self.logical(each) for each in rule.expr()))
+            return Expression(line, op, tuple(self.logical(each) for each in rule.expr()))
         if isinstance(rule, Rules.Expr_notContext):
-            return Node(line, "not", (self.logical(rule.expr()),))
+            return Expression(line, "not", (self.logical(rule.expr()),))
         primary = rule.primary() if isinstance(rule, Rules.Expr_primaryContext) else None
         if isinstance(primary, Rules.Primary_output_expression_listContext):
             return self.condition(self.parenthesised(primary))
         if isinstance(primary, Rules.Primary_functionContext) and _text(primary.component_reference()) == "noEvent":
-            return Node(line, "noEvent", (self.condition(self.one_argument(primary)),))
+            return Expression(line, "noEvent", (self.condition(self.one_argument(primary)),))
         if isinstance(primary, Rules.Primary_trueContext | Rules.Primary_falseContext | Rules.Primary_initialContext):
             raise self.unknown(primary)
         raise self.error(rule, f"condition '{_text(rule)}'", "write relations, joined with and, or, not")
 
-    def simple(self, rule: Any) -> Node:
+    def simple(self, rule: Any) -> Expression:
         if len(rule.expr()) != 1:
             raise self.error(rule, "range", _SCALARS)
         return self.operation(rule.expr(0))
 
-    def operation(self, rule: Any) -> Node:
+    def operation(self, rule: Any) -> Expression:
         if isinstance(rule, Rules.Expr_signedContext):
             inner = self.operation(rule.expr())
-            return Node(rule.start.line, "neg", (inner,)) if rule.op.text == "-" else inner
+            return Expression(rule.start.line, "neg", (inner,)) if rule.op.text == "-" else inner
         if isinstance(rule, Rules.Expr_addContext | Rules.Expr_mulContext | Rules.Expr_expContext):
             if rule.op.text.startswith("."):
                 raise self.error(rule, f"operator '{rule.op.text}'", _SCALARS)
             if isinstance(rule, Rules.Expr_expContext):
-                return Node(rule.start.line, "^", tuple(self.primary(each) for each in rule.primary()))
-            return Node(rule.start.line, rule.op.text, tuple(self.operation(each) for each in rule.expr()))
+                return Expression(rule.start.line, "^", tuple(self.primary(each) for each in rule.primary()))
+            return Expression(rule.start.line, rule.op.text, tuple(self.operation(each) for each in rule.expr()))
         if isinstance(rule, Rules.Expr_primaryContext):
             return self.primary(rule.primary())
         raise self.unknown(rule)
 
-    def primary(self, rule: Any) -> Node:
+    def primary(self, rule: Any) -> Expression:
         line = rule.start.line
         if isinstance(rule, Rules.Primary_unsigned_numberContext):
-            return Node(line, "number", (float(rule.getText()),))
+            return Expression(line, "number", (float(rule.getText()),))
         if isinstance(rule, Rules.Primary_component_referenceContext):
-            return Node(line, "name", (self.reference(rule.component_reference()),))
+            return Expression(line, "name", (self.reference(rule.component_reference()),))
         if isinstance(rule, Rules.Primary_output_expression_listContext):
             return self.expression(self.parenthesised(rule))
         if isinstance(rule, Rules.Primary_derivativeContext):
@@ -308,11 +308,11 @@ class _Walk:
             if len(arguments) != 1 or arguments[0].op != "name":
                 remedy = "der takes one variable, write products out as L*der(i)"
                 raise self.error(rule, _text(rule), remedy)
-            return Node(line, "der", arguments[0].args)
+            return Expression(line, "der", arguments[0].args)
         if isinstance(rule, Rules.Primary_functionContext):
             name = _text(rule.component_reference())
             if name == "noEvent":
-                return Node(line, name, (self.expression(self.one_argument(rule)),))
+                return Expression(line, name, (self.expression(self.one_argument(rule)),))
             arguments = self.call_arguments(rule)
             if name not in FUNCTIONS:
                 hint = f"{', '.join(FUNCTIONS)}, noEvent are supported{nearest(name, [*FUNCTIONS, 'noEvent'])}"
@@ -320,7 +320,7 @@ class _Walk:
             if len(arguments) != FUNCTIONS[name]:
                 count = f"{len(arguments)} argument{'s' if len(arguments) != 1 else ''}"
                 raise self.error(rule, f"{name}() with {count}", f"it takes {FUNCTIONS[name]}")
-            return Node(line, name, tuple(arguments), " ".join(_text(rule).split()))
+            return Expression(line, name, tuple(arguments), " ".join(_text(rule).split()))
         raise self.unknown(rule)
 
     def reference(self, rule: Any) -> str:
@@ -337,7 +337,7 @@ class _Walk:
             raise self.error(rule, f"'{_text(rule)}'", "write one expression between parentheses")
         return expressions[0]
 
-    def call_arguments(self, rule: Any) -> list[Node]:
+    def call_arguments(self, rule: Any) -> list[Expression]:
         return [self.expression(each) for each in self.arguments_of(rule)]
 
     def one_argument(self, rule: Any) -> Any:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import casadi as ca
 
 from fmuid.errors import ModelicaWarning
-from fmuid.export.equations import System
+from fmuid.export.explicit_model import ExplicitModel
 
 
-def remarks(system: System) -> list[ModelicaWarning]:
+def remarks(system: ExplicitModel) -> list[ModelicaWarning]:
     """Return what to tell the author of a model: parameters without effect, an integration step that was not chosen."""
     model = system.model
     computed = system.plain(ca.vertcat(system.derivatives, system.algebraic, system.indicators))

@@ -14,12 +14,12 @@ from typing import Any, Literal
 import casadi as ca
 
 from fmuid.errors import InputError, ModelicaError
-from fmuid.export.equations import System, column
+from fmuid.export.explicit_model import ExplicitModel, column
 from fmuid.export.syntax import Declaration
 from fmuid.text import nearest
 
 
-def with_sensitivities(system: System, parameters: Sequence[str] | Literal["all"]) -> System:
+def with_sensitivities(system: ExplicitModel, parameters: Sequence[str] | Literal["all"]) -> ExplicitModel:
     """Return the system with the sensitivities to these parameters.
 
     The variables are named ``sens.p.x``: those of the outputs are outputs, those of the other states local.
@@ -52,7 +52,7 @@ def with_sensitivities(system: System, parameters: Sequence[str] | Literal["all"
 class _Extra:
     """Gathers what the sensitivities add to a system, one parameter after the other."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: ExplicitModel) -> None:
         self.system = system
         self.states: list[Declaration] = []
         self.others: list[Declaration] = []
@@ -91,7 +91,7 @@ class _Extra:
         description = f"derivative of {variable.description or variable.name} with respect to {parameter.name}"
         return Declaration(name, variable.role, variable.line, description, _quotient(variable.unit, parameter.unit))
 
-    def joined(self) -> System:
+    def joined(self) -> ExplicitModel:
         """Return the system with all that was added, behind what was there."""
         s = self.system
         there = {key: getattr(s, key) for key in self.expressions}

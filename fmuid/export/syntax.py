@@ -32,7 +32,7 @@ MODIFIERS = {
 
 
 @dataclass(frozen=True)
-class Node:
+class Expression:
     """An expression.
 
     `op` is "number", "name", "der", an operator + - * / ^, "neg", a function's name, "noEvent", or "if", whose
@@ -65,8 +65,8 @@ class Declaration:
     line: int
     description: str = ""
     unit: str | None = None
-    modifiers: Mapping[str, Node] = field(default_factory=dict)
-    value: Node | None = None
+    modifiers: Mapping[str, Expression] = field(default_factory=dict)
+    value: Expression | None = None
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class Equation:
     """``left = right``."""
 
     line: int
-    left: Node
-    right: Node
+    left: Expression
+    right: Expression
 
     def names(self) -> set[str]:
         """Names of the variables in it, derivatives as ``der(x)``."""

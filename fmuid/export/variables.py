@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 import casadi as ca
 
 from fmuid.errors import ModelicaError
-from fmuid.export.equations import System
+from fmuid.export.explicit_model import ExplicitModel
 from fmuid.export.syntax import Declaration
 from fmuid.text import nearest
 
@@ -35,7 +35,7 @@ _DISPLAY_UNITS = {
 
 
 @dataclass(frozen=True)
-class Variable:
+class DescribedVariable:
     """One variable as FMI describes it; `state` is the name of the state whose derivative it is, if it is one."""
 
     name: str
@@ -60,23 +60,23 @@ class Unknown:
     dependencies: frozenset[str]
 
 
-def variables(system: System) -> list[Variable]:
+def variables(system: ExplicitModel) -> list[DescribedVariable]:
     """Return the declared variables in their order, then the derivatives."""
     references = {name: k for k, name in enumerate(system.names())}
     number = system.numbers.get
 
-    def variable(d: Declaration, state: str | None = None) -> Variable:
+    def variable(d: Declaration, state: str | None = None) -> DescribedVariable:
         initial = {"parameter": "exact", "input": None}.get(d.role, "calculated")
         start = {"parameter": number((d.name, "value")), "input": number((d.name, "start"), 0.0)}.get(d.role)
         limits = ((key, number((d.name, key))) for key in ("min", "max", "nominal"))
         attributes = (("unit", d.unit), *limits, ("start", start))
-        return Variable(d.name, references[d.name], d.role, d.description, initial, state, attributes)
+        return DescribedVariable(d.name, references[d.name], d.role, d.description, initial, state, attributes)
 
     declared = [variable(d) for d in system.model.declarations if d.role != "constant"]
     return [*declared, *(variable(_rate(d), d.name) for d in system.states)]
 
 
-def indicators(system: System) -> list[Variable]:
+def indicators(system: ExplicitModel) -> list[DescribedVariable]:
     """Return the event indicators."""
     names = system.indicator_names()
     texts = [f"it changes sign with {each.text}" for each in system.relations]
@@ -84,7 +84,7 @@ def indicators(system: System) -> list[Variable]:
         texts += [f"not positive where {each.text} jumps up", f"positive where {each.text} jumps down"]
     first = len(system.names()) - 1 - len(names)
     return [
-        Variable(name, first + k, "local", f"event indicator: {text}", "calculated")
+        DescribedVariable(name, first + k, "local", f"event indicator: {text}", "calculated")
         for k, (name, text) in enumerate(zip(names, texts, strict=True))
     ]
 
@@ -103,7 +103,7 @@ def _rate(state: Declaration) -> Declaration:
 # ---- dependencies
 
 
-def unknowns(system: System) -> dict[str, list[Unknown]]:
+def unknowns(system: ExplicitModel) -> dict[str, list[Unknown]]:
     """Return what depends on what, from the symbols in each expression: kind of unknown -> those of the kind.
 
     The kinds are "outputs", "derivatives", "initial" (outputs, states and derivatives as functions of the inputs,
@@ -133,7 +133,7 @@ def unknowns(system: System) -> dict[str, list[Unknown]]:
     }
 
 
-def _settled(system: System, expressions: Any) -> Any:
+def _settled(system: ExplicitModel, expressions: Any) -> Any:
     """Return the expressions with each relation and floor() replaced by what it depends on: an event may change it."""
     signs = [system.indicators[k] > 0 for k in range(len(system.relations))]
     values = system.plain(ca.vertcat(*signs, ca.floor(system.counted)))
@@ -152,7 +152,7 @@ def attribute(name: str, value: str | float | None) -> str:
     return f" {name}={quoteattr(value if isinstance(value, str) else repr(value))}"
 
 
-def unit_definitions(system: System) -> list[str]:
+def unit_definitions(system: ExplicitModel) -> list[str]:
     """Return the UnitDefinitions of the model's variables, the same in FMI 2.0 and 3.0.
 
     Raises
