@@ -1,8 +1,7 @@
-"""Excitations as tables: what to apply to a system so that a record of it says much about its parameters.
+"""Excitations as tables: inputs that make a record informative about the parameters.
 
-Every function returns a frame with ``time`` and one column more, its values to be held from sample to sample (steps,
-PRBS) or joined as the study's interpolation says (multisine). The duration counts as many samples of `step` as fit
-it: the last sample begins one step before its end.
+Every function returns a frame with ``time`` and the excitation, whose values are to be held from sample to sample
+(steps, PRBS) or interpolated (multisine). The last sample is one step before the end of the duration.
 """
 
 from __future__ import annotations
@@ -17,10 +16,12 @@ from scipy.signal import max_len_seq
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
 
-# A duration is a whole number of samples where it is so to this share of a sample: both are rounded decimals.
-WHOLE = 1e-6
-LONGEST = 100_000_000  # samples; more than that fill the memory, and are a duration in other units than seconds
-ORDERS = 2, 32  # of the shift registers whose feedback scipy knows
+SAMPLE_TOLERANCE = 1e-6
+"""Share of a sample by which a duration may differ from a whole number of them: both are rounded decimals."""
+MOST_SAMPLES = 100_000_000
+"""More would fill the memory, and come from a duration that is not in seconds."""
+REGISTER_ORDERS = 2, 32
+"""Least and largest order of the shift registers whose feedback scipy knows."""
 
 
 def prbs(
@@ -49,11 +50,11 @@ def prbs(
     bit : int
         Samples of one bit.
     order : int, optional
-        Of the shift register, 2 to 32; default the smallest whose period is not shorter than the record.
+        Of the shift register, 2 to 32; default: the smallest whose period is not shorter than the record.
     seed : int
-        Decides where in its period the sequence begins.
+        Determines where in its period the sequence begins.
     column : str
-        What the column is called.
+        The name of the column.
 
     Returns
     -------
@@ -65,12 +66,10 @@ def prbs(
     InputError
         If an argument is out of its range, or the duration is no whole number of samples.
     """
-    times = _times(duration, step, column)
-    _check_number(amplitude, "amplitude")
-    _check_number(offset, "offset")
+    times = _times(duration, step, column, amplitude=amplitude, offset=offset)
     bit = _whole(bit, "bit, the samples of one bit,", 1, times.size)
     bits = -(-times.size // bit)
-    least, most = ORDERS
+    least, most = REGISTER_ORDERS
     order = max(least, bits.bit_length()) if order is None else _whole(order, "order", least, most)
     state = int(np.random.default_rng(_whole(seed, "seed", 0)).integers(1, 2**order))
     sequence, _ = max_len_seq(order, [state >> k & 1 for k in range(order)], bits)
@@ -97,30 +96,26 @@ def multisine(
 
     Parameters
     ----------
-    duration, step : float
-        Length of the record and sampling time, s.
-    amplitude, offset : float
-        Largest distance of a sample from the offset, and the offset, in the unit of the input.
+    duration, step, offset, column
+        As in `prbs`.
+    amplitude : float
+        Largest distance of a sample from the offset, in the unit of the input.
     lowest, highest : float
         Band, Hz; above zero and below half the sampling frequency.
     period : float, optional
         s; default the duration.
-    column : str
-        What the column is called.
 
     Returns
     -------
     pandas.DataFrame
-        ``time`` (s) and the column, K = duration/step rows.
+        As `prbs`.
 
     Raises
     ------
     InputError
         If an argument is out of its range, or no line lies in the band.
     """
-    times = _times(duration, step, column)
-    _check_number(amplitude, "amplitude")
-    _check_number(offset, "offset")
+    times = _times(duration, step, column, amplitude=amplitude, offset=offset)
     period = duration if period is None else _positive(period, "period")
     _positive(lowest, "lowest")
     if not lowest <= _positive(highest, "highest") < 0.5 / step:
@@ -128,7 +123,9 @@ def multisine(
             f"highest {highest:g} Hz must not be less than lowest {lowest:g} Hz, and less than half the sampling "
             f"frequency, {0.5 / step:g} Hz; change the band or sample faster"
         )
-    lines = np.arange(math.ceil(lowest * period - WHOLE), math.floor(highest * period + WHOLE) + 1)
+    lines = np.arange(
+        math.ceil(lowest * period - SAMPLE_TOLERANCE), math.floor(highest * period + SAMPLE_TOLERANCE) + 1
+    )
     if lines.size == 0:
         raise InputError(
             f"no multiple of 1/period, {1 / period:g} Hz, lies between {lowest:g} and {highest:g} Hz; "
@@ -153,40 +150,35 @@ def steps(
 
     Parameters
     ----------
-    duration, step : float
-        Length of the record and sampling time, s.
+    duration, step, offset, column
+        As in `prbs`; all levels are added to the offset.
     levels : sequence of float
-        n values that the offset is added to, in the unit of the input.
+        n values, in the unit of the input.
     times : sequence of float, optional
         When each level begins, s: n values, the first 0, increasing, the last before the duration. A level begins with
         the first sample that is not earlier. Default: all levels last as long, to a sample.
-    offset : float
-        In the unit of the input.
-    column : str
-        What the column is called.
 
     Returns
     -------
     pandas.DataFrame
-        ``time`` (s) and the column, K = duration/step rows.
+        As `prbs`.
 
     Raises
     ------
     InputError
         If an argument is out of its range, or a level would have no sample.
     """
-    clock = _times(duration, step, column)
+    clock = _times(duration, step, column, offset=offset)
     heights = np.array([_check_number(level, "a level") for level in levels])
     if not 1 <= heights.size <= clock.size:
         raise InputError(f"{heights.size} levels do not fit {clock.size} samples; give from one to that many")
-    _check_number(offset, "offset")
     if times is None:
         first = np.arange(heights.size) * clock.size // heights.size
     else:
         begins = np.array([_check_number(begin, "a time") for begin in times])
         if begins.size != heights.size:
             raise InputError(f"there are {heights.size} levels and {begins.size} times; give one time for each level")
-        first = np.ceil(begins / step - WHOLE)
+        first = np.ceil(begins / step - SAMPLE_TOLERANCE)
         if first[0] != 0 or (np.diff(first) <= 0).any() or first[-1] >= clock.size:
             raise InputError(
                 f"the times of the levels must begin with 0, be at least a sample apart and end before {duration:g} s"
@@ -195,18 +187,20 @@ def steps(
     return pd.DataFrame({"time": clock, column: offset + heights[which]})
 
 
-def _times(duration: float, step: float, column: str) -> Floats:
-    """Return the times of the samples, and check what all excitations have in common."""
+def _times(duration: float, step: float, column: str, **numbers: float) -> Floats:
+    """Return the times of the samples; check what all excitations have in common, and that `numbers` are finite."""
     if not column or column == "time":
         raise InputError(f"column {column!r} cannot be the name of the excitation; give another")
     samples = _positive(duration, "duration") / _positive(step, "step")
-    if samples > LONGEST:
+    if samples > MOST_SAMPLES:
         raise InputError(f"{duration:g} s are {samples:g} samples of {step:g} s; duration and step are in seconds")
     count = round(samples)
-    if count < 2 or abs(samples - count) > WHOLE:
+    if count < 2 or abs(samples - count) > SAMPLE_TOLERANCE:
         raise InputError(
             f"duration {duration:g} s is {samples:g} samples of {step:g} s; give a whole number of them, two or more"
         )
+    for name, value in numbers.items():
+        _check_number(value, name)
     return float(step) * np.arange(count, dtype=np.float64)
 
 

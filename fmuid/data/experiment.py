@@ -1,4 +1,4 @@
-"""An experiment: a table of measurements, and what its columns are to the model."""
+"""An experiment: a table of measurements, and the roles of its columns in the model."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from fmuid.arrays import Floats
 from fmuid.data.tables import missing_column, numeric_column, read_table
 from fmuid.errors import InputError
 from fmuid.text import nearest
 
-_Floats = npt.NDArray[np.float64]
-
 INTERPOLATIONS = ("linear", "hold", "cubic")
-"""How an input goes between samples: straight from one to the next (measured signals), held (numerical commands), or
-along a smooth curve that rises and falls with the samples (Fritsch and Butland's monotone cubic interpolation)."""
+"""Interpolation of an input between samples: linear (measured signals), held (numerical commands), or along a smooth
+curve without overshoot (Fritsch and Butland's monotone cubic interpolation)."""
 
 _TIME_TOLERANCE = 1e-9
 """Share of the table's duration by which a sample may come before the end of `discard`: times are rounded decimals."""
@@ -29,7 +28,7 @@ _TIME_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A table with roles: which columns drive the model, and which it must reproduce.
+    """A table with roles: columns that drive the model, and columns that it must reproduce.
 
     Checked on construction. The table is copied, and the arrays are read-only. Rows are counted from 1 in messages,
     without the header.
@@ -37,9 +36,9 @@ class Experiment:
     Parameters
     ----------
     frame : pandas.DataFrame
-        One row a sample, K >= 2 rows. Its index may stand for the time column where it bears that name.
+        One row per sample, K >= 2 rows. An index with the name of the time column is used as that column.
     inputs, outputs : sequence of str, or mapping of str to str
-        FMU variables, with their columns where these are named otherwise. Inputs must be finite throughout. Outputs
+        FMU variables; a mapping gives the columns that have other names. Inputs must be finite throughout. Outputs
         may have NaN, which are samples that do not count. Without outputs the experiment can only be simulated.
     time : str
         The time column, s: finite, never decreasing. A time given twice is a step of the inputs.
@@ -51,9 +50,9 @@ class Experiment:
     units : mapping of str to str
         FMU variable to the unit of its column, where that is not the unit of the FMU.
     name : str
-        What the experiment is called in results.
+        Name of the experiment in results.
     source : str
-        What the table is called in messages: its file.
+        Name of the table in messages: its file.
 
     Attributes
     ----------
@@ -79,7 +78,7 @@ class Experiment:
     Raises
     ------
     InputError
-        Where something of this is wrong; one sentence with table, column, row, time and remedy.
+        If any of this is wrong; one sentence with table, column, row, time and remedy.
     """
 
     frame: pd.DataFrame
@@ -94,13 +93,13 @@ class Experiment:
     columns: dict[str, str] = field(init=False, repr=False)
     input_names: tuple[str, ...] = field(init=False, repr=False)
     output_names: tuple[str, ...] = field(init=False, repr=False)
-    times: npt.NDArray[np.float64] = field(init=False, repr=False)
-    input_values: npt.NDArray[np.float64] = field(init=False, repr=False)
-    output_values: npt.NDArray[np.float64] = field(init=False, repr=False)
+    times: Floats = field(init=False, repr=False)
+    input_values: Floats = field(init=False, repr=False)
+    output_values: Floats = field(init=False, repr=False)
     counted: npt.NDArray[np.bool_] = field(init=False, repr=False)
     held: npt.NDArray[np.bool_] = field(init=False, repr=False)
     curved: npt.NDArray[np.bool_] = field(init=False, repr=False)
-    input_slopes: npt.NDArray[np.float64] = field(init=False, repr=False)
+    input_slopes: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         source = self.source
@@ -241,7 +240,7 @@ def _table(
     return frame
 
 
-def _times(source: str, frame: pd.DataFrame, time: str) -> _Floats:
+def _times(source: str, frame: pd.DataFrame, time: str) -> Floats:
     """Return the time column: finite, never decreasing, no time more than twice."""
     times = np.array(numeric_column(frame, time, source))
     column = f"{source}: the time column {time!r}"
@@ -267,7 +266,7 @@ def _times(source: str, frame: pd.DataFrame, time: str) -> _Floats:
     return times
 
 
-def _values(source: str, frame: pd.DataFrame, times: _Floats, role: str, columns: Mapping[str, str]) -> _Floats:
+def _values(source: str, frame: pd.DataFrame, times: Floats, role: str, columns: Mapping[str, str]) -> Floats:
     """Return the columns of a role side by side; an input is finite, an output finite or NaN."""
     values = np.empty((times.size, len(columns)))
     for k, column in enumerate(columns.values()):
@@ -284,7 +283,7 @@ def _values(source: str, frame: pd.DataFrame, times: _Floats, role: str, columns
 
 
 def _counted(
-    source: str, times: _Floats, values: _Floats, outputs: Mapping[str, str], discard: float
+    source: str, times: Floats, values: Floats, outputs: Mapping[str, str], discard: float
 ) -> npt.NDArray[np.bool_]:
     """Return where an output sample counts; every output must have one that does."""
     if isinstance(discard, bool) or not isinstance(discard, int | float) or not 0 <= discard < np.inf:
@@ -304,7 +303,7 @@ def _counted(
 
 
 def _interpolation_words(source: str, given: str | Mapping[str, str], inputs: Mapping[str, str]) -> list[str]:
-    """Return for each input how it goes between samples."""
+    """Return the interpolation of each input."""
     words = dict(given) if isinstance(given, Mapping) else dict.fromkeys(inputs, given)
     for variable in words:
         if variable not in inputs:
@@ -319,7 +318,7 @@ def _interpolation_words(source: str, given: str | Mapping[str, str], inputs: Ma
     return [words.get(variable, "linear") for variable in inputs]
 
 
-def _slopes(source: str, times: _Floats, values: _Floats, curved: npt.NDArray[np.bool_]) -> _Floats:
+def _slopes(source: str, times: Floats, values: Floats, curved: npt.NDArray[np.bool_]) -> Floats:
     """Return the slopes of monotone cubic curves through the samples; none goes across a step (a time given twice)."""
     slopes = np.full(values.shape, np.nan)
     if curved.any():
@@ -334,7 +333,7 @@ def _slopes(source: str, times: _Floats, values: _Floats, curved: npt.NDArray[np
                 )
         if not np.isfinite(slopes[:, curved]).all():
             raise InputError(
-                f'{source}: an input with interpolation = "cubic" changes faster than numbers can say: check its '
+                f'{source}: an input with interpolation = "cubic" changes too fast for double precision: check its '
                 'values and the times, or write "linear"'
             )
     return slopes

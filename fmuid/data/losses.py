@@ -5,7 +5,7 @@ losses are those of `scipy.optimize.least_squares` with f_scale = 1; all are f²
 
 - ``soft_l1``: ρ(z) = 2 (√(1 + z) − 1), like |f| for large f and smooth in between;
 - ``huber``: ρ(z) = z up to one standard deviation, 2 √z − 1 beyond;
-- ``cauchy``: ρ(z) = ln(1 + z), which all but forgets gross outliers, at the price of secondary optima.
+- ``cauchy``: ρ(z) = ln(1 + z), which almost ignores gross outliers, at the price of secondary optima.
 
 The criterion stays a sum of squares, that of t = ±√ρ(f²) with the sign of f ("square-rooting the kernel"): its
 gradient is exact, and one least-squares engine serves all losses. Half the derivative of ρ(f²) by f is ψ(f), so that
@@ -139,14 +139,14 @@ def loss_of(name: str) -> Loss | None:
 def robust_variance(residual: Floats, free: float) -> float:
     """Return the variance of normal noise behind a residual (n,) that outliers contaminate: Huber's proposal 2.
 
-    The σ² with Σ min(r²/σ², 1) = `free` · E[min(x², 1)], x standard normal: residuals beyond one σ, the corner of the
-    loss ``huber``, count only by their number. Up to nearly half of the samples may be arbitrarily wrong.
+    The σ² with Σ min(r²/σ², 1) = `free` · E[min(x², 1)], x standard normal: of residuals beyond one σ, the corner of
+    the loss ``huber``, only the number counts. Up to nearly half of the samples may be arbitrarily wrong.
 
     Parameters
     ----------
     residual : (n,) array
     free : float
-        Degrees of freedom, n less the parameters that the residual paid for.
+        Degrees of freedom, n minus the number of parameters fitted.
     """
     squares = np.sort(residual**2)
     sums = np.cumsum(squares)

@@ -1,8 +1,7 @@
 """Whether a MAT file of version 5 has the structure that it must have, before SciPy reads it.
 
-SciPy's compiled reader (1.17) looks up the type of numbers without a check, and takes for numbers whatever stands where
-they should: on a damaged file it ends the process. The format is that of "MAT-File Format" (The MathWorks), chapter 1:
-elements, each with a tag that says its type and length.
+SciPy's compiled reader (1.17) does not check the types of elements: a damaged file can crash the process. The format is
+that of "MAT-File Format" (The MathWorks), chapter 1: elements, each with a tag that gives its type and length.
 """
 
 from __future__ import annotations
@@ -12,10 +11,10 @@ import struct
 import zlib
 from pathlib import Path
 
-DEEPEST = 50
+DEEPEST_NESTING = 50
 """Cells and structures inside each other; SciPy's reader is recursive."""
 LARGEST_VARIABLE = 2**32
-"""Bytes that a compressed variable may have: its length is a number of 32 bits."""
+"""Bytes of a compressed variable: its length is a 32-bit number."""
 
 _HEADER = 128
 _UINT32, _MATRIX, _COMPRESSED = 6, 14, 15
@@ -34,7 +33,7 @@ def check_mat(path: Path) -> None:
     Raises
     ------
     ValueError
-        If one of them cannot be, in words.
+        If an element is invalid; the message says what is wrong.
     OSError
         If the file cannot be read.
     """
@@ -51,12 +50,17 @@ def check_mat(path: Path) -> None:
 
 
 def _check_array(given: Element, order: str, depth: int = 0) -> None:
-    """Check that an array has as many elements of the right types as its class, its dimensions and its flags say."""
+    """Check that the number and types of an array's elements agree with its class, dimensions and flags."""
     kind, body = given
     if kind == _MATRIX and depth and not body:
         return  # an empty cell
     elements = _elements(body, order)
-    if kind != _MATRIX or depth > DEEPEST or not elements or (elements[0][0], len(elements[0][1])) != (_UINT32, 8):
+    if (
+        kind != _MATRIX
+        or depth > DEEPEST_NESTING
+        or not elements
+        or (elements[0][0], len(elements[0][1])) != (_UINT32, 8)
+    ):
         raise ValueError("a variable in it is no array")
     (flags,) = struct.unpack_from(order + "I", elements[0][1])
     numbers, arrays = _expected(flags, elements, order)
@@ -68,7 +72,7 @@ def _check_array(given: Element, order: str, depth: int = 0) -> None:
 
 
 def _expected(flags: int, elements: list[Element], order: str) -> tuple[int, int]:
-    """Return how many elements of numbers, dimensions and name among them, and how many arrays follow the flags."""
+    """Return the numbers of numeric elements (with dimensions and name) and of arrays that follow the flags."""
     array_class, parts = flags & 0xFF, 2 if flags & _COMPLEX else 1
     if array_class == _CHAR:
         return 3, 0
@@ -83,14 +87,14 @@ def _expected(flags: int, elements: list[Element], order: str) -> tuple[int, int
         return 2, count
     if array_class not in (_STRUCT, _OBJECT):
         raise ValueError(f"an array in it is of the unknown class {array_class}")
-    fields = 3 + (array_class == _OBJECT)  # where the length of the names of fields stands, before the names
+    fields = 3 + (array_class == _OBJECT)  # the element with the length of field names, before the names
     (length, *_) = *_integers(elements, fields, order), 0
     names = len(elements[fields + 1][1]) if len(elements) > fields + 1 else 0
     return fields + 1, count * (names // length) if length > 0 else -1
 
 
 def _integers(elements: list[Element], place: int, order: str) -> tuple[int, ...]:
-    """Return the content of an element as integers, none where it is not there; dimensions are never negative."""
+    """Return the content of an element as integers, empty if it is missing; dimensions are never negative."""
     content = elements[place][1] if place < len(elements) else b""
     found = struct.unpack(f"{order}{len(content) // 4}i", content[: len(content) // 4 * 4])
     if min(found, default=0) < 0:
@@ -99,7 +103,7 @@ def _integers(elements: list[Element], place: int, order: str) -> tuple[int, ...
 
 
 def _elements(data: memoryview, order: str) -> list[Element]:
-    """Return elements one after the other."""
+    """Return the sequence of elements in some data."""
     found, place = [], 0
     while place + 8 <= len(data):
         kind, length = struct.unpack_from(order + "II", data, place)

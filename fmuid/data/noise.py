@@ -13,7 +13,7 @@ from fmuid.arrays import Floats
 from fmuid.errors import InputError
 from fmuid.text import nearest
 
-# Variances beyond this one, or below its inverse, make the squares of residuals overflow.
+# With larger variances, or smaller ones than its inverse, squares of residuals overflow.
 LARGEST_VARIANCE = 1e100
 
 
@@ -28,7 +28,7 @@ class Noise:
         until it settles (docs/method.md section 7). With a robust loss that estimate is robust too: Huber's proposal 2
         (`fmuid.data.losses.robust_variance`), because the loss is measured in standard deviations of the noise proper.
     start : float or mapping of output to float, optional
-        Where the repetition starts; default: the residual's own variance at the start of the search.
+        Initial variance of that iteration; default: that of the residual at the start of the search.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What is estimated: names, starts, bounds, priors, and the magnitudes by which parameters are scaled."""
+"""The parameters to estimate: names, starts, bounds, priors, and magnitudes for scaling."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from fmuid.arrays import Floats
 from fmuid.errors import InputError
 from fmuid.text import nearest
 
-# A parameter that passes near zero keeps this fraction of its start as its magnitude: steps must not vanish with it.
+# A parameter near zero keeps this fraction of its start as its magnitude, so that steps do not vanish with it.
 LEAST_MAGNITUDE = 1e-3
-# Beyond these the squares that everything rests on overflow or vanish; no unit of measurement needs such numbers.
+# Beyond these limits squares overflow or vanish; no unit of measurement needs such numbers.
 LARGEST_NUMBER, SMALLEST_MAGNITUDE = 1e100, 1e-100
-# Entries of a covariance that mirror each other may differ by rounding of a printed file, not by more.
+# Largest relative difference of symmetric entries of a covariance: rounding in a printed file.
 SYMMETRY_TOLERANCE = 1e-6
 
 
@@ -73,7 +73,7 @@ class Parameter:
     nominal : float, optional
         Its magnitude, used for scaling; needed where the start is zero, default |start|.
     prior : Normal, optional
-        What is known of it beforehand.
+        Knowledge from before the experiment.
     per_experiment : bool
         One value for each experiment (``name[experiment]``) instead of one shared by all.
 
@@ -253,7 +253,7 @@ class ParameterSet:
         return len(self.names)
 
     def for_experiment(self, index: int) -> tuple[tuple[str, ...], NDArray[np.intp]]:
-        """Return the FMU variables that experiment number `index` takes, and where in theta their values stand."""
+        """Return the FMU variables of experiment number `index`, and the indices of their values in theta."""
         return self._variables, self._columns[index]
 
     def magnitudes(self, theta: Floats) -> Floats:
@@ -264,14 +264,14 @@ class ParameterSet:
         return np.maximum(np.abs(theta), self._least)
 
     def reach(self, theta: Floats) -> Floats:
-        """Return what the steps of differences are measured by: |θ|, but not less than the nominal or the start.
+        """Return the scale of difference steps: |θ|, but not less than the nominal or the start.
 
-        Noise asks for steps of a certain length, also where a parameter happens to pass near zero.
+        Because of noise, steps need a certain length also where a parameter passes near zero.
         """
         return np.maximum(np.abs(theta), self.scale)
 
     def index(self, name: str) -> int:
-        """Return where `name` stands in theta.
+        """Return the index of `name` in theta.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What a problem is made of: something that simulates each experiment, and what was measured in it."""
+"""Interfaces between least squares and models: predictors, their predictions, and measurements."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fmuid.errors import InputError, SimulationError
 
 
 class Predictions(Protocol):
-    """What simulating several thetas gives."""
+    """The outputs simulated for several thetas."""
 
     @property
     def outputs(self) -> Floats:
@@ -33,11 +33,11 @@ class Predictor(Protocol):
 
 
 class Measurements(Protocol):
-    """What is measured in one experiment; `fmuid.Experiment` is one."""
+    """The measurements of one experiment; `fmuid.Experiment` is one."""
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the experiment."""
 
     @property
     def times(self) -> Floats:
@@ -69,7 +69,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class FunctionPredictions:
-    """What a Python function gave for several thetas; the attributes are those of `Predictions`."""
+    """The outputs of a Python function for several thetas; the attributes are those of `Predictions`."""
 
     outputs: Floats
     errors: tuple[Exception | None, ...]

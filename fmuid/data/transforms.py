@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
+from fmuid.arrays import Floats
 from fmuid.data.tables import missing_column, numeric_column
 from fmuid.errors import InputError
 
-_Floats = npt.NDArray[np.float64]
-
-T23: _Floats = np.sqrt(2 / 3) * np.array([[1, -1 / 2, -1 / 2], [0, np.sqrt(3) / 2, -np.sqrt(3) / 2]])
+T23: Floats = np.sqrt(2 / 3) * np.array([[1, -1 / 2, -1 / 2], [0, np.sqrt(3) / 2, -np.sqrt(3) / 2]])
 """Concordia matrix, three phases to two axes; its rows are orthonormal, so its transpose is the way back."""
 T23.setflags(write=False)
 
@@ -53,24 +51,7 @@ def concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str])
 def inverse_concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
     """Add the three phases of two axes, without zero sequence: x_abc = T₂₃ᵀ x_αβ (docs/method.md section 8).
 
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-        K rows.
-    columns : two names
-        The axes, any unit.
-    names : three names
-        The new columns, in the same unit; their sum is zero.
-
-    Returns
-    -------
-    pandas.DataFrame
-        The frame and the three new columns.
-
-    Raises
-    ------
-    InputError
-        As `concordia`.
+    As `concordia`, with the two axes as `columns` and the three phases, whose sum is zero, as `names`.
     """
     return _with_columns(frame, _columns(frame, columns, 2) @ T23, names, 3)
 
@@ -80,26 +61,12 @@ def park(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], thet
 
     With the electrical angle of the rotor these are Park's axes linked to the rotor. The zero sequence is lost.
 
+    As `concordia`, with direct and quadrature axis as `names`.
+
     Parameters
     ----------
-    frame : pandas.DataFrame
-        K rows.
-    columns : three names
-        The phases, any unit.
-    names : two names
-        The new columns, direct and quadrature axis, in the same unit.
     theta : str
         The column of the electrical angle, rad: pole pairs times the mechanical angle.
-
-    Returns
-    -------
-    pandas.DataFrame
-        The frame and the two new columns.
-
-    Raises
-    ------
-    InputError
-        As `concordia`.
     """
     fixed = _columns(frame, columns, 3) @ T23.T
     return _with_columns(frame, _turned(fixed, -_columns(frame, [theta], 1)[:, 0]), names, 2)
@@ -110,39 +77,20 @@ def inverse_park(
 ) -> pd.DataFrame:
     """Add the three phases of two axes turning with `theta`: x_abc = T₂₃ᵀ P(θ) x_dq (docs/method.md section 8).
 
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-        K rows.
-    columns : two names
-        Direct and quadrature axis, any unit.
-    names : three names
-        The new columns, in the same unit; their sum is zero.
-    theta : str
-        The column of the electrical angle, rad.
-
-    Returns
-    -------
-    pandas.DataFrame
-        The frame and the three new columns.
-
-    Raises
-    ------
-    InputError
-        As `concordia`.
+    As `park`, with direct and quadrature axis as `columns` and the three phases, whose sum is zero, as `names`.
     """
     turned = _turned(_columns(frame, columns, 2), _columns(frame, [theta], 1)[:, 0])
     return _with_columns(frame, turned @ T23, names, 3)
 
 
-def _turned(vectors: _Floats, angle: _Floats) -> _Floats:
+def _turned(vectors: Floats, angle: Floats) -> Floats:
     """Return P(angle) x for each row, P(θ) = [cos θ, −sin θ; sin θ, cos θ]; shapes (K, 2) and (K,)."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, y = vectors.T
     return np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
 
 
-def _columns(frame: pd.DataFrame, columns: Sequence[str], count: int) -> _Floats:
+def _columns(frame: pd.DataFrame, columns: Sequence[str], count: int) -> Floats:
     """Return `count` columns side by side."""
     _check_names("columns", columns, count)
     for column in columns:
@@ -151,7 +99,7 @@ def _columns(frame: pd.DataFrame, columns: Sequence[str], count: int) -> _Floats
     return np.column_stack([numeric_column(frame, column, "the frame") for column in columns])
 
 
-def _with_columns(frame: pd.DataFrame, values: _Floats, names: Sequence[str], count: int) -> pd.DataFrame:
+def _with_columns(frame: pd.DataFrame, values: Floats, names: Sequence[str], count: int) -> pd.DataFrame:
     _check_names("names", names, count)
     for name in names:
         if name in frame.columns:
