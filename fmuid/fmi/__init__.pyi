@@ -14,7 +14,7 @@ from .description import Unit as Unit
 from .description import Variable as Variable
 from .description import read_description as read_description
 from .description import read_text as read_text
-from .description import uncollected as uncollected
+from .description import unit_conversion as unit_conversion
 from .failures import describe as describe
 from .fmu import FMU as FMU
 from .instance import Instance as Instance
@@ -29,6 +29,7 @@ from .layout import Sensitivities as Sensitivities
 from .layout import new_reports as new_reports
 from .layout import shares as shares
 from .loop import Loop as Loop
+from .safe_xml import uncollected as uncollected
 from .sharing import Custody as Custody
 from .sharing import in_threads as in_threads
 from .start_values import Value as Value

@@ -1,14 +1,12 @@
-"""What an FMU declares of itself: variables, units, capabilities (FMI 2.0.4, section 2.2; FMI 3.0.2, section 2.4)."""
+"""What an FMU declares: variables, units, capabilities (FMI 2.0.4, section 2.2; FMI 3.0.2, section 2.4)."""
 
 from __future__ import annotations
 
-import gc
 import itertools
 import math
 import re
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,11 +23,10 @@ DESCRIPTION_FILE = "modelDescription.xml"
 READABLE_VERSIONS = ("2.0", "3.0")
 KINDS = ("co-simulation", "model-exchange")
 MOST_ELEMENTS = 1_000_000
-"""Variables, elements of arrays counted one by one: a few words of XML can declare any number."""
+"""Variables, with every element of an array: a few words of XML can declare any number."""
 SI_BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
-
-# FMI type -> (what it is to fmuid, how the binary passes it: an FMI 3.0 type)
+# FMI type -> (type in fmuid, FMI 3.0 type that the binary's functions take)
 _TYPES = {
     "Real": ("Real", "Float64"),
     "Float64": ("Real", "Float64"),
@@ -41,7 +38,6 @@ _TYPES = {
     "Binary": ("Binary", "Binary"),
     "Clock": ("Clock", "Clock"),
 }
-
 
 _NEVER_SET = ("calculatedParameter", "independent", "structuralParameter")
 
@@ -98,6 +94,13 @@ class Unit:
     display_units: Mapping[str, tuple[float, float]]
 
 
+def unit_conversion(source: Unit | None, target: Unit | None) -> tuple[float, float] | None:
+    """Return (factor, offset) with ``target = factor * source + offset``; None where the units do not convert."""
+    if source is None or target is None or source.exponents is None or source.exponents != target.exponents:
+        return None
+    return source.factor / target.factor, (source.offset - target.offset) / target.factor
+
+
 @dataclass(frozen=True)
 class Interface:
     """One of the two FMI interfaces and its capabilities (FMI 2.0.4, sections 3.3.1, 4.3.1; FMI 3.0.2, 2.4.8)."""
@@ -106,14 +109,12 @@ class Interface:
     identifier: str
     needs_execution_tool: bool
     once_per_process: bool
-    get_set_state: bool
-    serialize_state: bool
     directional_derivatives: bool
     variable_step: bool = False
     interpolates_inputs: bool = False
     event_mode: bool = False
     completed_step: bool = True
-    declared_repeatable: bool = False  # it says, rather than leaves unsaid, that it is not `once_per_process`
+    declared_repeatable: bool = False  # explicitly declared not `once_per_process`
 
 
 @dataclass(frozen=True)
@@ -136,9 +137,9 @@ class Description:
     states: tuple[str, ...] = ()
     """The continuous states, in their order."""
     indicators: int = 0
-    """How many event indicators there are."""
+    """Number of event indicators."""
     applied: Mapping[str, float | int | bool | str] = field(default_factory=dict)
-    """Start values that `fmuid apply` wrote: they act only where they are set (`fmuid.fmi.start_values`)."""
+    """Start values written by `fmuid apply`: the importer must set them (`fmuid.fmi.start_values`)."""
 
     @property
     def major_version(self) -> int:
@@ -168,9 +169,9 @@ class Description:
         if own is not None and unit in own.display_units:
             factor, offset = own.display_units[unit]
             return 1.0 / factor, -offset / factor
-        other = self.units.get(unit)
-        if own and other and own.exponents is not None and own.exponents == other.exponents:
-            return other.factor / own.factor, (other.offset - own.offset) / own.factor
+        conversion = unit_conversion(self.units.get(unit), own)
+        if conversion is not None:
+            return conversion
         known = sorted(set(own.display_units) if own else set())
         known += [u.name for u in self.units.values() if own and u is not own and u.exponents == own.exponents]
         raise InputError(
@@ -179,19 +180,7 @@ class Description:
         )
 
 
-@contextmanager
-def uncollected() -> Iterator[None]:
-    """Do without the collector of cycles, which looks through the objects of large models again and again."""
-    there = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if there:
-            gc.enable()
-
-
-@uncollected()
+@safe_xml.uncollected()
 def read_description(path: Path) -> Description:
     """Read the model description inside an FMU.
 
@@ -217,7 +206,7 @@ def read_description(path: Path) -> Description:
     except InputError as error:
         said = str(error)
         raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None
-    except Exception as error:  # of whatever kind FMPy meets first, even AttributeError
+    except Exception as error:  # FMPy raises errors of many kinds, even AttributeError
         said = f"it refers to {error}, which it does not declare" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{path}: its {DESCRIPTION_FILE} cannot be read: {said}") from error
 
@@ -237,7 +226,7 @@ def read_text(path: Path) -> bytes:
 
 
 def _checked_root(path: Path, text: bytes) -> Element:
-    """Return the root of a model description of a version that is read."""
+    """Return the root of a model description, of a supported version."""
     root = safe_xml.parse(text, f"{path}: its {DESCRIPTION_FILE}")
     version = root.get("fmiVersion")
     if not re.match(r"(2\.0|3\.0)(\.|$)", version or ""):
@@ -295,7 +284,7 @@ def _check_names(parsed: Any) -> None:
 
 
 def _check_size(parsed: Any) -> None:
-    """Refuse what could not be held in memory, before it is, and what the binary's functions do not take."""
+    """Refuse what does not fit in memory, before it is built, and what the binary's functions do not take."""
     count = sum(math.prod(variable.shape or ()) for variable in parsed.modelVariables)
     for what, number in (
         ("variables and elements of arrays", count),
@@ -365,11 +354,9 @@ def _scalars(parsed: Any, is_state: bool, enumeration: str) -> list[Variable]:
 
 
 def _start(kind: str, text: str | None) -> float | int | bool | str | None:
-    if text is None or kind not in ("Real", "Integer", "Boolean"):
-        return text
-    if kind == "Boolean":
-        return str(text).lower() in ("true", "1")
-    return int(text) if kind == "Integer" else float(text)
+    if kind == "Boolean" and text is not None:
+        return text.lower() in ("true", "1")
+    return text if text is None else {"Real": float, "Integer": int}.get(kind, str)(text)
 
 
 def _unit(parsed: Any) -> Unit:
@@ -391,9 +378,9 @@ def _unit(parsed: Any) -> Unit:
 
 def _interface(kind: str, parsed: Any, element: Element) -> Interface:
     identifier = parsed.modelIdentifier
-    if not identifier or set("/\\:\0") & set(identifier):  # it names the binary: a path would lead to another one
+    if not identifier or set("/\\:\0") & set(identifier):  # it names the binary: a path would lead to another file
         raise InputError(f"its modelIdentifier is {identifier!r}, which is no name of a binary in it; export it again")
-    # FMPy reads this attribute of FMI 2.0 only, and takes what is not said for what is said
+    # FMPy reads this attribute for FMI 2.0 only, and does not tell defaults from declared values
     directional = element.get("providesDirectionalDerivatives") in ("true", "1")
     return Interface(
         kind=kind,
@@ -401,8 +388,6 @@ def _interface(kind: str, parsed: Any, element: Element) -> Interface:
         needs_execution_tool=bool(parsed.needsExecutionTool),
         once_per_process=bool(parsed.canBeInstantiatedOnlyOncePerProcess),
         declared_repeatable=element.get("canBeInstantiatedOnlyOncePerProcess") in ("false", "0"),
-        get_set_state=bool(parsed.canGetAndSetFMUstate),
-        serialize_state=bool(parsed.canSerializeFMUstate),
         directional_derivatives=directional or bool(parsed.providesDirectionalDerivative),
         variable_step=bool(getattr(parsed, "canHandleVariableCommunicationStepSize", False)),
         interpolates_inputs=bool(getattr(parsed, "canInterpolateInputs", False)),

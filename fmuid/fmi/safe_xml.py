@@ -1,22 +1,24 @@
-"""XML from files that nobody vouches for: model descriptions, system structures, parameter values.
+"""XML from untrusted files: model descriptions, system structures, parameter values.
 
-Neither FMI nor SSP has use for a document type. What one can do is refused with it: entities that multiply while they
-are read ("billion laughs") and entities that stand for other files or addresses (CWE-776, CWE-611).
+Neither FMI nor SSP needs a document type. Refusing it excludes entities that expand to huge texts ("billion laughs",
+CWE-776) and entities that refer to other files or addresses (CWE-611).
 """
 
 from __future__ import annotations
 
+import gc
 import io
 from collections.abc import Iterator
+from contextlib import contextmanager
 from xml.etree import ElementTree
 from xml.parsers import expat
 
 from fmuid.errors import InputError
 
 LARGEST_XML = 256 * 2**20
-"""Bytes of an XML file: some 800 000 variables; what a reader makes of it takes ten times as much memory."""
-DEEPEST = 200
-"""Elements inside each other: FMI needs 5 and a nested system of SSP 2 for each level; readers are recursive."""
+"""Bytes of an XML file: about 800 000 variables; parsed, they take ten times as much memory."""
+DEEPEST_NESTING = 200
+"""Elements inside each other: FMI needs 5, SSP 2 for each level of nested systems; readers are recursive."""
 
 
 def parse(text: bytes, what: str) -> ElementTree.Element:
@@ -25,14 +27,14 @@ def parse(text: bytes, what: str) -> ElementTree.Element:
     Parameters
     ----------
     text : bytes
-        The file's content; its encoding is what it says.
+        The file's content, in the encoding that it declares.
     what : str
-        What messages call it.
+        Name of the file in messages.
 
     Raises
     ------
     InputError
-        If it is not well-formed, has a document type, or is nested deeper than `DEEPEST`.
+        If it is not well-formed, has a document type, or is nested deeper than `DEEPEST_NESTING`.
     """
     _check_head(text, what)
     try:
@@ -40,15 +42,15 @@ def parse(text: bytes, what: str) -> ElementTree.Element:
     except (ElementTree.ParseError, UnicodeError, LookupError, ValueError) as error:
         raise InputError(f"{what} is not well-formed XML: {error}") from None
     level = [root]
-    for _ in range(DEEPEST):
+    for _ in range(DEEPEST_NESTING):
         level = [child for element in level for child in element]
         if not level:
             return root
-    raise InputError(f"{what} has more than {DEEPEST} elements inside each other; it must be nested less deeply")
+    raise InputError(f"{what} has more than {DEEPEST_NESTING} elements inside each other; nest it less deeply")
 
 
 def started(text: bytes, what: str) -> Iterator[ElementTree.Element]:
-    """Yield the elements of an XML text as they begin, with their attributes; who has seen enough reads no further.
+    """Yield the elements of an XML text at their start tags, with their attributes; the caller may stop early.
 
     Raises
     ------
@@ -64,7 +66,7 @@ def started(text: bytes, what: str) -> Iterator[ElementTree.Element]:
 
 
 def parser(what: str) -> expat.XMLParserType:
-    """Return a parser, for whoever needs to know where in the text things stand; it refuses a document type."""
+    """Return a parser that tells positions in the text and refuses a document type."""
 
     def refuse(*_: object) -> None:
         raise InputError(
@@ -75,6 +77,18 @@ def parser(what: str) -> expat.XMLParserType:
     made = expat.ParserCreate()
     made.StartDoctypeDeclHandler = refuse
     return made
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Switch the garbage collector off, which would look through the objects of large models again and again."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 class _RootReached(Exception):  # noqa: N818  # not an error

@@ -14,7 +14,6 @@ from .roles import check_roles as check_roles
 from .roles import column_conversion as column_conversion
 from .ssp.parameter_values import Quantity as Quantity
 from .ssp.parameter_values import read_ssv as read_ssv
-from .ssp.parameter_values import unit_conversion as unit_conversion
 from .ssp.parameter_values import write_ssv as write_ssv
 from .system import MASTERS as MASTERS
 from .system import Connection as Connection

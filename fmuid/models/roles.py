@@ -9,11 +9,10 @@ import numpy as np
 
 from fmuid.data import Experiment
 from fmuid.errors import InputError
+from fmuid.fmi import Value as Value
 from fmuid.fmi import Variable
 from fmuid.models.system import System
 from fmuid.text import nearest
-
-Value = float | int | bool | str
 
 
 def column_conversion(system: System, name: str, unit: str) -> tuple[float, float]:

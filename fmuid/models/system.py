@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fmuid.errors import InputError
-from fmuid.fmi import FMU, Variable, in_threads
+from fmuid.fmi import FMU, Variable, in_threads, unit_conversion
 from fmuid.models.component import AS_OFFERED, Component, Isolation, Numerics
 from fmuid.text import nearest
 
@@ -273,13 +273,13 @@ class System:
         (giving, output), (taking, name) = self.split(source), self.split(target)
         gives, takes = self.components[giving].fmu.description, self.components[taking].fmu.description
         has, wants = gives.variables[output].unit or "", takes.variables[name].unit or ""
-        one, other = gives.units.get(has), takes.units.get(wants)
-        if one and other and one.exponents is not None and one.exponents == other.exponents:
-            return one.factor / other.factor, (one.offset - other.offset) / other.factor
-        raise InputError(
-            f"connection {source} -> {target}: the units do not convert ({has} and {wants}); "
-            f"export the models with units of the same dimension"
-        )
+        conversion = unit_conversion(gives.units.get(has), takes.units.get(wants))
+        if conversion is None:
+            raise InputError(
+                f"connection {source} -> {target}: the units do not convert ({has} and {wants}); "
+                f"export the models with units of the same dimension"
+            )
+        return conversion
 
     def _check_connectors(self) -> None:
         for name, ports in self.connectors.items():

@@ -11,8 +11,8 @@ from pathlib import Path
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import exists, is_folder, replacing
-from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Unit, Value, Variable, Zipped, with_starts
-from fmuid.models import Quantity, System, read_ssv, unit_conversion, write_ssv
+from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Unit, Value, Variable, Zipped, unit_conversion, with_starts
+from fmuid.models import Quantity, System, read_ssv, write_ssv
 from fmuid.reports.words.result import ending
 from fmuid.text import nearest
 

@@ -420,7 +420,7 @@ def test_document_type_of_a_build_description(tmp_path: Path) -> None:
 
 
 def test_deep_nesting(tmp_path: Path) -> None:
-    for depth, fits in ((safe_xml.DEEPEST, True), (safe_xml.DEEPEST + 1, False), (100_000, False)):
+    for depth, fits in ((safe_xml.DEEPEST_NESTING, True), (safe_xml.DEEPEST_NESTING + 1, False), (100_000, False)):
         text = b"<a>" * depth + b"</a>" * depth
         if fits:
             assert safe_xml.parse(text, "it").tag == "a"

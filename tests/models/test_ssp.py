@@ -14,7 +14,7 @@ import pytest
 
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
-from fmuid.models.ssp.links import Link, Port
+from fmuid.models.ssp.links import ConnectedVariable, Link
 from fmuid.models.ssp.package import read_ssp
 from fmuid.models.system import System
 from fmuid.simulation.simulator import Simulator
@@ -69,7 +69,7 @@ def test_a_closed_loop_simulates_as_the_same_system_put_together_by_hand(package
     }  # fmt: skip
     assert structure.components["drive"].fmu.read_bytes() == DRIVE.read_bytes()
     assert structure.default_experiment == {"start": 0.5, "stop": 2.0}
-    assert structure.inputs == {"reference": (Port("controller", "qg"),)}
+    assert structure.inputs == {"reference": (ConnectedVariable("controller", "qg"),)}
     assert structure.values == {}
     by_hand = System(
         components={"drive": DRIVE, "controller": CONTROLLER},
@@ -99,8 +99,8 @@ def test_start_and_end_do_not_tell_the_direction(package: Maker) -> None:
     assert set(forth.connections) == {
         Link(("drive", "q"), ("controller", "q")), Link(("controller", "v"), ("drive", "v"))
     }  # fmt: skip
-    assert forth.inputs == back.inputs == {"reference": (Port("controller", "qg"),)}
-    assert forth.outputs == back.outputs == {"where": Port("drive", "q")}
+    assert forth.inputs == back.inputs == {"reference": (ConnectedVariable("controller", "qg"),)}
+    assert forth.outputs == back.outputs == {"where": ConnectedVariable("drive", "q")}
 
 
 def test_nested_systems_are_flattened_and_transformations_composed(package: Maker) -> None:
@@ -120,8 +120,11 @@ def test_nested_systems_are_flattened_and_transformations_composed(package: Make
     assert set(structure.components) == {"outer.inner.drive", "controller"}
     # 3 (2 q + 1) - 4
     assert structure.connections == (Link(("outer.inner.drive", "q"), ("controller", "q"), 6.0, -1.0, True),)
-    assert set(structure.inputs["u"]) == {Port("outer.inner.drive", "v", 5.0), Port("controller", "qg")}
-    assert structure.outputs == {"position": Port("outer.inner.drive", "q", 2.0, 1.0)}
+    assert set(structure.inputs["u"]) == {
+        ConnectedVariable("outer.inner.drive", "v", 5.0),
+        ConnectedVariable("controller", "qg"),
+    }
+    assert structure.outputs == {"position": ConnectedVariable("outer.inner.drive", "q", 2.0, 1.0)}
     assert System.read_ssp(path).connections[0].factor == 6.0
 
 

@@ -10,14 +10,13 @@ import pytest
 from fmpy.ssp import ssd as fmpy_ssd
 
 from fmuid.errors import InputError
-from fmuid.fmi.description import Unit
+from fmuid.fmi.description import Unit, unit_conversion
 from fmuid.models.ssp.parameter_values import (
     Quantity,
     mapping_entries,
     parameter_set,
     read_ssv,
     read_xml,
-    unit_conversion,
     write_ssv,
 )
 

@@ -6,20 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fmuid.errors import InputError
-from fmuid.fmi import Unit, Variable
+from fmuid.fmi import Unit, Value, Variable, unit_conversion
 from fmuid.models.ssp.links import Package
 from fmuid.models.ssp.parameter_values import (
     Element,
     MappingEntry,
     Quantity,
-    Value,
     children,
     mapping_entries,
     parameter_set,
     read_xml,
-    unit_conversion,
 )
-from fmuid.models.ssp.structure import Edge, Node, Path
+from fmuid.models.ssp.structure import Edge, ElementPath, Node
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class Bindings:
         for element, binding in self.tree.bindings:
             self.bind(element, binding)
 
-    def bind(self, element: Path, binding: Element) -> None:
+    def bind(self, element: ElementPath, binding: Element) -> None:
         """Apply one ParameterBinding to the element that it stands at."""
         owner = f"a parameter binding of {'.'.join(element) or 'the top system'}"
         prefix = binding.get("prefix", "")
@@ -94,7 +92,7 @@ class Bindings:
         except InputError as error:
             raise self.package.error(str(error).replace(str(file), source)) from None
 
-    def assign(self, element: Path, given: _Given) -> None:
+    def assign(self, element: ElementPath, given: _Given) -> None:
         """Set what a name stands for, seen from an element, to a value: one variable, or all that a connector feeds."""
         package, node = self.package, self.named(element, given.entry.target)
         reached = [] if node is None else [(node, list[Edge]())]
@@ -116,7 +114,7 @@ class Bindings:
         if not used:
             self.unused[".".join([*element, given.entry.target])] = None
 
-    def named(self, element: Path, name: str) -> Node | None:
+    def named(self, element: ElementPath, name: str) -> Node | None:
         """Return the connector or variable of a hierarchical name seen from an element; None where there is none."""
         node = Node(element, name)
         if element in self.package.entries or node in self.tree.connectors:

@@ -10,10 +10,18 @@ from urllib.parse import unquote
 
 from fmuid.errors import InputError
 from fmuid.files import is_file
-from fmuid.fmi import DESCRIPTION_FILE, Description, Unit, Variable, read_description, read_text, safe_xml
-from fmuid.models.ssp.parameter_values import Element, enumerations_of, unit_conversion, units_of
-from fmuid.models.ssp.structure import Edge, Node, Tree, read_tree
-from fmuid.models.ssp.structure import Path as ElementPath
+from fmuid.fmi import (
+    DESCRIPTION_FILE,
+    Description,
+    Unit,
+    Variable,
+    read_description,
+    read_text,
+    safe_xml,
+    unit_conversion,
+)
+from fmuid.models.ssp.parameter_values import Element, enumerations_of, units_of
+from fmuid.models.ssp.structure import Edge, ElementPath, Node, Tree, read_tree
 from fmuid.text import nearest
 
 
@@ -39,7 +47,7 @@ class Link(NamedTuple):
     units_settled: bool = False
 
 
-class Port(NamedTuple):
+class ConnectedVariable(NamedTuple):
     """A component's variable behind a connector of the whole system.
 
     Of an input: variable = factor · connector + offset; of an output: connector = factor · variable + offset.
@@ -154,21 +162,21 @@ class Package:
                 found.append(Link(ends[0], ends[1], *self.composed(chain)))
         return found
 
-    def fed_by(self, source: Node) -> list[Port]:
+    def fed_by(self, source: Node) -> list[ConnectedVariable]:
         """Return the components' variables that a connector of the whole system feeds."""
         found = []
         for node, _ in self.ends_of(source):
             factor, offset, _ = self.composed(self.chains[node])
-            found.append(Port(".".join(node.element), node.connector, factor, offset))
+            found.append(ConnectedVariable(".".join(node.element), node.connector, factor, offset))
         return found
 
-    def behind(self, target: Node) -> Port | None:
+    def behind(self, target: Node) -> ConnectedVariable | None:
         """Return the component's variable that feeds a connector of the whole system."""
         if not self.fed_by_component(target):
             return None
         chain = self.chains[target]
         factor, offset, _ = self.composed(chain)
-        return Port(".".join(chain[0].source.element), chain[0].source.connector, factor, offset)
+        return ConnectedVariable(".".join(chain[0].source.element), chain[0].source.connector, factor, offset)
 
     def composed(self, chain: list[Edge]) -> tuple[float, float, bool]:
         """Return factor and offset along a chain of connections, and whether units are settled by them.

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from fmuid.errors import InputError
 from fmuid.files import is_file
-from fmuid.fmi import file_digest, unpacked
+from fmuid.fmi import Value, file_digest, unpacked
 from fmuid.models.ssp.bindings import Bindings
-from fmuid.models.ssp.links import ComponentEntry, Link, Package, Port
-from fmuid.models.ssp.parameter_values import Value, children, number, read_xml
+from fmuid.models.ssp.links import ComponentEntry, ConnectedVariable, Link, Package
+from fmuid.models.ssp.parameter_values import children, number, read_xml
 
 STRUCTURE_FILE = "SystemStructure.ssd"
 
@@ -31,9 +31,9 @@ class Structure:
     connections : tuple of Link
     values : mapping of str to value
         ``component.variable`` and what parameter bindings set it to, in the unit of the variable.
-    inputs : mapping of str to tuple of Port
+    inputs : mapping of str to tuple of ConnectedVariable
         The system's own input connectors and what each feeds.
-    outputs : mapping of str to Port
+    outputs : mapping of str to ConnectedVariable
         The system's own output connectors, those that an output of a component feeds.
     default_experiment : mapping of str to float
         ``start`` and ``stop``, s, where the file has them.
@@ -46,8 +46,8 @@ class Structure:
     components: Mapping[str, ComponentEntry]
     connections: tuple[Link, ...]
     values: Mapping[str, Value] = field(default_factory=dict)
-    inputs: Mapping[str, tuple[Port, ...]] = field(default_factory=dict)
-    outputs: Mapping[str, Port] = field(default_factory=dict)
+    inputs: Mapping[str, tuple[ConnectedVariable, ...]] = field(default_factory=dict)
+    outputs: Mapping[str, ConnectedVariable] = field(default_factory=dict)
     default_experiment: Mapping[str, float] = field(default_factory=dict)
     unused: tuple[str, ...] = ()
 

@@ -15,10 +15,9 @@ from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 from fmuid.errors import InputError
-from fmuid.fmi import SI_BASE_UNITS, Unit, safe_xml
+from fmuid.fmi import SI_BASE_UNITS, Unit, Value, safe_xml
 from fmuid.version import __version__
 
-Value = float | int | bool | str
 Element = ElementTree.Element
 
 NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructure"
@@ -37,7 +36,7 @@ class Quantity(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ParameterSet:
+class ParameterValues:
     """The content of an SSV file.
 
     Attributes
@@ -65,7 +64,7 @@ class MappingEntry(NamedTuple):
     suppress_units: bool = False
 
 
-def read_ssv(path: str | Path) -> ParameterSet:
+def read_ssv(path: str | Path) -> ParameterValues:
     """Read an SSV file.
 
     Raises
@@ -218,13 +217,6 @@ def units_of(root: Element, where: str) -> dict[str, Unit]:
     return found
 
 
-def unit_conversion(source: Unit | None, target: Unit | None) -> tuple[float, float] | None:
-    """Return (factor, offset) such that ``target = factor · source + offset``; None where the units do not convert."""
-    if source is None or target is None or source.exponents is None or source.exponents != target.exponents:
-        return None
-    return source.factor / target.factor, (source.offset - target.offset) / target.factor
-
-
 def enumerations_of(root: Element, where: str) -> dict[str, dict[str, int]]:
     """Return the enumerations that an SSD or SSV file defines: the number of each item by its name."""
     return {
@@ -237,7 +229,7 @@ def enumerations_of(root: Element, where: str) -> dict[str, dict[str, int]]:
 
 def parameter_set(
     root: Element, where: str, enumerations: Mapping[str, Mapping[str, int]] | None = None
-) -> ParameterSet:
+) -> ParameterValues:
     """Return the content of a ParameterSet element.
 
     Parameters
@@ -265,7 +257,7 @@ def parameter_set(
         value = _value(typed[0], f"{where}, parameter {name!r}")
         items = known.get(typed[0].get("name", "")) if local(typed[0]) == "Enumeration" else None
         values[name] = Quantity(value, typed[0].get("unit") or None, parameter.get("description", ""), items)
-    return ParameterSet(root.get("name", ""), values, units_of(root, where))
+    return ParameterValues(root.get("name", ""), values, units_of(root, where))
 
 
 def _value(element: Element, where: str) -> Value:

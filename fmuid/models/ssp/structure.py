@@ -14,7 +14,7 @@ from fmuid.errors import InputError
 from fmuid.models.ssp.parameter_values import Element, children, local, transformation, truth
 from fmuid.text import nearest
 
-Path = tuple[str, ...]
+ElementPath = tuple[str, ...]
 """The names of nested elements, from the outermost inwards; the top system is ``()``."""
 
 _INWARD = ("input", "parameter", "structuralParameter")
@@ -26,7 +26,7 @@ _FMU_TYPE = "application/x-fmu-sharedlibrary"
 class Node(NamedTuple):
     """A connector of an element, or a signal of a bus."""
 
-    element: Path
+    element: ElementPath
     connector: str
 
     def __str__(self) -> str:
@@ -61,7 +61,7 @@ class Edge:
 
 
 @dataclass(frozen=True)
-class Component:
+class ComponentElement:
     """An FMU in the structure: where it lies in the archive, and which interface is asked for (None: any)."""
 
     source: str
@@ -80,24 +80,24 @@ class Tree:
         By their paths. A bus is a reference to a signal dictionary, and what stands for the dictionary itself.
     connectors : dict of Node to Connector
     incoming : dict of Node to Edge
-    bindings : list of (Path, Element)
+    bindings : list of (ElementPath, Element)
         The ParameterBinding elements and whose they are, those that win last.
     """
 
     where: str
-    components: dict[Path, Component] = field(default_factory=dict)
-    systems: set[Path] = field(default_factory=set)
-    buses: dict[Path, Path] = field(default_factory=dict)
+    components: dict[ElementPath, ComponentElement] = field(default_factory=dict)
+    systems: set[ElementPath] = field(default_factory=set)
+    buses: dict[ElementPath, ElementPath] = field(default_factory=dict)
     connectors: dict[Node, Connector] = field(default_factory=dict)
     incoming: dict[Node, Edge] = field(default_factory=dict)
-    bindings: list[tuple[Path, Element]] = field(default_factory=list)
+    bindings: list[tuple[ElementPath, Element]] = field(default_factory=list)
 
-    def elements_in(self, system: Path) -> list[str]:
+    def elements_in(self, system: ElementPath) -> list[str]:
         """Return the names of the elements directly in a system."""
-        everything: Iterator[Path] = (p for some in (self.components, self.systems, self.buses) for p in some)
+        everything: Iterator[ElementPath] = (p for some in (self.components, self.systems, self.buses) for p in some)
         return [path[-1] for path in everything if len(path) == len(system) + 1 and path[:-1] == system]
 
-    def connectors_of(self, element: Path) -> list[str]:
+    def connectors_of(self, element: ElementPath) -> list[str]:
         """Return the names of an element's connectors."""
         return [node.connector for node in self.connectors if node.element == element]
 
@@ -141,12 +141,12 @@ def read_tree(root: Element, where: str) -> Tree:
 class _Reader:
     def __init__(self, where: str) -> None:
         self.where, self.tree = where, Tree(where)
-        self.dictionaries: set[Path] = set()
+        self.dictionaries: set[ElementPath] = set()
 
     def error(self, text: str) -> InputError:
         return InputError(f"{self.where}: {text}")
 
-    def system(self, xml: Element, path: Path) -> None:
+    def system(self, xml: Element, path: ElementPath) -> None:
         self.tree.systems.add(path)
         self.connectors(xml, path)
         self.dictionaries |= {
@@ -164,7 +164,7 @@ class _Reader:
                 self.connection(connection, path)
         self.tree.bindings += [(path, b) for b in children(xml, "ParameterBindings", "ParameterBinding")]
 
-    def element(self, xml: Element, path: Path) -> None:
+    def element(self, xml: Element, path: ElementPath) -> None:
         kind = local(xml)
         if kind == "System":
             self.system(xml, path)
@@ -178,7 +178,7 @@ class _Reader:
         else:
             raise self.error(f"element {'.'.join(path)!r} is a {kind}, which is not supported; use FMUs and systems")
 
-    def component(self, xml: Element, name: str) -> Component:
+    def component(self, xml: Element, name: str) -> ComponentElement:
         kind, source = xml.get("type", _FMU_TYPE), xml.get("source", "")
         if kind != _FMU_TYPE:
             raise self.error(
@@ -189,9 +189,9 @@ class _Reader:
         asked = xml.get("implementation", "any")
         if asked not in interfaces:
             raise self.error(f"component {name!r} asks for {asked}, and only {', '.join(interfaces)} are supported")
-        return Component(source, interfaces[asked])
+        return ComponentElement(source, interfaces[asked])
 
-    def bus(self, xml: Element, path: Path) -> Path:
+    def bus(self, xml: Element, path: ElementPath) -> ElementPath:
         """Return what stands for the dictionary that a reference names: that of the nearest system around it."""
         name = xml.get("dictionary", "")
         for depth in range(len(path) - 1, -1, -1):
@@ -200,7 +200,7 @@ class _Reader:
         known = [dictionary[-1] for dictionary in self.dictionaries]
         raise self.error(f"{'.'.join(path)!r} refers to no signal dictionary {name!r}{nearest(name, known)}")
 
-    def connectors(self, xml: Element, path: Path) -> None:
+    def connectors(self, xml: Element, path: ElementPath) -> None:
         for connector in children(xml, "Connectors", "Connector"):
             units = (child.get("unit") for child in connector if child.get("unit"))
             is_array = bool(children(connector, "Dimension"))
@@ -210,7 +210,7 @@ class _Reader:
 
     # --- connections
 
-    def connection(self, xml: Element, system: Path) -> None:
+    def connection(self, xml: Element, system: ElementPath) -> None:
         if local(xml) != "Connection":
             return
         ends = [self.end(xml, system, which) for which in ("start", "end")]
@@ -227,7 +227,7 @@ class _Reader:
         suppress = truth(xml, "suppressUnitConversion", f"{self.where}: {label}")
         self.tree.incoming[target] = Edge(source, target, factor, offset, suppress, label)
 
-    def end(self, xml: Element, system: Path, which: str) -> tuple[Node, Connector]:
+    def end(self, xml: Element, system: ElementPath, which: str) -> tuple[Node, Connector]:
         """Return one end of a connection, which must exist."""
         element, name = xml.get(f"{which}Element"), xml.get(f"{which}Connector", "")
         path = (*system, element) if element else system
@@ -252,7 +252,7 @@ class _Reader:
             )
         return node, connector
 
-    def directed(self, ends: list[tuple[Node, Connector]], system: Path, label: str) -> tuple[Node, Node]:
+    def directed(self, ends: list[tuple[Node, Connector]], system: ElementPath, label: str) -> tuple[Node, Node]:
         """Return (source, target): the kinds of the connectors, not start and end, say where the value flows."""
         gives = [self.gives(node, connector, system) for node, connector in ends]
         if gives[0] is None and gives[1] is not None:
@@ -272,12 +272,12 @@ class _Reader:
             )
         return source, target
 
-    def gives(self, node: Node, connector: Connector, system: Path) -> bool | None:
+    def gives(self, node: Node, connector: Connector, system: ElementPath) -> bool | None:
         """Whether a value comes out of a connector, seen from inside a system; None for a bus, which does both."""
         if node.element in self.tree.buses:
             return None
         return (connector.kind in _INWARD) == (node.element == system)
 
 
-def _system_name(path: Path) -> str:
+def _system_name(path: ElementPath) -> str:
     return f"system {'.'.join(path)!r}" if path else "the top system"
