@@ -50,6 +50,7 @@ for command in (
     cli_models.info,
     cli_models.validate,
     cli_models.init,
+    cli_models.schema,
     cli_studies.simulate,
     cli_studies.identify,
     cli_studies.diagnose,

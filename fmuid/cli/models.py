@@ -58,6 +58,14 @@ def init(
     return DONE
 
 
+def schema() -> int:
+    """Print the JSON schema of study files, with which editors complete and check them."""
+    from fmuid.studies import schema_text
+
+    print(schema_text())
+    return DONE
+
+
 def apply(
     result: Annotated[
         Path,

@@ -209,22 +209,6 @@ def monitor(
     output: Folder = None,
     set_: Overrides = None,
     in_process: InProcess = False,
-    window: Annotated[
-        float | None, typer.Option(metavar="S", help="Length of a window, s; default: each record is one.")
-    ] = None,
-    transient: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Simulated before each window, s; default: what the study discards."),
-    ] = None,
-    level: Annotated[
-        float | None,
-        typer.Option(metavar="P", help="Probability that a healthy window is significant; default: the study's."),
-    ] = None,
-    needed: Annotated[int, typer.Option(metavar="M", help="An alarm takes so many significant windows ...")] = 3,
-    among: Annotated[int, typer.Option(metavar="N", help="... of the last so many.")] = 4,
-    forgetting: Annotated[
-        float, typer.Option(metavar="F", help="0: windows by themselves; towards 1: earlier ones count by F, F², ...")
-    ] = 0.0,
     append: Annotated[
         bool, typer.Option("--append", help="Go on with the run in the output folder; records of it are left out.")
     ] = False,
@@ -239,8 +223,7 @@ def monitor(
         from fmuid.reports.figures import style as plots
         from fmuid.studies import monitor_of, records_of, rule_of
 
-        rule = rule_of(read, window, transient, level, needed=needed, among=among, forgetting=forgetting)
-        found = monitor_of(read, rule)
+        found = monitor_of(read, rule_of(read))
         if append:
             found.resume(folder)
         console.show_notes(read.notes)

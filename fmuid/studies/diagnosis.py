@@ -21,10 +21,12 @@ from fmuid.studies.words import (
     TABLE_TAG,
     VALUE_TAG,
     Columns,
+    Count,
     Entries,
     File,
     Kind,
     Names,
+    NotNegative,
     Number,
     Positive,
     Share,
@@ -125,6 +127,40 @@ class FaultWords(ModelWords):
         from fmuid.diagnosis import Angle
 
         return {name: Angle(each.size, each.period) for name, each in self.angle.items()}
+
+
+class MonitoringWords(Words):
+    """The same in windows of long records, one after the other."""
+
+    window: Positive | None = word(None, "length of a window, s; default: each record is one")
+    transient: NotNegative | None = word(None, "simulated before each window, s; default: what the study discards")
+    level: Share | None = word(
+        None, "probability that a window is significant where nothing is wrong; default: that of [diagnosis]"
+    )
+    needed: Count = word(RULE.needed, "an alarm takes so many significant windows ...")
+    among: Count = word(RULE.among, "... of the last so many")
+    forgetting: NotNegative = word(
+        RULE.forgetting, "0: windows by themselves; towards 1: earlier ones count by F, F², ..."
+    )
+
+    def rule(self, discard: float, level: float) -> Rule:
+        """Return the rule of a study with a transient that it discards and a level of its diagnosis.
+
+        Raises
+        ------
+        InputError
+            If a record is to be cut and nothing says how long the transient is, or the words do not fit together.
+        """
+        if self.transient is None and self.window is not None and not discard:
+            raise self.error(
+                "needs the key 'transient': the study discards nothing, and windows begin anywhere; say how long the "
+                "model takes to forget its initial state, 0 for one without states"
+            )
+        transient = discard if self.transient is None else self.transient
+        try:
+            return Rule(self.window, transient, self.level or level, self.needed, self.among, self.forgetting)
+        except InputError as error:
+            raise InputError(f"{self.place}: {error}") from None
 
 
 class DiagnosisWords(Words):

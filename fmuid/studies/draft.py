@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmuid.fmi import FMU, Description, Variable
+    from fmuid.studies.words import Words
 
 # The names that tables give their time column, in the order in which they are looked for.
 TIME_COLUMNS = ("time", "Time", "t", "TIME", "T")
@@ -28,30 +29,6 @@ NAMES_LISTED, PARAMETERS_LISTED = 20, 12
 LINE_LENGTH, REMARK_LENGTH = 110, 80
 # Modelica tools write their largest numbers for bounds that are none.
 NO_BOUND = 1e60
-
-# What does not depend on FMU and table; the words that few studies need are commented out.
-_REST = """
-# [prior]  # what is known of several parameters together, here from an earlier result
-# result = "healthy/result.json"
-# inflate = 10  # factor on its standard deviations, for changes to be expected
-# names = ["a", "b"]  # default: all parameters that it shares with this study; or names, mean and covariance
-
-[noise]
-variance = "estimate"  # or a number, or one for each output: { output = number }
-# start = 0.01  # where the estimation of the variance starts; default: from the residual
-
-[estimator]
-method = "marquardt"  # or "global": search all of the bounds first
-# starts = 50  # with method = "global": a search from each of so many starts; without it, an evolution
-# loss = "soft_l1"  # or "huber", "cauchy": outliers in the table pull less than with "linear"
-sensitivity = "finite-difference"
-
-# [uncertainty]  # more than the standard deviations, which are local
-# level = 0.95
-# profile = true  # profile likelihood of all parameters, or of some: ["a", "b"]
-# posterior = true  # samples of the posterior; or { steps = 20000, walkers = 32, seed = 0 }
-# map = [["a", "b"]]  # the criterion over two parameters
-""".strip().splitlines()
 
 
 @dataclass(frozen=True)
@@ -94,6 +71,7 @@ def draft(fmu: Path, table: Path, output: Path) -> Draft:
         If one of the files cannot be read.
     """
     from fmuid.fmi import read_description
+    from fmuid.studies.model import ExperimentSettings
 
     description = read_description(fmu)
     frame, time = _read(table)
@@ -121,12 +99,11 @@ def draft(fmu: Path, table: Path, output: Path) -> Draft:
         *_roles("outputs", outputs, missing_outputs),
         *([f"# columns that are no input or output of the FMU: {_listed(unused)}"] if unused else []),
         '# where a column has another name: outputs = { fmu_variable = "column" }',
-        'interpolation = "linear"  # between samples; "hold" for commands of a digital controller',
-        "discard = 0.0  # s of transient at the beginning, simulated but not counted",
+        *(ExperimentSettings.example_line(key) for key in ("interpolation", "discard")),
         "",
         *_parameters(description),
         "",
-        *_REST,
+        *_rest(),
     ]
     return Draft("\n".join(lines) + "\n", inputs, outputs, missing_inputs, missing_outputs, unused)
 
@@ -210,20 +187,36 @@ def _match(names: Sequence[str], columns: Sequence[str]) -> tuple[tuple[str, ...
 
 def _numerics(description: Description) -> list[str]:
     """Return the words on how the FMU is run, commented out, as far as its interfaces have use for them."""
-    from fmuid.models import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE
+    from fmuid.studies.model import NumericsWords
 
-    offered, lines = description.interfaces, []
-    if len(offered) > 1:
-        lines.append('# interface = "model-exchange"  # default: "co-simulation", with the integrator inside the FMU')
-    if "model-exchange" in offered:
-        lines += [
-            f'# integrator = "cvode"  # of model exchange: "rk4" (fixed steps), "rk45" or "cvode" (stiff models); '
-            f'default: "{DEFAULT_INTEGRATOR}"',
-            f"# tolerance = {DEFAULT_TOLERANCE!r}  # relative, of the integrator",
-        ]
-    else:
-        lines.append(f"# tolerance = {DEFAULT_TOLERANCE!r}  # relative; default: what the FMU has inside")
-    return [*lines, "# step_size = 1e-3  # largest step, s; default: from sample to sample"]
+    words = ["interface"] if len(description.interfaces) > 1 else []
+    words += ["integrator"] if "model-exchange" in description.interfaces else []
+    return [NumericsWords.example_line(word) for word in (*words, "tolerance", "step_size")]
+
+
+def _rest() -> list[str]:
+    """Return what does not depend on FMU and table; the tables that few studies need are commented out."""
+    from fmuid.studies.parameters import JointPriorWords
+    from fmuid.studies.settings import EstimatorWords, NoiseWords, UncertaintyWords
+
+    return [
+        *_table(JointPriorWords, "prior", asked=False),
+        "",
+        *_table(NoiseWords, "noise", asked=True),
+        "",
+        *_table(EstimatorWords, "estimator", asked=True),
+        "",
+        *_table(UncertaintyWords, "uncertainty", asked=False),
+    ]
+
+
+def _table(table: type[Words], name: str, *, asked: bool) -> list[str]:
+    """Return those words of a table that have an example; all commented out where it is not asked for."""
+    lines = [table.example_line(key) for key, field in table.model_fields.items() if field.examples]
+    if asked:
+        return [f"[{name}]", *lines]
+    meaning = (table.__doc__ or "").rstrip(".")
+    return [f"# [{name}]  # {meaning[0].lower()}{meaning[1:]}", *(f"# {line.removeprefix('# ')}" for line in lines)]
 
 
 def _roles(word: str, matched: Sequence[str], missing: Sequence[str]) -> list[str]:

@@ -112,7 +112,8 @@ class NumericsWords(Words):
     )
     integrator: Annotated[str, one_of(INTEGRATORS)] | None = word(
         None,
-        f'of model exchange; default: "{DEFAULT_INTEGRATOR}", and "cvode" once that finds the model stiff',
+        f'of model exchange: "rk4" (fixed steps), "rk45" or "cvode" (stiff models); default: "{DEFAULT_INTEGRATOR}", '
+        'and "cvode" once that finds the model stiff',
         "cvode",
     )
     tolerance: Share | None = word(
@@ -214,7 +215,7 @@ Interpolations = Annotated[dict[str, Interpolation], Entries("a table { input = 
 
 
 class ExperimentSettings(Words):
-    """One entry of ``[[experiments]]``, with the words of `fmuid.Experiment`."""
+    """A table of measurements, with the words of `fmuid.Experiment`; as many as there are."""
 
     table: File = word(..., "the file of measurements")
     name: Text = word("", "what messages and figures call it; default: the table's name without suffix")

@@ -17,19 +17,8 @@ KINDS = (".csv", ".parquet", ".mat")
 """The tables that are taken from a folder."""
 
 
-def rule_of(study: Study, window: float | None, transient: float | None, level: float | None, **words: Any) -> Rule:
-    """Return the rule of a monitoring; what is None is as the study says.
-
-    Parameters
-    ----------
-    study : Study
-    window : float or None
-        s; None for each record as one window.
-    transient : float or None
-        s; None for what the study discards.
-    level : float or None
-    words
-        The rest of `Rule`.
+def rule_of(study: Study) -> Rule:
+    """Return the rule of a monitoring that a study's ``[monitoring]`` and ``[diagnosis]`` give.
 
     Raises
     ------
@@ -37,15 +26,7 @@ def rule_of(study: Study, window: float | None, transient: float | None, level: 
         If the study has no ``[diagnosis]``, a record is to be cut and nothing says how long the transient is, or the
         rule is wrong.
     """
-    settings, discard = _settings(study), study.experiments[0].discard
-    if transient is None and window is not None and not discard:
-        raise InputError(
-            f"{study.path} discards nothing, and windows begin anywhere: say with --transient how long the model takes "
-            "to forget its initial state, 0 for one without states"
-        )
-    return Rule(
-        window, discard if transient is None else transient, settings.level if level is None else level, **words
-    )
+    return study.monitoring.rule(study.experiments[0].discard, _settings(study).level)
 
 
 def monitor_of(study: Study, rule: Rule) -> Monitor:

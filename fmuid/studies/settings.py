@@ -70,7 +70,7 @@ class NoiseWords(Words):
     """The noise of the measurements."""
 
     variance: Annotated[Annotated[Variance, Tag(VALUE_TAG)] | Annotated[Positives, Tag(TABLE_TAG)], BY_SHAPE] = word(
-        "estimate", "or a number, or one for each output: { output = number }", "estimate"
+        "estimate", "of the outputs; or a number for all, or one for each: { output = number }", "estimate"
     )
     start: PositiveOrEach | None = word(
         None, "where the estimation of the variance starts; default: from the residual", 0.01
@@ -88,7 +88,7 @@ class EstimatorWords(Words):
     """How the parameters are searched for."""
 
     method: Annotated[str, one_of(("marquardt", "global"), later=("linear",))] = word(
-        "marquardt", 'or "global": search all of the bounds first', "marquardt"
+        "marquardt", '"global" searches all of the bounds first', "marquardt"
     )
     starts: Count | None = word(
         None, 'with method = "global": a search from each of so many starts; without it, an evolution', 50

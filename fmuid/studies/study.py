@@ -20,6 +20,7 @@ from fmuid.estimation import Iteration, Marquardt, Result, identify
 from fmuid.model_problem import Problem
 from fmuid.models import System
 from fmuid.simulation import Fit, Simulator, fit_of
+from fmuid.studies.diagnosis import DiagnosisSettings, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelSettings, named
 from fmuid.studies.overrides import override
 from fmuid.studies.parameters import Reader, Source
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from fmuid.diagnosis import Diagnosis
     from fmuid.estimation import GlobalResult, GlobalSearch, GlobalStep
     from fmuid.studies.batch import BatchSettings
-    from fmuid.studies.diagnosis import DiagnosisSettings
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,8 @@ class Study:
         How the derivatives of the outputs by the parameters are found.
     diagnosis : DiagnosisSettings or None
         The faults to look for, and what is known of the healthy machine.
+    monitoring : MonitoringWords
+        How records are cut into windows, and what makes an alarm.
     batch : BatchSettings or None
         The many identifications that the study spans.
     data : mapping
@@ -83,6 +85,7 @@ class Study:
     uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
     sensitivity: str = "finite-difference"
     diagnosis: DiagnosisSettings | None = None
+    monitoring: MonitoringWords = field(default_factory=MonitoringWords)
     batch: BatchSettings | None = None
     data: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
@@ -157,6 +160,7 @@ class Study:
             asked,
             estimator.sensitivity,
             None if diagnosis is None else diagnosis.settings(model, estimator.loss, known),
+            words.monitoring,
             None if batch is None else batch.of(known.parameters, experiments, noise),
             data,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fmuid.studies.batch import BatchSettings
-from fmuid.studies.diagnosis import DiagnosisWords
+from fmuid.studies.diagnosis import DiagnosisWords, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelWords
 from fmuid.studies.parameters import JointPriorWords, ParameterWords
 from fmuid.studies.settings import EstimatorWords, IsolationWords, NoiseWords, UncertaintyWords
@@ -18,9 +18,12 @@ class StudyFile(Words):
     experiments: list[ExperimentSettings] = word([], "the measurements")
     parameters: dict[str, ParameterWords] = word({}, "the parameters to identify")
     prior: JointPriorWords | None = word(None, "what is known of several parameters together")
-    noise: NoiseWords = word(NoiseWords(), "the noise of the measurements")
-    estimator: EstimatorWords = word(EstimatorWords(), "how the parameters are searched for")
-    uncertainty: UncertaintyWords = word(UncertaintyWords(), "more than the standard deviations, which are local")
+    noise: NoiseWords = word({}, "the noise of the measurements", validate_default=True)
+    estimator: EstimatorWords = word({}, "how the parameters are searched for", validate_default=True)
+    uncertainty: UncertaintyWords = word(
+        {}, "more than the standard deviations, which are local", validate_default=True
+    )
     diagnosis: DiagnosisWords | None = word(None, "which fault, and how large")
+    monitoring: MonitoringWords = word({}, "the same in windows of long records", validate_default=True)
     batch: BatchSettings | None = word(None, "many identifications")
-    isolation: IsolationWords = word(IsolationWords(), "what FMUs in a process of their own may do")
+    isolation: IsolationWords = word({}, "what FMUs in a process of their own may do", validate_default=True)

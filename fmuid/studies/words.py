@@ -131,6 +131,13 @@ class Words(BaseModel):
         """Return the type of each key."""
         return {field.alias or name: field.annotation for name, field in cls.model_fields.items()}
 
+    @classmethod
+    def example_line(cls, key: str) -> str:
+        """Return a line with an example of a key and its meaning, commented out where that is not the default."""
+        field = cls.model_fields[key]
+        (example,) = field.examples or [field.default]
+        return f"{'' if example == field.default else '# '}{key} = {show(example)}  # {field.description}"
+
     @model_validator(mode="before")
     @classmethod
     def _check_keys(cls, data: Any) -> Any:
@@ -357,4 +364,4 @@ Scalars = Annotated[dict[str, Scalar], Entries("a table { name = value }")]
 Finites = Annotated[dict[str, Finite], Entries("a table { name = number }")]
 Positives = Annotated[dict[str, Positive], Entries("a table { name = number }")]
 PositiveOrEach = Annotated[Annotated[Positive, Tag(VALUE_TAG)] | Annotated[Positives, Tag(TABLE_TAG)], BY_SHAPE]
-File = Annotated[Path, BeforeValidator(existing_file, json_schema_input_type=str)]
+File = Annotated[Path, BeforeValidator(existing_file, json_schema_input_type=str), Kind("the path of a file")]

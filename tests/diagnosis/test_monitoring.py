@@ -92,7 +92,7 @@ def test_nothing_is_found_where_nothing_is(healthy: fmuid.Result, forgetting: fl
 def test_a_window_says_what_a_diagnosis_says(number: int, close: float) -> None:
     study = fmuid.Study.read(coil.HERE / "test.toml", [f"experiments.0.table=test{number}.csv"])
     expected = study.diagnose()["turns"]
-    found = monitor_of(study, rule_of(study, None, None, None))
+    found = monitor_of(study, rule_of(study))
     found.add(study.tables[0])
     row = found.table.iloc[0]
     assert row["turns.dR"] == pytest.approx(expected["dR"].value, abs=0.02 * expected["dR"].std)
@@ -287,6 +287,11 @@ def test_the_rates_of_a_run(healthy: fmuid.Result) -> None:
     assert math.isnan(watch(healthy, replace(RULE, forgetting=0.5)).false_alarm_rates()[0])
 
 
+def told(**words: float) -> list[str]:
+    """Return the options that set words of [monitoring]."""
+    return [option for key, value in words.items() for option in ("--set", f"monitoring.{key}={value}")]
+
+
 # --- files and command ------------------------------------------------------------------
 
 
@@ -305,9 +310,11 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("forgetting", ["0", "0.6"])
-def test_appending_gives_what_one_run_gives(folder: Path, forgetting: str, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--window", "1", "--transient", "0.2", "--forgetting", forgetting]
+@pytest.mark.parametrize("forgetting", [0.0, 0.6])
+def test_appending_gives_what_one_run_gives(
+    folder: Path, forgetting: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = told(window=1, transient=0.2, forgetting=forgetting)
     study, records = str(folder / "study.toml"), folder / "records"
     assert run(["monitor", study, str(records), *words, "-o", str(folder / "whole")]) == 1
     assert "Fault: turns, from 3 s of day2 on" in capsys.readouterr().out
@@ -318,7 +325,7 @@ def test_appending_gives_what_one_run_gives(folder: Path, forgetting: str, capsy
     for name in ("monitoring.csv", "monitoring.json"):
         assert (folder / "grown" / name).read_bytes() == (folder / "whole" / name).read_bytes()
     assert (folder / "grown" / "figures" / "monitoring-turns.png").stat().st_size > 10_000
-    other = ["--window", "1", "--transient", "0.3", *grown, "--append"]
+    other = [*told(window=1, transient=0.3), *grown, "--append"]
     capsys.readouterr()
     assert run(["monitor", study, str(records), *other]) == 2
     assert "another rule" in capsys.readouterr().err
@@ -330,7 +337,7 @@ def test_interrupted_inside_a_record(
 ) -> None:
     """The records before it are kept, which is told, and appending examines the whole of it."""
     words: list[str | Path] = [folder / "study.toml", folder / "records"]
-    words += ["--window", "1", "--transient", "0.2", "--forgetting", "0.6"]
+    words += told(window=1, transient=0.2, forgetting=0.6)
 
     def when(_: object, record: str, window: int, *__: object) -> bool:
         return (record, window) == ("day1", 2)
@@ -352,16 +359,17 @@ def test_interrupted_inside_a_record(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--window", "0.1", "--transient", "0.2"], "windows of 0.1 s are not longer than the transient of 0.2 s"),
-        (["--window", "0.1", "--transient", "0.02"], "day0.csv: the transient lasts longer than 0.02 s"),
-        (["--window", "1"], "say with --transient"),
-        (["--window", "9", "--transient", "0.2"], "shorter than a window of 9 s"),
-        (["--window", "-1", "--transient", "0.2"], "the window must be a duration"),
-        (["--transient", "-1"], "the transient must be a duration"),
-        (["--transient", "9"], "leaves no window"),
-        (["--needed", "5"], "5 of 4 windows"),
-        (["--forgetting", "1"], "forgetting must be 0 or more and below 1"),
-        (["--level", "2"], "level"),
+        (told(window=0.1, transient=0.2), "[monitoring]: windows of 0.1 s are not longer than the transient of 0.2 s"),
+        (told(window=0.1, transient=0.02), "day0.csv: the transient lasts longer than 0.02 s"),
+        (told(window=1), "[monitoring] needs the key 'transient': the study discards nothing"),
+        (told(window=9, transient=0.2), "shorter than a window of 9 s"),
+        (told(window=-1, transient=0.2), "[monitoring] window must be a number above 0, not -1"),
+        (told(transient=-1), "[monitoring] transient must be a number, 0 or above, not -1"),
+        (told(transient=9), "leaves no window"),
+        (told(needed=5), "[monitoring]: an alarm cannot take 5 of 4 windows"),
+        (told(forgetting=1), "[monitoring]: forgetting must be 0 or more and below 1"),
+        (told(level=2), "[monitoring] level must be a number between 0 and 1, not 2"),
+        (told(windows=1), "[monitoring] has no key 'windows' (did you mean 'window'?)"),
         (["--append"], "no earlier run to append to"),
         (["--set", "noise.variance=0"], "variance"),
     ],
@@ -375,8 +383,19 @@ def test_wrong_words_are_one_sentence(
     assert error.count("\n") == 1
 
 
+def test_the_table_of_a_study(folder: Path) -> None:
+    """What the table does not say is as in the rest of the study, and what it says is its own."""
+    path = folder / "study.toml"
+    plain = fmuid.Study.read(path, ["experiments.0.discard=0.3", "diagnosis.level=0.05"])
+    assert rule_of(plain) == Rule(None, 0.3, 0.05)
+    with path.open("a", encoding="utf-8") as file:
+        file.write("[monitoring]\nwindow = 2\ntransient = 0.5\nlevel = 0.02\nneeded = 2\namong = 5\nforgetting = 0.9\n")
+    assert rule_of(fmuid.Study.read(path)) == Rule(2.0, 0.5, 0.02, 2, 5, 0.9)
+    assert (plain.monitoring.place.file, plain.monitoring.place.keys) == (f"{path} with --set", ("monitoring",))
+
+
 def test_wrong_records_are_one_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study, words = str(folder / "study.toml"), ["--window", "1", "--transient", "0.2"]
+    study, words = str(folder / "study.toml"), told(window=1, transient=0.2)
     other = folder / "other.csv"
     warming(2, to=4.0).rename(columns={"u": "v"}).to_csv(other, index=False)
     (folder / "empty").mkdir()
@@ -394,7 +413,7 @@ def test_wrong_records_are_one_sentence(folder: Path, capsys: pytest.CaptureFixt
     # what came before is kept
     assert run(["monitor", study, str(folder / "records" / "day0.csv"), str(other), *words]) == 2
     assert len(pd.read_csv(folder / "results" / "monitoring.csv")) == 4
-    assert run(["monitor", study, str(folder / "records"), "--window", "1", "--transient", "0.02"]) == 2
+    assert run(["monitor", study, str(folder / "records"), *told(window=1, transient=0.02)]) == 2
     assert len(pd.read_csv(folder / "results" / "monitoring.csv")) == 4
     (folder / "results" / "monitoring.json").write_text("{}", encoding="utf-8")
     capsys.readouterr()

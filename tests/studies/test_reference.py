@@ -1,0 +1,124 @@
+"""What the models of the study file give besides its checks: reference page, JSON schema."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from fmuid.cli.app import run
+from fmuid.diagnosis import LEVEL, Rule
+from fmuid.studies.reference import reference, schema
+from tests.support.paths import ROOT
+
+STUDIES = sorted((ROOT / "experiments").rglob("*.toml"))
+SCHEMA = jsonschema.Draft202012Validator(schema())
+
+
+def test_the_page_is_what_the_models_say() -> None:
+    """Written anew by: python -m fmuid.studies.reference > docs/study-reference.md."""
+    assert (ROOT / "docs" / "study-reference.md").read_text(encoding="utf-8") == reference()
+
+
+def test_the_page_has_what_a_word_takes() -> None:
+    lines = reference().splitlines()
+    for line in (
+        '| `interpolation` | "linear" or "hold" or "cubic" or a table { input = interpolation } | `"linear"` | '
+        'between samples; "hold" for commands of a digital controller |',
+        "## `[diagnosis.faults.<name>.parameters.<name>]`",
+        "| `from` | a text in quotes | must be given | an output |",
+        "| `needed` | a whole number above 0 | `3` | an alarm takes so many significant windows ... |",
+    ):
+        assert line in lines
+
+
+def test_defaults_are_those_of_the_program() -> None:
+    """The words take the level of a test from a rule, which loads faster."""
+    assert Rule().level == LEVEL
+
+
+def test_the_command_prints_the_schema(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["schema"]) == 0
+    printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert printed == schema()
+    SCHEMA.check_schema(printed)
+
+
+@pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
+def test_studies_are_valid(path: Path) -> None:
+    assert list(SCHEMA.iter_errors(tomllib.loads(path.read_text(encoding="utf-8")))) == []
+
+
+GOOD = """
+title = "Coil"
+[model]
+fmu = "Coil.fmu"
+[[experiments]]
+table = "run.csv"
+inputs = { u = "voltage" }
+outputs = ["i"]
+interpolation = { u = "hold" }
+[parameters]
+R = { start = 4, prior = { mean = 4.1, std = 0.2 } }
+[noise]
+variance = { i = 0.04 }
+[uncertainty]
+profile = ["R"]
+posterior = { steps = 2000 }
+map = ["R", "L"]
+[diagnosis]
+healthy = "result.json"
+inflate = { R = inf }
+[diagnosis.faults.turns]
+parameters = { dR = { nominal = 1 } }
+angle = { phi = { size = "dR" } }
+[monitoring]
+window = 1
+[batch]
+tables = "*.csv"
+starts = [{ R = 3.0 }]
+values = { L = { from = 0.1, to = 0.2, count = 3 }, on = [true, false] }
+noise = { draws = 10, std = 0.1 }
+"""
+
+
+def errors(text: str) -> list[Any]:
+    return list(SCHEMA.iter_errors(tomllib.loads(text)))
+
+
+def test_every_shape_of_a_word_is_valid() -> None:
+    assert errors(GOOD) == []
+    other = (
+        GOOD.replace('{ u = "hold" }', '"hold"')
+        .replace("{ i = 0.04 }", '"estimate"')
+        .replace("{ steps = 2000 }", "true")
+    )
+    assert errors(other.replace('["R", "L"]', '[["R", "L"]]').replace('{ phi = { size = "dR" } }', '["phi"]')) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("title", "titel"),
+        ("start = 4", "strat = 4"),
+        ("std = 0.2", "std = -0.2"),
+        ('"hold"', '"held"'),
+        ("0.04", "0"),
+        ('table = "run.csv"', ""),
+        ("steps = 2000", "step = 2000"),
+        ('["R", "L"]', '["R"]'),
+        ("nominal = 1", "nominal = true"),
+        ('size = "dR"', "period = 1"),
+        ("window = 1", 'window = "1"'),
+        ("draws = 10", "draws = 0.5"),
+        ("R = 3.0", 'R = "x"'),
+        ("count = 3", ""),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_not_valid(old: str, new: str) -> None:
+    assert old in GOOD
+    assert errors(GOOD.replace(old, new, 1).replace(", ,", ",").replace(",  }", " }"))
