@@ -62,7 +62,7 @@ class Problem(LeastSquares):
             raise InputError(f"sensitivity {sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
         self.system = System.of(model)
         listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
-        simulators = [
+        simulators = self._simulators = [
             Simulator(self.system, experiment, tuple(parameters), values=values or {}, step_size=step_size)
             for experiment in listed
         ]
@@ -83,7 +83,8 @@ class Problem(LeastSquares):
     @property
     def models(self) -> dict[str, dict[str, str]]:
         """``name``, ``digest`` and ``run`` (how it is run, in words) of each FMU by its component."""
+        stiff = frozenset[str]().union(*(each.stiff for each in self._simulators))
         return {
-            name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": model.words()}
+            name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": model.words(stiff=name in stiff)}
             for name, model in self.system.components.items()
         }

@@ -139,7 +139,6 @@ class CaseRunner:
         experiments = self._tables.get(case.table, lambda: self._read(case.table))
         if case.draw is not None and self._drawn is not None:
             experiments = self._disturbed(case, case.draw, self._drawn, experiments)
-        self._forget_stiffness()
         return problem_of(self.study, experiments, case.free, case.held, case.starts)
 
     def _identify(self, problem: Problem) -> Result:
@@ -155,11 +154,6 @@ class CaseRunner:
         if interrupted:
             raise KeyboardInterrupt
         return result
-
-    def _forget_stiffness(self) -> None:
-        """Have no simulation depend on what earlier ones found of the models."""
-        for component in self._system.components.values():
-            component.stiff = False
 
     # --- tables and noise
 
@@ -190,7 +184,6 @@ class CaseRunner:
         return tuple(found)
 
     def _simulate(self, experiments: tuple[Experiment, ...], truth: Mapping[str, Value]) -> tuple[Floats, ...]:
-        self._forget_stiffness()
         return tuple(simulator(theta) for simulator, theta in truth_simulators(self.study, experiments, truth))
 
     # --- rows

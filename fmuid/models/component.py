@@ -105,11 +105,6 @@ class Component:
     fmu : FMU or path
     numerics : Numerics
 
-    Attributes
-    ----------
-    stiff : bool
-        Whether a simulation has found the model stiff: without an `integrator` given it then runs with "cvode".
-
     Raises
     ------
     InputError
@@ -118,7 +113,7 @@ class Component:
 
     def __init__(self, fmu: FMU | str | Path, numerics: Numerics = AS_OFFERED) -> None:
         self.fmu = fmu if isinstance(fmu, FMU) else FMU(fmu)
-        self.numerics, self.stiff = numerics, False
+        self.numerics = numerics
         offered = self.fmu.description.interfaces
         if self.kind not in offered:
             raise InputError(f"{self.fmu.path} offers no {self.kind} interface; it offers {', '.join(offered)}")
@@ -136,18 +131,24 @@ class Component:
 
     @property
     def integrator(self) -> str:
-        """The integrator for model exchange: the one asked for, else "rk45", or "cvode" where that found it stiff."""
-        return self.numerics.integrator or (STIFF_INTEGRATOR if self.stiff else DEFAULT_INTEGRATOR)
+        """The integrator that model exchange begins with: the one asked for, else "rk45"."""
+        return self.numerics.integrator or DEFAULT_INTEGRATOR
 
-    def words(self) -> str:
-        """Return in words how the FMU is run."""
+    def words(self, *, stiff: bool = False) -> str:
+        """Return in words how the FMU is run.
+
+        Parameters
+        ----------
+        stiff : bool
+            Whether "rk45" has found the model stiff, so that "cvode" took its place (`fmuid.Simulator.stiff`).
+        """
         given, version = self.numerics, f"FMI {self.fmu.description.fmi_version} {self.kind}"
         step = f", steps of at most {given.step_size:g} s" if given.step_size else ""
         if self.kind == "co-simulation":
             return version + (f", tolerance {given.tolerance:g}" if given.tolerance else "") + step
+        integrator = f"{STIFF_INTEGRATOR} ({self.integrator} found the model stiff)" if stiff else self.integrator
         accuracy = "" if self.integrator == "rk4" else f", tolerance {given.tolerance or DEFAULT_TOLERANCE:g}"
-        why = " (rk45 found the model stiff)" if self.stiff and not given.integrator else ""
-        return f"{version}, integrator {self.integrator}{why}{accuracy}{step}"
+        return f"{version}, integrator {integrator}{accuracy}{step}"
 
 
 DEFAULT_INTEGRATOR = "rk45"  # no start-up after each step of the inputs; and it finds out where a model is stiff

@@ -12,7 +12,7 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.data import Experiment
 from fmuid.fmi import Plan, Run, Sensitivities, codes, new_reports
-from fmuid.models import Component, Port, System
+from fmuid.models import STIFF_INTEGRATOR, Component, Port, System
 from fmuid.simulation.executor import Workers
 from fmuid.simulation.grid import grid_of
 from fmuid.simulation.operations import outputs_with_sensitivities
@@ -166,8 +166,6 @@ def twin_run(simulator: Simulator) -> SensitivityRun:
         steps=np.ones(count),
         twins=tuple(range(count)),
     )
-    for component in twins.components.values():
-        component.stiff = model.stiff
     task = task_of(
         twins,
         extended_by(
@@ -180,6 +178,8 @@ def twin_run(simulator: Simulator) -> SensitivityRun:
     )
     task = replace(task, steps=dict.fromkeys(task.steps))  # as for a single FMU: its integrator steps as it likes
     run = run_of(task)
+    for component in range(count + 1) if simulator.stiff else ():
+        run.integrate(component, STIFF_INTEGRATOR)
     run.plan = carrying(run.plan, given)
     return SensitivityRun(run, twins, given)
 

@@ -327,12 +327,11 @@ class InProcess:
                 self._run_shares(run, thetas, outputs, reports)
 
     def _found_stiff(self, run: Run, reports: NDArray[np.intp]) -> bool:
-        """Mark the models that the default integrator has found stiff; return whether there are any."""
+        """Have a run integrate as such the models that the default integrator found stiff; return if there are any."""
         stiff = {int(component) for function, component, *_ in reports if function == codes.STIFF}
         models = list(self._components.values())
         undecided = [component for component in stiff if models[component].numerics.integrator is None]
         for component in undecided:
-            models[component].stiff = True
             run.integrate(component, STIFF_INTEGRATOR)
         return bool(undecided)
 

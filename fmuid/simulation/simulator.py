@@ -145,6 +145,12 @@ class Simulator:
         return found
 
     @property
+    def stiff(self) -> frozenset[str]:
+        """The components that "rk45", where nobody asked for it, has found stiff: "cvode" has taken its place."""
+        begun = zip(self.system.components.items(), self._run.plan.integrations, strict=True)
+        return frozenset(name for (name, model), now in begun if now and now.integrator != model.integrator)
+
+    @property
     def output_names(self) -> tuple[str, ...]:
         """The outputs, in the order of the last axis."""
         return self.experiment.output_names

@@ -156,7 +156,7 @@ def _run(report: Report, fmu: FMU, kind: str, share: float, target: Path) -> Non
     begin("was being simulated")
     simulator = Simulator(fmu, experiment, interface=kind, step_size=step_size)
     first = simulator([])
-    report.run = simulator.system.components[""].words()
+    report.run = simulator.system.components[""].words(stiff="" in simulator.stiff)
     report.instantiated = report.simulated = True
     begin("was being simulated a second time")
     began = time.perf_counter()

@@ -325,10 +325,18 @@ def test_rows_are_the_same_bit_for_bit_in_any_order(folder: Path) -> None:
     first, second = (CaseRunner(study_of(folder, batch, model=model)) for _ in range(2))
     forward = [bits(first(k).row) for k in range(len(first.cases))]
     for k in np.random.default_rng(4).permutation(len(forward)).tolist():
-        for component in second.study.system.components.values():
-            component.stiff = True  # as an earlier case may have left it
         assert bits(second(k).row) == forward[k]
     assert len({row["value.R"] for row in forward}) == len(forward)
+
+
+def test_a_stiff_case_does_not_change_the_next(folder: Path) -> None:
+    model = {"fmu": str(COIL), "interface": "model-exchange"}
+    alone, after = (CaseRunner(study_of(folder, {"values": {"L": [1e-8, L]}}, model=model)) for _ in range(2))
+    stiff = after.problem(after.cases[0])
+    stiff.predict(np.array([[R]]))
+    assert "found the model stiff" in stiff.models[""]["run"]
+    after(0)
+    assert bits(after(1).row) == bits(alone(1).row)
 
 
 def test_a_global_search_is_the_study_s_own(folder: Path) -> None:

@@ -258,7 +258,11 @@ def test_a_stiff_model_is_integrated_as_such() -> None:
     experiment = Experiment(frame(times, u=np.cos(times), i=0.0), ["u"], ["i"])
     simulator = Simulator(COIL, experiment, values={"L": 1e-8}, interface="model-exchange")
     assert simulator([])[1:, 0] == pytest.approx(np.cos(times[1:]) / 4.0, rel=1e-5)
-    assert "cvode (rk45 found the model stiff)" in simulator.system.components[""].words()
+    assert simulator.stiff == {""}
+    assert "cvode (rk45 found the model stiff)" in simulator.system.components[""].words(stiff=True)
+    mild = Simulator(simulator.system, experiment, values={"L": 0.1})
+    mild([])
+    assert not mild.stiff
     named = Simulator(COIL, experiment, values={"L": 1e-8}, interface="model-exchange", integrator="rk45")
     with pytest.raises(SimulationError, match=r"stiff.*integrator = \"cvode\""):
         named([])

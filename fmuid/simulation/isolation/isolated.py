@@ -130,7 +130,6 @@ class IsolatedWorkers:
             self._keeper.longest = max(self._keeper.longest, longest)
             self._steps = max(self._steps, _steps(run))
             for component in stiff:
-                list(self._components.values())[component].stiff = True
                 run.integrate(component, STIFF_INTEGRATOR)
         except End as ended:
             end = ended
