@@ -41,7 +41,9 @@ from .models import Component as Component
 from .models import Isolation as Isolation
 from .models import Numerics as Numerics
 from .models import System as System
+from .reports import Findings as Findings
 from .reports import describe as describe
+from .reports import run_study as run_study
 from .simulation import Simulator as Simulator
 from .simulation import validate as validate
 from .studies import Study as Study

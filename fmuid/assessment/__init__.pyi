@@ -20,7 +20,6 @@ from .series import noise_model as noise_model
 from .series import on_grid as on_grid
 from .series import positions as positions
 from .uncertainty import LEVEL as LEVEL
-from .uncertainty import Step as Step
 from .uncertainty import Uncertainty as Uncertainty
 from .uncertainty import UncertaintySettings as UncertaintySettings
 from .uncertainty import explore as explore

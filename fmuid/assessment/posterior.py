@@ -37,6 +37,7 @@ from fmuid.assessment.chains import effective_size, r_hat
 from fmuid.assessment.profile import check_result, reach
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, check_level
+from fmuid.progress import Progress, SamplingStep
 
 # Walkers: enough for differences in all directions, and for two halves to keep all cores busy.
 LEAST_WALKERS, WALKERS_PER_PARAMETER = 16, 4
@@ -106,32 +107,6 @@ class Sampling:
             raise InputError(f"the setting walkers of the sampler must be even, not {self.walkers}")
         if isinstance(self.burn, bool) or not isinstance(self.burn, int | float) or not 0.0 <= self.burn < 1.0:
             raise InputError(f"the setting burn of the sampler must be a share from 0 to below 1, not {self.burn!r}")
-
-
-@dataclass(frozen=True)
-class SamplingStep:
-    """Where the sampler stands.
-
-    Attributes
-    ----------
-    step, steps : int
-        Steps made, and at most to be made.
-    effective_size : float
-        Of the parameter with the least, at the last look; NaN before the first one.
-    wanted : int
-        The effective size at which it may end.
-    acceptance : float
-        Share of the moves accepted so far.
-    """
-
-    step: int
-    steps: int
-    effective_size: float
-    wanted: int
-    acceptance: float
-
-
-Progress = Callable[[SamplingStep], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +221,7 @@ def sample(
         Of its identification.
     settings : Sampling, optional
     progress : callable, optional
-        Called after every step of all walkers with a `SamplingStep`.
+        Called after every step of all walkers with a `fmuid.progress.SamplingStep`.
 
     Returns
     -------
@@ -365,7 +340,14 @@ class _Sampler:
         if self.progress is not None:
             acceptance = float(np.mean(self.sampler.acceptance_fraction))
             wanted = self.settings.effective_size
-            self.progress(SamplingStep(steps, self.settings.steps, self.effective, wanted, acceptance))
+            step = SamplingStep(
+                step=steps,
+                steps=self.settings.steps,
+                effective_size=self.effective,
+                wanted=wanted,
+                acceptance=acceptance,
+            )
+            self.progress(step)
 
     def _check_start(self) -> None:
         at = self.density(self.estimate[None])[0]

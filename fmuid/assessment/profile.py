@@ -22,7 +22,7 @@ the profile likelihood", Bioinformatics 25 (15), 2009 (flat profiles).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,6 +33,7 @@ from fmuid.arrays import Floats
 from fmuid.assessment.conditional import Point, best_with
 from fmuid.errors import InputError
 from fmuid.estimation import Criterion, LeastSquares, Marquardt, Result, State, check_level, prepare, search
+from fmuid.progress import ProfileStep, Progress
 
 # A side of a profile takes about so many steps, equal ones in τ.
 STEPS = 4
@@ -53,30 +54,6 @@ END_TOLERANCE = 1e-3
 END_STEPS = 12
 # A criterion below the least one by more than this share of the quantile means that another optimum is better.
 BELOW = 0.01
-
-
-@dataclass(frozen=True)
-class ProfilePoint:
-    """One point of a profile, as it is found.
-
-    Attributes
-    ----------
-    name : str
-        The parameter.
-    value : float
-    rise : float
-        J_p − J_min.
-    threshold : float
-        The rise at which the interval ends.
-    """
-
-    name: str
-    value: float
-    rise: float
-    threshold: float
-
-
-Progress = Callable[[ProfilePoint], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +125,7 @@ def profiles(
     level : float
         Of the intervals, between 0 and 1.
     progress : callable, optional
-        Called with every `ProfilePoint`.
+        Called with a `fmuid.progress.ProfileStep` after every point.
 
     Returns
     -------
@@ -172,9 +149,9 @@ def profiles(
     criterion, origin = _minimum(problem, result)
     far, thresholds = reach(problem, result), factor**2 * _scatter(problem, result)
     found: list[Profile] = []
-    for i in chosen:
+    for k, i in enumerate(chosen):
         std, threshold = float(result.std[i]), float(thresholds[i])
-        profiler = _Profiler(criterion, origin, i, std, float(far[i]), level, threshold, progress)
+        profiler = _Profiler(criterion, origin, i, std, float(far[i]), level, threshold, progress, k / len(chosen))
         found.append(profiler.run())
         if profiler.interrupted:
             break
@@ -259,9 +236,11 @@ class _Profiler:
         level: float,
         threshold: float,
         progress: Progress | None,
+        share: float,
     ) -> None:
         self.criterion, self.origin, self.index = criterion, origin, index
-        self.std, self.far, self.level, self.threshold, self.progress = std, far, level, threshold, progress
+        self.std, self.far, self.level, self.threshold = std, far, level, threshold
+        self.progress, self.share = progress, share
         self.names = criterion.problem.parameters.names
         self.name = self.names[index]
         self.magnitude = float(criterion.magnitudes(origin.theta)[index])
@@ -343,7 +322,14 @@ class _Profiler:
                 f"({point.outcome.value}): the criterion there may be lower than found"
             )
         if self.progress is not None:
-            self.progress(ProfilePoint(self.name, self._value(point), self._rise(point), self.threshold))
+            step = ProfileStep(
+                share=self.share,
+                name=self.name,
+                value=self._value(point),
+                rise=self._rise(point),
+                threshold=self.threshold,
+            )
+            self.progress(step)
 
     def _first_step(self) -> float:
         wanted = min(math.sqrt(self.threshold) * self.std / STEPS, FIRST_STEP * self.magnitude)

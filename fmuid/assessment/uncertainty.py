@@ -6,7 +6,6 @@ them needs is imported when it is asked for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +13,12 @@ import numpy as np
 import pandas as pd
 
 from fmuid.estimation import LeastSquares, Result, check_level
+from fmuid.progress import Event, MapStep, Progress
 
 if TYPE_CHECKING:
     from fmuid.assessment.criterion_map import CriterionMap
-    from fmuid.assessment.posterior import Posterior, Sampling, SamplingStep
-    from fmuid.assessment.profile import Profile, ProfilePoint
+    from fmuid.assessment.posterior import Posterior, Sampling
+    from fmuid.assessment.profile import Profile
 
 LEVEL = 0.95
 # A point of a map that lies below the estimate by more than this belongs to another optimum; less is what the search
@@ -59,25 +59,6 @@ class UncertaintySettings:
     def any(self) -> bool:
         """Whether anything is asked for."""
         return bool(self.profile or self.posterior or self.maps)
-
-
-@dataclass(frozen=True)
-class Step:
-    """How far the work is.
-
-    Attributes
-    ----------
-    task : str
-        What is being done.
-    text : str
-        Where it stands.
-    share : float
-        How much of the task is done, from 0 to 1.
-    """
-
-    task: str
-    text: str
-    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +194,7 @@ def explore(
     problem: LeastSquares,
     result: Result,
     settings: UncertaintySettings,
-    progress: Callable[[Step], None] | None = None,
+    progress: Progress | None = None,
     *,
     box: bool = False,
 ) -> Uncertainty:
@@ -226,7 +207,8 @@ def explore(
         Of its identification.
     settings : UncertaintySettings
     progress : callable, optional
-        Called with a `Step` before every map, after every point of a profile and every step of the sampler.
+        Called before the first task, before every map, after every point of a profile and every step of the sampler
+        (`fmuid.progress`).
     box : bool
         Map the criterion over all of the bounds too, for pairs of parameters that have them, as goes with a search of
         the whole box.
@@ -243,7 +225,7 @@ def explore(
     SimulationError
         If the simulation fails at the result.
     """
-    return _Explorer(problem, result, settings, progress or (lambda _: None), box=box).run()
+    return _Explorer(problem, result, settings, progress, box=box).run()
 
 
 class _Explorer:
@@ -254,7 +236,7 @@ class _Explorer:
         problem: LeastSquares,
         result: Result,
         settings: UncertaintySettings,
-        progress: Callable[[Step], None],
+        progress: Progress | None,
         *,
         box: bool,
     ) -> None:
@@ -267,6 +249,7 @@ class _Explorer:
 
     def run(self) -> Uncertainty:
         try:
+            self._tell(Event(task="uncertainty", share=0.0))
             finished = self._map() and self._profile() and self._sample()
         except KeyboardInterrupt:
             finished = False
@@ -274,11 +257,15 @@ class _Explorer:
         level = self.settings.level
         return Uncertainty(level, maps, box_maps, self.profiles, self.posterior, interrupted=not finished)
 
+    def _tell(self, event: Event) -> None:
+        if self.progress is not None:
+            self.progress(event)
+
     def _map(self) -> bool:
         for k, (first, second) in enumerate(self.settings.maps):
             from fmuid.assessment.criterion_map import map_criterion
 
-            self.progress(Step("map", f"criterion over {first} and {second}", k / len(self.settings.maps)))
+            self._tell(MapStep(share=k / len(self.settings.maps), first=first, second=second))
             self.maps.append(map_criterion(self.problem, self.result, first, second))
             if self.box and self._bounded(first) and self._bounded(second):
                 self.box_maps.append(map_criterion(self.problem, self.result, first, second, ranges="bounds"))
@@ -295,11 +282,8 @@ class _Explorer:
             return True
         from fmuid.assessment.profile import profiles
 
-        def report(point: ProfilePoint) -> None:
-            text = f"{point.name} = {point.value:.6g}: criterion risen by {point.rise:.3g} of {point.threshold:.3g}"
-            self.progress(Step("profile", text, names.index(point.name) / len(names)))
-
-        self.profiles = profiles(self.problem, self.result, names, level=self.settings.level, progress=report)
+        level = self.settings.level
+        self.profiles = profiles(self.problem, self.result, names, level=level, progress=self.progress)
         complete = len(self.profiles) == len(names)
         return complete and not self.profiles[-1].interrupted
 
@@ -308,11 +292,5 @@ class _Explorer:
             return True
         from fmuid.assessment.posterior import sample
 
-        def report(step: SamplingStep) -> None:
-            known = step.effective_size == step.effective_size
-            worth = f", worth {step.effective_size:.0f} of {step.wanted} independent samples" if known else ""
-            share = max(step.step / step.steps, step.effective_size / step.wanted if known else 0.0)
-            self.progress(Step("posterior", f"step {step.step}{worth}", min(share, 1.0)))
-
-        self.posterior = sample(self.problem, self.result, self.settings.posterior, report)
+        self.posterior = sample(self.problem, self.result, self.settings.posterior, self.progress)
         return not self.posterior.interrupted

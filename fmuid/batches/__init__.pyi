@@ -1,6 +1,5 @@
 from .batch import Batch as Batch
 from .batch import BatchResult as BatchResult
-from .batch import BatchStep as BatchStep
 from .statistics import HALF_WIDTH as HALF_WIDTH
 from .statistics import Columns as Columns
 from .statistics import Doubt as Doubt

@@ -24,6 +24,7 @@ from fmuid.batches.parcel import Bundle, changes
 from fmuid.batches.run_case import CaseRunner
 from fmuid.batches.worker import GroupResult, versions
 from fmuid.errors import InputError
+from fmuid.progress import BatchStep, Progress
 from fmuid.simulation import parameter_units
 from fmuid.studies import Study
 
@@ -33,30 +34,6 @@ MAX_CASES = 100_000
 WRITE_SECONDS, WRITE_SHARE = 1.0, 20.0
 # The rate is that of the last so many seconds.
 RATE_SECONDS = 30.0
-
-
-@dataclass(frozen=True)
-class BatchStep:
-    """How far a batch is.
-
-    Attributes
-    ----------
-    done, total, failed : int
-        Finished cases, all of them, and how many of the finished ones failed.
-    rate : float
-        Cases a second; 0 before the first.
-    left : float
-        Seconds left at this rate; inf before the first.
-    threads : int
-        Threads of workers there are now.
-    """
-
-    done: int
-    total: int
-    failed: int
-    rate: float
-    left: float
-    threads: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,13 +129,13 @@ class Batch:
         """The cases that are not finished in the folder, in their order; whose cases these are is seen by `run`."""
         return np.flatnonzero(~self.dataset.finished(len(self.cases)))
 
-    def run(self, progress: Callable[[BatchStep], None] | None = None) -> BatchResult:
+    def run(self, progress: Progress | None = None) -> BatchResult:
         """Run the cases that are not finished yet.
 
         Parameters
         ----------
         progress : callable, optional
-            Called with a `BatchStep` some times a second.
+            Called with a `fmuid.progress.BatchStep` some times a second.
 
         Raises
         ------
@@ -219,7 +196,7 @@ class Batch:
         self.dataset.write_manifest(text + "\n")
         return ()
 
-    def _work(self, bundle: Bundle, pending: NDArray[np.intp], progress: Callable[[BatchStep], None] | None) -> bool:
+    def _work(self, bundle: Bundle, pending: NDArray[np.intp], progress: Progress | None) -> bool:
         """Run cases; return whether Ctrl-C ended it."""
         record = _remembering(bundle)
         writer = _Writer(self.dataset)
@@ -294,7 +271,7 @@ class _Counter:
         since, then = self._times[0]
         rate = (self._done - then) / max(now - since, 1e-9)
         left = (self._total - self._done) / rate if rate else math.inf
-        return BatchStep(self._done, self._total, self._failed, rate, left, threads)
+        return BatchStep(done=self._done, total=self._total, failed=self._failed, rate=rate, left=left, threads=threads)
 
 
 def _remembering(bundle: Bundle) -> Callable[[Path | None], dict[str, bytes]]:

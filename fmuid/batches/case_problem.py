@@ -10,7 +10,6 @@ import pandas as pd
 
 from fmuid.data import Experiment, JointPrior
 from fmuid.errors import InputError
-from fmuid.estimation import Box, Marquardt
 from fmuid.model_problem import Problem
 from fmuid.simulation import Simulator
 from fmuid.studies import BatchSettings, ExperimentSettings, Study, Value
@@ -155,8 +154,7 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
     try:
         for free in subsets:
             problem = problem_of(study, experiments, free, held, {})
-            if not isinstance(study.estimator, Marquardt):
-                Box(problem.parameters)
+            study.estimator.check(problem)
         if settings.noise is not None:
             truth_simulators(study, experiments, truth_values(study, held))
     except InputError as error:

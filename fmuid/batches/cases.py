@@ -136,7 +136,7 @@ class Cases:
         for name, path in cases._records:
             if not is_file(path):
                 raise cases.settings.error(f"tables: there is no file {full(path)}, the record {name!r}")
-        study.notes  # noqa: B018  # a prior from another model is an error before anything is simulated
+        study.check_sources()
         subsets = [cases._subset(entry) for entry in range(len(cases.settings.subsets))] or [cases._free]
         check_model(study, cases.settings, subsets, cases[0].held)
         return cases

@@ -25,7 +25,7 @@ from fmuid.batches.draws import noise
 from fmuid.batches.parcel import Copies
 from fmuid.data import Experiment, read_table
 from fmuid.errors import FmuidError
-from fmuid.estimation import Marquardt, Outcome, Result, identify
+from fmuid.estimation import Outcome, Result
 from fmuid.model_problem import Problem
 from fmuid.simulation import workers_of
 from fmuid.studies import ExperimentSettings, NoiseDraws, Study, Value
@@ -142,16 +142,8 @@ class CaseRunner:
         return problem_of(self.study, experiments, case.free, case.held, case.starts)
 
     def _identify(self, problem: Problem) -> Result:
-        settings = self.study.estimator
-        if isinstance(settings, Marquardt):
-            result = identify(problem, settings)
-            interrupted = result.outcome is Outcome.INTERRUPTED
-        else:
-            from fmuid.estimation import search_globally
-
-            found = search_globally(problem, settings)
-            result, interrupted = found.result, found.interrupted
-        if interrupted:
+        result = self.study.estimator.search(problem)
+        if result.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
         return result
 

@@ -43,7 +43,7 @@ def batch(
     """Run the many identifications that a study spans, as its table batch says; the same command resumes them."""
     from fmuid.batches import Batch
     from fmuid.reports.console import layout as console
-    from fmuid.reports.console.progress import BatchProgress
+    from fmuid.reports.console.progress import Display
     from fmuid.studies import Study
 
     read = Study.read(study, set_ or ())
@@ -58,8 +58,8 @@ def batch(
     )
     console.show_notes(read.notes)
     with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):
-        with BatchProgress() as progress:
-            found = job.run(progress)
+        with Display() as display:
+            found = job.run(display)
         with telling_files():
             return _show(job, found)
 

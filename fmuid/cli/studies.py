@@ -4,27 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fmuid.cli.interruption import answering, stopping
 from fmuid.cli.options import DONE, NOT_SUCCEEDED, Folder, InProcess, Overrides, StudyFile, folder_of, telling_files
-from fmuid.errors import FmuidError, InputError
+from fmuid.errors import InputError
 from fmuid.files import replacing
 
 if TYPE_CHECKING:
-    from fmuid.estimation import GlobalResult, Result
-    from fmuid.model_problem import Problem
-    from fmuid.reports import Findings
+    from fmuid.progress import Event
+    from fmuid.reports.console.progress import Display
     from fmuid.studies import Study
 
 FMU_LOG = "fmu.log"
 """What FMUs printed, in the output folder."""
-
-# What takes longer than this, s, says what it is doing.
-QUICK = 2.0
 
 
 def simulate(study: StudyFile, output: Folder = None, set_: Overrides = None, in_process: InProcess = False) -> int:
@@ -64,117 +61,56 @@ def identify(
     """Identify the parameters of a study and write result, tables and figures."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
-        from fmuid import files
-        from fmuid.reports import findings as report
+        from fmuid.reports import SearchInterruptedError, run_study
         from fmuid.reports.console import layout as console
         from fmuid.reports.console import result as console_result
-        from fmuid.reports.figures import run as figures_run
-        from fmuid.reports.figures import style as plots
+        from fmuid.reports.console.progress import Display
 
-        problem = read.problem()
-        start = report.resumed_start(folder / "result.json", problem.parameters) if resume else None
-        files.make_folder(folder)
         console.show_notes(read.notes)
         console.warn_unfed(read.simulators())
-        with answering("saving what has been found (Ctrl-C again ends it without)"):
-            result, search = _search(read, problem, start)
-            if search is not None and result.local is None:
-                return _save_point(read, search, folder)
-            found, written = _found(read, problem, result, search, folder)
-            console_result.show_result(found)
-            plots.clear(folder / "figures")
-            written += plots.save(figures_run.draw(found), folder / "figures")
-            if read.uncertainty_settings.any:
-                found, more = _explored(read, problem, found, folder)
-                written += more
-        console.show_files(dict.fromkeys(written))
+        try:
+            with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
+                shown = partial(_show_event, display, read)
+                found = run_study(read, folder, figures=True, resume=resume, progress=shown)
+        except SearchInterruptedError as error:
+            if error.result is None:
+                raise
+            console.show_point(error.result)
+            console.show_files(error.files)
+            return NOT_SUCCEEDED
+        if found.uncertainty is not None:
+            console_result.show_uncertainty(found)
+        console.show_files(found.files)
         return DONE if found.succeeded else NOT_SUCCEEDED
 
 
-def _found(
-    read: Study, problem: Problem, result: Result, search: GlobalResult | None, folder: Path
-) -> tuple[Findings, list[Path]]:
-    """Examine a result, and write what is found."""
-    from fmuid.assessment import examine_residuals, read_result
-    from fmuid.reports import findings as report
-    from fmuid.reports import write_estimates
-    from fmuid.reports.console import layout as console
-    from fmuid.simulation import fit
+def _show_event(display: Display, read: Study, event: Event, /) -> None:
+    """Show how far a run is, and the result once it is there.
 
-    if problem.parameters.prior_whitening.size and result.elapsed_s > QUICK:
-        console.show_notes(["searching the optimum of the data alone, for comparison; Ctrl-C leaves it out"])
-    ended, diagnostics = report.at_minimum(result, search), examine_residuals(problem, result)
-    found = report.Findings(
-        result,
-        fit.parameter_units(read.system, result.names),
-        report.result_fits(read.system, read.tables, result),
-        diagnostics,
-        read_result(problem, result, search_data=ended, healthy=read.known_variance, diagnostics=diagnostics),
-        read.uncertainty_settings.level,
-        search,
-    )
-    return found, [*found.write(folder), *write_estimates(folder, read.system, result)]
-
-
-def _explored(read: Study, problem: Problem, found: Findings, folder: Path) -> tuple[Findings, list[Path]]:
-    """Find out what the study asks for beyond the local covariance, and show and write it."""
-    from dataclasses import replace
-
-    from fmuid.assessment import Uncertainty, explore
+    Raises
+    ------
+    KeyboardInterrupt
+        If SIGTERM has come, which leaves out what follows too.
+    """
+    from fmuid.progress import DataAloneStep
+    from fmuid.reports import Identified
     from fmuid.reports import findings as report
     from fmuid.reports.console import layout as console
     from fmuid.reports.console import result as console_result
-    from fmuid.reports.console.progress import Work
-    from fmuid.reports.figures import run as figures_run
-    from fmuid.reports.figures import style as plots
 
-    settings = read.uncertainty_settings
-    if not report.at_minimum(found.result, found.search):
-        console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
-        return found, []
-    there = Uncertainty(settings.level, (), (), (), None, interrupted=True)
-    if not stopping():
-        with Work(found.result.names) as work:
-            there = explore(problem, found.result, settings, work, box=found.search is not None)
-    found = replace(found, uncertainty=there)
-    written = found.write(folder)
-    console_result.show_uncertainty(found)
-    return found, written + plots.save(figures_run.draw_uncertainty(found), folder / "figures")
-
-
-def _save_point(read: Study, search: GlobalResult, folder: Path) -> int:
-    """Write the best point of a search that was interrupted before a fit began from it, of which no more is known."""
-    from fmuid.reports import findings as report
-    from fmuid.reports import write_estimates
-    from fmuid.reports.console import layout as console
-    from fmuid.reports.figures import style as plots
-    from fmuid.simulation import fit
-
-    result = search.result
-    written = report.write_point(folder, result, fit.parameter_units(read.system, result.names))
-    written += write_estimates(folder, read.system, result)
-    plots.clear(folder / "figures")
-    console.show_point(result, search)
-    console.show_files(written)
-    return NOT_SUCCEEDED
-
-
-def _search(read: Study, problem: Problem, start: Any) -> tuple[Result, GlobalResult | None]:
-    """Search as the study says, and show how far it is; an earlier result as the start saves the global search."""
-    from fmuid.estimation import Marquardt, identify
-    from fmuid.reports.console.progress import Progress, Work
-
-    try:
-        if isinstance(read.estimator, Marquardt) or start is not None:
-            with Progress(problem.parameters.names, problem.parameters.start if start is None else start) as progress:
-                return identify(problem, read.marquardt, progress, start), None
-        from fmuid.estimation import search_globally
-
-        with Work(problem.parameters.names) as work:
-            found = search_globally(problem, read.estimator, work.searched)
-        return found.result, found
-    except KeyboardInterrupt:
-        raise FmuidError("interrupted before anything better than the start was found: nothing is written") from None
+    match event:
+        case DataAloneStep():
+            display.pause()
+            console.show_notes(["searching the optimum of the data alone, for comparison; Ctrl-C leaves it out"])
+        case Identified():
+            display.pause()
+            console_result.show_result(event.findings)
+            if read.uncertainty_settings.any and not report.at_minimum(event.findings.result):
+                console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
+        case _ if stopping():
+            raise KeyboardInterrupt
+        case _:
+            display(event)
 
 
 def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in_process: InProcess = False) -> int:
@@ -184,6 +120,7 @@ def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in
         from fmuid import files
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.diagnosis import show_diagnosis
+        from fmuid.reports.console.progress import Display
         from fmuid.reports.figures import diagnosis as figures_diagnosis
         from fmuid.reports.figures import style as plots
 
@@ -191,8 +128,8 @@ def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in
             console.show_notes(read.notes)
             console.warn_unfed(read.simulators())
         files.make_folder(folder)
-        with console.console().status("fitting the healthy machine") as status:
-            found = read.diagnose(lambda name: status.update(f"fitting {name}"))
+        with Display() as display:
+            found = read.diagnose(display)
         show_diagnosis(found)
         written = [found.to_json(folder / "diagnosis.json"), files.write_table(folder / "diagnosis.csv", found.table)]
         written += plots.save(figures_diagnosis.draw(found), folder / "figures")
@@ -219,6 +156,7 @@ def monitor(
         from fmuid import files
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.monitoring import show_monitoring
+        from fmuid.reports.console.progress import Display
         from fmuid.reports.figures import monitoring as figures_monitoring
         from fmuid.reports.figures import style as plots
         from fmuid.studies import monitor_of, records_of, rule_of
@@ -229,11 +167,10 @@ def monitor(
         console.show_notes(read.notes)
         files.make_folder(folder)
         saving = "saving the records examined so far, with which --append goes on"
-        with answering(saving), console.console().status("reading") as status:
+        with answering(saving), Display() as display:
             try:
                 for record in records_of(read, tables, found.records):
-                    status.update(record.name)
-                    found.add(record)
+                    found.add(record, display)
             finally:  # what was found before a record that is wrong is kept, and can be appended to
                 written = found.write(folder) if found.records else []
         show_monitoring(found)

@@ -10,7 +10,7 @@ larger than the noise with all of them says that it is something else (docs/meth
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,7 @@ from fmuid.estimation import Marquardt, Outcome, Result, check_level, identify
 from fmuid.fmi import FMU
 from fmuid.model_problem import Problem
 from fmuid.models import System
+from fmuid.progress import FaultStep, Progress
 from fmuid.version import __version__
 
 LEVEL = 0.01
@@ -62,7 +63,7 @@ def diagnose(
     values: Mapping[str, float | int | bool | str] | None = None,
     settings: Marquardt | None = None,
     sensitivity: str = "finite-difference",
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Diagnosis:
     """Look for faults in a record.
 
@@ -91,7 +92,7 @@ def diagnose(
     sensitivity : "finite-difference", "forward" or "fmu"
         As for `fmuid.Problem`.
     progress : callable, optional
-        Called with the name of each hypothesis before it is fitted.
+        Called with a `fmuid.progress.FaultStep` before each fit.
 
     Returns
     -------
@@ -118,11 +119,17 @@ def diagnose(
         sensitivity,
         level,
     )
+    models: list[str | None] = [None, *hypotheses]
+
+    def tell(fault: str | None) -> None:
+        if progress is not None:
+            progress(FaultStep(share=models.index(fault) / len(models), fault=fault))
+
+    tell(None)
     nominal = work.fit_nominal(System.of(nominal_model), held)
     found = []
     for name, fault in hypotheses.items():
-        if progress is not None:
-            progress(name)
+        tell(name)
         try:
             found.append(work.fit_fault(name, fault, nominal))
         except InputError as error:

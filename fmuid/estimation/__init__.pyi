@@ -6,12 +6,13 @@ from .criterion import prepare as prepare
 from .finite_differences import SensitivityError as SensitivityError
 from .global_search import GlobalResult as GlobalResult
 from .global_search import GlobalSearch as GlobalSearch
-from .global_search import GlobalStep as GlobalStep
+from .global_search import Optimum as Optimum
+from .global_search import optima_table as optima_table
 from .global_search import search_globally as search_globally
+from .identification import Method as Method
 from .identification import identify as identify
 from .least_squares import LeastSquares as LeastSquares
 from .local_model import LocalModel as LocalModel
-from .marquardt.search import Iteration as Iteration
 from .marquardt.search import Marquardt as Marquardt
 from .marquardt.search import State as State
 from .marquardt.search import search as search

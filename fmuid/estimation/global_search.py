@@ -29,12 +29,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.optimize import Bounds, OptimizeResult, differential_evolution
 from scipy.spatial import KDTree
 from scipy.stats import qmc
@@ -48,9 +49,10 @@ from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.estimation.misfit import Misfits, fitted, misfits, refuse_loss, variances
 from fmuid.estimation.outcome import Outcome
 from fmuid.estimation.result import Result
+from fmuid.progress import GlobalStep, Progress
 from fmuid.text import nearest
 
-Method = Literal["evolution", "multistart"]
+Strategy = Literal["evolution", "multistart"]
 
 STARTS = 50
 # A generation of 50 agrees after 30 to 50 generations on problems of four parameters.
@@ -97,22 +99,44 @@ class GlobalSearch:
         If a setting is unknown or out of range.
     """
 
-    method: Method = "evolution"
+    method: Strategy = "evolution"
     starts: int = STARTS
     seed: int = 0
     generations: int = GENERATIONS
     marquardt: Marquardt = field(default_factory=Marquardt)
 
     def __post_init__(self) -> None:
-        if self.method not in get_args(Method):
-            known = " or ".join(map(repr, get_args(Method)))
-            hint = nearest(str(self.method), get_args(Method))
+        if self.method not in get_args(Strategy):
+            known = " or ".join(map(repr, get_args(Strategy)))
+            hint = nearest(str(self.method), get_args(Strategy))
             raise InputError(f"the method of a global search must be {known}, not {self.method!r}{hint}")
         least = {"starts": LEAST_POPULATION if self.method == "evolution" else 1, "seed": 0, "generations": 1}
         for name, value in least.items():
             given = getattr(self, name)
             if isinstance(given, bool) or not isinstance(given, int) or given < value:
                 raise InputError(f"{name} of a global search must be a whole number from {value} on, not {given!r}")
+
+    @property
+    def whole_box(self) -> bool:
+        """True."""
+        return True
+
+    def check(self, problem: LeastSquares) -> None:
+        """Check that a problem has the plain square as its loss, and for every parameter bounds or a prior.
+
+        Raises
+        ------
+        InputError
+            If it has not.
+        """
+        refuse_loss(problem, "a global search")
+        Box(problem.parameters)
+
+    def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
+        """Search as `search_globally` does, and from a start (N,) as `fmuid.identify` does."""
+        if start is not None:
+            return self.marquardt.search(problem, progress, start)
+        return search_globally(problem, self, progress).result
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +174,6 @@ class GlobalResult:
     result : Result
         Of the best fit; its `simulations` and `elapsed_s` are those of the whole search. Where the search was
         interrupted, of the best of all points tried; if no fit has led there, with nothing but its values.
-    optima : tuple of Optimum
-        All that were found, each once, the best first.
     names : tuple of str
         The parameters.
     fits : int
@@ -163,7 +185,6 @@ class GlobalResult:
     """
 
     result: Result
-    optima: tuple[Optimum, ...]
     names: tuple[str, ...]
     fits: int
     simulations: int
@@ -171,38 +192,20 @@ class GlobalResult:
     interrupted: bool
 
     @property
+    def optima(self) -> tuple[Optimum, ...]:
+        """All that were found, each once, the best first."""
+        return self.result.optima
+
+    @property
     def table(self) -> pd.DataFrame:
-        """The optima, a row each: criterion, hits, converged, and each parameter."""
-        rows = [(o.criterion, o.hits, o.converged, *o.theta.tolist()) for o in self.optima]
-        return pd.DataFrame(rows, columns=["criterion", "hits", "converged", *self.names])
+        """The optima, a row each (`optima_table`)."""
+        return optima_table(self.names, self.optima)
 
 
-@dataclass(frozen=True, eq=False)
-class GlobalStep:
-    """How far a global search is.
-
-    Attributes
-    ----------
-    phase : "spread", "evolution" or "fits"
-    done, total : int
-        Points, generations (at most), or fits.
-    criterion : float
-        The best so far: J_C, or where noise variances are estimated its concentrated form; only differences count.
-    theta : (N,) array
-        Where it was found.
-    simulations : int
-        Since the search began.
-    """
-
-    phase: Literal["spread", "evolution", "fits"]
-    done: int
-    total: int
-    criterion: float
-    theta: Floats
-    simulations: int
-
-
-Progress = Callable[[GlobalStep], None]
+def optima_table(names: Sequence[str], optima: Sequence[Optimum]) -> pd.DataFrame:
+    """Return the optima found, a row each: criterion, hits, converged, and each parameter."""
+    rows = [(o.criterion, o.hits, o.converged, *o.theta.tolist()) for o in optima]
+    return pd.DataFrame(rows, columns=["criterion", "hits", "converged", *names])
 
 
 def search_globally(
@@ -216,7 +219,7 @@ def search_globally(
         Every parameter with finite bounds or a prior. Its own starts take part.
     settings : GlobalSearch, optional
     progress : callable, optional
-        Called with a `GlobalStep` after each batch of points, generation or fit.
+        Called with a `fmuid.progress.GlobalStep` after each batch of points, generation or fit.
 
     Returns
     -------
@@ -385,10 +388,12 @@ class _Search:
             optima.sort(key=lambda found: found[0].criterion)
         elapsed, simulations = time.perf_counter() - self.clock, problem.simulations - self.simulations
         result = self._best_so_far() if interrupted else optima[0][1]
-        result = dataclasses.replace(result, simulations=simulations, elapsed_s=elapsed)
+        found = tuple(optimum for optimum, _ in optima)
+        result = dataclasses.replace(
+            result, simulations=simulations, elapsed_s=elapsed, optima=found, fits=len(self.results)
+        )
         return GlobalResult(
             result,
-            tuple(optimum for optimum, _ in optima),
             problem.parameters.names,
             len(self.results),
             simulations,
@@ -443,8 +448,15 @@ class _Search:
         if self.progress is None:
             return
         best = int(np.argmin(self.values))
-        simulations = self.problem.simulations - self.simulations
-        self.progress(GlobalStep(phase, done, total, float(self.values[best]), self.thetas[best], simulations))
+        step = GlobalStep(
+            task=phase,
+            done=done,
+            total=total,
+            criterion=float(self.values[best]),
+            values=dict(zip(self.problem.parameters.names, self.thetas[best].tolist(), strict=True)),
+            simulations=self.problem.simulations - self.simulations,
+        )
+        self.progress(step)
 
     def _check_any(self) -> None:
         if not np.isfinite(self.values).any():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,9 +19,8 @@ from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.search import Iteration, Marquardt, State, search
 from fmuid.estimation.outcome import AtBound, Outcome
 from fmuid.estimation.result import Result
+from fmuid.progress import Progress, SearchStep
 from fmuid.version import __version__
-
-Progress = Callable[[Iteration], None]
 
 # The search is repeated with new noise variances where one of them, against the others or against a prior, moved by
 # more than this share; it changes the estimates by far less than their standard deviations.
@@ -31,6 +30,41 @@ MAX_ROUNDS = 10
 # Where outliers outweigh everything else the mean ψ′ of a robust loss may vanish or be negative, and says nothing of
 # the covariance; it is taken to be this much at least.
 LEAST_CURVATURE = 0.05
+
+
+class Method(Protocol):
+    """How the least of a criterion is searched: `Marquardt`, from one start, or `GlobalSearch`, in a whole box."""
+
+    @property
+    def marquardt(self) -> Marquardt:
+        """The settings of Marquardt's search, with which every method ends."""
+
+    @property
+    def whole_box(self) -> bool:
+        """Whether the whole box of the bounds is searched, and other optima than the best one are met."""
+
+    def check(self, problem: LeastSquares) -> None:
+        """Check, without a simulation, that a problem has what the method needs, such as bounds.
+
+        Raises
+        ------
+        InputError
+            If it has not.
+        """
+
+    def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
+        """Search, from a start (N,) where one is given: an earlier result makes a search of the box needless.
+
+        Returns
+        -------
+        Result
+            Also where the search was interrupted: its outcome says so.
+
+        Raises
+        ------
+        InputError, SimulationError, KeyboardInterrupt
+            As `identify`, or as `check`.
+        """
 
 
 def identify(
@@ -46,7 +80,7 @@ def identify(
     problem : LeastSquares
     settings : Marquardt, optional
     progress : callable, optional
-        Called with every `Iteration` of the search.
+        Called with every `fmuid.progress.SearchStep`.
     start : (N,) array, optional
         Start elsewhere than the parameters say.
 
@@ -145,8 +179,17 @@ class _Identification:
         for iteration in search(self.criterion, self.state, self.settings, rough=rough):
             self.trace.append((number, iteration))
             if self.progress is not None:
-                self.progress(iteration)
+                self.progress(self._step(iteration))
         self._end_round(number)
+
+    def _step(self, iteration: Iteration) -> SearchStep:
+        return SearchStep(
+            number=iteration.number,
+            criterion=iteration.criterion,
+            damping=iteration.damping,
+            accepted=iteration.accepted,
+            values=dict(zip(self.problem.parameters.names, iteration.theta.tolist(), strict=True)),
+        )
 
     # --- the repetition on the noise variances
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -20,6 +20,9 @@ from fmuid.errors import InputError
 from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.outcome import AtBound, Outcome
+
+if TYPE_CHECKING:
+    from fmuid.estimation.global_search import Optimum
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
@@ -89,6 +92,10 @@ class Result:
         estimated ones. None where it was not kept in a file.
     history : History or None
         What `trace`, `rounds` and `fit` are made of. None where it was not kept in a file; they are empty then.
+    optima : tuple of Optimum
+        Where the whole box was searched: all that were found, each once, the best first. Not kept in a file.
+    fits : int or None
+        Of a search of the whole box: how many searches were made from points of it. Not kept in a file.
     """
 
     outcome: Outcome
@@ -116,6 +123,8 @@ class Result:
     moved_start: tuple[str, ...] = ()
     local: LocalModel | None = None
     history: History | None = None
+    optima: tuple[Optimum, ...] = ()
+    fits: int | None = None
 
     @cached_property
     def trace(self) -> pd.DataFrame:

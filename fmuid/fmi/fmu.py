@@ -69,6 +69,16 @@ class FMU:
         """
         return unpacked(self.file, self.digest, self.path)
 
+    def unpack(self) -> Path:
+        """Unpack the FMU into the user's cache, if it is not there yet, and return its `directory`.
+
+        Raises
+        ------
+        InputError
+            As `directory`.
+        """
+        return self.directory
+
     def library(self, identifier: str) -> Path:
         """Return the shared library of one interface for this platform.
 

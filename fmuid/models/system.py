@@ -96,7 +96,7 @@ class System:
         self.connections = tuple(self._connect(*connection) for connection in connections)
         self._check_fed_once()
         self._check_connectors()
-        self.exchange_order  # noqa: B018  # a loop that cannot be solved is an error now, not at the first simulation
+        self.exchange_order = self._ordered()
         self.values = dict(values or {})
         for name in self.values:
             self.variable(name)
@@ -304,9 +304,8 @@ class System:
                 raise InputError(f"input {self.full_name(*connection.target)!r} is fed by two connections; keep one")
             seen.add(connection.target)
 
-    @cached_property
-    def exchange_order(self) -> tuple[tuple[tuple[Connection, ...], bool], ...]:
-        """Connections in the order in which values can be passed on, in groups that may be passed on together.
+    def _ordered(self) -> tuple[tuple[tuple[Connection, ...], bool], ...]:
+        """Return the connections in the order in which values can be passed on, in groups that may go together.
 
         With each group goes whether it is a loop of direct feed-through, to be solved. A connection comes after those
         that feed an input on which its source depends directly (ModelStructure, FMI 2.0.4, section 2.2.8; an FMU that

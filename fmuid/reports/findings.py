@@ -16,14 +16,13 @@ import pandas as pd
 from fmuid.assessment import LEVEL
 from fmuid.data import ParameterSet
 from fmuid.errors import InputError
-from fmuid.estimation import Outcome, Result
+from fmuid.estimation import Outcome, Result, optima_table
 from fmuid.files import file_name, replacing, write_table
 from fmuid.simulation import Fit, fit_of
 
 if TYPE_CHECKING:
     from fmuid.assessment import CriterionMap, Diagnostics, Reading, Uncertainty
     from fmuid.data import Experiment
-    from fmuid.estimation import GlobalResult
     from fmuid.models import System
 
 # Tables that a run may write: those of an earlier run would be taken for this one's.
@@ -81,10 +80,9 @@ def estimates_frame(result: Result, units: Sequence[str | None], level: float = 
     return frame
 
 
-def at_minimum(result: Result, search: GlobalResult | None) -> bool:
+def at_minimum(result: Result) -> bool:
     """Return whether a search has ended where more can be asked of the criterion, sure or not."""
-    interrupted = search is not None and search.interrupted
-    return not interrupted and (result.converged or result.outcome is Outcome.UNDETERMINED)
+    return result.converged or result.outcome is Outcome.UNDETERMINED
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,10 +102,10 @@ class Findings:
         What prior and data say, and whether they agree.
     level : float
         Of intervals.
-    search : GlobalResult or None
-        Where the whole box was searched.
     uncertainty : Uncertainty or None
         Where more than the local covariance was asked for.
+    files : tuple of Path
+        Those that were written, each once.
     """
 
     result: Result
@@ -116,8 +114,8 @@ class Findings:
     diagnostics: Diagnostics
     reading: Reading
     level: float = LEVEL
-    search: GlobalResult | None = None
     uncertainty: Uncertainty | None = None
+    files: tuple[Path, ...] = ()
 
     @property
     def succeeded(self) -> bool:
@@ -135,6 +133,11 @@ class Findings:
         return estimates_frame(self.result, self.units, self.level)
 
     @property
+    def optima(self) -> pd.DataFrame:
+        """The content of ``optima.csv``: a row for each optimum that a search of the whole box has found."""
+        return optima_table(self.result.names, self.result.optima)
+
+    @property
     def unit_of(self) -> dict[str, str | None]:
         """The unit of each parameter."""
         return dict(zip(self.result.names, self.units, strict=True))
@@ -148,16 +151,16 @@ class Findings:
         """Return the content of ``result.json``."""
         content = self.result.to_json_dict()
         content |= {"diagnostics": self.diagnostics.to_json_dict(), "consistency": self.reading.to_json_dict()}
-        if self.search is not None:
+        if self.result.optima:
             content["optima"] = [
                 {
                     "criterion": optimum.criterion if math.isfinite(optimum.criterion) else None,
                     "hits": optimum.hits,
                     "converged": optimum.converged,
                     "outcome": optimum.outcome.value,
-                    "parameters": dict(zip(self.search.names, optimum.theta.tolist(), strict=True)),
+                    "parameters": dict(zip(self.result.names, optimum.theta.tolist(), strict=True)),
                 }
-                for optimum in self.search.optima
+                for optimum in self.result.optima
             ]
         return content | (self.uncertainty.to_json_dict() if self.uncertainty is not None else {})
 
@@ -180,8 +183,8 @@ class Findings:
         }
         if self.has_prior:
             found["reading"] = self.reading.table
-        if self.search is not None:
-            found["optima"] = self.search.table
+        if result.optima:
+            found["optima"] = self.optima
         if self.uncertainty is not None:
             found |= {name: chart.table for name, chart in self.maps().items()}
             found |= {"profiles": self.uncertainty.profile_table} if self.uncertainty.profiles else {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +14,7 @@ from fmuid.diagnosis import Rule
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt, Result
 from fmuid.models import System
+from fmuid.progress import Progress
 from fmuid.studies.model import ModelSettings, ModelWords
 from fmuid.studies.parameters import Knowns, Source
 from fmuid.studies.words import (
@@ -287,7 +288,7 @@ class DiagnosisSettings:
         noise: Noise,
         settings: Marquardt,
         sensitivity: str,
-        progress: Callable[[str], None] | None = None,
+        progress: Progress | None = None,
     ) -> Diagnosis:
         """Look for the faults in experiments, with the study's own model and the words of its other tables.
 

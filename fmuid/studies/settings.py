@@ -38,7 +38,7 @@ from fmuid.text import nearest
 
 if TYPE_CHECKING:
     from fmuid.assessment import Sampling
-    from fmuid.estimation import GlobalSearch
+    from fmuid.estimation import GlobalSearch, Method
 
 SEARCH = Marquardt()
 """What is not said of Marquardt's search."""
@@ -137,7 +137,7 @@ class EstimatorWords(Words):
         except InputError as error:
             raise self.error(f"is refused: {error}") from None
 
-    def check_loss(self, method: Marquardt | GlobalSearch, asked: UncertaintySettings, top: Place) -> None:
+    def check_loss(self, method: Method, asked: UncertaintySettings, top: Place) -> None:
         """Check that all the rest knows what to do with the loss.
 
         Raises
@@ -145,7 +145,7 @@ class EstimatorWords(Words):
         InputError
             If it does not.
         """
-        for other, there in (('method = "global"', not isinstance(method, Marquardt)), ("map", bool(asked.maps))):
+        for other, there in (('method = "global"', method.whole_box), ("map", bool(asked.maps))):
             if there and self.loss != "linear":
                 raise top.error(
                     f'has both loss = "{self.loss}" and {other}, which compares plain sums of squares in this version: '

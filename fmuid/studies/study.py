@@ -7,18 +7,19 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fmuid.assessment import Step, Uncertainty, UncertaintySettings, explore
+from fmuid.assessment import Uncertainty, UncertaintySettings, explore
 from fmuid.data import Experiment, JointPrior, Noise, Parameter, read_table
 from fmuid.errors import InputError
-from fmuid.estimation import Iteration, Marquardt, Result, identify
+from fmuid.estimation import Method, Result
 from fmuid.model_problem import Problem
 from fmuid.models import System
+from fmuid.progress import Progress
 from fmuid.simulation import Fit, Simulator, fit_of
 from fmuid.studies.diagnosis import DiagnosisSettings, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelSettings, named
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmuid.diagnosis import Diagnosis
-    from fmuid.estimation import GlobalResult, GlobalSearch, GlobalStep
     from fmuid.studies.batch import BatchSettings
 
 
@@ -51,7 +51,8 @@ class Study:
     parameters : dict of str to Parameter
         The parameters to identify.
     noise : Noise
-    estimator : Marquardt or GlobalSearch
+    estimator : Method
+        Marquardt or GlobalSearch.
     loss : str
         How the criterion grows with a residual (`fmuid.data.losses`).
     joint_prior : JointPrior or None
@@ -78,7 +79,7 @@ class Study:
     experiments: tuple[ExperimentSettings, ...]
     parameters: Mapping[str, Parameter]
     noise: Noise
-    estimator: Marquardt | GlobalSearch
+    estimator: Method
     loss: str = "linear"
     joint_prior: JointPrior | None = None
     sources: tuple[Source, ...] = ()
@@ -219,7 +220,7 @@ class Study:
                 f"{self.path}: no parameters: name at least one to identify under [parameters], "
                 "such as R = { start = 4.0 }"
             )
-        self.notes  # noqa: B018  # a prior from another model is an error before anything is simulated
+        self.check_sources()
         model = self.model
         return Problem(
             self.system,
@@ -243,10 +244,16 @@ class Study:
         """
         return tuple(dict.fromkeys(note for source in self._all_sources for note in source.compare(self.system)))
 
-    @property
-    def marquardt(self) -> Marquardt:
-        """The settings of Marquardt's search, also where it comes after a global one."""
-        return self.estimator if isinstance(self.estimator, Marquardt) else self.estimator.marquardt
+    def check_sources(self) -> None:
+        """Check that the results which priors are taken from are of this model.
+
+        Raises
+        ------
+        InputError
+            If one of them is a result of another model.
+        """
+        for source in self._all_sources:
+            source.compare(self.system)
 
     @property
     def known_variance(self) -> dict[str, float]:
@@ -261,47 +268,30 @@ class Study:
         given = self.noise.known(outputs)
         return known | {name: float(value) for name, value in zip(outputs, given, strict=True) if not math.isnan(value)}
 
-    def identify(self, progress: Callable[[Iteration | GlobalStep], None] | None = None) -> Result:
+    def identify(self, progress: Progress | None = None) -> Result:
         """Identify the parameters, by the method that the study names.
 
         Parameters
         ----------
         progress : callable, optional
-            Called with every iteration of the search, or with every `GlobalStep` of a global one.
+            Called with every step of the search (`fmuid.progress`).
 
         Raises
         ------
         InputError
-            As `problem`, or if a parameter acts on no output.
+            As `problem`, or if a parameter acts on no output, or a global search has no bounds for it.
         SimulationError
             If the simulation at the start fails.
         """
-        if isinstance(self.estimator, Marquardt):
-            return identify(self.problem(), self.estimator, progress)
-        return self.search_globally(progress).result
+        return self.estimator.search(self.problem(), progress)
 
-    def search_globally(self, progress: Callable[[GlobalStep], None] | None = None) -> GlobalResult:
-        """Search the whole box and list the optima found; with the default settings where the study has others.
-
-        Raises
-        ------
-        InputError
-            As `problem`, if a parameter has neither bounds nor a prior, or all simulations fail.
-        """
-        from fmuid.estimation import GlobalSearch, search_globally
-
-        settings = self.estimator
-        if isinstance(settings, Marquardt):
-            settings = GlobalSearch(marquardt=settings)
-        return search_globally(self.problem(), settings, progress)
-
-    def diagnose(self, progress: Callable[[str], None] | None = None) -> Diagnosis:
+    def diagnose(self, progress: Progress | None = None) -> Diagnosis:
         """Look for the faults that ``[diagnosis]`` names.
 
         Parameters
         ----------
         progress : callable, optional
-            Called with the name of each fault before its model is fitted.
+            Called with a `fmuid.progress.FaultStep` before each fit.
 
         Raises
         ------
@@ -322,19 +312,19 @@ class Study:
             self.model,
             self.parameters,
             noise=self.noise,
-            settings=self.marquardt,
+            settings=self.estimator.marquardt,
             sensitivity=self.sensitivity,
             progress=progress,
         )
 
-    def uncertainty(self, result: Result, progress: Callable[[Step], None] | None = None) -> Uncertainty:
+    def uncertainty(self, result: Result, progress: Progress | None = None) -> Uncertainty:
         """Do what ``[uncertainty]`` asks for around a result of this study: maps, profiles, posterior.
 
         Parameters
         ----------
         result : Result
         progress : callable, optional
-            Called with a `Step` for every map, point of a profile and step of the sampler.
+            Called for every map, point of a profile and step of the sampler (`fmuid.progress`).
 
         Raises
         ------
@@ -343,8 +333,7 @@ class Study:
         SimulationError
             If the simulation fails at the result.
         """
-        box = not isinstance(self.estimator, Marquardt)
-        return explore(self.problem(), result, self.uncertainty_settings, progress, box=box)
+        return explore(self.problem(), result, self.uncertainty_settings, progress, box=self.estimator.whole_box)
 
     def simulators(self) -> tuple[Simulator, ...]:
         """Return the simulator of each experiment, as a function of the study's parameters in their order."""

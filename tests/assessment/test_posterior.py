@@ -13,7 +13,7 @@ from scipy.integrate import quad
 
 from experiments.interval_coverage import coverage
 from fmuid.assessment.chains import effective_size, r_hat
-from fmuid.assessment.posterior import Posterior, Sampling, SamplingStep, log_density, sample
+from fmuid.assessment.posterior import Posterior, Sampling, log_density, sample
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.data.predictors import FunctionPredictions, Table
@@ -21,6 +21,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.progress import Event, SamplingStep
 from fmuid.reports.figures import uncertainty as figures_uncertainty
 
 Array = npt.NDArray[np.float64]
@@ -294,7 +295,8 @@ def test_interrupted_keeps_what_there_is() -> None:
     problem, _ = linear()
     seen: list[SamplingStep] = []
 
-    def stop(step: SamplingStep) -> None:
+    def stop(step: Event) -> None:
+        assert isinstance(step, SamplingStep)
         seen.append(step)
         if step.step == 40:
             raise KeyboardInterrupt

@@ -12,13 +12,14 @@ from scipy.optimize import brentq, least_squares
 from scipy.stats import f as f_distribution
 from scipy.stats import norm
 
-from fmuid.assessment.profile import Profile, ProfilePoint, profiles
+from fmuid.assessment.profile import Profile, profiles
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.progress import Event, ProfileStep
 from fmuid.reports.figures import uncertainty as figures_uncertainty
 
 Array = npt.NDArray[np.float64]
@@ -297,9 +298,10 @@ def test_better_optimum_is_said() -> None:
 
 def test_interrupted_keeps_what_there_is() -> None:
     problem, _ = linear()
-    seen: list[ProfilePoint] = []
+    seen: list[ProfileStep] = []
 
-    def stop(point: ProfilePoint) -> None:
+    def stop(point: Event) -> None:
+        assert isinstance(point, ProfileStep)
         seen.append(point)
         if point.name == "b" and point.rise > 1.0:
             raise KeyboardInterrupt
@@ -357,7 +359,7 @@ def test_figure_shows_the_local_parabola() -> None:
 def test_figure_of_what_has_no_interval() -> None:
     problem, result = coil()
 
-    def stop(_: ProfilePoint) -> None:
+    def stop(_: Event) -> None:
         raise KeyboardInterrupt
 
     found = profiles(problem, result, progress=stop)

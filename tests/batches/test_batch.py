@@ -27,14 +27,15 @@ from experiments.batches.campaign import command, family, left_over, rows
 from fmuid.batches import batch as module
 from fmuid.batches import cluster
 from fmuid.batches import worker as workshop
-from fmuid.batches.batch import Batch, BatchResult, BatchStep
+from fmuid.batches.batch import Batch, BatchResult
 from fmuid.batches.cluster import GroupSizes
 from fmuid.batches.parcel import Bundle, Parcel, changes
 from fmuid.batches.run_case import VOLATILE, CaseRunner
 from fmuid.batches.worker import GroupResult, run_group, versions
 from fmuid.cli import batch as cli_batch
 from fmuid.errors import FmuidError, InputError
-from fmuid.reports.console.progress import BatchProgress
+from fmuid.progress import BatchStep, Event
+from fmuid.reports.console.progress import Display
 from fmuid.studies.study import Study
 from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_
 
@@ -192,8 +193,9 @@ def test_interrupted_and_gone_on_with(folder: Path, here: Any) -> None:
     second = here(4)
     job = Batch(folder / "study.toml", folder / "out", isolated=False)
     assert set(job.pending.tolist()) == set(range(DRAWS)) - set(first.ran)
-    steps: list[BatchStep] = []
-    again = job.run(steps.append)
+    events: list[Event] = []
+    again = job.run(events.append)
+    steps = [event for event in events if isinstance(event, BatchStep)]
     assert sorted(first.ran + second.ran) == list(range(DRAWS))  # none lost, none run twice
     same(again.frame, expected(folder))
     kept = again.frame[again.frame["case"].isin(first.ran)].reset_index(drop=True)
@@ -513,19 +515,24 @@ def test_a_cluster_that_is_not_alike() -> None:
 @pytest.mark.parametrize(
     ("step", "told"),
     [
-        (BatchStep(0, 100, 0, 0.0, math.inf, 0), "0 of 100 cases, waiting for workers"),
-        (BatchStep(0, 100, 0, 0.0, math.inf, 2), "0 of 100 cases"),
-        (BatchStep(40, 100, 3, 0.5, 119.2, 2), "40 of 100 cases, 3 failed, 0.5 a second, 0:02:00 left"),
-        (BatchStep(100, 100, 3, 0.5, 0.0, 2), "100 of 100 cases, 3 failed"),
+        ((0, 0, 0.0, math.inf, 0), "0 of 100 cases, waiting for workers"),
+        ((0, 0, 0.0, math.inf, 2), "0 of 100 cases"),
+        ((40, 3, 0.5, 119.2, 2), "40 of 100 cases, 3 failed, 0.5 a second, 0:02:00 left"),
+        ((100, 3, 0.5, 0.0, 2), "100 of 100 cases, 3 failed"),
     ],
 )
-def test_progress(step: BatchStep, told: str, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    with BatchProgress() as progress:
-        progress(step)
+def test_progress(
+    step: tuple[int, int, float, float, int], told: str, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    done, failed, rate, left, threads = step
+    event = BatchStep(done=done, total=100, failed=failed, rate=rate, left=left, threads=threads)
+    assert event.share == done / 100
+    with Display() as display:
+        display(event)
         assert capsys.readouterr().out == ""  # lines are seldom
-    monkeypatch.setattr(BatchProgress, "EVERY", 0.0)
-    with BatchProgress() as progress:
-        progress(step)
+    monkeypatch.setattr(Display, "EVERY", 0.0)
+    with Display() as display:
+        display(event)
     assert capsys.readouterr().out == f"{told}\n"
 
 
@@ -703,8 +710,8 @@ def test_a_cluster(
 
         write(fleet, NOISE.format(draws=3000))
 
-        def kill(step: BatchStep) -> None:
-            if step.done:
+        def kill(step: Event) -> None:
+            if step.share:
                 assert {each.stat().st_mode & 0o777 for each in shops(fleet)} == {0o700}
                 process.kill()
 

@@ -17,9 +17,9 @@ import pytest
 
 import fmuid
 from fmuid.cli import app as cli
-from fmuid.cli import studies as cli_studies
 from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import ModelicaWarning
+from fmuid.progress import Event, SearchStep
 from fmuid.reports.console import progress
 from fmuid.studies import draft as study_init
 from fmuid.studies.study import Study
@@ -163,14 +163,14 @@ def test_undetermined(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_interrupted_keeps_the_best_so_far(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shown = progress.Progress.__call__
+    shown = progress.Display.__call__
 
-    def interrupt(self: progress.Progress, iteration: Any) -> None:
-        shown(self, iteration)
-        if iteration.number == 2:
+    def interrupt(self: progress.Display, event: Event) -> None:
+        shown(self, event)
+        if isinstance(event, SearchStep) and event.number == 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(progress.Progress, "__call__", interrupt)
+    monkeypatch.setattr(progress.Display, "__call__", interrupt)
     assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
     first = result(folder / "results")
     assert first["outcome"] == "interrupted"
@@ -261,7 +261,7 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
 def test_what_takes_long_says_what_it_does(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cli_studies, "QUICK", 0.0)
+    monkeypatch.setattr("fmuid.reports.run.QUICK", 0.0)
     assert fmuid_("identify", folder / "study.toml") == DONE
     assert capsys.readouterr().err == ""
     prior = "parameters.R.prior={mean = 4.0, std = 0.1}"
@@ -305,7 +305,7 @@ def test_global_search(folder: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "fits" in out
     api = Study.read(study)
     assert api.identify()["R"] == found["parameters"]["R"]["value"]
-    assert len(api.search_globally().optima) == len(table)
+    assert len(api.identify().optima) == len(table)
 
     capsys.readouterr()
     assert fmuid_("identify", study, "--resume") == DONE
@@ -360,12 +360,12 @@ def test_uncertainty_interrupted(
 ) -> None:
     """What was found before is written, and so is what there is of the rest."""
 
-    def interrupt(_: progress.Work, step: Any) -> None:
-        if step.task == "posterior":
+    def interrupt(_: progress.Display, event: Event) -> None:
+        if event.task == "posterior":
             assert "profiles" not in result(folder / "results")  # the result was written before the long work
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(progress.Work, "__call__", interrupt)
+    monkeypatch.setattr(progress.Display, "__call__", interrupt)
     (folder / "study.toml").write_text(STUDY + ASKED)
     assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
     found = result(folder / "results")

@@ -38,10 +38,10 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_search(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """With what does not count not simulated any more: who interrupts a slow search waits for nothing."""
-    shown, simulations, after = progress.Progress.__call__, list[bool](), [False]
+    shown, simulations, after = progress.Display.__call__, list[bool](), [False]
 
     def when(_: object, step: Any) -> bool:
-        after[0] = after[0] or step.number == 2
+        after[0] = after[0] or getattr(step, "number", 0) == 2
         return after[0]
 
     def simulated(self: LeastSquares, *arguments: Any) -> Any:
@@ -49,7 +49,7 @@ def test_a_search(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch, ca
         return original(self, *arguments)
 
     original = LeastSquares._simulated
-    monkeypatch.setattr(progress.Progress, "__call__", killing(number, when, shown))
+    monkeypatch.setattr(progress.Display, "__call__", killing(number, when, shown))
     monkeypatch.setattr(LeastSquares, "_simulated", simulated)
     (folder / "study.toml").write_text(STUDY.replace("[parameters]", "discard = 0.01\n[parameters]"))
     assert command("identify", folder / "study.toml") == NOT_SUCCEEDED
@@ -69,7 +69,7 @@ def test_a_global_search(folder: Path, number: int, monkeypatch: pytest.MonkeyPa
     (folder / "study.toml").write_text(text)
     assert fmuid_("identify", folder / "study.toml") == DONE
     (folder / "results/mine.csv").write_text("")
-    search = progress.Work.searched
+    shown = progress.Display.__call__
 
     def when(_: object, step: Any) -> bool:
         return bool(step.done == 2)
@@ -77,7 +77,7 @@ def test_a_global_search(folder: Path, number: int, monkeypatch: pytest.MonkeyPa
     capsys.readouterr()
     (folder / "study.toml").write_text(text + GLOBAL)
     with monkeypatch.context() as disturbed:
-        disturbed.setattr(progress.Work, "searched", killing(number, when, search))
+        disturbed.setattr(progress.Display, "__call__", killing(number, when, shown))
         assert command("identify", folder / "study.toml") == NOT_SUCCEEDED
     out, error = capsys.readouterr()
     assert error == ANSWER + "\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -14,17 +15,18 @@ from fmuid.data.parameters import Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import global_search
 from fmuid.estimation.box import Box
-from fmuid.estimation.global_search import GlobalResult, GlobalSearch, GlobalStep, Method, search_globally
+from fmuid.estimation.global_search import GlobalResult, GlobalSearch, Strategy, search_globally
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.estimation.misfit import misfits
 from fmuid.estimation.outcome import Outcome
 from fmuid.model_problem import Problem
+from fmuid.progress import Event, GlobalStep
 from fmuid.reports.words.result import ending
 from tests.support.paths import ROOT
 
-METHODS: tuple[Method, ...] = ("evolution", "multistart")
+METHODS: tuple[Strategy, ...] = ("evolution", "multistart")
 TIMES = np.linspace(0.0, 1.0, 120)
 FREQUENCY = 37.0
 RANGE = (2.0, 80.0)
@@ -47,6 +49,13 @@ def dense_minima() -> tuple[Floats, Floats]:
     return grid[lows], squares[lows]
 
 
+def of_search(events: Sequence[Event]) -> list[GlobalStep]:
+    """Return the events of a global search, which are all."""
+    steps = [event for event in events if isinstance(event, GlobalStep)]
+    assert len(steps) == len(events)
+    return steps
+
+
 def frequencies(found: GlobalResult) -> Floats:
     return found.table["w"].to_numpy()
 
@@ -55,7 +64,7 @@ def frequencies(found: GlobalResult) -> Floats:
 
 
 @pytest.mark.parametrize(("method", "seed"), [("evolution", 0), ("evolution", 1), ("multistart", 0)])
-def test_finds_the_best_of_many_optima(method: Method, seed: int) -> None:
+def test_finds_the_best_of_many_optima(method: Strategy, seed: int) -> None:
     """Marquardt's search alone ends in the nearest secondary optimum."""
     minima, squares = dense_minima()
     best = minima[np.argmin(squares)]
@@ -128,7 +137,7 @@ def test_prior_decides_between_equal_optima() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_valley_is_one_optimum(method: Method) -> None:
+def test_valley_is_one_optimum(method: Strategy) -> None:
     """Of y = a b t only a b is determined: wherever in the valley the fits end is one optimum, and not converged."""
     problem = LeastSquares.from_function(
         lambda theta: theta[0] * theta[1] * TIMES,
@@ -145,7 +154,7 @@ def test_valley_is_one_optimum(method: Method) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_perfect_data_give_one_optimum(method: Method) -> None:
+def test_perfect_data_give_one_optimum(method: Strategy) -> None:
     """Without noise the criteria of the fits differ by orders of magnitude, being rounding; they are one optimum."""
     problem = LeastSquares.from_function(
         lambda theta: theta[0] * np.exp(-theta[1] * TIMES),
@@ -263,9 +272,10 @@ def fragile(limit: float) -> LeastSquares:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_failing_simulations_are_passed_over(method: Method) -> None:
-    steps: list[GlobalStep] = []
-    found = search_globally(fragile(30.0), GlobalSearch(method, starts=30), steps.append)
+def test_failing_simulations_are_passed_over(method: Strategy) -> None:
+    events: list[Event] = []
+    found = search_globally(fragile(30.0), GlobalSearch(method, starts=30), events.append)
+    steps = of_search(events)
     assert np.isfinite([step.criterion for step in steps]).all()
     minima, squares = dense_minima()
     assert found.result["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
@@ -274,7 +284,7 @@ def test_failing_simulations_are_passed_over(method: Method) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_nothing_but_failures(method: Method) -> None:
+def test_nothing_but_failures(method: Strategy) -> None:
     with pytest.raises(InputError, match=r"all \d+ simulations of the global search fail: narrow.*too slow"):
         search_globally(fragile(100.0), GlobalSearch(method, starts=6))
 
@@ -301,30 +311,31 @@ def test_error_where_no_fit_is_possible() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_seed_makes_it_repeatable(method: Method) -> None:
+def test_seed_makes_it_repeatable(method: Strategy) -> None:
     steps: dict[int, list[float]] = {}
     tables = []
     for run, seed in enumerate((5, 5, 6)):
-        seen: list[GlobalStep] = []
+        seen: list[Event] = []
         tables.append(search_globally(sinusoid(), GlobalSearch(method, starts=20, seed=seed), seen.append).table)
-        steps[run] = [step.criterion for step in seen]
+        steps[run] = [step.criterion for step in of_search(seen)]
     assert steps[0] == steps[1] != steps[2]
     assert tables[0].equals(tables[1])
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_progress(method: Method) -> None:
-    steps: list[GlobalStep] = []
+def test_progress(method: Strategy) -> None:
+    events: list[Event] = []
     problem = sinusoid()
-    found = search_globally(problem, GlobalSearch(method, starts=10), steps.append)
+    found = search_globally(problem, GlobalSearch(method, starts=10), events.append)
+    steps = of_search(events)
     first = "evolution" if method == "evolution" else "spread"
-    assert [phase for phase, _ in itertools.groupby(s.phase for s in steps)] == [first, "fits"]
-    for _, phase in itertools.groupby(steps, lambda s: s.phase):
+    assert [phase for phase, _ in itertools.groupby(s.task for s in steps)] == [first, "fits"]
+    for _, phase in itertools.groupby(steps, lambda s: s.task):
         done = [s.done for s in phase]
         assert done == sorted(set(done))
     assert all(s.done <= s.total for s in steps)
     assert (np.diff([s.criterion for s in steps]) <= 0).all()
-    assert steps[-1].theta[0] == pytest.approx(found.result["w"], rel=1e-6)
+    assert steps[-1].values["w"] == pytest.approx(found.result["w"], rel=1e-6)
     assert found.simulations == found.result.simulations == problem.simulations >= steps[-1].simulations
 
 
@@ -352,7 +363,7 @@ def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
         ("multistart", 2400, 2300, True),
     ],
 )
-def test_interruption_keeps_what_is_found(method: Method, calls: int, complete: int, fitted: bool) -> None:
+def test_interruption_keeps_what_is_found(method: Strategy, calls: int, complete: int, fitted: bool) -> None:
     """It is no worse than any point of a generation or fit that was complete, with its uncertainty if a fit has it."""
     problem, seen = interrupting(calls)
     found = search_globally(problem, GlobalSearch(method, starts=40))
@@ -361,7 +372,7 @@ def test_interruption_keeps_what_is_found(method: Method, calls: int, complete: 
     assert not found.result.converged
     assert found.result.outcome is Outcome.INTERRUPTED
     said = f"interrupted: these are the best values so far of a global search, after {found.fits} fit"
-    assert ending(found.result, found).startswith(said)
+    assert ending(found.result).startswith(said)
     assert sum(o.hits for o in found.optima) == found.fits < 40
     squares = [((np.sin(w * TIMES) - problem.measured) ** 2).sum() for w in seen[:complete]]
     assert ((np.sin(found.result["w"] * TIMES) - problem.measured) ** 2).sum() <= 1.0001 * min(squares)

@@ -64,7 +64,7 @@ def test_at_minimum(iterations: int, ended: bool) -> None:
     x = np.linspace(0.0, 1.0, 20)
     problem = LeastSquares.from_function(lambda t: np.exp(-t[0] * x), np.exp(-2.0 * x), {"a": Parameter(20.0)})
     result = identify(problem, Marquardt(iterations))
-    assert at_minimum(result, None) is ended
+    assert at_minimum(result) is ended
     assert (result.outcome is Outcome.ITERATION_LIMIT) is not ended
 
 
@@ -77,6 +77,6 @@ def test_what_may_be_asked_for_more(outcome: Outcome) -> None:
     x = np.linspace(0.0, 1.0, 20)
     problem = LeastSquares.from_function(lambda t: np.exp(-t[0] * x), np.exp(-2.0 * x), {"a": Parameter(20.0)})
     result = replace(identify(problem), outcome=outcome)
-    assert at_minimum(result, None) is (outcome in ENDED)
+    assert at_minimum(result) is (outcome in ENDED)
     assert result.converged is (outcome in ENDED - {Outcome.UNDETERMINED})
     assert ending(result)

@@ -14,6 +14,7 @@ from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.global_search import GlobalSearch
+from fmuid.estimation.identification import Method
 from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.models.component import Numerics
 from fmuid.studies.overrides import override
@@ -97,7 +98,7 @@ def test_every_key(folder: Path) -> None:
 
 
 def test_estimators(folder: Path) -> None:
-    def estimator(words: str) -> Marquardt | GlobalSearch:
+    def estimator(words: str) -> Method:
         return Study.read(write(folder, FULL.replace('method = "marquardt"', words))).estimator
 
     assert estimator("max_iterations = 7") == Marquardt(max_iterations=7)
@@ -108,7 +109,7 @@ def test_estimators(folder: Path) -> None:
         "evolution", 20, marquardt=Marquardt(tolerance=1e-4)
     )
     study = Study.read(write(folder, FULL.replace('"marquardt"', '"marquardt"\nloss = "cauchy"')))
-    assert (study.loss, study.marquardt) == ("cauchy", Marquardt())
+    assert (study.loss, study.estimator.marquardt) == ("cauchy", Marquardt())
 
 
 def test_noise(folder: Path) -> None:

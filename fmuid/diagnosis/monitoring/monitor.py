@@ -34,6 +34,7 @@ from fmuid.diagnosis.procedure import UNEXPLAINED_SHARE
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
 from fmuid.files import replacing, write_table
+from fmuid.progress import Progress, WindowStep
 from fmuid.simulation import Simulator
 from fmuid.text import has_unit, listed, with_std
 from fmuid.version import __version__
@@ -100,13 +101,15 @@ class Monitor:
         self._beliefs = {model.name: model.prior for model in self.models}
         self._points = {model.name: model.prior.mean for model in self.models}
 
-    def add(self, record: Experiment) -> pd.DataFrame:
+    def add(self, record: Experiment, progress: Progress | None = None) -> pd.DataFrame:
         """Fit the windows of a record and return their rows of the table; what goes wrong leaves everything as it was.
 
         Parameters
         ----------
         record : Experiment
             With the healthy machine's names; what it discards is left out at its beginning.
+        progress : callable, optional
+            Called with a `fmuid.progress.WindowStep` before each window.
 
         Raises
         ------
@@ -122,19 +125,21 @@ class Monitor:
             )
         before = dict(self._beliefs), dict(self._points), len(self._rows)
         try:
-            self._examine(record)
+            self._examine(record, progress)
         except BaseException:
             self._beliefs, self._points = before[:2]
             del self._rows[before[2] :]
             raise
         return self.table.iloc[before[2] :]
 
-    def _examine(self, record: Experiment) -> None:
+    def _examine(self, record: Experiment, progress: Progress | None) -> None:
         windows = cut(record, self.rule.window, self.rule.transient)
         renamed = [model.fault.renamed(record) for model in self.models]
         simulators: list[Simulator | None] = [None] * len(self.models)
         first = len(self._rows)
         for number, (lead, start, stop) in enumerate(windows):
+            if progress is not None:
+                progress(WindowStep(record=record.name, number=number, total=len(windows)))
             fits = {}
             for k, (model, own) in enumerate(zip(self.models, renamed, strict=True)):
                 part = part_of(own, lead, start, stop, record.discard if number == 0 else 0.0, self.rule.transient)

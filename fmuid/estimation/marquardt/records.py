@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
 from fmuid.estimation.outcome import Outcome
+from fmuid.progress import Progress
+
+if TYPE_CHECKING:
+    from fmuid.estimation.least_squares import LeastSquares as Problem
+    from fmuid.estimation.result import Result
 
 # Most problems need 5 to 20 steps; the most crooked of the NIST reference problems (Bennett5) need several hundred.
 MAX_ITERATIONS = 1000
@@ -80,6 +85,25 @@ class Marquardt:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
                 raise InputError(f"the setting {name} of the search must be a positive number, not {value!r}")
+
+    @property
+    def marquardt(self) -> Marquardt:
+        """These settings."""
+        return self
+
+    @property
+    def whole_box(self) -> bool:
+        """False: the search goes down from one start."""
+        return False
+
+    def check(self, problem: Problem) -> None:
+        """Any problem can be searched."""
+
+    def search(self, problem: Problem, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
+        """Search as `fmuid.identify` does."""
+        from fmuid.estimation.identification import identify  # which makes use of this module
+
+        return identify(problem, self, progress, start)
 
 
 @dataclass(frozen=True, eq=False)

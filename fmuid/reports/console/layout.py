@@ -16,7 +16,7 @@ from fmuid.reports.words.result import capitalised, ending
 from fmuid.text import has_unit, label, visible
 
 if TYPE_CHECKING:
-    from fmuid.estimation import GlobalResult, Result
+    from fmuid.estimation import Result
     from fmuid.simulation import Fit, Simulator
     from fmuid.studies import Draft
 
@@ -95,10 +95,10 @@ def show_draft(draft: Draft, output: Path) -> None:
 # --- fmuid identify ---------------------------------------------------------------------
 
 
-def show_point(result: Result, search: GlobalResult) -> None:
+def show_point(result: Result) -> None:
     """Say where a search was interrupted, where nothing but the values is known."""
     values = ", ".join(f"{name} = {result[name]:.6g}" for name in result.names)
-    console().print(f"{escape(values)}\n{escape(capitalised(ending(result, search)))}", soft_wrap=True)
+    console().print(f"{escape(values)}\n{escape(capitalised(ending(result)))}", soft_wrap=True)
 
 
 # --- fmuid simulate ---------------------------------------------------------------------

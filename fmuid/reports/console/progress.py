@@ -5,166 +5,174 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping
 from datetime import timedelta
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
-import numpy as np
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.markup import escape
 from rich.progress_bar import ProgressBar
+from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from fmuid.progress import (
+    BatchStep,
+    Event,
+    FaultStep,
+    GlobalStep,
+    MapStep,
+    ProfileStep,
+    SamplingStep,
+    SearchStep,
+    WindowStep,
+)
 from fmuid.reports.console.layout import console
-
-if TYPE_CHECKING:
-    from fmuid.assessment import Step
-    from fmuid.batches import BatchStep
-    from fmuid.estimation import GlobalStep, Iteration
 
 # More parameters than these would push the first lines off the terminal.
 LIVE_ROWS = 20
 LINE_VALUES = 6
 """Values on a plain line; of more parameters only the first ones fit."""
 
+KEEPS = "Ctrl-C ends it and keeps what there is"
 
-class _Shown:
-    """A context with a live display on a terminal, and none elsewhere."""
 
-    def __init__(self, live: Callable[[], Live]) -> None:
-        self._live = live() if sys.stdout.isatty() else None
+class Display:
+    """Shows how far long work is; used as a context and called with each event (`fmuid.progress.Progress`)."""
+
+    # Off a terminal, a line each time so many of these parts of a task are done, or of a batch so often, s.
+    PARTS, EVERY = 10, 10.0
+
+    def __init__(self) -> None:
+        self._terminal = sys.stdout.isatty()
+        self._live: Live | None = None
+        self._starts: Mapping[str, float] = {}
+        self._best: Mapping[str, float] = {}
+        self._said: tuple[str, int] | None = None
+        self._next = time.monotonic() + self.EVERY
 
     def __enter__(self) -> Self:
-        if self._live is not None:
-            self._live.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        self.pause()
+
+    def pause(self) -> None:
+        """Take the live display away until the next event, so that something else can be printed."""
         if self._live is not None:
-            self._live.__exit__(kind, error, traceback)
+            self._live.stop()
+            self._live = None
 
-
-class Progress(_Shown):
-    """Shows the iterations of a search; used as a context and called with each iteration.
-
-    Parameters
-    ----------
-    names : sequence of str
-        The parameters.
-    start : (N,) array
-        Their starts.
-    """
-
-    def __init__(self, names: Sequence[str], start: np.ndarray[tuple[int], np.dtype[np.float64]]) -> None:
-        self._names, self._start = tuple(names), start
-        self._best: Iteration | None = None
-        super().__init__(lambda: Live(console=console(), auto_refresh=False, transient=True))
-
-    def __call__(self, iteration: Iteration) -> None:
-        """Show one iteration."""
-        if iteration.accepted:
-            self._best = iteration
+    def __call__(self, event: Event, /) -> None:
+        """Show an event."""
+        if isinstance(event, SearchStep):
+            self._starts = event.values if event.number == 0 else self._starts
+            self._best = event.values if event.accepted else self._best
+        if not self._terminal:
+            if self._due(event):
+                print(_line(event), flush=True)
+            return
         if self._live is None:
-            print(self._line(iteration), flush=True)
-        else:
-            self._live.update(Group(Text(self._head(iteration)), self._table()), refresh=True)
+            self._live = Live(console=console(), refresh_per_second=8, transient=True)
+            self._live.start()
+        self._live.update(self._drawn(event), refresh=isinstance(event, SearchStep))
 
-    def _head(self, iteration: Iteration) -> str:
-        renewed = math.isnan(iteration.damping) and iteration.number > 0
-        what = "noise variances renewed" if renewed else f"iteration {iteration.number}"
-        damping = "" if math.isnan(iteration.damping) else f"{iteration.damping:.3g}"
-        fate = "" if iteration.accepted else "rejected"
-        return f"{what:<23}  criterion {iteration.criterion:<11.6g}  λ {damping:<9} {fate:<8}"
+    def _due(self, event: Event) -> bool:
+        """Whether an event is worth a line of a file."""
+        if isinstance(event, BatchStep):
+            if time.monotonic() < self._next:
+                return False
+            self._next = time.monotonic() + self.EVERY
+        elif isinstance(event, GlobalStep | MapStep | ProfileStep | SamplingStep):
+            part = int(event.share * self.PARTS)
+            if self._said == (event.task, part):
+                return False
+            self._said = (event.task, part)
+        return isinstance(event, SearchStep | GlobalStep | MapStep | ProfileStep | SamplingStep | BatchStep)
 
-    def _line(self, iteration: Iteration) -> str:
-        pairs = list(zip(self._names, iteration.theta, strict=True))
-        values = "  ".join(f"{name} {value:.5g}" for name, value in pairs[:LINE_VALUES])
-        return f"{self._head(iteration)}  {values}{'  ...' if len(pairs) > LINE_VALUES else ''}"
+    def _drawn(self, event: Event) -> RenderableType:
+        """Return what is shown live."""
+        if isinstance(event, SearchStep):
+            return Group(Text(_head(event)), self._values())
+        bar = Table.grid(padding=(0, 2))
+        if isinstance(event, BatchStep):
+            bar.add_row(ProgressBar(event.total, event.done, width=30), _text(event))
+            return Group(bar, Text(f"{KEEPS}; the same command goes on", style="dim"))
+        if math.isnan(event.share) or isinstance(event, FaultStep | WindowStep):
+            return Spinner("dots", escape(_text(event)))
+        bar.add_row(event.task, ProgressBar(1.0, event.share, width=30), escape(_text(event)))
+        return Group(bar, Text(KEEPS, style="dim"))
 
-    def _table(self) -> Table:
+    def _values(self) -> Table:
+        """Return the parameters of the best step so far beside their starts."""
         table = Table.grid(padding=(0, 3))
-        best = self._best.theta if self._best is not None else self._start
-        for name, start, value in list(zip(self._names, self._start, best, strict=True))[:LIVE_ROWS]:
+        for name, value in list(self._best.items())[:LIVE_ROWS]:
+            start = self._starts.get(name, math.nan)
             table.add_row(f"  {escape(name)}", f"{value:.6g}", f"[dim]start {start:.6g}[/]")
-        if len(self._names) > LIVE_ROWS:
-            table.add_row(f"  [dim]and {len(self._names) - LIVE_ROWS} more[/]")
+        if len(self._best) > LIVE_ROWS:
+            table.add_row(f"  [dim]and {len(self._best) - LIVE_ROWS} more[/]")
         return table
 
 
-class Work(_Shown):
-    """Shows how far long work is, and that it may be interrupted; used as a context.
-
-    Parameters
-    ----------
-    names : sequence of str
-        The parameters.
-    """
-
-    # Off a terminal, a line each time so many of these parts of a task are done.
-    PARTS = 10
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = tuple(names)
-        self._said: tuple[str, int] | None = None
-        super().__init__(lambda: Live(console=console(), refresh_per_second=8, transient=True))
-
-    def __call__(self, step: Step) -> None:
-        """Show how far a task is."""
-        if self._live is not None:
-            bar = Table.grid(padding=(0, 2))
-            bar.add_row(step.task, ProgressBar(1.0, step.share, width=30), escape(step.text))
-            self._live.update(Group(bar, Text("Ctrl-C ends it and keeps what there is", style="dim")))
-            return
-        part = int(step.share * self.PARTS)
-        if self._said != (step.task, part):
-            self._said = (step.task, part)
-            print(f"{step.task:<10} {100 * step.share:3.0f} %  {step.text}", flush=True)
-
-    def searched(self, step: GlobalStep) -> None:
-        """Show how far a global search is."""
-        from fmuid.assessment import Step
-
-        values = "  ".join(
-            f"{name} {value:.5g}" for name, value in list(zip(self._names, step.theta, strict=True))[:LINE_VALUES]
-        )
-        text = f"{step.done} of {step.total}, {step.simulations} simulations, best: {values}"
-        self(Step(step.phase, text, step.done / step.total))
+def _line(event: Event) -> str:
+    """Return an event as a line of a file."""
+    if isinstance(event, SearchStep):
+        more = "  ..." if len(event.values) > LINE_VALUES else ""
+        return f"{_head(event)}  {_listed(event.values)}{more}"
+    if isinstance(event, BatchStep):
+        return _text(event)
+    return f"{event.task:<10} {100 * event.share:3.0f} %  {_text(event)}"
 
 
-class BatchProgress(_Shown):
-    """Shows how far a batch is; used as a context and called with each `BatchStep`."""
+def _head(step: SearchStep) -> str:
+    renewed = math.isnan(step.damping) and step.number > 0
+    what = "noise variances renewed" if renewed else f"iteration {step.number}"
+    damping = "" if math.isnan(step.damping) else f"{step.damping:.3g}"
+    fate = "" if step.accepted else "rejected"
+    return f"{what:<23}  criterion {step.criterion:<11.6g}  λ {damping:<9} {fate:<8}"
 
-    # Off a terminal, a line so often, s.
-    EVERY = 10.0
 
-    def __init__(self) -> None:
-        self._next = time.monotonic() + self.EVERY
-        super().__init__(lambda: Live(console=console(), refresh_per_second=4, transient=True))
+def _listed(values: Mapping[str, float]) -> str:
+    return "  ".join(f"{name} {value:.5g}" for name, value in list(values.items())[:LINE_VALUES])
 
-    def __call__(self, step: BatchStep) -> None:
-        """Show how far the batch is."""
-        if self._live is not None:
-            bar = Table.grid(padding=(0, 2))
-            bar.add_row(ProgressBar(step.total, step.done, width=30), self._text(step))
-            words = "Ctrl-C ends it and keeps what there is; the same command goes on"
-            self._live.update(Group(bar, Text(words, style="dim")))
-        elif time.monotonic() >= self._next:
-            self._next = time.monotonic() + self.EVERY
-            print(self._text(step), flush=True)
 
-    @staticmethod
-    def _text(step: BatchStep) -> str:
-        words = [f"{step.done} of {step.total} cases"]
-        words += [f"{step.failed} failed"] if step.failed else []
-        if step.done < step.total:
-            if not step.threads:
-                words.append("waiting for workers")
-            elif math.isfinite(step.left):
-                left = timedelta(seconds=math.ceil(step.left)) if step.left < timedelta.max.total_seconds() else "ages"
-                words.append(f"{step.rate:.3g} a second, {left} left")
-        return ", ".join(words)
+def _text(event: Event) -> str:
+    """Return in words where a task stands."""
+    match event:
+        case GlobalStep():
+            best = _listed(event.values)
+            return f"{event.done} of {event.total}, {event.simulations} simulations, best: {best}"
+        case MapStep():
+            return f"criterion over {event.first} and {event.second}"
+        case ProfileStep():
+            rise = f"criterion risen by {event.rise:.3g} of {event.threshold:.3g}"
+            return f"{event.name} = {event.value:.6g}: {rise}"
+        case SamplingStep() if not math.isnan(event.effective_size):
+            worth = f"worth {event.effective_size:.0f} of {event.wanted} independent samples"
+            return f"step {event.step}, {worth}"
+        case SamplingStep():
+            return f"step {event.step}"
+        case FaultStep():
+            return f"fitting {event.fault or 'the healthy machine'}"
+        case WindowStep():
+            return f"{event.record}: window {event.number + 1} of {event.total}"
+        case BatchStep():
+            return _batch(event)
+        case _:
+            return event.task
+
+
+def _batch(step: BatchStep) -> str:
+    words = [f"{step.done} of {step.total} cases"]
+    words += [f"{step.failed} failed"] if step.failed else []
+    if step.done < step.total:
+        if not step.threads:
+            words.append("waiting for workers")
+        elif math.isfinite(step.left):
+            left = timedelta(seconds=math.ceil(step.left)) if step.left < timedelta.max.total_seconds() else "ages"
+            words.append(f"{step.rate:.3g} a second, {left} left")
+    return ", ".join(words)

@@ -19,7 +19,7 @@ from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
     from fmuid.assessment import Uncertainty
-    from fmuid.estimation import GlobalResult, Result
+    from fmuid.estimation import Result
     from fmuid.reports.findings import Findings
     from fmuid.simulation import Fit
 
@@ -33,9 +33,9 @@ def show_result(found: Findings) -> None:
     """Print estimates and their uncertainty, what is to be said of them, noise, and how the search ended."""
     out, result, fits = console(), found.result, found.fits
     out.print()
-    if found.search is not None:
-        out.print(_optima(out, found.search))
-        for remark in _rivals(found.search):
+    if result.optima:
+        out.print(_optima(out, result))
+        for remark in _rivals(result):
             out.print(f"[yellow]note:[/] {escape(remark)}", soft_wrap=True)
         out.print()
     out.print(_estimates(out, found))
@@ -49,7 +49,7 @@ def show_result(found: Findings) -> None:
     out.print(f"Misfit: {escape(_misfit(fits))}", soft_wrap=True)
     out.print(f"Residual: {escape(_noise(result, fits))}", soft_wrap=True)
     color = "green" if result.converged else "red"
-    out.print(f"[bold {color}]{escape(capitalised(ending(result, found.search)))}[/]", soft_wrap=True)
+    out.print(f"[bold {color}]{escape(capitalised(ending(result)))}[/]", soft_wrap=True)
     for component, model in result.models.items():
         out.print(f"[dim]{escape(component or model['name'])} run as {escape(model['run'])}[/]", soft_wrap=True)
     if result.sensitivity:
@@ -61,10 +61,10 @@ def show_result(found: Findings) -> None:
     )
 
 
-def _optima(out: Console, search: GlobalResult) -> Table:
+def _optima(out: Console, result: Result) -> Table:
     """Return the table of the optima found, the best first; of many parameters the first ones that fit."""
-    shown = search.optima[:TERMINAL_ROWS]
-    values = {name: [f"{optimum.theta[i]:.5g}" for optimum in shown] for i, name in enumerate(search.names)}
+    shown = result.optima[:TERMINAL_ROWS]
+    values = {name: [f"{optimum.theta[i]:.5g}" for optimum in shown] for i, name in enumerate(result.names)}
     columns = {
         "criterion": [f"{optimum.criterion:.6g}" for optimum in shown],
         "found": [f"{optimum.hits} x" for optimum in shown],
@@ -73,19 +73,20 @@ def _optima(out: Console, search: GlobalResult) -> Table:
     }
     if all(optimum.converged for optimum in shown):
         columns.pop("note")
-    title = f"Optima found by {search.fits} search{'es' if search.fits > 1 else ''}"
-    right = ("criterion", "found", *search.names)
-    return _filled(_narrowed(out, columns, search.names[::-1]), right, title)
+    searches = sum(optimum.hits for optimum in result.optima)
+    title = f"Optima found by {searches} search{'es' if searches > 1 else ''}"
+    right = ("criterion", "found", *result.names)
+    return _filled(_narrowed(out, columns, result.names[::-1]), right, title)
 
 
-def _rivals(search: GlobalResult) -> list[str]:
+def _rivals(result: Result) -> list[str]:
     """Return a sentence on each optimum that fits as well as the best one."""
-    best = search.optima[0]
+    best = result.optima[0]
     return [
         f"another optimum fits as well (criterion higher by {other.criterion - best.criterion:.2g}), "
-        + ", ".join(f"{name} = {value:.5g}" for name, value in zip(search.names, other.theta.tolist(), strict=True))
+        + ", ".join(f"{name} = {value:.5g}" for name, value in zip(result.names, other.theta.tolist(), strict=True))
         + ": the data do not tell which is true; narrow the bounds, give a prior or measure more"
-        for other in search.optima[1:]
+        for other in result.optima[1:]
         if other.criterion - best.criterion < RIVAL
     ]
 

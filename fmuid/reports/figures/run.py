@@ -23,8 +23,8 @@ def draw(found: Findings) -> dict[str, Figure]:
     }
     if len(result.rounds) > 1:
         figures["rounds"] = figures_search.rounds(result.rounds, found.output_units)
-    if found.search is not None and len(found.search.optima) > 1:
-        figures["optima"] = figures_search.optima(found.search.table, found.unit_of)
+    if len(result.optima) > 1:
+        figures["optima"] = figures_search.optima(found.optima, found.unit_of)
     figures |= figures_fit.fits(found.fits)
     return figures | figures_residuals.residuals(found.diagnostics, found.output_units)
 
@@ -37,7 +37,7 @@ def draw_uncertainty(found: Findings) -> dict[str, Figure]:
     from fmuid.reports.figures import criterion_map as figures_map
     from fmuid.reports.figures import uncertainty as figures_uncertainty
 
-    optima = found.search.table if found.search is not None else None
+    optima = found.optima if found.result.optima else None
     figures = {
         name: figures_map.criterion_map(chart, optima, found.unit_of, level=found.level)
         for name, chart in found.maps().items()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from fmuid.estimation import Outcome
 
 if TYPE_CHECKING:
-    from fmuid.estimation import GlobalResult, Result
+    from fmuid.estimation import Result
 
 ENDS = {
     Outcome.CONVERGED: "converged",
@@ -41,16 +41,9 @@ def result_words(result: Result) -> tuple[str, ...]:
     return ending(result), *remarks(result)
 
 
-def ending(result: Result, search: GlobalResult | None = None) -> str:
-    """Return how an identification ended and, where that is needed, the remedy.
-
-    Parameters
-    ----------
-    result : Result
-    search : GlobalResult, optional
-        The search of the whole box that the result is of.
-    """
-    words = [ENDS[result.outcome] + (_so_far(search) if search is not None and search.interrupted else "")]
+def ending(result: Result) -> str:
+    """Return how an identification ended and, where that is needed, the remedy."""
+    words = [ENDS[result.outcome] + (_so_far(result) if result.outcome is Outcome.INTERRUPTED else "")]
     if result.undetermined:
         told = "; ".join(result.undetermined) + ": give a prior, hold one of them at a value, or measure more"
         words = [f"{words[0]}: {told}"] if result.outcome is Outcome.UNDETERMINED else [*words, told]
@@ -60,8 +53,10 @@ def ending(result: Result, search: GlobalResult | None = None) -> str:
     return "; ".join(words)
 
 
-def _so_far(search: GlobalResult) -> str:
-    return f" of a global search, after {search.fits} fit{'' if search.fits == 1 else 's'}"
+def _so_far(result: Result) -> str:
+    if result.fits is None:
+        return ""
+    return f" of a global search, after {result.fits} fit{'' if result.fits == 1 else 's'}"
 
 
 def remarks(result: Result) -> tuple[str, ...]:

@@ -203,7 +203,7 @@ class IsolatedWorkers:
 
     def _begin(self, host: Host) -> None:
         for _, model in self._models:
-            model.fmu.directory  # noqa: B018  # unpacked here, where what is wrong with it can be said
+            model.fmu.unpack()  # here, where what is wrong with it can be said
         self._known.clear()
         host.order("start", self._components, self._limit, self._resets, limit=FIRST_LIMIT)
 

@@ -1,0 +1,188 @@
+"""One path for a run of a study: search, residuals, prior and data, uncertainty, files, figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from fmuid import files
+from fmuid.assessment import examine_residuals, explore, read_result
+from fmuid.errors import FmuidError, InputError
+from fmuid.estimation import Result
+from fmuid.model_problem import Problem
+from fmuid.progress import DataAloneStep, Event, Progress
+from fmuid.reports.apply import write_estimates
+from fmuid.reports.findings import Findings, at_minimum, result_fits, resumed_start, write_point
+from fmuid.simulation import parameter_units
+from fmuid.studies import Study
+
+# A search that took longer than this, s, is not repeated with the data alone without a word.
+QUICK = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identified(Event):
+    """The search has ended, and its result is examined and written; what ``[uncertainty]`` asks for comes next.
+
+    Attributes
+    ----------
+    findings : Findings
+    """
+
+    task: str = "identified"
+    findings: Findings
+
+
+class SearchInterruptedError(FmuidError):
+    """The keyboard ended a search of which no more is known than a point, or nothing.
+
+    Attributes
+    ----------
+    result : Result or None
+        The best point, with nothing but its values; None where nothing better than the start was found.
+    files : tuple of Path
+        Those that were written.
+    """
+
+    def __init__(self, result: Result | None, files: tuple[Path, ...]) -> None:
+        self.result, self.files = result, files
+        super().__init__(
+            "interrupted before anything better than the start was found: nothing is written"
+            if result is None
+            else "interrupted before a fit began from the best point found"
+        )
+
+
+def run_study(
+    study: Study | str | Path,
+    folder: str | Path | None = None,
+    *,
+    figures: bool = False,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> Findings:
+    """Do all that a study asks for: search, look at residuals, prior and data, and at the uncertainty; write it.
+
+    ``fmuid identify`` is this, with a folder and figures.
+
+    Parameters
+    ----------
+    study : Study or path
+    folder : path, optional
+        Where ``result.json`` and the tables go, made where needed; files and figures of an earlier run are replaced or
+        removed. Nothing is written without one.
+    figures : bool
+        Whether to draw, into ``figures/`` of the folder.
+    resume : bool
+        Whether to start from the values in the folder's ``result.json``, without a search of the whole box.
+    progress : callable, optional
+        Called with every step of the search, with `Identified`, and with what goes on then (`fmuid.progress`).
+
+    Returns
+    -------
+    Findings
+        Without what ``[uncertainty]`` asks for where the search has not ended at a minimum. Interrupted from the
+        keyboard: what was found until then, as its outcome says.
+
+    Raises
+    ------
+    InputError
+        If model, tables and parameters do not fit together, there are figures or a start to be found without a folder,
+        or nothing can be written there.
+    SimulationError
+        If the simulation at the start fails.
+    SearchInterruptedError
+        If the keyboard ends it when no more is known than a point.
+    """
+    study = study if isinstance(study, Study) else Study.read(study)
+    if folder is None and (figures or resume):
+        raise InputError("figures and an earlier result are in a folder: say in which one")
+    return _Run(study, None if folder is None else Path(folder), progress, figures=figures).run(resume=resume)
+
+
+class _Run:
+    """One run and what it has written."""
+
+    def __init__(self, study: Study, folder: Path | None, progress: Progress | None, *, figures: bool) -> None:
+        self.study, self.folder, self.progress, self.figures = study, folder, progress, figures
+        self.files: list[Path] = []
+
+    def run(self, *, resume: bool) -> Findings:
+        problem, start = self.study.problem(), None
+        if self.folder is not None:
+            start = resumed_start(self.folder / "result.json", problem.parameters) if resume else None
+            files.make_folder(self.folder)
+        try:
+            result = self.study.estimator.search(problem, self.progress, start)
+        except KeyboardInterrupt:
+            raise SearchInterruptedError(None, ()) from None
+        if result.local is None:
+            self._save_point(result)
+            raise SearchInterruptedError(result, tuple(self.files))
+        found = self._examined(problem, result)
+        self._write(found)
+        self._tell(Identified(findings=replace(found, files=tuple(self.files))))
+        self._draw(found)
+        if self.study.uncertainty_settings.any and at_minimum(result):
+            box = bool(result.optima)
+            more = explore(problem, result, self.study.uncertainty_settings, self.progress, box=box)
+            found = replace(found, uncertainty=more)
+            self._write(found)
+            self._draw_uncertainty(found)
+        return replace(found, files=tuple(dict.fromkeys(self.files)))
+
+    def _examined(self, problem: Problem, result: Result) -> Findings:
+        """Look at residuals, and at what prior and data say."""
+        if problem.parameters.prior_whitening.size and result.elapsed_s > QUICK:
+            self._tell(DataAloneStep())
+        study, diagnostics = self.study, examine_residuals(problem, result)
+        return Findings(
+            result,
+            parameter_units(study.system, result.names),
+            result_fits(study.system, study.tables, result),
+            diagnostics,
+            read_result(
+                problem, result, search_data=at_minimum(result), healthy=study.known_variance, diagnostics=diagnostics
+            ),
+            study.uncertainty_settings.level,
+        )
+
+    def _tell(self, event: Event) -> None:
+        if self.progress is not None:
+            self.progress(event)
+
+    # --- files
+
+    def _write(self, found: Findings) -> None:
+        if self.folder is not None:
+            self.files += found.write(self.folder)
+            if found.uncertainty is None:
+                self.files += write_estimates(self.folder, self.study.system, found.result)
+
+    def _save_point(self, result: Result) -> None:
+        """Write the best point of a search that was interrupted before a fit began from it."""
+        if self.folder is not None:
+            units = parameter_units(self.study.system, result.names)
+            self.files += write_point(self.folder, result, units)
+            self.files += write_estimates(self.folder, self.study.system, result)
+            self._clear()
+
+    def _clear(self) -> None:
+        """Remove the figures of an earlier run."""
+        if self.folder is not None:
+            from fmuid.reports.figures import style
+
+            style.clear(self.folder / "figures")
+
+    def _draw(self, found: Findings) -> None:
+        self._clear()
+        if self.folder is not None and self.figures:
+            from fmuid.reports.figures import run, style
+
+            self.files += style.save(run.draw(found), self.folder / "figures")
+
+    def _draw_uncertainty(self, found: Findings) -> None:
+        if self.folder is not None and self.figures:
+            from fmuid.reports.figures import run, style
+
+            self.files += style.save(run.draw_uncertainty(found), self.folder / "figures")
