@@ -55,6 +55,7 @@ def handled() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        _interruption.begin()
 
 
 @contextlib.contextmanager

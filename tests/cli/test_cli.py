@@ -23,7 +23,7 @@ from fmuid.progress import Event, SearchStep
 from fmuid.reports.console import progress
 from fmuid.studies import draft as study_init
 from fmuid.studies.study import Study
-from tests.support.coil_study import COIL, NOISE, STUDY, L, R, coil_current, fmuid_, result
+from tests.support.coil_study import COIL, NOISE, STUDY, L, R, coil_current, coil_table, fmuid_, result
 from tests.support.paths import FMUS
 
 SECOND = """
@@ -34,6 +34,14 @@ inputs = ["u"]
 outputs = ["i"]
 interpolation = "hold"
 """
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    coil_table(tmp_path / "second.csv", 0.2, seed=2)
+    (tmp_path / "study.toml").write_text(STUDY)
+    return tmp_path
 
 
 # --- identify ----------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-import pytest
 
 from fmuid.cli.app import run
 from tests.support.paths import FMUS
@@ -51,14 +50,6 @@ interpolation = "hold"
 R = {{ start = 6.0, min = 0.0 }}
 L = {{ start = 0.05, min = 1e-3 }}
 """
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    coil_table(tmp_path / "first.csv", 0.0, seed=1)
-    coil_table(tmp_path / "second.csv", 0.2, seed=2)
-    (tmp_path / "study.toml").write_text(STUDY)
-    return tmp_path
 
 
 def result(folder: Path) -> dict[str, Any]:

@@ -1,0 +1,132 @@
+"""A run of a study from Python: what the command does, with the same numbers and files."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.cli.options import DONE
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.progress import DataAloneStep, Event, GlobalStep, ProfileStep, Progress, SearchStep
+from fmuid.reports import Identified, SearchInterruptedError
+from tests.support.coil_study import STUDY, coil_table, fmuid_, result
+
+PRIOR = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 1.0 }")
+ASKED = '[uncertainty]\nprofile = ["R"]\n'
+BOUNDED = STUDY.replace("min = 0.0", "min = 0.5, max = 50.0").replace("min = 1e-3", "min = 1e-3, max = 1.0")
+GLOBAL = '[estimator]\nmethod = "global"\nstarts = 6\nseed = 3\n'
+VOLATILE = {"elapsed_s"}
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    (tmp_path / "study.toml").write_text(PRIOR + ASKED)
+    return tmp_path / "study.toml"
+
+
+def stopping(where: type[Event]) -> Progress:
+    """Return a progress that does what Ctrl-C does at the first event of a kind."""
+
+    def progress(event: Event) -> None:
+        if isinstance(event, where):
+            raise KeyboardInterrupt
+
+    return progress
+
+
+def test_it_is_what_the_command_does(study: Path, tmp_path: Path) -> None:
+    found = fmuid.run_study(study, tmp_path / "mine", figures=True)
+    assert found.succeeded
+    assert fmuid_("identify", study, "--in-process", "--output", tmp_path / "theirs") == DONE
+    names = {path.relative_to(tmp_path / "theirs") for path in (tmp_path / "theirs").rglob("*") if path.is_file()}
+    assert {path.relative_to(tmp_path / "mine") for path in found.files} == names
+    assert {"result.json", "profiles.csv", "parameters.ssv", "fit.png", "profiles.png"} <= {path.name for path in names}
+    mine, theirs = result(tmp_path / "mine"), result(tmp_path / "theirs")
+    assert {key for key in theirs if mine[key] != theirs[key]} <= VOLATILE
+    for name in (path for path in names if path.suffix == ".csv"):
+        assert (tmp_path / "mine" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes(), name
+
+
+def test_without_a_folder_nothing_is_written(study: Path) -> None:
+    before = sorted(study.parent.rglob("*"))
+    found = fmuid.run_study(fmuid.Study.read(study))
+    assert found.succeeded
+    assert found.files == ()
+    assert found.uncertainty is not None
+    assert math.isfinite(found.uncertainty.profiles[0].upper)
+    assert sorted(study.parent.rglob("*")) == before
+    with pytest.raises(fmuid.InputError, match="in a folder"):
+        fmuid.run_study(study, figures=True)
+    with pytest.raises(fmuid.InputError, match="in a folder"):
+        fmuid.run_study(study, resume=True)
+
+
+def test_events_come_in_their_order(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fmuid.reports.run.QUICK", 0.0)
+    events: list[Event] = []
+    found = fmuid.run_study(study, progress=events.append)
+    tasks = list(dict.fromkeys(event.task for event in events))
+    assert tasks == ["search", "data alone", "identified", "uncertainty", "profile"]
+    steps = [event for event in events if isinstance(event, SearchStep)]
+    assert steps[0].values == {"R": 6.0, "L": 0.05}
+    assert math.isnan(steps[0].share)
+    assert steps[-1].values["R"] == pytest.approx(found.result["R"], rel=1e-6)
+    (told,) = (event for event in events if isinstance(event, Identified))
+    assert told.findings.result is found.result
+    assert told.findings.uncertainty is None
+
+
+def test_interrupted_after_the_search(study: Path, tmp_path: Path) -> None:
+    """What is found is kept, and what follows is not complete."""
+    found = fmuid.run_study(study, tmp_path / "out", progress=stopping(ProfileStep))
+    assert found.result.converged
+    assert not found.succeeded
+    assert found.uncertainty is not None
+    assert found.uncertainty.interrupted
+    assert result(tmp_path / "out")["converged"] is True
+
+
+def test_interrupted_before_anything_is_known(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(LeastSquares, "predict", interrupt)
+    with pytest.raises(SearchInterruptedError, match="nothing is written") as caught:
+        fmuid.run_study(study, tmp_path / "out")
+    assert caught.value.result is None
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_interrupted_where_a_point_is_known(study: Path, tmp_path: Path) -> None:
+    study.write_text(BOUNDED + GLOBAL)
+    with pytest.raises(SearchInterruptedError) as caught:
+        fmuid.run_study(study, tmp_path / "out", progress=stopping(GlobalStep))
+    assert caught.value.result is not None
+    written = json.loads((tmp_path / "out/result.json").read_text())
+    assert written["parameters"]["R"]["value"] == caught.value.result["R"]
+    assert {path.name for path in caught.value.files} == {"result.json", "estimates.csv"}
+
+
+def test_a_search_of_the_whole_box_keeps_its_optima(study: Path, tmp_path: Path) -> None:
+    study.write_text(BOUNDED + GLOBAL)
+    found = fmuid.run_study(study, tmp_path / "out")
+    assert sum(optimum.hits for optimum in found.result.optima) == 6
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "out/optima.csv"), found.optima)
+    again = fmuid.run_study(study, tmp_path / "out", resume=True)
+    assert again.result.optima == ()
+    np.testing.assert_allclose(again.result.start, found.result.values)
+
+
+def test_no_word_on_the_data_alone_without_a_prior(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fmuid.reports.run.QUICK", 0.0)
+    study.write_text(STUDY)
+    events: list[Event] = []
+    fmuid.run_study(study, progress=events.append)
+    assert not any(isinstance(event, DataAloneStep) for event in events)
