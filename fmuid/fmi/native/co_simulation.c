@@ -43,10 +43,10 @@ bool prepare(Simulation *self, size_t c) {
 bool enter_initialization(Simulation *self, size_t c) {
   const Component *component = &self->plan->components[c];
   const double tolerance = component->tolerance;
-  const int32_t status =
-      component->fmi2 ? component->fmi2->EnterInitializationMode(component->instance)
-                      : component->fmi3->EnterInitializationMode(component->instance, tolerance > 0.0, tolerance,
-                                                                 component->time, 0, 0.0);
+  const int32_t status = component->fmi2
+                             ? component->fmi2->EnterInitializationMode(component->instance)
+                             : component->fmi3->EnterInitializationMode(component->instance, tolerance > 0.0, tolerance,
+                                                                        component->time, 0, 0.0);
   return good(status) || fail(self, ENTER_INITIALIZATION, c, status);
 }
 
@@ -135,7 +135,8 @@ static bool step3(Simulation *self, size_t c, double until) {
     if (!(now < until)) return true;
     fmi3Boolean event = 0, terminate = 0, early = 0;
     double reached = until;
-    int32_t status = component->fmi3->DoStep(component->instance, now, until - now, 1, &event, &terminate, &early, &reached);
+    int32_t status =
+        component->fmi3->DoStep(component->instance, now, until - now, 1, &event, &terminate, &early, &reached);
     if (!good(status)) return fail(self, DO_STEP, c, status);
     if (terminate) return fail(self, ENDED, c, fmi2OK);
     if (!early) reached = until;

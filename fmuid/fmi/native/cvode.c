@@ -1,6 +1,7 @@
 /* Steps of a model-exchange FMU by CVODE (BDF, dense linear solver).
  *
- * The libraries are those that FMPy carries (SUNDIALS 7). A. C. Hindmarsh et al., ACM Trans. Math. Softw. 31 (2005) 363. */
+ * The libraries are those that FMPy carries (SUNDIALS 7). A. C. Hindmarsh et al., ACM Trans. Math. Softw. 31 (2005)
+ * 363. */
 #include <float.h>
 #include <math.h>
 #include <stdlib.h>
@@ -67,7 +68,8 @@ static int jacobian(double t, void *y, void *dy, void *matrix, void *data, void 
   const double *x = self->how.sundials->N_VGetArrayPointer(y);
   double *entries = self->how.sundials->SUNDenseMatrix_Data(matrix);
   Outcome outcome = put(self, t, x);
-  if (outcome == DONE) outcome = self->has_directional ? columns(self, entries) : difference_columns(self, t, x, entries);
+  if (outcome == DONE)
+    outcome = self->has_directional ? columns(self, entries) : difference_columns(self, t, x, entries);
   if (outcome != DONE) return outcome;
   for (size_t shift = n; shift < total; shift += n)
     for (size_t j = 0; j < n; j++) copy(n, entries + total * j, entries + total * (shift + j) + shift);
@@ -125,7 +127,8 @@ static Outcome restart(Integrator *self) {
   const Sundials *cv = self->how.sundials;
   const Solver *s = self->solver;
   int flag = cv->CVodeReInit(s->memory, self->step_end, s->state);
-  if (flag == 0) flag = cv->CVodeSVtolerances(s->memory, self->how.tolerance, s->absolute); /* it has a copy of its own */
+  if (flag == 0)
+    flag = cv->CVodeSVtolerances(s->memory, self->how.tolerance, s->absolute); /* it has a copy of its own */
   if (flag == 0) flag = cv->CVodeSetInitStep(s->memory, self->next_step);
   self->next_step = 0.0;
   return flag < 0 ? give_up(self, CVODE_FAILED, flag) : DONE;

@@ -64,10 +64,11 @@ static Outcome update_discrete_states(Integrator *self, fmi2EventInfo *info) {
   const Integration *how = &self->how;
   *info = (fmi2EventInfo){0};
   if (how->fmi2)
-    return check(self, UPDATE_DISCRETE_STATES, how->fmi2->NewDiscreteStates(how->instance, info)) == DONE ? DONE : FAILED;
+    return check(self, UPDATE_DISCRETE_STATES, how->fmi2->NewDiscreteStates(how->instance, info)) == DONE ? DONE
+                                                                                                          : FAILED;
   fmi3Boolean told[5] = {0};
-  const fmi3Status status = how->fmi3->UpdateDiscreteStates(how->instance, &told[0], &told[1], &told[2], &told[3], &told[4],
-                                                            &info->nextEventTime);
+  const fmi3Status status = how->fmi3->UpdateDiscreteStates(how->instance, &told[0], &told[1], &told[2], &told[3],
+                                                            &told[4], &info->nextEventTime);
   if (check(self, UPDATE_DISCRETE_STATES, status) != DONE) return FAILED;
   info->newDiscreteStatesNeeded = told[0];
   info->terminateSimulation = told[1];
@@ -96,7 +97,8 @@ static Outcome iterate(Integrator *self, double t) {
 static Outcome find_tolerances(Integrator *self) {
   const Integration *how = &self->how;
   const size_t n = how->n_states;
-  if (n > 0 && check(self, GET_NOMINALS, self->call.GetNominals(how->instance, self->absolute, n)) != DONE) return FAILED;
+  if (n > 0 && check(self, GET_NOMINALS, self->call.GetNominals(how->instance, self->absolute, n)) != DONE)
+    return FAILED;
   for (size_t i = 0; i < n; i++) {
     const double nominal = fabs(self->absolute[i]);
     self->absolute[i] = how->tolerance * (nominal > 0.0 && nominal < INFINITY ? nominal : 1.0);
@@ -160,7 +162,8 @@ Outcome complete_step(Integrator *self) {
 }
 
 static bool completes_steps(const Integrator *self) {
-  return self->how.fmi2 ? self->how.fmi2->CompletedIntegratorStep != NULL : self->how.fmi3->CompletedIntegratorStep != NULL;
+  return self->how.fmi2 ? self->how.fmi2->CompletedIntegratorStep != NULL
+                        : self->how.fmi3->CompletedIntegratorStep != NULL;
 }
 
 /* Bring the FMU to the end of the step and do what is pending there: completion, a state, step or time event. */

@@ -14,17 +14,17 @@ typedef const char *fmi3String;
 typedef int32_t fmi3Status; /* the same numbers as fmi2Status, without the last */
 
 /* The types of values but strings: name in the standard, type in C. */
-#define FMI3_TYPES(X)                                                                                                  \
-  X(Float64, double)                                                                                                   \
-  X(Float32, float)                                                                                                    \
-  X(Int8, int8_t)                                                                                                      \
-  X(UInt8, uint8_t)                                                                                                    \
-  X(Int16, int16_t)                                                                                                    \
-  X(UInt16, uint16_t)                                                                                                  \
-  X(Int32, int32_t)                                                                                                    \
-  X(UInt32, uint32_t)                                                                                                  \
-  X(Int64, int64_t)                                                                                                    \
-  X(UInt64, uint64_t)                                                                                                  \
+#define FMI3_TYPES(X) \
+  X(Float64, double)  \
+  X(Float32, float)   \
+  X(Int8, int8_t)     \
+  X(UInt8, uint8_t)   \
+  X(Int16, int16_t)   \
+  X(UInt16, uint16_t) \
+  X(Int32, int32_t)   \
+  X(UInt32, uint32_t) \
+  X(Int64, int64_t)   \
+  X(UInt64, uint64_t) \
   X(Boolean, fmi3Boolean)
 
 /* The functions of one binary; NULL where it has none. */
@@ -33,12 +33,12 @@ typedef struct {
   fmi3Status (*EnterInitializationMode)(fmi3Instance, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
                                         fmi3Float64 startTime, fmi3Boolean stopTimeDefined, fmi3Float64 stopTime);
   fmi3Status (*ExitInitializationMode)(fmi3Instance);
-#define SETTER(name, type)                                                                                             \
+#define SETTER(name, type) \
   fmi3Status (*Set##name)(fmi3Instance, const fmi3ValueReference *, size_t, const type *, size_t nValues);
   FMI3_TYPES(SETTER)
   SETTER(String, fmi3String)
 #undef SETTER
-#define GETTER(name, type)                                                                                             \
+#define GETTER(name, type) \
   fmi3Status (*Get##name)(fmi3Instance, const fmi3ValueReference *, size_t, type *, size_t nValues);
   FMI3_TYPES(GETTER)
 #undef GETTER

@@ -56,13 +56,13 @@ typedef struct {
   size_t n_states, n_indicators;
   size_t n_inputs, n_input_references; /* that vary continuously; an array of FMI 3.0 has one reference */
   const uint32_t *input_references;
-  Curve *curves;                                              /* of these inputs, from `origin` on */
+  Curve *curves;                                            /* of these inputs, from `origin` on */
   const uint32_t *state_references, *derivative_references; /* NULL where no directional derivatives are to be had */
-  double tolerance;    /* relative; that of a state near zero is relative to its nominal value */
-  double largest_step; /* infinity where there is no bound */
-  double limit;        /* steps may go beyond the wanted time up to here */
-  int32_t method;      /* Method */
-  int32_t follows;     /* this is the twin of another: it is not integrated */
+  double tolerance;                   /* relative; that of a state near zero is relative to its nominal value */
+  double largest_step;                /* infinity where there is no bound */
+  double limit;                       /* steps may go beyond the wanted time up to here */
+  int32_t method;                     /* Method */
+  int32_t follows;                    /* this is the twin of another: it is not integrated */
   const Sensitivities *sensitivities; /* NULL without */
   const Sundials *sundials;           /* NULL but for CVODE */
 } Integration;
@@ -118,10 +118,10 @@ struct Integrator {
   int32_t stiff_hits, stiff_misses;
   bool has_directional; /* derivatives, as far as is known */
   bool in_event_mode;
-  bool starting;         /* the event that is to be left is the first */
-  bool inside;           /* the event that was entered was found here, not brought from outside */
-  bool fmu_is_at_end;    /* the FMU holds time, inputs and states of the step's end */
-  bool can_go_on;        /* from where it is: derivatives of the step's end, history of CVODE */
+  bool starting;      /* the event that is to be left is the first */
+  bool inside;        /* the event that was entered was found here, not brought from outside */
+  bool fmu_is_at_end; /* the FMU holds time, inputs and states of the step's end */
+  bool can_go_on;     /* from where it is: derivatives of the step's end, history of CVODE */
   bool nominals_known;
   Pending pending;
 

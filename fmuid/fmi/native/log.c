@@ -11,7 +11,8 @@ static Message *next(Log *log) {
   return place < MOST_MESSAGES ? &log->messages[place] : NULL;
 }
 
-void log_message(void *environment, const char *instance, int32_t status, const char *category, const char *format, ...) {
+void log_message(void *environment, const char *instance, int32_t status, const char *category, const char *format,
+                 ...) {
   (void)instance, (void)category;
   Message *message = next(environment);
   if (!message || !format) return;

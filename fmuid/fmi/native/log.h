@@ -1,4 +1,5 @@
-/* What an instance says, kept for Python: the first messages of a simulation say what went wrong, the rest repeat it. */
+/* What an instance says, kept for Python: the first messages of a simulation say what went wrong, the rest repeat it.
+ */
 #ifndef LOG_H
 #define LOG_H
 
@@ -18,6 +19,7 @@ typedef struct {
 } Log;
 
 /* fmi2CallbackLogger, with a Log as the environment. */
-void log_message(void *environment, const char *instance, int32_t status, const char *category, const char *format, ...);
+void log_message(void *environment, const char *instance, int32_t status, const char *category, const char *format,
+                 ...);
 
 #endif

@@ -17,8 +17,9 @@ void copy(size_t n, const double *from, double *to) {
 /* ---- memory ---- */
 
 static Calls calls2(const Fmi2 *fmi) {
-  return (Calls){fmi->SetTime,        fmi->SetContinuousStates, fmi->GetContinuousStates, fmi->GetNominalsOfContinuousStates,
-                 fmi->GetDerivatives, fmi->GetEventIndicators,  fmi->EnterEventMode,      fmi->EnterContinuousTimeMode};
+  return (Calls){
+      fmi->SetTime,        fmi->SetContinuousStates, fmi->GetContinuousStates, fmi->GetNominalsOfContinuousStates,
+      fmi->GetDerivatives, fmi->GetEventIndicators,  fmi->EnterEventMode,      fmi->EnterContinuousTimeMode};
 }
 
 static Calls calls3(const Fmi3 *fmi) {
@@ -47,8 +48,7 @@ static bool allot(Integrator *self, size_t count) {
                          &self->absolute, &self->bend,  &self->x_whole};
   for (size_t i = 0; i < sizeof by_total / sizeof *by_total; i++) *by_total[i] = take(&rest, n);
   for (size_t i = 0; i < MOST_STAGES; i++) self->slopes[i] = take(&rest, n);
-  double **by_indicators[] = {&self->z_start, &self->z_end,   &self->z_at,
-                              &self->z_event, &self->z_early, &self->z_late};
+  double **by_indicators[] = {&self->z_start, &self->z_end, &self->z_at, &self->z_event, &self->z_early, &self->z_late};
   for (size_t i = 0; i < sizeof by_indicators / sizeof *by_indicators; i++) *by_indicators[i] = take(&rest, n_z);
   self->input_values = take(&rest, n_u);
   self->input_sizes = take(&rest, n_u);
@@ -67,8 +67,10 @@ Integrator *integrator_create(const Integration *how) {
   self->call = how->fmi2 ? calls2(how->fmi2) : calls3(how->fmi3);
   self->n_total = how->n_states * (1 + count);
   self->report.failure = NOTHING;
-  if (how->sensitivities) self->extension = how->sensitivities->twins ? &twin_sensitivities : &directional_sensitivities;
-  const bool has_it = how->fmi2 ? how->fmi2->GetDirectionalDerivative != NULL : how->fmi3->GetDirectionalDerivative != NULL;
+  if (how->sensitivities)
+    self->extension = how->sensitivities->twins ? &twin_sensitivities : &directional_sensitivities;
+  const bool has_it =
+      how->fmi2 ? how->fmi2->GetDirectionalDerivative != NULL : how->fmi3->GetDirectionalDerivative != NULL;
   self->has_directional = has_it && how->state_references && how->derivative_references;
   const bool needs_solver = how->method == CVODE && how->n_states > 0;
   if (allot(self, count) && (!needs_solver || cvode_create(self))) return self;
@@ -117,8 +119,9 @@ Outcome put_inputs(Integrator *self, double t) {
   if (same) return DONE;
   const uint32_t *references = how->input_references;
   const size_t n = how->n_input_references;
-  const int32_t status = how->fmi2 ? how->fmi2->SetReal(how->instance, references, n, self->input_values)
-                                   : how->fmi3->SetFloat64(how->instance, references, n, self->input_values, how->n_inputs);
+  const int32_t status = how->fmi2
+                             ? how->fmi2->SetReal(how->instance, references, n, self->input_values)
+                             : how->fmi3->SetFloat64(how->instance, references, n, self->input_values, how->n_inputs);
   return check(self, (Failure)FLOAT64, status) == DONE ? DONE : FAILED;
 }
 
@@ -166,8 +169,8 @@ Outcome directional(Integrator *self, const uint32_t *unknowns, size_t n_unknown
   else if (how->fmi2)
     *status = how->fmi2->GetDirectionalDerivative(how->instance, unknowns, n_unknowns, knowns, n_knowns, seeds, found);
   else
-    *status = how->fmi3->GetDirectionalDerivative(how->instance, unknowns, n_unknowns, knowns, n_knowns, seeds, n_knowns,
-                                                  found, n_unknowns);
+    *status = how->fmi3->GetDirectionalDerivative(how->instance, unknowns, n_unknowns, knowns, n_knowns, seeds,
+                                                  n_knowns, found, n_unknowns);
   return check(self, DIRECTIONAL_DERIVATIVE, *status) == DONE ? DONE : FAILED;
 }
 

@@ -9,28 +9,31 @@
 #include "fmi3.h"
 
 /* How a binary takes the values of a variable. In FMI 2.0 a Real is a Float64, an Integer or enumeration an Int32. */
-#define WIRES(X) X(FLOAT64) X(FLOAT32) X(INT8) X(UINT8) X(INT16) X(UINT16) X(INT32) X(UINT32) X(INT64) X(UINT64)       \
-  X(BOOLEAN) X(STRING)
+#define WIRES(X) \
+  X(FLOAT64) X(FLOAT32) X(INT8) X(UINT8) X(INT16) X(UINT16) X(INT32) X(UINT32) X(INT64) X(UINT64) X(BOOLEAN) X(STRING)
 #define NAMED(name) name,
 typedef enum { WIRES(NAMED) N_WIRES } Wire;
 
 /* What an operation does, and what a report names: setting functions by wire, getting ones, other functions of the
  * FMI, and what else may go wrong. */
-#define FAILURES(X)                                                                                                    \
-  X(SET_DERIVATIVES) X(DO_STEP) X(RESET) X(SETUP) X(ENTER_INITIALIZATION) X(EXIT_INITIALIZATION)                       \
-  X(ENTER_EVENT_MODE) X(UPDATE_DISCRETE_STATES) X(ENTER_STEP_MODE) X(SET_TIME) X(SET_STATES) X(GET_STATES)             \
-  X(GET_NOMINALS) X(GET_DERIVATIVES) X(GET_INDICATORS) X(ENTER_CONTINUOUS_TIME_MODE) X(COMPLETED_STEP)                 \
-  X(DIRECTIONAL_DERIVATIVE)                                                                                            \
-  X(COPY)             /* never fails: one signal to another */                                                         \
-  X(SENSITIVITIES)    /* those of outputs, from the integrator's memory */                                             \
-  X(LOOP)             /* of direct feed-through, not solved; the component is its number */                            \
-  X(ENDED)            /* by the FMU */                                                                                 \
-  X(OUT_OF_RANGE)     /* a value that the type of its variable cannot hold */                                          \
-  X(STUCK)            /* steps return early again and again */                                                         \
-  X(ENDLESS_EVENT) X(TOO_MANY_EVENTS) X(TOO_MANY_STEPS) X(STEP_TOO_SMALL) X(STATE_NOT_FINITE) X(STIFF)                 \
-  X(CVODE_FAILED)     /* the status is its flag */                                                                     \
-  X(JUMP_UNKNOWN) X(JUMP_REFUSED)                                                                                      \
+/* clang-format off */
+#define FAILURES(X)                                                                               \
+  X(SET_DERIVATIVES) X(DO_STEP) X(RESET) X(SETUP) X(ENTER_INITIALIZATION) X(EXIT_INITIALIZATION)  \
+  X(ENTER_EVENT_MODE) X(UPDATE_DISCRETE_STATES) X(ENTER_STEP_MODE) X(SET_TIME) X(SET_STATES)      \
+  X(GET_STATES) X(GET_NOMINALS) X(GET_DERIVATIVES) X(GET_INDICATORS)                              \
+  X(ENTER_CONTINUOUS_TIME_MODE) X(COMPLETED_STEP) X(DIRECTIONAL_DERIVATIVE)                       \
+  X(COPY)          /* never fails: one signal to another */                                       \
+  X(SENSITIVITIES) /* those of outputs, from the integrator's memory */                           \
+  X(LOOP)          /* of direct feed-through, not solved; the component is its number */          \
+  X(ENDED)         /* by the FMU */                                                               \
+  X(OUT_OF_RANGE)  /* a value that the type of its variable cannot hold */                        \
+  X(STUCK)         /* steps return early again and again */                                       \
+  X(ENDLESS_EVENT) X(TOO_MANY_EVENTS) X(TOO_MANY_STEPS) X(STEP_TOO_SMALL) X(STATE_NOT_FINITE)     \
+  X(STIFF)                                                                                        \
+  X(CVODE_FAILED)  /* the status is its flag */                                                   \
+  X(JUMP_UNKNOWN) X(JUMP_REFUSED)                                                                 \
   X(CANCELLED)
+/* clang-format on */
 typedef enum { NOTHING = -1, BEFORE_FAILURES = 2 * N_WIRES - 1, FAILURES(NAMED) N_FAILURES } Failure;
 
 enum { UNDONE = -2, DONE_WELL = -1 }; /* the status of a simulation that is not over, or that nothing ended early */

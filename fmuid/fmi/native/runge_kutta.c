@@ -48,9 +48,7 @@ static const double SAFETY = 0.9, SHRINK = 0.2, GROW = 10.0, PI_EXPONENT = 0.04;
 static const double STIFF_BOUND = 3.25;
 static const int32_t STIFF_EVERY = 1000, STIFF_AFTER = 15, STIFF_FORGOTTEN = 6;
 
-static const Tableau *tableau(const Integrator *self) {
-  return self->how.method == RK4 ? &classical : &dormand_prince;
-}
+static const Tableau *tableau(const Integrator *self) { return self->how.method == RK4 ? &classical : &dormand_prince; }
 
 static double smaller(double a, double b) { return b < a ? b : a; }
 static double larger(double a, double b) { return b > a ? b : a; }

@@ -2,9 +2,9 @@
  *
  * Integrated is [x, s_1, ..., s_N], s_j = dx/dp_j, with s_j' = (dg/dx) s_j + dg/dp_j. The right-hand sides are
  * directional derivatives that the FMU gives, or differences to *twins*: instances with p_j + d_j, put beside the model
- * at x + d_j s_j. Twins are also taken through the model's events. At a state event the time of the event depends on p_j
- * too: dt_j/dp_j = -(dz/dx s_j + dz/dp_j)/(dz/dt), and with it s_j jumps (E. N. Rozenvasser, Autom. Remote Control 28
- * (1967) 52). */
+ * at x + d_j s_j. Twins are also taken through the model's events. At a state event the time of the event depends on
+ * p_j too: dt_j/dp_j = -(dz/dx s_j + dz/dp_j)/(dz/dt), and with it s_j jumps (E. N. Rozenvasser, Autom. Remote Control
+ * 28 (1967) 52). */
 #include <float.h>
 #include <math.h>
 
@@ -22,7 +22,8 @@ static double jump_back(double a, double b) { return (a + b) - a; }
 /* ---- directional derivatives ---- */
 
 /* The derivatives of unknowns along (s_j, dp_j = 1), where the FMU is. */
-static Outcome along(Integrator *self, size_t j, const double *x, const uint32_t *unknowns, size_t count, double *found) {
+static Outcome along(Integrator *self, size_t j, const double *x, const uint32_t *unknowns, size_t count,
+                     double *found) {
   const size_t n = self->how.n_states;
   int32_t status;
   copy(n, x + n * (j + 1), self->seeds);

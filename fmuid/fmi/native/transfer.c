@@ -6,14 +6,14 @@
 /* ---- numbers of other types ---- */
 
 /* What is stored as which type, and the largest double that it holds; the smallest is the next above `below`. */
-#define WHOLE_TYPES(X)                                                                                                 \
-  X(INT8, int8_t, -129.0, 128.0)                                                                                       \
-  X(UINT8, uint8_t, -1.0, 256.0)                                                                                       \
-  X(INT16, int16_t, -32769.0, 32768.0)                                                                                 \
-  X(UINT16, uint16_t, -1.0, 65536.0)                                                                                   \
-  X(INT32, int32_t, -2147483649.0, 2147483648.0)                                                                       \
-  X(UINT32, uint32_t, -1.0, 4294967296.0)                                                                              \
-  X(INT64, int64_t, -9223372036854777856.0, 9223372036854775808.0)                                                     \
+#define WHOLE_TYPES(X)                                             \
+  X(INT8, int8_t, -129.0, 128.0)                                   \
+  X(UINT8, uint8_t, -1.0, 256.0)                                   \
+  X(INT16, int16_t, -32769.0, 32768.0)                             \
+  X(UINT16, uint16_t, -1.0, 65536.0)                               \
+  X(INT32, int32_t, -2147483649.0, 2147483648.0)                   \
+  X(UINT32, uint32_t, -1.0, 4294967296.0)                          \
+  X(INT64, int64_t, -9223372036854777856.0, 9223372036854775808.0) \
   X(UINT64, uint64_t, -1.0, 18446744073709551616.0)
 
 /* Store numbers as the type that a binary wants; whole ones are rounded. Return false if one does not fit. */
@@ -24,10 +24,10 @@ static bool pack(int32_t wire, const double *from, size_t n, void *to) {
       case FLOAT32:
         ((float *)to)[j] = (float)from[j];
         break;
-#define STORE(name, type, below, above)                                                                                \
-  case name:                                                                                                           \
-    if (!(below < whole && whole < above)) return false;                                                               \
-    ((type *)to)[j] = (type)whole;                                                                                     \
+#define STORE(name, type, below, above)                  \
+  case name:                                             \
+    if (!(below < whole && whole < above)) return false; \
+    ((type *)to)[j] = (type)whole;                       \
     break;
         WHOLE_TYPES(STORE)
       default:
@@ -44,9 +44,9 @@ static void unpack(int32_t wire, const void *from, size_t n, double *to) {
       case FLOAT32:
         to[j] = ((const float *)from)[j];
         break;
-#define LOAD(name, type, below, above)                                                                                 \
-  case name:                                                                                                           \
-    to[j] = (double)((const type *)from)[j];                                                                           \
+#define LOAD(name, type, below, above)       \
+  case name:                                 \
+    to[j] = (double)((const type *)from)[j]; \
     break;
         WHOLE_TYPES(LOAD)
       default:
@@ -79,25 +79,25 @@ static int32_t call2(const Fmi2 *fmi, const Operation *o) {
 }
 
 enum { /* the wires by the names of FMI 3.0 */
-  W_Float64 = FLOAT64,
-  W_Float32 = FLOAT32,
-  W_Int8 = INT8,
-  W_UInt8 = UINT8,
-  W_Int16 = INT16,
-  W_UInt16 = UINT16,
-  W_Int32 = INT32,
-  W_UInt32 = UINT32,
-  W_Int64 = INT64,
-  W_UInt64 = UINT64,
-  W_Boolean = BOOLEAN
+       W_Float64 = FLOAT64,
+       W_Float32 = FLOAT32,
+       W_Int8 = INT8,
+       W_UInt8 = UINT8,
+       W_Int16 = INT16,
+       W_UInt16 = UINT16,
+       W_Int32 = INT32,
+       W_UInt32 = UINT32,
+       W_Int64 = INT64,
+       W_UInt64 = UINT64,
+       W_Boolean = BOOLEAN
 };
 
 static int32_t call3(const Fmi3 *fmi, const Operation *o) {
   switch (o->function) {
-#define CALLS(name, type)                                                                                              \
-  case W_##name:                                                                                                       \
-    return fmi->Set##name(o->instance, o->references, o->count, o->values, o->n_values);                               \
-  case N_WIRES + W_##name:                                                                                             \
+#define CALLS(name, type)                                                                \
+  case W_##name:                                                                         \
+    return fmi->Set##name(o->instance, o->references, o->count, o->values, o->n_values); \
+  case N_WIRES + W_##name:                                                               \
     return fmi->Get##name(o->instance, o->references, o->count, o->values, o->n_values);
     FMI3_TYPES(CALLS)
     case STRING:

@@ -1,0 +1,12 @@
+"""A pytest plugin (``-p tests.support.sanitized_core``) that has tests run with the library named by SANITIZED_CORE."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from fmuid.fmi import native
+
+
+def pytest_configure() -> None:
+    native._path = lambda: Path(os.environ["SANITIZED_CORE"])
