@@ -16,7 +16,7 @@ from typing import Any
 from fmuid.batches.parcel import Copies
 from fmuid.batches.run_case import CaseOutcome, CaseRunner
 from fmuid.models import Isolation
-from fmuid.simulation import FIRST_LIMIT, End, Host, Keeper, workers_of
+from fmuid.simulation import FIRST_LIMIT, End, Host, Keeper, executor_of
 from fmuid.studies import Study
 
 _runner: list[CaseRunner] = []  # of a process that runs cases
@@ -30,7 +30,7 @@ def open_cases(data: Mapping[str, Any], path: Path, copies: Copies | None) -> No
 def run_case(index: int) -> tuple[CaseOutcome, float]:
     """Run a case; return also how long the longest simulation took so far, s."""
     outcome = _runner[0](index)
-    return outcome, getattr(workers_of(_runner[0].study.system), "longest", 0.0)
+    return outcome, getattr(executor_of(_runner[0].study.system), "longest", 0.0)
 
 
 class IsolatedCases:

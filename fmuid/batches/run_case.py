@@ -27,7 +27,7 @@ from fmuid.data import Experiment, read_table
 from fmuid.errors import FmuidError
 from fmuid.estimation import Outcome, Result
 from fmuid.model_problem import Problem
-from fmuid.simulation import workers_of
+from fmuid.simulation import executor_of
 from fmuid.studies import ExperimentSettings, NoiseDraws, Study, Value
 
 Key = TypeVar("Key")
@@ -108,7 +108,7 @@ class CaseRunner:
         case, began = self.cases[index], time.perf_counter()
         with _warnings_of_this_thread() as warnings:
             found = self._found(case)
-        elapsed, printed = time.perf_counter() - began, workers_of(self._system).printed()
+        elapsed, printed = time.perf_counter() - began, executor_of(self._system).printed()
         volatile = {"elapsed_s": elapsed, "finished": datetime.now(UTC), "worker": self._worker}
         row = dict.fromkeys(self.columns, math.nan) | {"case": case.index, **case.settings, **found, **volatile}
         return CaseOutcome(row, "\n".join([*warnings, *([printed] if printed else [])]))

@@ -5,6 +5,7 @@ from .component import STIFF_INTEGRATOR as STIFF_INTEGRATOR
 from .component import Component as Component
 from .component import Isolation as Isolation
 from .component import Numerics as Numerics
+from .executor import Executor as Executor
 from .facts import Facts as Facts
 from .facts import Line as Line
 from .facts import facts as facts

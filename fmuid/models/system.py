@@ -11,6 +11,7 @@ from typing import NamedTuple
 from fmuid.errors import InputError
 from fmuid.fmi import FMU, Variable, in_threads, unit_conversion
 from fmuid.models.component import AS_OFFERED, Component, Isolation, Numerics
+from fmuid.models.executor import Owner
 from fmuid.text import nearest
 
 MASTERS = ("jacobi", "gauss-seidel")
@@ -31,8 +32,8 @@ class Connection(NamedTuple):
     offset: float = 0.0
 
 
-class System:
-    """FMUs coupled through connections.
+class System(Owner):
+    """FMUs coupled through connections; ``with System(...) as system:`` frees their instances at the end.
 
     Parameters
     ----------
@@ -82,6 +83,7 @@ class System:
         connectors: Mapping[str, Sequence[Port]] | None = None,
         isolation: Isolation | None = None,
     ) -> None:
+        super().__init__()
         if (fmu is None) == (not components):
             raise InputError("a system needs either one FMU or named components; give exactly one of the two")
         if master not in MASTERS:

@@ -1,4 +1,4 @@
-from .executor import workers_of as workers_of
+from .executor import executor_of as executor_of
 from .fit import Fit as Fit
 from .fit import fit_of as fit_of
 from .fit import parameter_units as parameter_units

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,16 +11,12 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.data import Experiment
 from fmuid.fmi import Plan, Run, Sensitivities, codes, new_reports
-from fmuid.models import STIFF_INTEGRATOR, Component, Port, System
-from fmuid.simulation.executor import Workers
+from fmuid.models import STIFF_INTEGRATOR, Component, Executor, Port, System
 from fmuid.simulation.grid import grid_of
 from fmuid.simulation.operations import outputs_with_sensitivities
 from fmuid.simulation.plan import plan_of, run_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.task import task_of
-
-# The twins of each system, so that simulators of it share their instances.
-_twins: weakref.WeakKeyDictionary[System, dict[tuple[int, tuple[str, ...]], System]] = weakref.WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -68,15 +63,15 @@ class SensitivityRun:
     system: System
     given: Sensitivities
 
-    def simulate(self, workers: Workers, theta: Floats) -> Floats | Refusal:
+    def simulate(self, executor: Executor, theta: Floats) -> Floats | Refusal:
         """Simulate theta (N,); return the outputs (K, n), or why there are none."""
         outputs = np.empty((1, self.run.grid.times.size, len(self.run.output_names)))
         reports = new_reports(1)
-        with workers.lock:
-            workers.run(self.run, theta[None], outputs, reports)
+        with executor.lock:
+            executor.run(self.run, theta[None], outputs, reports)
             if reports[0, 0] == codes.SENSITIVITIES:
                 return Refusal("the FMU gives no directional derivatives of its outputs by parameters")
-            error = workers.failure(self.run, theta, outputs[0], reports[0], {})
+            error = executor.failure(self.run, theta, outputs[0], reports[0], {})
         if error is not None:
             return Refusal(f"from t = {error.time:g} s on, {error.call}")
         found: Floats = outputs[0]
@@ -135,12 +130,12 @@ def initial_run(simulator: Simulator) -> Run | None:
     return run
 
 
-def initial_states(run: Run, workers: Workers, thetas: Floats) -> Floats | None:
+def initial_states(run: Run, executor: Executor, thetas: Floats) -> Floats | None:
     """Return the initial states (m, n_states) of thetas (m, N), None if an initialisation fails."""
     outputs = np.empty((len(thetas), 1, len(run.output_names)))
     reports = new_reports(len(thetas))
-    with workers.lock:
-        workers.run(run, thetas, outputs, reports)
+    with executor.lock:
+        executor.run(run, thetas, outputs, reports)
     found = outputs[:, 0]
     return None if (reports[:, 0] >= 0).any() or not np.isfinite(found).all() else found
 
@@ -185,23 +180,24 @@ def twin_run(simulator: Simulator) -> SensitivityRun:
 
 
 def _twins_of(system: System, count: int, inputs: tuple[str, ...]) -> System:
-    """Return the system of a number of twins and the model itself, made at the first call."""
-    known = _twins.setdefault(system, {})
-    if (count, inputs) not in known:
-        (model,) = system.components.values()
-        names = [*(f"twin{j + 1}" for j in range(count)), "model"]
+    """Return the system of a number of twins and the model itself, which all simulators of a system share."""
+    return system.variant(("twins", count, inputs), lambda: _new_twins(system, count, inputs))
 
-        def ports(given: str) -> list[Port]:
-            return [
-                (f"{name}.{system.split(v)[1]}", factor, offset)
-                for name in names
-                for v, factor, offset in system.targets(given)
-            ]
 
-        known[count, inputs] = System(
-            components={name: Component(model.fmu, model.numerics) for name in names},
-            connectors={name: ports(name) for name in inputs},
-            values={f"{name}.{system.split(v)[1]}": value for name in names for v, value in system.values.items()},
-            isolation=system.isolation,
-        )
-    return known[count, inputs]
+def _new_twins(system: System, count: int, inputs: tuple[str, ...]) -> System:
+    (model,) = system.components.values()
+    names = [*(f"twin{j + 1}" for j in range(count)), "model"]
+
+    def ports(given: str) -> list[Port]:
+        return [
+            (f"{name}.{system.split(v)[1]}", factor, offset)
+            for name in names
+            for v, factor, offset in system.targets(given)
+        ]
+
+    return System(
+        components={name: Component(model.fmu, model.numerics) for name in names},
+        connectors={name: ports(name) for name in inputs},
+        values={f"{name}.{system.split(v)[1]}": value for name in names for v, value in system.values.items()},
+        isolation=system.isolation,
+    )

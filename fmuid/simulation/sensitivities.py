@@ -10,7 +10,7 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.errors import InputError, RefusedError
 from fmuid.models import DEFAULT_TOLERANCE
-from fmuid.simulation.executor import workers_of
+from fmuid.simulation.executor import executor_of
 from fmuid.simulation.forward_run import (
     Refusal,
     SensitivityRun,
@@ -183,7 +183,7 @@ class ForwardSensitivities:
         if initial is None:
             return None
         run.given.magnitudes[:], run.given.initial[:] = magnitudes, initial
-        outputs = run.simulate(workers_of(self._simulator.system), values)
+        outputs = run.simulate(executor_of(self._simulator.system), values)
         if isinstance(outputs, Refusal):
             return None
         n = len(self._simulator.output_names)
@@ -195,7 +195,7 @@ class ForwardSensitivities:
             return None
         steps = np.diag(CENTRAL_STEP * magnitudes)
         changed = np.concatenate([values + steps, values - steps])
-        states = initial_states(self._initial, workers_of(self._simulator.system), changed)
+        states = initial_states(self._initial, executor_of(self._simulator.system), changed)
         if states is None:
             return None
         n = values.size
@@ -222,7 +222,7 @@ class ForwardSensitivities:
         run.given.steps[:] = changed - values
         several = np.tile(values, (values.size + 1, 1))
         np.fill_diagonal(several, changed)
-        outputs = run.simulate(workers_of(run.system), several.ravel())
+        outputs = run.simulate(executor_of(run.system), several.ravel())
         if isinstance(outputs, Refusal):
             return outputs
         split = np.moveaxis(outputs.reshape(len(outputs), values.size + 1, -1), 1, 0)

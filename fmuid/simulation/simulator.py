@@ -13,7 +13,7 @@ from fmuid.data import Experiment
 from fmuid.errors import InputError, SimulationError
 from fmuid.fmi import FMU, new_reports
 from fmuid.models import Isolation, Numerics, System, Value, column_conversion
-from fmuid.simulation.executor import workers_of
+from fmuid.simulation.executor import executor_of
 from fmuid.simulation.plan import run_of
 from fmuid.simulation.task import task_of
 
@@ -37,8 +37,8 @@ class Simulations:
 class Simulator:
     """Simulate a model over an experiment: ``simulator(theta)``.
 
-    The instances are kept and shared by all simulators of one `System`; several thetas are spread over
-    several instances in threads where the FMU allows it.
+    The instances are kept and shared by all simulators of one `System`, which owns and frees them (`system`); several
+    thetas are spread over several instances in threads where the FMU allows it.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class Simulator:
         ]
         names = [name for name, *_ in self._targets]
         self._run = run_of(task_of(self.system, experiment, names, self._target_values(), step_size))
-        self._workers = workers_of(self.system)
+        self._executor = executor_of(self.system)
         self._conversions = self._output_conversions()
         fed = {*names, *self._target_values(), *self.system.connected_inputs, *self.system.connectors}
         fed |= {target for name in experiment.input_names for target, _, _ in self.system.targets(name)}
@@ -192,8 +192,8 @@ class Simulator:
             raise InputError(f"theta must be finite; one of the values for {self._names} is not")
         outputs = np.empty((len(given), self._run.grid.times.size, len(self.output_names)))
         reports = new_reports(len(given))
-        with self._workers.lock:
-            self._workers.run(self._run, self._set(given), outputs, reports)
+        with self._executor.lock:
+            self._executor.run(self._run, self._set(given), outputs, reports)
             errors = self._explain(given, outputs, reports)
         for j, (factor, offset) in self._conversions.items():
             outputs[:, :, j] = factor * outputs[:, :, j] + offset
@@ -208,10 +208,6 @@ class Simulator:
     def output_factors(self) -> NDArray[np.float64]:
         """What a change of each output in the unit of the FMU is in that of the table (n_outputs,)."""
         return np.array([self._conversions.get(j, (1.0, 0.0))[0] for j in range(len(self.output_names))])
-
-    def close(self) -> None:
-        """Free the instances of the system (also those of its other simulators; they make new ones when needed)."""
-        self._workers.close()
 
     @property
     def _names(self) -> str:
@@ -230,7 +226,7 @@ class Simulator:
             theta = self._set(thetas[i : i + 1])[0]
             # what the FMU says costs another simulation: for the first failure
             explain = not any(errors)
-            errors[i] = self._workers.failure(self._run, theta, outputs[i], reports[i], named, explain)
+            errors[i] = self._executor.failure(self._run, theta, outputs[i], reports[i], named, explain)
             if errors[i] is not None:
                 outputs[i] = np.nan
         return tuple(errors)

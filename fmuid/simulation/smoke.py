@@ -164,7 +164,7 @@ def _run(report: Report, fmu: FMU, kind: str, share: float, target: Path) -> Non
     report.seconds, report.repeated = time.perf_counter() - began, True
     report.differs = not np.allclose(first, second, rtol=0.0, atol=REPEAT_TOLERANCE * np.abs(first).max(initial=0.0))
     begin("was being freed")
-    simulator.close()
+    simulator.system.close()
 
 
 def observed(description: Description) -> list[str]:

@@ -105,7 +105,7 @@ def test_no_instance_is_freed_while_another_lives(folder: Path) -> None:
     first, second = (Simulator(fmu, RECORD, NAMES) for _ in range(2))
     check(first)
     check(second)
-    first.close()
+    first.system.close()
     check(second)
     check(first)
     del second
@@ -118,7 +118,7 @@ def test_a_fatal_end_of_one_is_not_waited_for(folder: Path) -> None:
     fmu = misbehaving_fmu(folder, token="alone after a fatal one")
     simulator = Simulator(fmu, RECORD, NAMES)
     assert any(simulator.many(thetas(Mode.RETURN_FATAL)).errors)
-    simulator.close()
+    simulator.system.close()
     check(Simulator(fmu, RECORD, NAMES, interface="model-exchange"))
 
 

@@ -20,7 +20,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
-from fmuid.simulation.executor import workers_of
+from fmuid.simulation.executor import executor_of
 from fmuid.simulation.sensitivities import derivatives_of
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
@@ -140,7 +140,7 @@ def test_a_crash_after_a_simulation_costs_none(folder: Path, where: Where) -> No
     for each in (some, some * [1, 1, 0] + [0, 0, Mode.SEGFAULT]):
         simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"where": where}, isolation=Isolation())
         found = simulator.many(each)
-        simulator.close()
+        simulator.system.close()
         assert found.errors == (None,) * len(each)
         assert np.abs(found.outputs - expected(folder, each)).max() < 1e-14
 
@@ -180,14 +180,14 @@ def test_what_the_fmu_prints_is_kept_apart(folder: Path) -> None:
     simulator = Simulator(system, RECORD, NAMES)
     for mode, words in ((Mode.SPEAK, "the FMU says on {}: gain"), (Mode.MUTTER, "no line of {}")):
         assert np.array_equal(simulator([[2.0, 0.5, mode]]), expected(folder, np.array([[2.0, 0.5, 0.0]])))
-        said = workers_of(system).printed()
+        said = executor_of(system).printed()
         assert words.format("stdout") in said
         assert words.format("stderr") in said
-        assert workers_of(system).printed() == ""
+        assert executor_of(system).printed() == ""
     with pytest.raises(SimulationError, match="SIGABRT"):
         simulator([2.0, 0.5, Mode.DOUBLE_FREE])
     if sys.platform == "linux":
-        assert "double free" in workers_of(system).printed()
+        assert "double free" in executor_of(system).printed()
 
 
 def test_what_is_printed_before_a_crash_is_there(folder: Path) -> None:
@@ -199,14 +199,14 @@ def test_what_is_printed_before_a_crash_is_there(folder: Path) -> None:
     values = {"speaks.mode": Mode.SPEAK.value, "crashes.mode": Mode.SEGFAULT.value, "crashes.at": 2.0}
     with pytest.raises(SimulationError, match=r"crashed with SIGSEGV"):
         Simulator(system, record, values=values)([])
-    assert "the FMU says on stdout" in workers_of(system).printed()
+    assert "the FMU says on stdout" in executor_of(system).printed()
 
 
 def test_ten_megabytes_of_print_neither_block_nor_fill_the_memory(folder: Path) -> None:
     system = System(misbehaving_fmu(folder), isolation=Isolation())
     some = thetas(Mode.CHATTER)[:4]
     assert np.array_equal(Simulator(system, RECORD, NAMES, values={"amount": 10.0})(some), expected(folder, some))
-    said = workers_of(system).printed()
+    said = executor_of(system).printed()
     assert "a line on std" in said
     assert len(said) < 2_000_000
 
@@ -214,7 +214,7 @@ def test_ten_megabytes_of_print_neither_block_nor_fill_the_memory(folder: Path) 
 def test_a_library_that_prints_when_it_is_loaded(folder: Path) -> None:
     system = System(misbehaving_fmu(folder, at_loading=Mode.SPEAK), isolation=Isolation())
     Simulator(system, RECORD, NAMES)([2.0, 0.5, 0.0])
-    assert "the FMU says on stdout" in workers_of(system).printed()
+    assert "the FMU says on stdout" in executor_of(system).printed()
 
 
 # --- memory
@@ -250,7 +250,7 @@ def test_recycling_bounds_the_memory_of_an_fmu_that_leaks(folder: Path) -> None:
     some, found = np.tile([2.0, 0.5, Mode.LEAK_ONCE], (120, 1)), list[Floats]()
     plain(some[:1] * [1.0, 1.0, 0.0])
     without = max(process.memory_info().rss / 1e6 for process in processes() if process.pid not in others)
-    plain.close()
+    plain.system.close()
     largest = largest_process(others, lambda: found.append(simulator(some)))
     assert np.array_equal(found[0], expected(folder, some))
     assert 60 < largest - without < 160

@@ -19,7 +19,7 @@ import pytest
 from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError
 from fmuid.models.component import Isolation
-from fmuid.simulation.executor import workers_of
+from fmuid.simulation.executor import executor_of
 from fmuid.simulation.isolation.ends import REFUSED, End
 from fmuid.simulation.isolation.family import Footprint, family
 from fmuid.simulation.simulator import Simulator
@@ -105,7 +105,7 @@ def test_processes_that_are_refused_what_they_need_every_time_do_what_they_can(f
 def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
     simulator([2.0, 0.5, 0.0])
-    simulator.close()
+    simulator.system.close()
     files = psutil.Process().num_fds()
 
     def refuse(*_: object) -> None:
@@ -154,7 +154,7 @@ def test_what_fmuid_itself_gives_a_process_does_not_count(folder: Path) -> None:
     simulator = Simulator(misbehaving_fmu(folder), record, NAMES, isolation=Isolation(threads=1))
     some = [[2.0, 0.5, 0.0]] * 4
     before = simulator(some)
-    workers: Any = workers_of(simulator.system)
+    workers: Any = executor_of(simulator.system)
     host = workers._host()
     host._limit = Footprint(host.pid).read() - 56e6 + 25e6
     assert np.array_equal(simulator(some), before)
@@ -173,7 +173,7 @@ def test_what_has_left_its_session_ends_too(folder: Path, how: str) -> None:
     escaped = [process for process in processes() if process.pid not in there]
     assert [os.getsid(process.pid) == os.getsid(process.ppid()) for process in escaped] == [False]
     if how == "closed":
-        simulator.close()
+        simulator.system.close()
     else:
         simulator.many([[1.0, 1.0, Mode.ABORT]])
     _, left = psutil.wait_procs(escaped, timeout=5)

@@ -44,7 +44,7 @@ def test_nothing_is_left_of_closed_systems(folder: Path) -> None:
         for simulator in simulators:
             simulator([2.0, 0.5, 0.0])
         for simulator in simulators[::2]:
-            simulator.close()  # the others go with their systems
+            simulator.system.close()  # the others go with their systems
 
     use()
     gc.collect()
@@ -106,7 +106,7 @@ def test_what_the_fmu_has_forked_ends_with_its_process(folder: Path) -> None:
     assert np.array_equal(simulator(some), expected(folder, some))
     spawned = [process for process in processes() if process.pid not in there]
     assert spawned
-    simulator.close()
+    simulator.system.close()
     _, left = psutil.wait_procs(spawned, timeout=5)
     assert not left
 

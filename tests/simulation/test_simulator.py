@@ -201,7 +201,7 @@ def test_one_instance_serves_where_the_fmu_allows_no_more(probe: ProbeMaker) -> 
     simulators = [Simulator(system, experiment, ["gain"]) for _ in range(2)]
     for simulator in simulators:
         assert (simulator(np.ones((9, 1))) == 1).all()
-    simulators[0].close()
+    simulators[0].system.close()
     with pytest.raises(InputError, match="only once in a process"):
         simulators[1]([1.0])
 
@@ -214,7 +214,7 @@ def test_instances_are_kept_and_freed(probe: ProbeMaker) -> None:
     simulator(np.ones((8, 1)))
     first = simulator([1.0]).max()
     assert simulator(np.ones((200, 1))).max() == first  # not one more for 200 simulations
-    simulator.close()
+    simulator.system.close()
     assert simulator([1.0]).max() == 1
 
 
