@@ -1,0 +1,118 @@
+"""Every word of the study file, with every odd value: taken, or refused in fmuid's own words that name its place."""
+
+from __future__ import annotations
+
+import copy
+import datetime
+import math
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fmuid.errors import InputError
+from fmuid.studies.study_file import StudyFile
+from fmuid.studies.words import Place
+
+TEXT = """
+title = "Coil"
+[model]
+step_size = 1e-3
+connectors = { R = ["a.R", "b.R"] }
+values = { "a.L" = 0.1 }
+components = [{ name = "a", fmu = "file" }, { name = "b", fmu = "file" }]
+connections = [{ from = "a.i", to = "b.u", factor = 2 }]
+[[experiments]]
+table = "file"
+inputs = { u = "voltage" }
+outputs = ["i"]
+interpolation = { u = "hold" }
+units = { i = "mA" }
+[parameters]
+R = { start = 4, per_experiment = true, prior = { result = "file", inflate = 10 } }
+[prior]
+names = ["R", "L"]
+mean = [1, 2.0]
+covariance = [[1, 0], [0, 1]]
+[noise]
+variance = { i = 0.04 }
+start = 1
+[estimator]
+method = "global"
+starts = 20
+[uncertainty]
+profile = ["R"]
+posterior = { steps = 2000 }
+map = [["R", "L"]]
+[diagnosis]
+healthy = "file"
+inflate = { R = inf }
+[diagnosis.faults.turns]
+parameters = { dR = { nominal = 1 } }
+angle = { phi = { size = "dR" } }
+names = { R = "a.R" }
+[monitoring]
+window = 1
+[batch]
+tables = ["*.csv"]
+starts = [{ R = 3.0 }]
+subsets = [["R"]]
+values = { L = { from = 0.1, to = 0.2, count = 3 }, on = [true, false] }
+sample = { count = 4, ranges = { L = [1, 2] } }
+noise = { draws = 10, std = { i = 0.1 }, truth = { R = 4 } }
+[isolation]
+memory = 100.0
+"""
+ODD: list[Any] = [
+    None,
+    True,
+    0,
+    -1,
+    3,
+    10**400,
+    0.5,
+    math.nan,
+    math.inf,
+    "",
+    "x",
+    [],
+    ["x"],
+    ["x", "x"],
+    [[]],
+    [{}],
+    {},
+]
+ODD += [{"x": 1}, {"x": {}}, {"x": {"x": []}}, datetime.date(1979, 5, 27), [[math.nan]], [{"x": "x"}], "file"]
+
+
+def places(data: Any, above: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the way to each value of a tree."""
+    for key, item in data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ():
+        yield (*above, key)
+        yield from places(item, (*above, key))
+
+
+@pytest.mark.parametrize("table", tomllib.loads(TEXT))
+def test_odd_values_are_refused_in_words(table: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    good = tomllib.loads(TEXT)
+    StudyFile.read(copy.deepcopy(good), Place("study.toml", tmp_path))
+    refused = 0
+    for way in places(good[table], (table,)) if table != "title" else [("title",)]:
+        for value in ODD:
+            data = copy.deepcopy(good)
+            node = data
+            for key in way[:-1]:
+                node = node[key]
+            node[way[-1]] = value
+            try:
+                StudyFile.read(data, Place("study.toml", tmp_path))
+            except InputError as error:
+                refused, said = refused + 1, str(error)
+                assert re.match(rf"study\.toml: (title|experiments|{table}|\[+{table}\b)", said), (way, value, said)
+                assert re.search("must be|has no key|needs the key|there is no file", said), (way, value, said)
+                assert not re.search("Input |should be|<value>|<table>", said), (way, value, said)
+    assert refused > 5
