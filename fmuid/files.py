@@ -1,7 +1,6 @@
-"""Questions about files whose names come from study files and command lines, and files written whole or not at all.
+"""Checks of paths from study files and command lines, and atomic writing of files.
 
-`pathlib` raises an error where a name is none that a file can have (too long, with a NUL in it); here the file is just
-not there.
+`pathlib` raises an error for an impossible name (too long, or with a NUL in it); here such a file does not exist.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ from fmuid.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-# No space, quota used up, file too large for a limit.
+# No space left, quota exceeded, file larger than a limit.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is such a file."""
+    """Return whether the file exists."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -32,7 +31,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether there is such a folder."""
+    """Return whether the folder exists."""
     try:
         return path.is_dir()
     except (OSError, ValueError):
@@ -40,7 +39,7 @@ def is_folder(path: Path) -> bool:
 
 
 def exists(path: Path) -> bool:
-    """Whether there is a file or folder of this name."""
+    """Return whether a file or folder exists."""
     try:
         return path.exists()
     except (OSError, ValueError):
@@ -48,15 +47,15 @@ def exists(path: Path) -> bool:
 
 
 def full(path: Path) -> str:
-    """Return the whole path of a file, as messages show it."""
+    """Return the absolute path of a file, for messages."""
     try:
         return str(path.resolve())
-    except (OSError, ValueError, RuntimeError):  # the last of links that go round in circles
+    except (OSError, ValueError, RuntimeError):  # RuntimeError: circular links
         return repr(str(path.absolute()))
 
 
 def make_folder(folder: Path) -> None:
-    """Make the output folder, so that what is wrong with it shows before the work and not after.
+    """Make the output folder, so that a wrong one is found before the work and not after.
 
     Raises
     ------
@@ -76,7 +75,7 @@ _noted: list[Path] | None = None
 
 @contextmanager
 def noted() -> Iterator[list[Path]]:
-    """Give a list of the files that are written meanwhile by `replacing`, in their order."""
+    """Provide a list that receives the files written by `replacing`, in their order."""
     global _noted
     before, _noted = _noted, []
     try:
@@ -87,7 +86,7 @@ def noted() -> Iterator[list[Path]]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a path beside `path` to write to, and put it in place of `path` when all of it is written.
+    """Provide a path beside `path` to write to, which replaces `path` when it is complete.
 
     Raises
     ------
@@ -112,12 +111,12 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_table(path: Path, frame: pd.DataFrame) -> Path:
-    """Write a CSV table whose numbers read back exactly, and return its path."""
+    """Write a CSV table with numbers that read back exactly; return its path."""
     with replacing(path) as draft:
         frame.to_csv(draft, index=False)
     return path
 
 
 def file_name(text: str) -> str:
-    """Return a name as it can be part of a file's."""
+    """Return a text as part of a file name: other characters than letters, digits, ``_ . -`` become ``_``."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", text)

@@ -1,7 +1,7 @@
-"""Numbers and names as people read them: rounding to a standard deviation, units, lists, near names.
+"""Text for people: numbers rounded to their standard deviation, units, lists, similar names.
 
-What is printed comes in part from files that nobody vouches for. A terminal obeys control characters, and characters
-that are not seen or change the direction of writing make a name look like another one (CWE-150, CVE-2021-42574).
+Part of what is printed comes from untrusted files. A terminal executes control characters, and characters that are
+invisible or change the direction of writing make a name look like another one (CWE-150, CVE-2021-42574).
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 
-# All control characters but tab and line feed; what separates lines, joins letters unseen, orders them from right to
-# left or is no character at all (Unicode 16, categories Cc, Cf, Zl, Zp and Cs).
-_UNSEEN = re.compile(
+# All control characters except tab and line feed; line separators, invisible joiners, marks of writing direction and
+# surrogates (Unicode 16, categories Cc, Cf, Zl, Zp and Cs).
+_INVISIBLE = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
     "\ud800-\udfff\U000e0000-\U000e007f]"
 )
 
 
 def visible(text: str) -> str:
-    """Return a text without what a terminal obeys or a reader cannot see."""
-    return text if text.isprintable() else _UNSEEN.sub("", text)
+    """Return a text without control characters and invisible characters."""
+    return text if text.isprintable() else _INVISIBLE.sub("", text)
 
 
 def bounded(text: str, length: int) -> str:
-    """Return a text in one line, without what cannot be seen, and of no more letters than `length`."""
+    """Return a text in one line, without invisible characters, cut to `length` characters."""
     if len(text) <= length and text.isprintable():
         return text
     line = " ".join(visible(text[: 2 * length]).split())
@@ -33,7 +33,7 @@ def bounded(text: str, length: int) -> str:
 
 
 def nearest(name: str, known: Iterable[str], count: int = 3) -> str:
-    """Return `` (did you mean 'a' or 'b'?)``, or nothing where no known name is near."""
+    """Return `` (did you mean 'a' or 'b'?)``, or an empty text where no known name is similar."""
     names = list(known)
     found = difflib.get_close_matches(name, names, n=count, cutoff=0.5)
     if not found:
@@ -48,7 +48,7 @@ def listed(words: Sequence[str]) -> str:
 
 
 def rounded(value: float, std: float) -> str:
-    """Return `value` to the second significant digit of its standard deviation, to six digits where it has none."""
+    """Return `value` rounded to the second significant digit of its standard deviation, to six digits without one."""
     if not (math.isfinite(std) and std > 0 and math.isfinite(value)):
         return f"{value:.6g}"
     decimals = 1 - math.floor(math.log10(std))
@@ -60,16 +60,16 @@ def rounded(value: float, std: float) -> str:
 
 
 def with_std(value: float, std: float) -> str:
-    """Return ``value ± std`` with two significant digits of the latter, `value` alone where there is none."""
+    """Return ``value ± std`` with two significant digits of the standard deviation, or `value` alone without one."""
     shown = rounded(value, std)
     return f"{shown} ± {rounded(std, std)}" if math.isfinite(std) and std > 0 else shown
 
 
 def has_unit(unit: str | None) -> bool:
-    """Return whether a unit is worth writing: neither missing nor FMI's "1" of what has none."""
+    """Return whether a unit is to be written: it is neither missing nor "1", FMI's unit of dimensionless variables."""
     return unit not in (None, "", "1")
 
 
 def label(name: str, unit: str | None) -> str:
-    """Return the text of an axis or a table's head: name and unit."""
+    """Return the label of an axis or a column: name and unit."""
     return f"{name} ({unit})" if has_unit(unit) else name

@@ -1,7 +1,7 @@
-"""Zip archives that nobody vouches for, read under limits: FMUs (FMI 2.0.4, section 2.3), SSPs (SSP 1.0, chapter 3).
+"""Untrusted zip archives, read under limits: FMUs (FMI 2.0.4, section 2.3), SSPs (SSP 1.0, chapter 3).
 
 An archive can name files outside the folder it is unpacked in, or be made to fill disk and memory (D. Fifield, "A
-better zip bomb", WOOT 2019). What is refused is refused on every system alike, since FMUs travel from one to another.
+better zip bomb", WOOT 2019). The same archives are refused on every system, since FMUs are moved between systems.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from fmuid.fmi.safe_xml import LARGEST_XML
 LARGEST_TOTAL_GB = 4.0
 """GB (2³⁰ bytes) that an archive may unpack to: FMUs reach some hundred MB, those with an interpreter in them 2 GB."""
 LARGEST_TOTAL_VARIABLE = "FMUID_LARGEST_ARCHIVE_GB"
-"""The environment variable that says otherwise; one entry may have half of it."""
+"""The environment variable for another limit; one entry may have half of it."""
 MOST_ENTRIES = 100_000
 """Entries of an archive: an FMU that carries an interpreter has some ten thousand."""
 LARGEST_DIRECTORY = 16 * 2**20
-"""Bytes of the archive's own directory, which is read as a whole: `MOST_ENTRIES` with names of 120 letters."""
+"""Bytes of the archive's directory, which is read at once: `MOST_ENTRIES` with names of 120 characters."""
 HIGHEST_RATIO, RATIO_FROM = 200, 64 * 2**20
 """How many times larger than itself an archive may unpack to, if to more bytes than these: text shrinks to a tenth or a
 thirtieth, a bomb to a thousandth."""
@@ -39,11 +39,11 @@ CHUNK = 2**20
 
 _REMEDY = f"; if you trust it, set the environment variable {LARGEST_TOTAL_VARIABLE} to the GB that it may have"
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-STRICT_NAMES = sys.platform in ("win32", "darwin")  # where letter case does not count, or names of devices are kept
+STRICT_NAMES = sys.platform in ("win32", "darwin")  # letter case does not count, or device names are reserved
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
 _LOCAL_HEADER = 30
 _SHOWN = 80
-# What zipfile raises of damaged archives.
+# Errors of zipfile for damaged archives.
 _DAMAGES = (
     zipfile.BadZipFile,
     zlib.error,
@@ -87,7 +87,7 @@ class Zipped:
         try:
             self._archive = zipfile.ZipFile(self._file)
             self.entries = tuple(self._archive.infolist())
-            for entry in self.entries:  # as some tools on Windows write names, against the format's specification
+            for entry in self.entries:  # some tools on Windows write them, against the format's specification
                 entry.filename = entry.filename.replace("\\", "/")
             self._size = file.stat().st_size
             self._check()
@@ -126,7 +126,7 @@ class Zipped:
         return content.getvalue()
 
     def chunks(self, entry: zipfile.ZipInfo, largest: int | None = None) -> Iterator[bytes]:
-        """Yield the content of an entry, counted as it comes: what the archive says of sizes need not be true.
+        """Yield the content of an entry, counting its bytes: the sizes in the archive may be wrong.
 
         Raises
         ------
@@ -181,7 +181,7 @@ class Zipped:
         self._check_total(sum(entry.file_size for entry in self.entries))
 
     def _check_overlaps(self) -> None:
-        """Refuse entries that share bytes of the archive, of which bombs are made that no single ratio gives away."""
+        """Refuse entries that overlap in the archive: bombs made of them have no suspicious ratio."""
         placed = sorted(self.entries, key=lambda entry: entry.header_offset)
         for entry, following in itertools.pairwise(placed):
             end = entry.header_offset + _LOCAL_HEADER + len(entry.filename) + entry.compress_size
@@ -196,7 +196,7 @@ class Zipped:
 
 
 def archive_of(texts: Mapping[str, bytes]) -> io.BytesIO:
-    """Return an archive of some texts alone, for a reader that is to see what has been checked and nothing else."""
+    """Return an archive of some checked texts, for a reader that must see nothing else."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, text in texts.items():
@@ -206,7 +206,7 @@ def archive_of(texts: Mapping[str, bytes]) -> io.BytesIO:
 
 
 class _Bounded(io.BufferedReader):
-    """A file of which no large part is read at once: `zipfile` reads an archive's directory so, however large."""
+    """A file that refuses large reads: `zipfile` reads an archive's directory at once, however large."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         if size is not None and size > LARGEST_DIRECTORY:
@@ -220,7 +220,7 @@ def parts_of(entry: zipfile.ZipInfo) -> tuple[str, ...]:
 
 
 def _check_entry(entry: zipfile.ZipInfo) -> None:
-    """Refuse what no FMU needs and what would not become a file in the folder; the sentence goes on from the file."""
+    """Refuse an entry that no FMU needs or that would not become a file in the folder."""
     name, shown = entry.orig_filename.replace("\\", "/"), _shown(entry)
     parts = parts_of(entry)
     mode = entry.external_attr >> 16
@@ -248,7 +248,7 @@ def _check_entry(entry: zipfile.ZipInfo) -> None:
 
 
 def _folded(entry: zipfile.ZipInfo) -> str:
-    """Return what tells a file from others, here: letter case, composed accents and final dots may make none."""
+    """Return the key of a file's name here: letter case, composed accents and final dots may not count."""
     parts = parts_of(entry)
     if not STRICT_NAMES:
         return "/".join(parts)

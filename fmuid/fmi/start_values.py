@@ -1,8 +1,8 @@
 """Start values in the raw text of a modelDescription.xml: read and replaced in place, all other bytes kept.
 
 An FMU's binary has its own start values and does not read the XML (FMI 2.0.4, section 2.2.7, "start"; FMI 3.0.2,
-section 2.4.7.5): values changed in the XML act only where the importer sets them. So the names of those changed stand
-in an annotation, and whoever simulates the FMU sets `applied_values` before the initialisation.
+section 2.4.7.5): values changed in the XML act only where the importer sets them. So the names of the
+changed variables are kept in an annotation, and the importer sets `applied_values` before the initialisation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fmuid.fmi import safe_xml
 Value = float | int | bool | str
 
 TOOL, ANNOTATION = "fmuid", "org.fmuid.applied"
-"""What marks the annotation: ``Tool name`` of FMI 2.0, ``Annotation type`` of FMI 3.0."""
+"""Identify the annotation: ``Tool name`` of FMI 2.0, ``Annotation type`` of FMI 3.0."""
 _REALS = ("Real", "Float64", "Float32")
 _NUMBERS = (*_REALS, "Integer", "Enumeration", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
 _TAG = re.compile(r"""<[^\s/>]+(?P<attributes>(?:\s+[^\s=>/]+\s*=\s*(?:"[^"]*"|'[^']*'))*)\s*/?>""")
@@ -99,7 +99,7 @@ def with_starts(text: bytes, values: Mapping[str, float | int | bool]) -> bytes:
 
 
 class _Scan:
-    """One pass over the text: which variable starts at which byte, and where annotations are or belong."""
+    """One pass over the text: the byte positions of variables and of annotations, present or to be added."""
 
     def __init__(self, text: bytes) -> None:
         self.raw, self.version = text, ""
@@ -121,7 +121,7 @@ class _Scan:
             raise InputError(f"modelDescription.xml is not well-formed XML: {error}") from None
 
     def find(self, name: str) -> tuple[_Declared, int | None] | None:
-        """Return what carries the start of a scalar variable, and where in the list of an array's starts it stands."""
+        """Return the declaration with a scalar variable's start, and its index in the list of starts of an array."""
         declared, element = self.variables.get(name), None
         match = _ELEMENT.fullmatch(name)
         array = self.variables.get(match["array"]) if match else None
@@ -156,9 +156,9 @@ class _Scan:
         return math.prod(self._shape(declared))
 
     def edited_tag(self, position: int, literals: Mapping[int | None, str], size: int) -> tuple[int, int, str]:
-        """Return what to put in place of which characters so that the tag at a byte has these starts.
+        """Return an edit (begin, end, new text) that gives the tag at a byte position these starts.
 
-        They are the one start of a scalar, under None, or those of some elements of an array of a size.
+        They are the start of a scalar, under the key None, or those of some elements of an array of this size.
         """
         begin = self._character(position)
         tag = _TAG.match(self.text, begin)
@@ -170,7 +170,7 @@ class _Scan:
         return tag.end("attributes"), tag.end("attributes"), f' start="{_with_elements("", literals, size)}"'
 
     def annotation(self, names: list[str]) -> tuple[int, int, str]:
-        """Return what to put in place of which characters so that the annotation lists these names."""
+        """Return an edit (begin, end, new text) after which the annotation lists these names."""
         listed = "".join(f"<Start name={quoteattr(name)}/>" for name in names)
         old = self.version.startswith("2")
         tag, mark = ("Tool", f'name="{TOOL}"') if old else ("Annotation", f'type="{ANNOTATION}"')
@@ -192,7 +192,7 @@ class _Scan:
         sizes = (d.get("start") or self.references.get(d.get("valueReference")) for d in declared.dimensions)
         return [int(size or 0) for size in sizes]
 
-    # --- what the parser calls
+    # --- handlers of the parser
 
     def _declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
         if encoding and not self.encoding.startswith("utf-16"):
@@ -242,7 +242,7 @@ class _Scan:
 
 
 def _linear(shape: list[int], subscripts: list[int]) -> int | None:
-    """Return the place of an array's element, row by row (FMI 3.0.2, section 2.4.7.5.1); None outside the array."""
+    """Return the index of an array's element, row by row (FMI 3.0.2, section 2.4.7.5.1); None outside the array."""
     if len(shape) != len(subscripts) or not all(1 <= i <= n for i, n in zip(subscripts, shape, strict=True)):
         return None
     place = 0
@@ -263,10 +263,10 @@ def _literal(name: str, kind: str, value: float | int | bool) -> str:
 
 
 def _with_elements(starts: str, literals: Mapping[int | None, str], size: int) -> str:
-    """Return an attribute's text with some starts replaced; one start of an array stands for all elements."""
+    """Return an attribute's text with some starts replaced; a single start of an array is that of all elements."""
     if None in literals:
         return literals[None]
-    parts = re.split(r"(\s+)", starts.strip())  # words at even places, what is between them at odd ones
+    parts = re.split(r"(\s+)", starts.strip())  # words at even indices, white space at odd ones
     if len(parts) == 1 and starts.strip():
         parts = [*(parts[0], " ") * (size - 1), parts[0]]
     if (len(parts) + 1) // 2 != size or not starts.strip():

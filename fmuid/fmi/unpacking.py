@@ -1,6 +1,6 @@
 """Unpacking of archives into the user's cache, by content: FMUs (FMI 2.0.4, section 2.3) and SSPs (SSP 1.0).
 
-What is there is later loaded and executed, so that nobody else may write it: folders and files are the user's alone.
+Unpacked binaries are executed later, so nobody else may write them: folders and files are private to the user.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fmuid.fmi.archive import Zipped, parts_of
 
 _PRIVATE, _PRIVATE_FILE = 0o700, 0o600
 _BINARY = getattr(os, "O_BINARY", 0)  # of Windows
-# Below these what is used of an FMU must have the size that the archive says; an FMU may write into its other files.
+# Files of these must have the size given by the archive; an FMU may write into its other files.
 _SIZED = ("binaries", "modelDescription.xml")
 
 
@@ -69,7 +69,7 @@ def unpacked(file: Path, digest: str, path: Path | None = None) -> Path:
 
 
 def _make_private(folder: Path) -> None:
-    """Make a folder that is the user's alone, or check that it is one."""
+    """Make a folder private to the user, or check that it is."""
     folder.mkdir(_PRIVATE, parents=True, exist_ok=True)
     said = folder.lstat()
     remedy = "remove it, or name another place for caches by the environment variable XDG_CACHE_HOME"
@@ -106,7 +106,7 @@ def _unpack(archive: Zipped, target: Path) -> None:
 
 
 def _repair(archive: Zipped, target: Path) -> None:
-    """Unpack what is missing, each file in one step, so that whoever uses what was there before keeps it whole."""
+    """Unpack missing files, replacing each in one step, so that processes that use the folder see whole files."""
     made = {target}
     for entry in archive.entries:
         if _is_missing(target, entry):
@@ -133,7 +133,7 @@ def _is_missing(folder: Path, entry: zipfile.ZipInfo) -> bool:
 
 
 def _place(entry: zipfile.ZipInfo, folder: Path, made: set[Path]) -> Path:
-    """Return where an entry goes, all folders on the way made."""
+    """Return the path of an entry, after making its folders."""
     parts = parts_of(entry)
     place = folder.joinpath(*parts)
     inner = place if entry.is_dir() else place.parent

@@ -1,4 +1,4 @@
-"""An FMU in a system, and how it is run: interface, integrator, tolerance, step size."""
+"""An FMU in a system, with interface, integrator, tolerance and step size."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ INTEGRATORS = ("rk4", "rk45", "cvode")
 
 @dataclass(frozen=True)
 class Numerics:
-    """How an FMU is run; what is not given is chosen by what the FMU offers (`Component.kind`, `Component.integrator`).
+    """How an FMU is run; defaults depend on what the FMU offers (`Component.kind`, `Component.integrator`).
 
     Parameters
     ----------
@@ -23,14 +23,14 @@ class Numerics:
         For model exchange: Runge–Kutta of order 4 with fixed steps, Dormand–Prince 5(4) with error control, or the
         stiff BDF methods of SUNDIALS.
     tolerance : float, optional
-        Relative; for model exchange that of the integrator, for co-simulation what the FMU is told.
+        Relative; for model exchange that of the integrator, for co-simulation the one passed to the FMU.
     step_size : float, optional
         Largest step, s: between communications, and inside an integrator.
 
     Raises
     ------
     InputError
-        If a word is not known or a number not positive.
+        If a word is unknown or a number not positive.
     """
 
     interface: str | None = None
@@ -50,16 +50,16 @@ class Numerics:
                 raise InputError(f"{word} must be a positive {unit}, not {given:g}")
 
     def over(self, others: Numerics) -> Numerics:
-        """Return these, completed by others where nothing is given."""
+        """Return these settings, completed by others where they are not given."""
         return Numerics(*(getattr(self if getattr(self, f.name) is not None else others, f.name) for f in fields(self)))
 
 
 @dataclass(frozen=True)
 class Isolation:
-    """How a system's FMUs are run in a process of their own, where they can do no harm to the study.
+    """How a system's FMUs are run in a separate process, where a crash does not harm the study.
 
     A simulation that crashes the process, does not end or takes too much memory fails like any other that fails, and
-    the next one is run by a new process. An FMU is native code all the same: it has the rights of its user.
+    the next one is run by a new process. This is no sandbox: an FMU is native code with the rights of its user.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Isolation:
 
 
 AS_OFFERED = Numerics()
-"""Everything chosen by what the FMU offers."""
+"""All defaults."""
 
 
 class Component:
@@ -151,7 +151,7 @@ class Component:
         return f"{version}, integrator {integrator}{accuracy}{step}"
 
 
-DEFAULT_INTEGRATOR = "rk45"  # no start-up after each step of the inputs; and it finds out where a model is stiff
+DEFAULT_INTEGRATOR = "rk45"  # no start-up phase after each step of the inputs, and detects stiffness
 STIFF_INTEGRATOR = "cvode"
-# Tight enough that the error stays far below what measurements resolve, and finite differences get good digits.
+# Tight enough for errors far below the resolution of measurements, and for accurate finite differences.
 DEFAULT_TOLERANCE = 1e-7

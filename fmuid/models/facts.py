@@ -1,4 +1,4 @@
-"""What an FMU of any kind offers to who identifies its parameters: facts as data, for `fmuid info` to print."""
+"""Facts about an FMU for the identification of its parameters, as data; `fmuid info` prints them."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from xml.etree.ElementTree import Element
 from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Variable, read_text, safe_xml
 from fmuid.models.component import Component
 
-# Elements of an array that are listed singly; more of them share a line.
+# Most elements of an array that are listed one by one; more of them share a line.
 SINGLE_ELEMENTS = 4
 
 # A number between brackets, alone or beside others.
 _SUBSCRIPT = re.compile(r"(?<=[\[,])\s*\d+(?=\s*[\],])")
 
 # Attributes of <CoSimulation>, <ModelExchange> and <ScheduledExecution> in words (FMI 2.0.4, sections 3.3.1 and 4.3.1;
-# FMI 3.0.2, section 2.4.8). Where one name has several spellings, each version of the standard has one.
+# FMI 3.0.2, section 2.4.8). The versions of the standard spell some names differently.
 _CAPABILITIES = {
     "canHandleVariableCommunicationStepSize": "variable communication steps",
     "canInterpolateInputs": "interpolates inputs",
@@ -47,19 +47,19 @@ _TAGS = {
 
 @dataclass(frozen=True)
 class Facts:
-    """What an FMU declares, sorted for who wants to identify its parameters.
+    """The declarations of an FMU, sorted for the identification of its parameters.
 
     Attributes
     ----------
     fmu : FMU
     capabilities : mapping of str to tuple of str
-        For each interface, in words, what it can do beyond what all can.
+        For each interface its optional capabilities, in words.
     here : str or None
-        The folder of binaries that this machine loads; None where the FMU has none for it.
+        The folder of binaries for this machine; None if there is none.
     machine : str
-        What FMI calls this machine's platform.
+        FMI's name of this machine's platform.
     run_as : str
-        How fmuid runs the FMU where nothing else is asked for.
+        How fmuid runs the FMU by default.
     tunable, fixed, calculated, structural : tuple of Variable
         Parameters: that may change at any time, that are set before the initialisation, that the FMU computes from
         others and nobody can set, and those that size arrays, which fmuid leaves alone.
@@ -67,7 +67,7 @@ class Facts:
     starts : tuple of Variable
         Other variables whose start values can be set.
     direct : mapping of str to (tuple of str or None)
-        For each output the inputs that act on it at once; None where the FMU does not say.
+        For each output the inputs with direct feed-through to it; None if the FMU does not declare them.
     units : mapping of str to tuple of str
         Each unit of inputs, outputs and states with the units that a table may have instead.
     """
@@ -90,7 +90,7 @@ class Facts:
 
     @property
     def others(self) -> int:
-        """How many variables are none of these."""
+        """Number of variables in none of these groups."""
         known = (*self.tunable, *self.fixed, *self.calculated, *self.structural)
         known += (*self.inputs, *self.outputs, *self.states, *self.starts)
         return len(self.fmu.description.variables.keys() - {variable.name for variable in known})
@@ -130,7 +130,7 @@ def facts(fmu: FMU) -> Facts:
 
 
 GROUPS = ("tunable", "fixed", "calculated", "structural", "inputs", "outputs", "starts")
-"""Groups of which a variable is in one at most; a state is in `Facts.states` besides."""
+"""Disjoint groups of variables; states are also in `Facts.states`."""
 
 
 def _group(variable: Variable) -> str | None:

@@ -1,4 +1,4 @@
-"""Whether the variables of a system can play the roles that an experiment, parameters and values give them."""
+"""Checks that a system's variables suit their roles: inputs and outputs of an experiment, parameters, values."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from fmuid.text import nearest
 
 
 def column_conversion(system: System, name: str, unit: str) -> tuple[float, float]:
-    """Return (factor, offset): the value in the variable's unit is factor times that in `unit`, plus offset."""
+    """Return (factor, offset) such that value in the variable's unit = factor * value in `unit` + offset."""
     component, inner = system.split(system.terms(name)[0])
     description = system.components[component].fmu.description
     return description.conversion(description.variables[inner], unit)
 
 
 def check_roles(system: System, experiment: Experiment, parameters: Sequence[str], values: Mapping[str, Value]) -> None:
-    """Check that every name exists and can play its role.
+    """Check that every name exists and suits its role.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _check_value(system: System, variable: Variable, value: Value) -> None:
 
 
 def _in_range(value: Value, wire: str) -> bool:
-    """Whether a number is one that an FMI 3.0 type has."""
+    """Return whether a number fits an FMI 3.0 type."""
     if wire.startswith("Float"):
         return -sys.float_info.max <= value <= sys.float_info.max  # type: ignore[operator]  # no text gets here
     limits = np.iinfo(wire.lower())

@@ -17,7 +17,7 @@ from fmuid.text import nearest
 MASTERS = ("jacobi", "gauss-seidel")
 
 Port = tuple[str, float, float]
-"""A variable behind a connector of the system, factor and offset."""
+"""A variable connected to a connector of the system, with factor and offset."""
 
 
 class Connection(NamedTuple):
@@ -45,17 +45,17 @@ class System(Owner):
         (output, input), each as ``component.variable``. Units that differ are converted as the FMUs define it, unless
         factor and offset are given: then the input is just factor times the output plus offset.
     numerics : Numerics
-        How components are run that do not say it themselves; `step_size` is the communication step.
+        How components without settings of their own are run; `step_size` is the communication step.
     master : "jacobi" or "gauss-seidel"
-        Whether all components step with the values at the beginning of the step, or each with what those before it,
-        in their given order, have just reached.
+        Whether all components step with the values at the beginning of the step, or each with the new values of those
+        before it in the given order.
     values : mapping of str to value
-        Start values of variables, as far as the simulation does not set them.
+        Start values of variables that the simulation does not set.
     connectors : mapping of str to sequence of (str, float, float)
         Names of the system's own: an input or parameter with the variables that it sets, each factor times it plus
         offset, or an output with the one variable that, times factor plus offset, it is.
     isolation : Isolation, optional
-        Runs the FMUs in a process of their own; default: in this one, which an FMU that crashes takes with it.
+        Runs the FMUs in a separate process; default: in this one, which then ends when an FMU crashes.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class System(Owner):
     ) -> System:
         """Return the system that an ``.ssp`` file describes (System Structure and Parameterization 1.0 and 2.0).
 
-        Its own connectors go by their names, all else as ``component.variable``.
+        Its own connectors keep their names, all other variables are ``component.variable``.
 
         Raises
         ------
@@ -162,12 +162,12 @@ class System(Owner):
     def of(
         cls, model: System | FMU | str | Path, numerics: Numerics = AS_OFFERED, isolation: Isolation | None = None
     ) -> System:
-        """Return the model itself where it is a system, else the system of one FMU.
+        """Return the model itself if it is a system, else the system of one FMU.
 
         Raises
         ------
         InputError
-            If numerics or isolation are given for a system, which says them itself.
+            If numerics or isolation are given for a system, which has its own.
         """
         if not isinstance(model, System):
             return cls(model, numerics=numerics, isolation=isolation)
@@ -180,7 +180,7 @@ class System(Owner):
 
     @property
     def name_prefixed(self) -> bool:
-        """Whether variables carry their component's name."""
+        """Whether variables are prefixed by their component's name."""
         return "" not in self.components
 
     @property
@@ -190,7 +190,7 @@ class System(Owner):
 
     @cached_property
     def variables(self) -> dict[str, Variable]:
-        """All variables under their names in the system; its own connectors are those of the first variable behind."""
+        """All variables under their names in the system; a connector has the properties of its first variable."""
         found = {
             self.full_name(component, name): replace(variable, name=self.full_name(component, name))
             for component, model in self.components.items()
@@ -212,7 +212,7 @@ class System(Owner):
 
     @property
     def can_run_in_threads(self) -> bool:
-        """Whether several instances of every component may be at work in one process at once."""
+        """Whether several instances of every component may run in one process at once."""
         return all(in_threads(model.fmu.description, model.kind) for model in self.components.values())
 
     def full_name(self, component: str, name: str) -> str:
@@ -230,7 +230,7 @@ class System(Owner):
         return component, name[len(component) + 1 :]
 
     def targets(self, name: str) -> tuple[Port, ...]:
-        """Return the variables behind a name, with factor and offset: several for an input connector of the system."""
+        """Return the variables that a name stands for, with factor and offset: several for an input connector."""
         return self.connectors.get(name, ((name, 1.0, 0.0),))
 
     def terms(self, output: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Parameter bindings of a system structure: which variable of which FMU they set to what (SSP 1.0 and 2.0, 5.3.1)."""
+"""Parameter bindings of a system structure: the variables of FMUs that they set (SSP 1.0 and 2.0, 5.3.1)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from fmuid.models.ssp.structure import Edge, ElementPath, Node
 
 @dataclass(frozen=True)
 class _Given:
-    """A value of a binding, what is to be done with it, and the units that its file defines."""
+    """A value of a binding, its mapping, and the units that its file defines."""
 
     entry: MappingEntry
     quantity: Quantity
@@ -49,7 +49,7 @@ class Bindings:
             self.bind(element, binding)
 
     def bind(self, element: ElementPath, binding: Element) -> None:
-        """Apply one ParameterBinding to the element that it stands at."""
+        """Apply one ParameterBinding to the element that has it."""
         owner = f"a parameter binding of {'.'.join(element) or 'the top system'}"
         prefix = binding.get("prefix", "")
         mappings = children(binding, "ParameterMapping")
@@ -71,7 +71,7 @@ class Bindings:
     def contents(
         self, holder: Element, root: str, kind: str, owner: str, inline: Element | None
     ) -> list[tuple[Element, str]]:
-        """Return the root elements in a file that `holder` names or inside `inline`, and where they stand."""
+        """Return the root elements in the file named by `holder` or inside `inline`, with their places in words."""
         if holder.get("type", f"application/x-ssp-{kind}") != f"application/x-ssp-{kind}":
             raise self.package.error(
                 f"{owner} is of type {holder.get('type')}, and only application/x-ssp-{kind} is supported"
@@ -93,7 +93,7 @@ class Bindings:
             raise self.package.error(str(error).replace(str(file), source)) from None
 
     def assign(self, element: ElementPath, given: _Given) -> None:
-        """Set what a name stands for, seen from an element, to a value: one variable, or all that a connector feeds."""
+        """Set a name, as seen from an element, to a value: one variable, or all variables that a connector feeds."""
         package, node = self.package, self.named(element, given.entry.target)
         reached = [] if node is None else [(node, list[Edge]())]
         if node is not None and node.element in self.tree.systems:
@@ -126,7 +126,7 @@ class Bindings:
         return self.named((*element, longest), name[len(longest) + 1 :])
 
     def transformed(self, node: Node, target: Node, chain: list[Edge], given: _Given) -> Value:
-        """Return the value in the target's unit: converted, then mapped, then led along the connections."""
+        """Return the value in the target's unit: converted, then mapped, then transformed by the connections."""
         entry, value, unit = given.entry, given.quantity.value, given.quantity.unit
         if entry.table is not None:
             if value not in entry.table:
@@ -143,13 +143,13 @@ class Bindings:
                 raise InputError(f"{given.label}: the units {unit!r} and {wanted!r} do not convert into each other")
             steps.insert(0, conversion)
         for factor, offset in steps:
-            if (factor, offset) != (1.0, 0.0):  # integers stay integers where nothing is to be done
+            if (factor, offset) != (1.0, 0.0):  # keep integers where there is nothing to transform
                 value = factor * value + offset
         return value
 
 
 def _fitting(value: Value, variable: Variable, label: str) -> Value:
-    """Return a value as its variable's type needs it."""
+    """Return a value converted to its variable's type."""
     kind = variable.type
     if kind == "Real" and isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)

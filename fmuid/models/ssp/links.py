@@ -1,4 +1,4 @@
-"""The FMUs of a system structure package, and through which connections, factors and units values flow between them."""
+"""The FMUs of a system structure package, and the connections between them with their factors and units."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class ComponentEntry:
 class Link(NamedTuple):
     """An output and the input that it feeds, both as (component, variable): target = factor · source + offset.
 
-    Where `units_settled` is False the structure says nothing, factor and offset are 1 and 0, and the value is to be
-    converted from unit to unit as the FMUs declare them. Where it is True, factor and offset are all there is to do.
+    If `units_settled` is False, the structure gives no units, factor and offset are 1 and 0, and the value is to be
+    converted between the units that the FMUs declare. If it is True, factor and offset include the conversion.
     """
 
     source: tuple[str, str]
@@ -48,7 +48,7 @@ class Link(NamedTuple):
 
 
 class ConnectedVariable(NamedTuple):
-    """A component's variable behind a connector of the whole system.
+    """A component's variable connected to a connector of the whole system.
 
     Of an input: variable = factor · connector + offset; of an output: connector = factor · variable + offset.
     """
@@ -60,14 +60,14 @@ class ConnectedVariable(NamedTuple):
 
 
 class Package:
-    """An unpacked package and what its structure says.
+    """An unpacked package and its structure.
 
     Parameters
     ----------
     path : Path
         The ``.ssp`` file.
     folder : Path
-        Where it is unpacked.
+        The folder with its files.
     root : Element
         SystemStructureDescription.
 
@@ -123,13 +123,13 @@ class Package:
         return file
 
     def description(self, element: ElementPath) -> Description:
-        """Return what an FMU declares; it is read only where a binding or a unit needs it."""
+        """Return the description of an FMU, read when a binding or a unit first needs it."""
         if element not in self.descriptions:
             self.descriptions[element] = read_description(self.entries[element].fmu)
         return self.descriptions[element]
 
     def variable(self, node: Node) -> Variable | None:
-        """Return the FMU's variable behind a component's connector."""
+        """Return the FMU's variable of a component's connector."""
         return self.description(node.element).variables.get(node.connector) if node.element in self.entries else None
 
     # --- connections
@@ -144,7 +144,7 @@ class Package:
         return chain is not None and len(chain) > 0 and chain[0].source.element in self.entries
 
     def ends_of(self, source: Node) -> list[tuple[Node, int]]:
-        """Return the components' connectors that a connector of a system feeds, and where it stands in their chains."""
+        """Return the components' connectors fed by a system's connector, with its index in their chains."""
         found = []
         for node, chain in self.chains.items():
             sources = [edge.source for edge in chain]
@@ -179,7 +179,7 @@ class Package:
         return ConnectedVariable(".".join(chain[0].source.element), chain[0].source.connector, factor, offset)
 
     def composed(self, chain: list[Edge]) -> tuple[float, float, bool]:
-        """Return factor and offset along a chain of connections, and whether units are settled by them.
+        """Return factor and offset along a chain of connections, and whether they include the conversion of units.
 
         Where a connector of the chain states a unit or a connection has a transformation, a component's connector that
         states none has the unit of its variable, and one between components that of what feeds it (SSP, 4.5.1). The
@@ -204,7 +204,7 @@ class Package:
         return factor, offset, known or any(edge.suppress_units for edge in chain)
 
     def items(self, node: Node, default: Mapping[str, int] | None) -> Mapping[str, int]:
-        """Return what the items of a connector's enumeration stand for."""
+        """Return the numbers of the items of a connector's enumeration."""
         connector = self.tree.connectors.get(node)
         return self.enumerations.get((connector.enumeration if connector else None) or "", default or {})
 

@@ -19,7 +19,7 @@ STRUCTURE_FILE = "SystemStructure.ssd"
 
 @dataclass(frozen=True)
 class Structure:
-    """What an .ssp file says, nested systems flattened.
+    """The content of an .ssp file, nested systems flattened.
 
     Attributes
     ----------
@@ -30,15 +30,15 @@ class Structure:
         One inside nested systems is ``outer.inner``.
     connections : tuple of Link
     values : mapping of str to value
-        ``component.variable`` and what parameter bindings set it to, in the unit of the variable.
+        By ``component.variable``, as set by parameter bindings, in the unit of the variable.
     inputs : mapping of str to tuple of ConnectedVariable
-        The system's own input connectors and what each feeds.
+        The system's own input connectors with the variables that each feeds.
     outputs : mapping of str to ConnectedVariable
-        The system's own output connectors, those that an output of a component feeds.
+        The system's own output connectors that an output of a component feeds.
     default_experiment : mapping of str to float
         ``start`` and ``stop``, s, where the file has them.
     unused : tuple of str
-        Names in parameter bindings that match no variable, which the standard says to ignore (SSP 1.0, 5.3.1).
+        Names in parameter bindings without a variable; the standard requires to ignore them (SSP 1.0, 5.3.1).
     """
 
     path: Path

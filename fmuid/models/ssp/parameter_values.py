@@ -1,7 +1,7 @@
 """Parameter values outside a model: SSV files and the mappings (SSM) of their names (SSP 1.0 and 2.0, chapters 6, 7).
 
-Elements are told by their local names, since both versions of SSP share their namespaces, and tools differ in which of
-them they write.
+Elements are identified by their local names, since both versions of SSP share their namespaces, and tools differ in
+which of them they write.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from fmuid.version import __version__
 Element = ElementTree.Element
 
 NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructure"
-"""What the namespaces of all parts of SSP, 1.0 and 2.0, begin with."""
+"""Common prefix of the namespaces of SSP 1.0 and 2.0."""
 _REALS = ("Real", "Float64", "Float32")
 _INTEGERS = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
 
 
 class Quantity(NamedTuple):
-    """A value, its unit or None, what is to be said of it, and of an enumeration's item what the items stand for."""
+    """A value, its unit or None, its description, and for an item of an enumeration the numbers of the items."""
 
     value: Value
     unit: str | None = None
@@ -43,7 +43,7 @@ class ParameterValues:
     ----------
     name : str
     values : mapping of str to Quantity
-        In the file's order; of an enumeration the name of the item.
+        In the order of the file; for an enumeration the name of the item.
     units : mapping of str to Unit
         Those that the file defines.
     """
@@ -54,7 +54,7 @@ class ParameterValues:
 
 
 class MappingEntry(NamedTuple):
-    """One line of an SSM: the parameter `target` is factor · `source` + offset, or what `table` has for `source`."""
+    """One entry of an SSM: parameter `target` = factor · `source` + offset, or the value of `table` for `source`."""
 
     source: str
     target: str
@@ -134,7 +134,7 @@ def _unit_text(unit: Unit) -> str:
     return f"    <ssc:Unit name={quoteattr(unit.name)}><ssc:BaseUnit{base}/></ssc:Unit>"
 
 
-# --- what SSV, SSM and SSD files have in common
+# --- common to SSV, SSM and SSD files
 
 
 def local(element: Element) -> str:
@@ -159,7 +159,7 @@ def read_xml(path: Path, root: str, what: str) -> Element:
     root : str
         Local name of the root element.
     what : str
-        What the file should be, for the message.
+        The expected kind of file, for the message.
 
     Raises
     ------
@@ -288,7 +288,7 @@ def whole(element: Element, attribute: str, where: str) -> int:
 
 
 def truth(element: Element, attribute: str, where: str) -> bool:
-    """Return an attribute as a truth value; false where it is missing.
+    """Return an attribute as a Boolean; false if it is missing.
 
     Raises
     ------
@@ -312,7 +312,7 @@ def mapping_entries(root: Element, where: str) -> tuple[MappingEntry, ...]:
     entries: list[MappingEntry] = []
     for element in children(root, "MappingEntry"):
         source, target = element.get("source"), element.get("target", "")
-        if source is None or not target:  # an empty source is what editors write for what has no value yet
+        if source is None or not target:  # editors write an empty source for a parameter without a value
             raise InputError(f"{where}: a MappingEntry needs both source and target")
         if target in (entry.target for entry in entries):
             raise InputError(f"{where}: two entries map to {target!r}; keep one of the two")

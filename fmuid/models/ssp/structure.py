@@ -35,7 +35,7 @@ class Node(NamedTuple):
 
 @dataclass(frozen=True)
 class Connector:
-    """What the file says of a connector: its kind, its unit or enumeration or None, and whether it is an array."""
+    """A connector as declared: its kind, its unit or enumeration or None, and whether it is an array."""
 
     kind: str
     unit: str | None = None
@@ -45,7 +45,7 @@ class Connector:
 
 @dataclass(frozen=True)
 class Edge:
-    """A connection as the value flows: target = factor · source + offset, the source converted to the target's unit."""
+    """A connection from source to target: target = factor · source + offset, the source in the target's unit."""
 
     source: Node
     target: Node
@@ -56,13 +56,13 @@ class Edge:
 
     @property
     def transforms(self) -> bool:
-        """Whether the file gives a transformation."""
+        """Whether the connection has a transformation."""
         return (self.factor, self.offset) != (1.0, 0.0)
 
 
 @dataclass(frozen=True)
 class ComponentElement:
-    """An FMU in the structure: where it lies in the archive, and which interface is asked for (None: any)."""
+    """An FMU in the structure: its path in the archive, and the interface to use (None: any)."""
 
     source: str
     interface: str | None
@@ -70,18 +70,18 @@ class ComponentElement:
 
 @dataclass
 class Tree:
-    """A system structure as the file has it.
+    """The tree of a system structure file.
 
     Attributes
     ----------
     where : str
         The file, for messages.
     components, systems, buses
-        By their paths. A bus is a reference to a signal dictionary, and what stands for the dictionary itself.
+        By their paths. A bus maps a reference to a signal dictionary to the path of the dictionary itself.
     connectors : dict of Node to Connector
     incoming : dict of Node to Edge
     bindings : list of (ElementPath, Element)
-        The ParameterBinding elements and whose they are, those that win last.
+        The ParameterBinding elements with their owners, in order of increasing precedence.
     """
 
     where: str
@@ -102,7 +102,7 @@ class Tree:
         return [node.connector for node in self.connectors if node.element == element]
 
     def chain_to(self, target: Node) -> list[Edge]:
-        """Return the edges that lead to a node, from the node where its value comes from; empty where nothing does."""
+        """Return the edges that lead to a node, from the source of its value on; empty if nothing feeds it."""
         chain: list[Edge] = []
         node = target
         while node in self.incoming:
@@ -127,8 +127,8 @@ def read_tree(root: Element, where: str) -> Tree:
     Raises
     ------
     InputError
-        If a connection names something that does not exist, or connectors of kinds that do not fit, or feeds what is
-        already fed, or if there is something that is not supported; the sentence names it.
+        If a connection names something that does not exist, connects unsuitable kinds or feeds a connector twice, or
+        if something is not supported.
     """
     systems = children(root, "System")
     if len(systems) != 1:
@@ -192,7 +192,7 @@ class _Reader:
         return ComponentElement(source, interfaces[asked])
 
     def bus(self, xml: Element, path: ElementPath) -> ElementPath:
-        """Return what stands for the dictionary that a reference names: that of the nearest system around it."""
+        """Return the path of the dictionary that a reference names: that of the nearest enclosing system."""
         name = xml.get("dictionary", "")
         for depth in range(len(path) - 1, -1, -1):
             if (*path[:depth], name) in self.dictionaries:
@@ -253,7 +253,7 @@ class _Reader:
         return node, connector
 
     def directed(self, ends: list[tuple[Node, Connector]], system: ElementPath, label: str) -> tuple[Node, Node]:
-        """Return (source, target): the kinds of the connectors, not start and end, say where the value flows."""
+        """Return (source, target), determined by the kinds of the connectors, not by start and end."""
         gives = [self.gives(node, connector, system) for node, connector in ends]
         if gives[0] is None and gives[1] is not None:
             gives[0] = not gives[1]
@@ -273,7 +273,7 @@ class _Reader:
         return source, target
 
     def gives(self, node: Node, connector: Connector, system: ElementPath) -> bool | None:
-        """Whether a value comes out of a connector, seen from inside a system; None for a bus, which does both."""
+        """Return whether a connector provides a value, seen from inside a system; None for a bus, which does both."""
         if node.element in self.tree.buses:
             return None
         return (connector.kind in _INWARD) == (node.element == system)
