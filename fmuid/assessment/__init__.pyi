@@ -5,7 +5,6 @@ from .criterion_map import CriterionMap as CriterionMap
 from .criterion_map import map_criterion as map_criterion
 from .posterior import Posterior as Posterior
 from .posterior import Sampling as Sampling
-from .posterior import sample as sample
 from .prior_and_data import Reading as Reading
 from .prior_and_data import read_result as read_result
 from .profile import Profile as Profile
@@ -15,6 +14,7 @@ from .residual_series import ResidualSeries as ResidualSeries
 from .residuals import WRONG_STD as WRONG_STD
 from .residuals import Diagnostics as Diagnostics
 from .residuals import examine_residuals as examine_residuals
+from .sampler import sample as sample
 from .series import coloured_gram as coloured_gram
 from .series import noise_model as noise_model
 from .series import on_grid as on_grid

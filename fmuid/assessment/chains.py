@@ -1,4 +1,4 @@
-"""What chains of samples say of themselves: whether they agree, and how many independent samples they are worth.
+"""Convergence diagnostics of Markov chains: agreement of the chains, and effective sample size.
 
 References
 ----------
@@ -16,15 +16,15 @@ from scipy import stats
 
 from fmuid.arrays import Floats
 
-# Shorter than this, a chain tells nothing about itself.
+# Diagnostics of shorter chains are meaningless.
 LEAST_LENGTH = 8
 
 
 def r_hat(draws: Floats) -> float:
     """Return R-hat of draws (n, chains), rank-normalised, of split chains, the greater of plain and folded ones.
 
-    The spread of all draws over that within chains: 1 where all chains, and their halves, tell the same. NaN where the
-    draws are too few or all the same (eqs 1 to 6 and 14 to 17).
+    The spread of all draws over that within chains: 1 where all chains, and their halves, agree. NaN for too few draws
+    or identical ones (eqs 1 to 6 and 14 to 17).
     """
     if len(draws) < LEAST_LENGTH:
         return math.nan
@@ -33,9 +33,9 @@ def r_hat(draws: Floats) -> float:
 
 
 def effective_size(draws: Floats) -> float:
-    """Return how many independent draws the draws (n, chains) are worth, in their bulk or in their tails if less.
+    """Return the effective sample size of draws (n, chains): the lesser of that of the bulk and that of the tails.
 
-    NaN where they are too few or all the same (section 4.3 and eqs 10 to 13).
+    NaN for too few draws or identical ones (section 4.3 and eqs 10 to 13).
     """
     if len(draws) < LEAST_LENGTH:
         return math.nan

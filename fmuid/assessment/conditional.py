@@ -1,4 +1,4 @@
-"""The best of all other parameters where one is held at a value, found from a point nearby."""
+"""Minima of the criterion near a result: of all parameters, and of all others with one held at a value."""
 
 from __future__ import annotations
 
@@ -7,7 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.estimation import Criterion, Marquardt, Outcome, SensitivityError, State, best_step, search, triangle
+from fmuid.errors import InputError
+from fmuid.estimation import (
+    Criterion,
+    LeastSquares,
+    Marquardt,
+    Outcome,
+    Result,
+    SensitivityError,
+    State,
+    best_step,
+    prepare,
+    search,
+    triangle,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +49,41 @@ class Point:
     def criterion(self) -> float:
         """The sum of squares J_C (1.37)."""
         return float(self.residual @ self.residual)
+
+
+def check_result(problem: LeastSquares, result: Result) -> None:
+    """Check that a result is one of this problem.
+
+    Raises
+    ------
+    InputError
+        If their parameters or outputs differ.
+    """
+    pairs = (
+        ("parameters", result.names, problem.parameters.names),
+        ("outputs", tuple(result.noise_variance), problem.output_names),
+    )
+    for what, has, needs in pairs:
+        if has != needs:
+            raise InputError(
+                f"the result is of another problem: its {what} are {', '.join(has)}, and the problem's are "
+                f"{', '.join(needs)}; give the result of this problem's identification"
+            )
+
+
+def best_near(problem: LeastSquares, result: Result) -> tuple[Criterion, Point]:
+    """Return the criterion with the result's variances, and its minimum; the result's own may be a hair beside it."""
+    # prepared where the search began: what has an effect there may have none left at the estimate, and is then flat
+    ready = prepare(problem, result.start)
+    criterion = ready.criterion.reweighted(np.array([result.variance[name] for name in problem.output_names]))
+    theta = np.array(result.values)
+    at = criterion.evaluate(theta)
+    state = State(theta, at.residual, at.jacobian)
+    for _ in search(criterion, state, Marquardt()):
+        pass
+    if not state.fresh:
+        state.jacobian = criterion.jacobian(state.theta, state.residual, central=True)
+    return criterion, Point(state.theta, state.residual, state.jacobian)
 
 
 class Conditional:

@@ -23,6 +23,7 @@ import pandas as pd
 from scipy import stats
 
 from fmuid.arrays import Floats
+from fmuid.assessment.conditional import check_result
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, check_level, misfits, refuse_loss, spans_decades, variances
 
@@ -144,15 +145,7 @@ def map_criterion(
     """
     refuse_loss(problem, "a map of the criterion")
     parameters = problem.parameters
-    for what, theirs, ours in (
-        ("parameters", result.names, parameters.names),
-        ("outputs", tuple(result.noise_variance), problem.output_names),
-    ):
-        if theirs != ours:
-            raise InputError(
-                f"the map needs a result of its own problem: the {what} of the result are {', '.join(theirs)}, "
-                f"those of the problem {', '.join(ours)}"
-            )
+    check_result(problem, result)
     where = [parameters.index(first), parameters.index(second)]
     if first == second:
         raise InputError(f"a map needs two different parameters, not {first!r} twice")

@@ -1,68 +1,22 @@
-"""The posterior of the parameters, sampled: what data, prior and bounds together leave possible, without linearising.
-
-With J_j(θ) the sum of squared residuals of output j and K_j its samples, the log density is, inside the bounds,
-
-    ln p(θ | y*) = −½ [ (θ−θ₀)ᵀ M₀⁻¹ (θ−θ₀) + Σ_given J_j(θ)/σ_j² + Σ_estimated K_j ln J_j(θ) ] + const,
-
-that is −J_C/2 of (1.37) for outputs whose noise variance is given. A variance that is estimated is as unknown as the
-parameters: with the density 1/σ_j², uniform in ln σ_j, it is integrated out, ∫ σ^(−K) exp(−J/(2σ²)) dσ²/σ² ∝ J^(−K/2).
-For one output, a model linear in its parameters and no prior this is Student's t around the estimate with K − N degrees
-of freedom and the local covariance (1.31) as its scale, so that the posterior's intervals are the local ones.
-With a robust loss the variances stay at their estimates, and −J_C/2 is taken for a log density that it need not be.
-
-Two kinds of moves take turns, drawn at random at each step: differential evolution, which takes its steps from the
-distances of the walkers and adapts to any shape, and independent draws from the local approximation with heavy tails.
-Where that is good, as it usually is, they make the samples nearly independent; where it is not, they are refused.
-
-References
-----------
-D. Foreman-Mackey et al., "emcee: the MCMC hammer", PASP 125, 2013; C. J. F. ter Braak, "A Markov chain Monte Carlo
-version of the genetic algorithm differential evolution", Stat. Comput. 16, 2006; A. Gelman et al.,
-"Bayesian Data Analysis", 3rd edition, section 3.2 (the variance integrated out).
-"""
+"""Samples of the posterior, and the settings of the sampler (`fmuid.assessment.sampler`)."""
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import emcee
 import numpy as np
 import pandas as pd
 
 from fmuid.arrays import Floats
-from fmuid.assessment.chains import effective_size, r_hat
-from fmuid.assessment.profile import check_result, reach
 from fmuid.errors import InputError
-from fmuid.estimation import LeastSquares, Result, check_level
-from fmuid.progress import Progress, SamplingStep
+from fmuid.estimation import check_level
 
-# Walkers: enough for differences in all directions, and for two halves to keep all cores busy.
-LEAST_WALKERS, WALKERS_PER_PARAMETER = 16, 4
+# Steps of the longest chain.
 MAX_STEPS = 20_000
 # So many independent samples give means to 2 % and the ends of 95 % intervals to 6 % of a standard deviation.
 EFFECTIVE_SIZE = 2000
-# The start of the chain that is not used, a share of its length.
+# The share of the chain, at its start, that is not used.
 BURN = 0.25
-# A chain is looked at after so many steps, and again whenever it is longer by this factor.
-FIRST_LOOK, LOOK_AGAIN = 100, 1.3
-# Largest R-hat of chains that agree (Vehtari et al., section 4).
-LARGEST_R_HAT = 1.01
-# Fewer moves accepted than these mean walkers that are stuck.
-LEAST_ACCEPTANCE = 0.05
-# How often the local approximation, a Student t of so many degrees of freedom, makes the proposals; a tenth of the
-# others are whole differences, which lead from one optimum to another (ter Braak).
-LOCAL_SHARE, LOCAL_FREEDOM, JUMP_SHARE = 0.5, 5.0, 0.1
-# Walkers start so far from where the data leave a parameter open, relative to its magnitude.
-OPEN_SPREAD = 0.01
-# A walker that would start outside the bounds starts inside them, within so many standard deviations.
-SPREAD_INSIDE = 3.0
-# A walker that cannot be simulated is moved half way to the estimate, so often at most.
-HALVINGS = 40
-# Simulated samples held at a time, 64 MB.
-BATCH_SAMPLES = 8_000_000
 
 
 @dataclass(frozen=True)
@@ -74,11 +28,11 @@ class Sampling:
     walkers : int, optional
         An even number, at least twice the number of parameters; default four a parameter, 16 at least.
     steps : int
-        The longest chain; it ends before, as soon as it is long enough and converged.
+        Of the longest chain; sampling ends earlier when the chain is long enough and converged.
     effective_size : int
-        How many independent samples it must be worth for every parameter.
+        The effective sample size that every parameter must reach.
     burn : float
-        The share of the chain, at its start, that is left out.
+        The share of the chain, at its start, that is discarded.
     seed : int
         Of the random numbers: the same seed gives the same samples.
 
@@ -111,7 +65,7 @@ class Sampling:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Samples of the posterior, and whether to trust them.
+    """Samples of the posterior with their diagnostics.
 
     Attributes
     ----------
@@ -126,13 +80,13 @@ class Posterior:
     log_density : (steps, walkers) array
         Without its constant.
     burn : int
-        Steps at the start that take no part in the samples.
+        Number of discarded steps at the start.
     effective_size : (N,) array
-        How many independent samples they are worth (`fmuid.assessment.chains.effective_size`).
+        Effective sample sizes (`fmuid.assessment.chains.effective_size`).
     autocorrelation_time : (N,) array
-        Integrated: how many samples make an independent one.
+        Integrated, in samples.
     r_hat : (N,) array
-        1 where all walkers tell the same (`fmuid.assessment.chains.r_hat`).
+        1 where all walkers agree (`fmuid.assessment.chains.r_hat`).
     acceptance : float
         Share of the moves that were accepted.
     simulations : int
@@ -207,275 +161,3 @@ class Posterior:
                 "r_hat": self.r_hat,
             }
         )
-
-
-def sample(
-    problem: LeastSquares, result: Result, settings: Sampling | None = None, progress: Progress | None = None
-) -> Posterior:
-    """Sample the posterior of a problem, starting around its result.
-
-    Parameters
-    ----------
-    problem : LeastSquares
-    result : Result
-        Of its identification.
-    settings : Sampling, optional
-    progress : callable, optional
-        Called after every step of all walkers with a `fmuid.progress.SamplingStep`.
-
-    Returns
-    -------
-    Posterior
-        Also where it did not converge or was interrupted from the keyboard: its status says so.
-
-    Raises
-    ------
-    InputError
-        If the result is another problem's, there are too few walkers, or a noise variance cannot be estimated because
-        the model fits exactly.
-    SimulationError
-        If the simulation fails at the result.
-    """
-    check_result(problem, result)
-    return _Sampler(problem, result, settings or Sampling(), progress).run()
-
-
-def log_density(problem: LeastSquares, variance: Floats | None = None) -> Callable[[Floats], Floats]:
-    """Return the log density of the posterior, without its constant, as a function of thetas (m, N) that gives (m,).
-
-    It is −∞ outside the bounds and where a simulation fails.
-
-    Parameters
-    ----------
-    problem : LeastSquares
-    variance : (n_outputs,) array, optional
-        The noise variances, NaN where they are integrated out; default the problem's own. A robust loss needs them all.
-    """
-    parameters, known = problem.parameters, problem.variance if variance is None else variance
-    which = (problem.groups[:, None] == np.arange(problem.counts.size)).astype(np.float64)
-    given = ~np.isnan(known)
-    weights = (1.0 / np.sqrt(np.where(given, known, 1.0)))[problem.groups]
-    batch = max(1, BATCH_SAMPLES // problem.measured.size)
-
-    def sums(thetas: Floats) -> Floats:
-        """Return the sum of squares of each output (m, n_outputs), whitened where its variance is known."""
-        with np.errstate(over="ignore", invalid="ignore"):  # simulations may explode without failing
-            rows = (problem.measured - problem.predict(thetas)) * weights
-            rows = (rows if problem.loss is None else problem.loss.root(rows)) ** 2
-        # einsum keeps to this thread: BLAS would start its own beside those of the simulations
-        return np.asarray(np.einsum("mn,ng->mg", rows, which), dtype=np.float64)
-
-    def density(thetas: Floats) -> Floats:
-        found = np.full(len(thetas), -np.inf)
-        inside = np.flatnonzero(((thetas >= parameters.lower) & (thetas <= parameters.upper)).all(axis=1))
-        for first in range(0, inside.size, batch):
-            rows = inside[first : first + batch]
-            squares = sums(thetas[rows])
-            terms = np.sum(parameters.prior_residual(thetas[rows]) ** 2, axis=1) + squares[:, given].sum(axis=1)
-            with np.errstate(divide="ignore"):
-                terms += np.log(squares[:, ~given]) @ problem.counts[~given]
-            found[rows] = np.where(np.isnan(terms), -np.inf, -0.5 * terms)
-        return found
-
-    return density
-
-
-class _Sampler:
-    """One run of the sampler."""
-
-    def __init__(self, problem: LeastSquares, result: Result, settings: Sampling, progress: Progress | None) -> None:
-        self.problem, self.result, self.settings, self.progress = problem, result, settings, progress
-        self.estimate: Floats = np.array(result.values)
-        self.clock, self.simulations = time.perf_counter(), problem.simulations
-        count = len(problem.parameters)
-        self.walkers = settings.walkers or max(LEAST_WALKERS, WALKERS_PER_PARAMETER * count)
-        if self.walkers < 2 * count:
-            raise InputError(
-                f"{self.walkers} walkers are too few for {count} parameters; the sampler needs at least {2 * count}"
-            )
-        self.random = np.random.default_rng(settings.seed)
-        self.far = reach(problem, result)
-        # what a robust loss leaves out has no density that could be integrated: its variances stay at their estimates
-        robust = np.array([result.variance[name] for name in problem.output_names])
-        self.density = log_density(problem, None if problem.loss is None else robust)
-        self._check_start()
-        self.root = _root(result.covariance)
-        self.inverse_root = None if self.root is None else np.linalg.inv(self.root)
-        self.sampler = emcee.EnsembleSampler(self.walkers, count, self._target, moves=self._moves(), vectorize=True)
-        self.sampler.random_state = np.random.RandomState(settings.seed).get_state()
-        self.effective = math.nan
-        self.interrupted = False
-
-    def run(self) -> Posterior:
-        """Sample until the chain is good enough, or at its longest."""
-        steps, look = 0, FIRST_LOOK
-        try:
-            state: object = self._start()
-            while steps < self.settings.steps:
-                look = min(look, self.settings.steps)
-                # emcee's check of the start is left out: it takes strongly correlated parameters for dependent walkers
-                for _ in self.sampler.sample(state, iterations=look - steps, skip_initial_state_check=True):
-                    steps += 1
-                    self._tell(steps)
-                    if self.interrupted:
-                        raise KeyboardInterrupt
-                found = self._posterior()
-                self.effective = float(np.min(found.effective_size))
-                if found.converged or self._runaway(found):
-                    break
-                look, state = math.ceil(LOOK_AGAIN * steps), self.sampler.get_last_sample()
-        except KeyboardInterrupt:
-            self.interrupted = True
-        return self._posterior()
-
-    def _target(self, thetas: Floats) -> Floats:
-        """Return the log density; interrupted, as if all simulations failed: emcee prints whatever is raised here."""
-        try:
-            return self.density(thetas)
-        except KeyboardInterrupt:
-            self.interrupted = True
-            return np.full(len(thetas), -np.inf)
-
-    def _tell(self, steps: int) -> None:
-        if self.progress is not None:
-            acceptance = float(np.mean(self.sampler.acceptance_fraction))
-            wanted = self.settings.effective_size
-            step = SamplingStep(
-                step=steps,
-                steps=self.settings.steps,
-                effective_size=self.effective,
-                wanted=wanted,
-                acceptance=acceptance,
-            )
-            self.progress(step)
-
-    def _check_start(self) -> None:
-        at = self.density(self.estimate[None])[0]
-        if at == -np.inf:
-            raise self.problem.failure(self.estimate) or InputError(
-                "the result lies outside the problem's bounds; give the result of this problem's identification"
-            )
-        if at == np.inf:
-            raise InputError(
-                "the model fits an output exactly, and its noise variance cannot be estimated; give noise.variance"
-            )
-
-    def _start(self) -> Floats:
-        """Return walkers (walkers, N) drawn from the local covariance, inside the bounds, where the model works."""
-        parameters, estimate = self.problem.parameters, self.estimate
-        spread = np.where(np.isfinite(self.result.std), self.result.std, OPEN_SPREAD * parameters.magnitudes(estimate))
-        draws = self.random.standard_normal((self.walkers, estimate.size))
-        thetas = estimate + (draws * spread if self.root is None else draws @ self.root.T)
-        low = np.maximum(parameters.lower, estimate - SPREAD_INSIDE * spread)
-        high = np.minimum(parameters.upper, estimate + SPREAD_INSIDE * spread)
-        inside = (thetas >= parameters.lower) & (thetas <= parameters.upper)
-        thetas = np.where(inside, thetas, self.random.uniform(low, high, thetas.shape))
-        for _ in range(HALVINGS):
-            failed = ~np.isfinite(self.density(thetas))
-            if not failed.any():
-                break
-            thetas[failed] = 0.5 * (thetas[failed] + estimate)
-        return thetas
-
-    def _moves(self) -> list[tuple[emcee.moves.Move, float]]:
-        local = LOCAL_SHARE if self.root is not None else 0.0
-        moves = [
-            (emcee.moves.DEMove(), (1.0 - local) * (1.0 - JUMP_SHARE)),
-            (emcee.moves.DEMove(gamma0=1.0), (1.0 - local) * JUMP_SHARE),
-        ]
-        return [*moves, (emcee.moves.MHMove(self._propose), local)] if local else moves
-
-    def _propose(self, thetas: Floats, random: np.random.RandomState) -> tuple[Floats, Floats]:
-        """Draw from Student's t around the estimate; with the log of the ratio of its densities there and here."""
-        assert self.root is not None
-        assert self.inverse_root is not None
-        draws = random.standard_normal(thetas.shape) / np.sqrt(
-            random.chisquare(LOCAL_FREEDOM, (len(thetas), 1)) / LOCAL_FREEDOM
-        )
-        before = (thetas - self.estimate) @ self.inverse_root.T
-        power = -0.5 * (LOCAL_FREEDOM + thetas.shape[1])
-        here, there = (power * np.log1p(np.sum(z**2, axis=1) / LOCAL_FREEDOM) for z in (before, draws))
-        return self.estimate + draws @ self.root.T, here - there
-
-    def _posterior(self) -> Posterior:
-        if not self.sampler.iteration:
-            raise KeyboardInterrupt
-        chain = self.sampler.get_chain().copy()
-        kept = chain[int(self.settings.burn * len(chain)) :]
-        columns = [kept[:, :, i] for i in range(chain.shape[2])]
-        effective = np.array([effective_size(column) for column in columns])
-        found = Posterior(
-            status="",
-            converged=False,
-            interrupted=self.interrupted,
-            names=self.problem.parameters.names,
-            chain=chain,
-            log_density=self.sampler.get_log_prob().copy(),
-            burn=len(chain) - len(kept),
-            effective_size=effective,
-            autocorrelation_time=len(kept) * self.walkers / effective,
-            r_hat=np.array([r_hat(column) for column in columns]),
-            acceptance=float(np.mean(self.sampler.acceptance_fraction)),
-            simulations=self.problem.simulations - self.simulations,
-            elapsed_s=time.perf_counter() - self.clock,
-        )
-        doubt = self._doubt(found)
-        words = [f"interrupted after {len(chain)} steps"] if self.interrupted else []
-        words.append(
-            doubt
-            or f"converged: at least {effective.min():.0f} independent samples of each parameter, "
-            f"R-hat at most {found.r_hat.max():.3f}"
-        )
-        words += [
-            f"{said}: along this the samples show priors and bounds, not data" for said in self.result.undetermined
-        ]
-        return replace(found, status="; ".join(words), converged=not doubt)
-
-    def _runaway(self, found: Posterior) -> str:
-        """Return a parameter that left everything sensible on a side where it has no bound; nothing where none did."""
-        parameters = self.problem.parameters
-        beyond = found.chain[-1] - self.estimate
-        above = np.isinf(parameters.upper) & (beyond > self.far).any(axis=0)
-        below = np.isinf(parameters.lower) & (beyond < -self.far).any(axis=0)
-        return next((name for name, gone in zip(found.names, above | below, strict=True) if gone), "")
-
-    def _doubt(self, found: Posterior) -> str:
-        """Return why the samples cannot be trusted yet, and the remedy; nothing where they can."""
-        length = len(found.chain)
-        runaway = self._runaway(found)
-        if runaway:
-            return f"nothing holds {runaway}, the samples run away: give a prior or bounds, or measure more"
-        if np.isnan(found.r_hat).any() or np.isnan(found.effective_size).any():
-            return f"{length} steps are too few to judge: raise steps, or let it go on"
-        if found.acceptance < LEAST_ACCEPTANCE:
-            return (
-                f"the walkers hardly move, {found.acceptance:.1%} of the proposals are accepted: look for several "
-                "optima and for simulations that fail, and narrow the bounds around what is meant"
-            )
-        worst = int(np.argmax(found.r_hat))
-        if found.r_hat[worst] > LARGEST_R_HAT:
-            return (
-                f"not converged: the walkers do not agree on {found.names[worst]} (R-hat {found.r_hat[worst]:.3f}, "
-                f"{LARGEST_R_HAT} is the most) after {length} steps: raise steps; if that does not help, the data "
-                "leave it open or there are several optima, so give a prior or narrower bounds"
-            )
-        worst = int(np.argmin(found.effective_size))
-        share = self.settings.effective_size / float(found.effective_size[worst])
-        if share > 1.0:
-            return (
-                f"not enough: the samples of {found.names[worst]} are worth {found.effective_size[worst]:.0f} "
-                f"independent ones instead of {self.settings.effective_size}: raise steps to about "
-                f"{math.ceil(1.2 * share * length)}"
-            )
-        return ""
-
-
-def _root(covariance: Floats) -> Floats | None:
-    """Return the triangle L with L Lᵀ the covariance, None where that is not finite and positive definite."""
-    std = np.sqrt(np.diag(covariance))
-    if not (np.isfinite(covariance).all() and (std > 0).all()):
-        return None
-    try:  # of the correlations: units must not decide
-        return np.asarray(std[:, None] * np.linalg.cholesky(covariance / np.outer(std, std)), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return None

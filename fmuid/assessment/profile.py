@@ -1,4 +1,4 @@
-"""Profile likelihood: how far one parameter can go before even the best choice of all others no longer fits.
+"""Profile likelihood: intervals of one parameter with the best values of all others.
 
 The profile of a parameter ψ is J_p(ψ) = min J_C over all the others (1.37), the prior's rows included. Its confidence
 interval holds every ψ whose criterion exceeds the least one by no more than the quantile: with known variances
@@ -6,7 +6,7 @@ interval holds every ψ whose criterion exceeds the least one by no more than th
 where J_p is the parabola J_min + ((ψ − ψ̂)/std)², the interval is the local one, ψ̂ ± t std.
 
 The signed root τ(ψ) = ±√(J_p − J_min) is a straight line in the linear case and nearly one elsewhere, so that steps
-and ends are found on it. Its slope costs nothing: at the optimum of the others dJ_p/dψ = 2 (∂r/∂ψ)ᵀ r.
+and ends are found on it. Its slope needs no simulation: at the optimum of the others dJ_p/dψ = 2 (∂r/∂ψ)ᵀ r.
 
 With a robust loss the criterion is no likelihood: it bends by 1/c² where the estimate scatters by std² (the sandwich of
 `fmuid.estimation.covariance`), and the quantile is multiplied by std²/c² (Huber and Ronchetti, "Robust Statistics",
@@ -30,30 +30,30 @@ import pandas as pd
 from scipy import stats
 
 from fmuid.arrays import Floats
-from fmuid.assessment.conditional import Point, best_with
+from fmuid.assessment.conditional import Point, best_near, best_with, check_result
 from fmuid.errors import InputError
-from fmuid.estimation import Criterion, LeastSquares, Marquardt, Result, State, check_level, prepare, search
+from fmuid.estimation import Criterion, LeastSquares, Result, check_level
 from fmuid.progress import ProfileStep, Progress
 
-# A side of a profile takes about so many steps, equal ones in τ.
-STEPS = 4
-# The first step is no longer than this share of the parameter's magnitude, however little is known of it,
-FIRST_STEP = 0.5
-# and no shorter than this one, however much;
-LEAST_STEP = 1e-12
-# where the profile is flatter than thought, each step is so many times the one before.
-GROWTH = 2.0
-# A side that has not reached the level so many magnitudes, and standard deviations, away is flat: nothing holds it.
-FAR, FAR_STDS = 1000.0, 10.0
-# Below this share of the level, τ says nothing of its slope.
-RISING = 0.03
-# Where simulations fail or the search is lost, a shorter step is tried, a quarter each time.
-SHORTER, SHORTENINGS = 0.25, 4
-# An end is found where τ meets its level to this share; one more step of Newton's method then leaves its square.
+# Approximate number of steps of a side, equal in τ.
+STEPS_PER_SIDE = 4
+# Longest first step, relative to the parameter's magnitude,
+FIRST_STEP_SHARE = 0.5
+# and shortest first step.
+LEAST_STEP_SHARE = 1e-12
+# Where the profile is flatter than expected, each step is at most so many times the one before.
+LARGEST_GROWTH = 2.0
+# A side that has not reached the level at this distance, in magnitudes and standard deviations, is flat.
+FLAT_MAGNITUDES, FLAT_STDS = 1000.0, 10.0
+# Below this share of its level, τ is too small for its slope to be used.
+LEAST_ROOT_SHARE = 0.03
+# Where simulations fail, a step is shortened by this factor, at most so many times.
+STEP_REDUCTION, MOST_REDUCTIONS = 0.25, 4
+# An end is found where τ equals its level to this relative error; one more Newton step then leaves its square.
 END_TOLERANCE = 1e-3
 END_STEPS = 12
-# A criterion below the least one by more than this share of the quantile means that another optimum is better.
-BELOW = 0.01
+# A criterion lower than the least one by more than this share of the quantile shows a better optimum.
+LOWER_OPTIMUM_SHARE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class Profile:
     minimum, threshold : float
         J_min, and the rise above it at which the interval ends.
     notes : tuple of str
-        What is to be known about the ends; none where all is ordinary.
+        Remarks on the ends; empty for an ordinary profile.
     interrupted : bool
         Whether the keyboard ended it before both ends were found.
     table : DataFrame
@@ -146,7 +146,7 @@ def profiles(
     chosen = [problem.parameters.index(name) for name in dict.fromkeys(listed)]
     tail, freedom = 0.5 + level / 2.0, result.degrees_of_freedom
     factor = float(stats.norm.ppf(tail) if math.isinf(freedom) else stats.t.ppf(tail, freedom))
-    criterion, origin = _minimum(problem, result)
+    criterion, origin = best_near(problem, result)
     far, thresholds = reach(problem, result), factor**2 * _scatter(problem, result)
     found: list[Profile] = []
     for k, i in enumerate(chosen):
@@ -159,7 +159,7 @@ def profiles(
 
 
 def _scatter(problem: LeastSquares, result: Result) -> Floats:
-    """Return std²/c² of each parameter (N,): how much it scatters against the criterion's bend; 1 of plain squares."""
+    """Return std²/c² of each parameter (N,), its variance against the criterion's curvature; 1 for plain squares."""
     ones = np.ones(len(result.names))
     if problem.loss is None:
         return ones
@@ -170,51 +170,16 @@ def _scatter(problem: LeastSquares, result: Result) -> Floats:
     return np.asarray(np.divide(result.std**2, bend, out=ones, where=known), dtype=np.float64)
 
 
-def _minimum(problem: LeastSquares, result: Result) -> tuple[Criterion, Point]:
-    """Return the criterion with the result's variances, and its minimum; the result's own may be a hair beside it."""
-    # prepared where the search began: what has an effect there may have none left at the estimate, and is then flat
-    ready = prepare(problem, result.start)
-    criterion = ready.criterion.reweighted(np.array([result.variance[name] for name in problem.output_names]))
-    theta = np.array(result.values)
-    at = criterion.evaluate(theta)
-    state = State(theta, at.residual, at.jacobian)
-    for _ in search(criterion, state, Marquardt()):
-        pass
-    if not state.fresh:
-        state.jacobian = criterion.jacobian(state.theta, state.residual, central=True)
-    return criterion, Point(state.theta, state.residual, state.jacobian)
-
-
 def reach(problem: LeastSquares, result: Result) -> Floats:
-    """Return how far from its estimate each parameter is followed (N,): beyond that nothing holds it."""
+    """Return the distance from its estimate up to which each parameter is followed (N,): beyond, it is undetermined."""
     parameters = problem.parameters
     std = np.where(np.isfinite(result.std), result.std, 0.0)
-    return np.maximum(FAR * np.maximum(np.abs(result.values), parameters.scale), FAR_STDS * std)
-
-
-def check_result(problem: LeastSquares, result: Result) -> None:
-    """Check that a result is one of this problem.
-
-    Raises
-    ------
-    InputError
-        If their parameters or outputs differ.
-    """
-    pairs = (
-        ("parameters", result.names, problem.parameters.names),
-        ("outputs", tuple(result.noise_variance), problem.output_names),
-    )
-    for what, has, needs in pairs:
-        if has != needs:
-            raise InputError(
-                f"the result is of another problem: its {what} are {', '.join(has)}, and the problem's are "
-                f"{', '.join(needs)}; give the result of this problem's identification"
-            )
+    return np.maximum(FLAT_MAGNITUDES * np.maximum(np.abs(result.values), parameters.scale), FLAT_STDS * std)
 
 
 @dataclass(eq=False)
 class _Side:
-    """What is found on one side: the points in the order in which they were found, the end, and notes."""
+    """One side of a profile: the points in the order in which they were found, the end, and notes."""
 
     points: list[Point]
     end: float = math.nan
@@ -302,7 +267,7 @@ class _Profiler:
                 )
                 return
             self._keep(side, point)
-            if self._rise(point) < -BELOW * self.threshold:
+            if self._rise(point) < -LOWER_OPTIMUM_SHARE * self.threshold:
                 self._say_lost(side, point)
                 return
             if self._rise(point) >= self.threshold:
@@ -332,24 +297,25 @@ class _Profiler:
             self.progress(step)
 
     def _first_step(self) -> float:
-        wanted = min(math.sqrt(self.threshold) * self.std / STEPS, FIRST_STEP * self.magnitude)
-        return max(wanted, LEAST_STEP * self.magnitude)
+        wanted = min(math.sqrt(self.threshold) * self.std / STEPS_PER_SIDE, FIRST_STEP_SHARE * self.magnitude)
+        return max(wanted, LEAST_STEP_SHARE * self.magnitude)
 
     def _next_step(self, point: Point, last: float) -> float:
         """Return the step that raises τ by its share, as its slope says, and not much longer than the last one."""
         slope, level = self._slope(point), math.sqrt(self.threshold)
-        wanted = level / STEPS / slope if slope > 0 and self._root(point) > RISING * level else math.inf
-        return min(max(wanted, SHORTER * last), GROWTH * last)
+        usable = slope > 0 and self._root(point) > LEAST_ROOT_SHARE * level
+        wanted = level / STEPS_PER_SIDE / slope if usable else math.inf
+        return min(max(wanted, STEP_REDUCTION * last), LARGEST_GROWTH * last)
 
     def _next(self, here: Point, value: float, step: float, bound: float) -> Point | None:
         """Return the next point, nearer where simulations fail, None where they all do."""
-        for _ in range(SHORTENINGS):
+        for _ in range(MOST_REDUCTIONS):
             there = value + step
             there = bound if (there - bound) * step > 0 else there
             point = best_with(self.criterion, self.index, there, here)
             if point is not None:
                 return point
-            step *= SHORTER
+            step *= STEP_REDUCTION
         return None
 
     # --- its end

@@ -1,7 +1,7 @@
-"""What is asked of a result beyond its local covariance: maps of the criterion, profiles, samples of the posterior.
+"""Uncertainty beyond the local covariance: maps of the criterion, profiles, samples of the posterior.
 
-One call does them all, the quick ones first, and keeps what there is when the keyboard interrupts it. What each of
-them needs is imported when it is asked for.
+One call computes them all, the quick ones first, and keeps what is complete when the keyboard interrupts it. The
+modules of each are imported when it is asked for.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from fmuid.assessment.profile import Profile
 
 LEVEL = 0.95
-# A point of a map that lies below the estimate by more than this belongs to another optimum; less is what the search
-# may leave, or rounding.
-BELOW = 0.1
+# A criterion on a map lower than at the estimate by more than this shows another optimum; less may be rounding, or
+# what the search left.
+LOWER_OPTIMUM = 0.1
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class UncertaintySettings:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """What was found of what was asked.
+    """The results of `explore`.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Uncertainty:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be known of the intervals and maps, in words."""
+        """Remarks on the intervals and maps."""
         said = [note for each in self.profiles for note in each.notes]
         said += [note for chart in (*self.maps, *self.box_maps) for note in _better(chart)]
         if self.posterior is not None and not self.posterior.converged:
@@ -177,7 +177,7 @@ def _better(chart: CriterionMap) -> list[str]:
     points = chart.table[[first, second, "criterion"]].to_numpy()
     values = np.where(np.isnan(points[:, 2]), np.inf, points[:, 2])
     x, y, least = points[int(np.argmin(values))]
-    if not least < chart.criterion - BELOW:
+    if not least < chart.criterion - LOWER_OPTIMUM:
         return []
     return [
         f"the criterion over {first} and {second} is lower at {first} = {x:.6g}, {second} = {y:.6g} than at the "
@@ -198,7 +198,7 @@ def explore(
     *,
     box: bool = False,
 ) -> Uncertainty:
-    """Do what the settings ask for around a result.
+    """Compute what the settings ask for around a result.
 
     Parameters
     ----------
@@ -210,13 +210,13 @@ def explore(
         Called before the first task, before every map, after every point of a profile and every step of the sampler
         (`fmuid.progress`).
     box : bool
-        Map the criterion over all of the bounds too, for pairs of parameters that have them, as goes with a search of
-        the whole box.
+        Also map the criterion over all of the bounds, for pairs of parameters that have them, as after a search of the
+        whole box.
 
     Returns
     -------
     Uncertainty
-        Interrupted from the keyboard: what was done until then.
+        Interrupted from the keyboard: the results up to then.
 
     Raises
     ------
@@ -229,7 +229,7 @@ def explore(
 
 
 class _Explorer:
-    """Does one task after the other and keeps what is done."""
+    """Carries out one task after the other and keeps the results."""
 
     def __init__(
         self,
@@ -290,7 +290,7 @@ class _Explorer:
     def _sample(self) -> bool:
         if self.settings.posterior is None:
             return True
-        from fmuid.assessment.posterior import sample
+        from fmuid.assessment.sampler import sample
 
         self.posterior = sample(self.problem, self.result, self.settings.posterior, self.progress)
         return not self.posterior.interrupted

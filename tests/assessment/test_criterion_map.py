@@ -164,10 +164,10 @@ def test_wrong_wishes(names: tuple[str, str], words: Mapping[str, Any], match: s
 
 def test_result_of_another_problem() -> None:
     other = identify(linear(2))
-    with pytest.raises(InputError, match="parameters of the result are a, b, those of the problem a, b, c"):
+    with pytest.raises(InputError, match="its parameters are a, b, and the problem's are a, b, c; give"):
         map_criterion(linear(), other, "a", "b")
     stranger = replace(other, noise_variance={"z": 1.0})
-    with pytest.raises(InputError, match="outputs of the result are z, those of the problem y"):
+    with pytest.raises(InputError, match="its outputs are z, and the problem's are y; give"):
         map_criterion(linear(2), stranger, "a", "b")
 
 

@@ -13,7 +13,8 @@ from scipy.integrate import quad
 
 from experiments.interval_coverage import coverage
 from fmuid.assessment.chains import effective_size, r_hat
-from fmuid.assessment.posterior import Posterior, Sampling, log_density, sample
+from fmuid.assessment.posterior import Posterior, Sampling
+from fmuid.assessment.sampler import log_density, sample
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.data.predictors import FunctionPredictions, Table
