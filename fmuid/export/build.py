@@ -107,7 +107,7 @@ def _compile(directory: Path, source: str, target: str, file: str) -> bytes:
         command.append("-lm")
     if "macos" in target:
         command.append(f"-Wl,-install_name,@rpath/{file}")
-    environment = {**os.environ, "ZIG_LOCAL_CACHE_DIR": str(folder)}  # what it keeps of this model goes with it
+    environment = {**os.environ, "ZIG_LOCAL_CACHE_DIR": str(folder)}  # deleted with the folder
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise FmuidError(f"the compiler failed for {target}: {done.stderr.strip()}")

@@ -1,4 +1,4 @@
-"""Gives a parsed model its meaning: names, balance, causality -> explicit CasADi expressions.
+"""Analysis of a parsed model: names, balance, causality -> explicit CasADi expressions.
 
 The unknowns (derivatives of the states, algebraic variables) are solved one equation at a time, each linear in
 its unknown: an equation is taken as soon as all its other variables are known. Where there is none, the smallest set
@@ -70,13 +70,13 @@ def analyse(model: Model) -> ExplicitModel:
     ------
     ModelicaError
         For an unknown or doubly declared name, a missing value, equations that do not determine their
-        unknowns one after the other, and whatever else has no meaning in the subset.
+        unknowns one after the other, and everything else without a meaning in the subset.
     """
     return _Analysis(model).run()
 
 
 class _Analysis:
-    """Gathers what is known, variable after variable, in the order of `run`."""
+    """Collects known variables one after another, in the order of `run`."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
@@ -87,8 +87,8 @@ class _Analysis:
         self.parameters: set[str] = set()
         self.relations: dict[str, tuple[Any, Any, Relation]] = {}  # indicator -> symbol, value, relation
         self.integers: dict[str, tuple[Any, Any, Relation]] = {}  # argument of floor() -> symbol, value, call
-        self.tested: list[Any] = []  # what the present equation takes the sign or the whole part of
-        self.no_event = 0  # how many noEvent() are around
+        self.tested: list[Any] = []  # arguments of sign and floor in the present equation
+        self.no_event = 0  # depth of nested noEvent()
         self.jumps = 0
 
     def error(self, line: int, text: str) -> ModelicaError:
@@ -176,7 +176,7 @@ class _Analysis:
         return float(self.expression(node, f"{what} must be a number, or an expression of constants above it"))
 
     def expression(self, node: Expression, demand: str) -> Any:
-        """Return an expression's SX; if a name in it is not known, say what is demanded of the expression."""
+        """Return an expression's SX; `demand` is the beginning of the message for an unknown name in it."""
         if node.op == "number":
             return ca.SX(node.args[0])
         if node.op in ("name", "der"):
@@ -223,7 +223,7 @@ class _Analysis:
         return self.integers.setdefault(str(value), entry)[0]
 
     def makes_events(self, node: Expression, tested: Any) -> bool:
-        """Note that a function of an expression jumps; return whether it has to make events of it."""
+        """Record an expression at whose sign or whole part a function jumps; return whether the jump needs events."""
         known = self.parameters | {symbol.name() for symbol, _ in self.reciprocals.values()}
         self.tested.append(tested)
         if {each.name() for each in ca.symvar(tested)} <= known:

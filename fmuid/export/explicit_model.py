@@ -1,4 +1,4 @@
-"""A model as explicit CasADi expressions: what the equations become, and what is written to the FMU."""
+"""A model as explicit CasADi expressions: the result of the analysis, from which the FMU is written."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class ExplicitModel:
     The declarations are those of the states x, inputs u, parameters p, other variables w and event indicators z, in
     the order of the elements of the symbols and expressions (SX columns); t is the time, s. The relations r are 0 or 1:
     an event sets r to z > 0. Behind them, r has the whole numbers floor(counted), for each of which z has two elements.
-    `reciprocals` are symbols in these expressions and what they stand for, functions
-    1/(coefficient) of p alone: many evaluations share one. `numbers` are attributes: (variable, "value", "start",
+    `reciprocals` are symbols in these expressions with their values 1/(coefficient),
+    functions of p alone, which many evaluations share. `numbers` are attributes: (variable, "value", "start",
     "min", "max" or "nominal") -> number. `jumps` is the line of the first relation or function that jumps, or 0.
     """
 
@@ -70,7 +70,7 @@ class ExplicitModel:
 
 
 def written_out(expression: Any, reciprocals: Collection[tuple[Any, Any]]) -> Any:
-    """Return an expression with the symbols of reciprocals replaced by what they stand for."""
+    """Return an expression with the symbols of reciprocals replaced by their values."""
     symbols, values = (column(each[k] for each in reciprocals) for k in (0, 1))
     return ca.substitute(expression, symbols, values)
 

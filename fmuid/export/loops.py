@@ -15,7 +15,7 @@ _TRIALS = 5
 
 
 def first_loop(unknowns: Sequence[set[str]]) -> list[int]:
-    """Return the first smallest set of equations that have as many unknowns as they are.
+    """Return the first smallest set of equations with as many unknowns as equations.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def first_loop(unknowns: Sequence[set[str]]) -> list[int]:
 
 
 def always_singular(matrix: Any, values: Mapping[str, float]) -> bool:
-    """Return whether an SX matrix is singular to rounding at these values, whatever its other symbols are."""
+    """Return whether an SX matrix is singular to rounding at these values, for any values of its other symbols."""
     symbols = ca.symvar(matrix)
     evaluate = ca.Function("matrix", symbols, [ca.densify(matrix)])
     rng = np.random.default_rng(0)
@@ -56,7 +56,7 @@ def always_singular(matrix: Any, values: Mapping[str, float]) -> bool:
         found = np.array(evaluate.call([values.get(each.name(), rng.uniform(0.1, 1.0)) for each in symbols])[0])
         if not np.all(np.isfinite(found)):
             return False
-        for axis in (1, 0):  # whatever the units of the equations and unknowns are
+        for axis in (1, 0):  # independent of the units of equations and unknowns
             largest = np.abs(found).max(axis, keepdims=True)
             found = found / np.where(largest > 0, largest, 1.0)
         if np.linalg.matrix_rank(found) == len(found):

@@ -50,7 +50,7 @@ _REFUSED = {
     Rules.Condition_attributeContext: ("conditional declaration", "declare it always"),
     Rules.AnnotationContext: ("annotation", "the one supported is the model's experiment annotation"),
 }
-"""What to call a refused rule, and what to do instead."""
+"""The name of each refused rule, and what to write instead."""
 
 
 def parse(source: Path) -> Model:
@@ -105,7 +105,7 @@ class _Walk:
         return self.error(rule, *_REFUSED.get(type(rule), (f"'{rule.getText()}'", _FLAT)))
 
     def refuse(self, *rules: Any) -> None:
-        """Refuse those of these optional rules that are there."""
+        """Refuse these optional rules if they are present."""
         for rule in rules:
             if rule is not None:
                 raise self.unknown(rule)
@@ -363,7 +363,7 @@ def _comment(rule: Any) -> str:
 
 
 def _text(rule: Any) -> str:
-    """Return the rule's source text as it stands in the file."""
+    """Return the source text of a rule."""
     if rule.stop is None or rule.stop.tokenIndex < rule.start.tokenIndex:
         return ""
     return str(rule.start.getInputStream().getText(rule.start.start, rule.stop.stop))

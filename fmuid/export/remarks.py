@@ -1,4 +1,4 @@
-"""What is probably not meant in a model that can be exported all the same."""
+"""Warnings about probable mistakes in a model that can be exported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fmuid.export.explicit_model import ExplicitModel
 
 
 def remarks(system: ExplicitModel) -> list[ModelicaWarning]:
-    """Return what to tell the author of a model: parameters without effect, an integration step that was not chosen."""
+    """Return warnings for the author of a model: parameters without effect, no chosen integration step."""
     model = system.model
     computed = system.plain(ca.vertcat(system.derivatives, system.algebraic, system.indicators))
     used = {symbol.name() for symbol in ca.symvar(ca.vertcat(computed, system.starts))}

@@ -50,7 +50,7 @@ def with_sensitivities(system: ExplicitModel, parameters: Sequence[str] | Litera
 
 
 class _Extra:
-    """Gathers what the sensitivities add to a system, one parameter after the other."""
+    """Collects the additions of sensitivities to a system, one parameter after the other."""
 
     def __init__(self, system: ExplicitModel) -> None:
         self.system = system
@@ -92,7 +92,7 @@ class _Extra:
         return Declaration(name, variable.role, variable.line, description, _quotient(variable.unit, parameter.unit))
 
     def joined(self) -> ExplicitModel:
-        """Return the system with all that was added, behind what was there."""
+        """Return the system with all additions appended."""
         s = self.system
         there = {key: getattr(s, key) for key in self.expressions}
         model = replace(s.model, declarations=(*s.model.declarations, *self.states, *self.others))

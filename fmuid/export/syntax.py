@@ -1,4 +1,4 @@
-"""What a model of the subset consists of, as written: parsed, not yet checked for meaning."""
+"""The syntax of a model of the subset, parsed but not yet analysed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Expression:
     """An expression.
 
     `op` is "number", "name", "der", an operator + - * / ^, "neg", a function's name, "noEvent", or "if", whose
-    arguments are conditions and values by turns and then the last value. In conditions it is a relation < <= > >=,
+    arguments are alternately conditions and values, then the value of else. In conditions it is a relation < <= > >=,
     "and", "or", "not". `text` is the source of a relation or of a call.
     """
 

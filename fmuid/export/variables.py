@@ -1,4 +1,4 @@
-"""What a model description says of the variables of a model, in any version of FMI: units, limits, dependencies."""
+"""Variables as model descriptions of any FMI version need them: units, limits, dependencies."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DISPLAY_UNITS = {
     "m": ("mm", 1e3),
     "m/s": ("mm/s", 1e3),
 }
-"""Unit -> one that tables often have instead, and how many of it make one."""
+"""Unit -> a common unit of tables, and its number per unit."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class DescribedVariable:
 
 @dataclass(frozen=True)
 class Unknown:
-    """A computed variable and the names of the known ones that it depends on."""
+    """A computed variable with the names of the known variables that it depends on."""
 
     name: str
     dependencies: frozenset[str]
@@ -104,7 +104,7 @@ def _rate(state: Declaration) -> Declaration:
 
 
 def unknowns(system: ExplicitModel) -> dict[str, list[Unknown]]:
-    """Return what depends on what, from the symbols in each expression: kind of unknown -> those of the kind.
+    """Return the dependencies of the unknowns, from the symbols in their expressions, by kind of unknown.
 
     The kinds are "outputs", "derivatives", "initial" (outputs, states and derivatives as functions of the inputs,
     parameters and time) and "indicators".
@@ -134,7 +134,7 @@ def unknowns(system: ExplicitModel) -> dict[str, list[Unknown]]:
 
 
 def _settled(system: ExplicitModel, expressions: Any) -> Any:
-    """Return the expressions with each relation and floor() replaced by what it depends on: an event may change it."""
+    """Return the expressions with relations and floor() replaced by their arguments: events may change them."""
     signs = [system.indicators[k] > 0 for k in range(len(system.relations))]
     values = system.plain(ca.vertcat(*signs, ca.floor(system.counted)))
     while system.r.numel() and ca.depends_on(expressions, system.r):  # relations may depend on others
