@@ -1,10 +1,16 @@
-"""How processes that run Python are started: they import what this process would, and nothing that lies about."""
+"""Processes of ours: they import what this one would and nothing that lies about, and end when this one does."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
+import subprocess
 import sys
+import threading
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 # -E: no PYTHONPATH, PYTHONHOME, ...; -P: neither the current folder nor a script's. Processes that `multiprocessing`
 # starts from such a process (Dask's workers) get the same.
@@ -31,6 +37,79 @@ def python_command(module: str, *arguments: str) -> list[str]:
     """
     flags = [*_ALONE, *(["-s"] if sys.flags.no_user_site else []), *(["-B"] if sys.dont_write_bytecode else [])]
     return [sys.executable, *flags, "-c", _BEGIN.format(paths=search_path(), module=module), *arguments]
+
+
+class Child:
+    """A process that runs a module, in a session of its own: Ctrl-C is for this process alone.
+
+    Parameters
+    ----------
+    module : str
+        Dotted name.
+    arguments : str
+        What it finds in ``sys.argv[1:]``.
+    environment : mapping of str to str, optional
+        Variables beside those of this process.
+    streams : optional
+        As for `subprocess.Popen`; standard input is the lifeline (`watch_lifeline`) unless it is given.
+
+    Attributes
+    ----------
+    pid : int
+    """
+
+    def __init__(
+        self, module: str, *arguments: str, environment: Mapping[str, str] | None = None, **streams: Any
+    ) -> None:
+        self._process = subprocess.Popen(
+            python_command(module, *arguments),
+            env=os.environ | dict(environment or {}),
+            start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+            **{"stdin": subprocess.PIPE} | streams,
+        )
+        self.pid = self._process.pid
+
+    def wait(self, seconds: float) -> int | None:
+        """Return the code that it ends with; None if it is running still after so many seconds."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(seconds)
+        return self._process.returncode
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
+
+    def end(self, patience: float = 0.0) -> None:
+        """Cut its lifeline, and kill it with all processes of its session if it is running still after `patience` s."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        if self.wait(patience) is None:
+            if os.name == "posix":
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.killpg(self.pid, signal.SIGKILL)
+            self._process.kill()
+            self._process.wait()
+
+
+def watch_lifeline(end: Callable[[], object]) -> threading.Thread:
+    """Have a child call `end` in a thread when who started it has ended, however that came, or lets go of it.
+
+    Whatever else reads standard input finds it empty from here on.
+    """
+    lifeline = os.dup(0)
+    with Path(os.devnull).open("rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+
+    def watch() -> None:
+        while os.read(lifeline, 1):
+            pass
+        end()
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    return thread
 
 
 def search_path() -> list[str]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 import fmuid
-from fmuid.processes import python_command, search_path
+from fmuid.processes import Child, python_command, search_path
 from tests.support.coil_study import COIL, STUDY, coil_table
 
 SPOILT = 'from pathlib import Path\nPath(__file__).with_name("marker").touch()\nraise ImportError("a stranger")\n'
@@ -87,6 +89,52 @@ def test_what_gets_in(tmp_path: Path) -> None:
     path = os.pathsep.join([str(tmp_path / "library"), "", "."])
     found = output_of("seen", tmp_path, {"PYTHONPATH": path, "PYTHONHOME": ""})
     assert found.splitlines() == ["['fmuid']"] * 2
+
+
+SLEEPER = "import subprocess, sys, time; "
+SLEEPER += "print(subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)']).pid, flush=True); "
+SLEEPER += "time.sleep(60)"
+
+
+def gone(pid: int) -> bool:
+    """Wait until a process has ended."""
+    until = time.monotonic() + 30.0
+    while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sessions are of POSIX systems")
+def test_a_child_ends_with_what_it_has_started(tmp_path: Path) -> None:
+    with (tmp_path / "said").open("w+b") as said:
+        child = Child("timeit", "-n1", "-r1", SLEEPER, stdout=said)
+        while not (text := (tmp_path / "said").read_text()).endswith("\n"):
+            assert child.wait(0.05) is None
+        assert child.running
+        child.end()
+    assert not child.running
+    assert gone(int(text))
+
+
+def test_a_child_ends_with_who_started_it() -> None:
+    code = "from fmuid.processes import Child\n"
+    waits = "from fmuid.processes import watch_lifeline; import os, time; watch_lifeline(lambda: os._exit(0)); "
+    code += f"print(Child('timeit', '-n1', '-r1', {waits + 'time.sleep(60)'!r}).pid, flush=True)\n"
+    code += "import time; time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        assert psutil.pid_exists(pid)
+        parent.kill()
+    assert gone(pid)
+
+
+def test_a_child_s_code() -> None:
+    child = Child("timeit", "-n1", "-r1", "import os; os._exit(7)")
+    assert child.wait(60.0) == 7
+    child.end()
 
 
 def test_search_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import queue
 import subprocess
 import time
@@ -25,7 +24,7 @@ from fmuid.batches.parcel import Parcel
 from fmuid.batches.scratch import scratch_folder
 from fmuid.batches.worker import SINGLE_THREADED, GroupResult, difference, forget, run_group, versions
 from fmuid.errors import FmuidError, InputError
-from fmuid.processes import python_command
+from fmuid.processes import Child
 
 # How long a scheduler may take to answer, and to name its first worker, s.
 PATIENCE = 10.0
@@ -203,21 +202,18 @@ class _Host:
         self._folder.mkdir(mode=0o700, exist_ok=True)
         self._starts, self._started = self._starts + 1, time.monotonic()
         with self._log.open("ab") as log:
-            # A session of its own: Ctrl-C is for the process that runs the batch.
-            self._process = subprocess.Popen(
-                python_command("fmuid.batches.local_workers", self._address, str(self._count), str(self._folder)),
-                stdin=subprocess.PIPE,
+            self._process = Child(
+                "fmuid.batches.local_workers",
+                *(self._address, str(self._count), str(self._folder)),
+                environment=dict.fromkeys(SINGLE_THREADED, "1"),
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env=os.environ | dict.fromkeys(SINGLE_THREADED, "1"),
                 pass_fds=self._locks,  # the folder is in use as long as this process or that one lives
-                start_new_session=True,
-                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
 
     def look(self) -> None:
         """Start the process again where something has ended it."""
-        if self._process.poll() is None:
+        if self._process.running:
             return
         if time.monotonic() - self._started > PATIENCE:
             self._starts = 0
@@ -230,13 +226,7 @@ class _Host:
 
     def close(self) -> None:
         """End the process, and with it the workers and all that they have started."""
-        if self._process.stdin is not None:
-            self._process.stdin.close()
-        try:
-            self._process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._process.end(PATIENCE)
 
 
 @contextlib.contextmanager

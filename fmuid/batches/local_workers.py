@@ -14,6 +14,8 @@ import sys
 import threading
 from pathlib import Path
 
+from fmuid.processes import watch_lifeline
+
 
 def end(folder: Path) -> None:
     """End all processes below this one, remove the folder, end this process."""
@@ -28,13 +30,6 @@ def end(folder: Path) -> None:
     psutil.wait_procs(children, timeout=5.0)
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)
-
-
-def watch(folder: Path, over: threading.Event) -> None:
-    """Wait for the end of standard input, and end all."""
-    sys.stdin.buffer.read()
-    over.set()
-    end(folder)
 
 
 async def keep(address: str, count: int, folder: Path) -> None:
@@ -54,8 +49,12 @@ def main() -> None:
     """Watch the lifeline and keep the workers; ends with them."""
     address, count, folder = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
     over = threading.Event()
-    watcher = threading.Thread(target=watch, args=(folder, over), daemon=True)
-    watcher.start()
+
+    def let_go() -> None:
+        over.set()
+        end(folder)
+
+    watcher = watch_lifeline(let_go)
     try:
         asyncio.run(keep(address, count, folder))
     except Exception as error:

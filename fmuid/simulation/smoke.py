@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ import pandas as pd
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmi import FMU, Description, Instance
+from fmuid.processes import watch_lifeline
 from fmuid.simulation.simulator import Simulator
 
 SAMPLES = 100  # sampling intervals of a smoke simulation, about
@@ -196,6 +199,7 @@ def _warnings(report: Report) -> Iterator[None]:
 
 def main(arguments: Sequence[str]) -> None:
     """Make one attempt: FMU, interface, share of the default experiment, and the file of the report."""
+    watch_lifeline(partial(os._exit, 1))
     path, kind, share, target = arguments
     attempt(Path(path), kind, float(share), Path(target))
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fmuid.errors import InputError
 from fmuid.fmi import DESCRIPTION_FILE, FMU, Zipped, archive_of, safe_xml
-from fmuid.processes import python_command
+from fmuid.processes import Child
 from fmuid.simulation.smoke import Report
 
 BUILD_FILE = "sources/buildDescription.xml"
@@ -199,17 +199,13 @@ def _try(fmu: FMU, kind: str, share: float) -> _Try:
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         report, printed = Path(folder) / "report.json", Path(folder) / "printed.txt"
         arguments = [str(fmu.path.resolve()), kind, str(share), str(report)]
-        try:
-            with printed.open("wb") as output:  # a file, since who still holds a pipe would keep us waiting
-                code = subprocess.run(
-                    python_command("fmuid.simulation.smoke", *arguments),
-                    stdin=subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=subprocess.STDOUT,
-                    timeout=TIME_LIMIT,
-                    check=False,
-                ).returncode
-        except subprocess.TimeoutExpired:
+        with printed.open("wb") as output:  # a file, since who still holds a pipe would keep us waiting
+            child = Child("fmuid.simulation.smoke", *arguments, stdout=output, stderr=subprocess.STDOUT)
+            try:
+                code = child.wait(TIME_LIMIT)
+            finally:
+                child.end()
+        if code is None:
             return _Try(share, Report.read(report), late=True)
         return _Try(share, Report.read(report), _crash(code, printed))
 

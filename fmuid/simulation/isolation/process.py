@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from fmuid.errors import FmuidError
 from fmuid.fmi import codes
-from fmuid.processes import python_command
+from fmuid.processes import Child
 from fmuid.simulation.isolation import server as far
 from fmuid.simulation.isolation.channel import Channel, GarbledError
 from fmuid.simulation.isolation.ends import CRASHED, EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, End
@@ -54,7 +54,7 @@ class ForkServer:
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._channel: socket.socket | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Child | None = None
         self._owner, self._loaded, self._asking = 0, False, False
 
     def start(self) -> socket.socket:
@@ -64,12 +64,12 @@ class ForkServer:
                 return self._channel
             self._owner, self._loaded = os.getpid(), False
             self._channel, other = socket.socketpair()
-            self._process = subprocess.Popen(
-                python_command("fmuid.simulation.isolation.server", str(other.fileno())),
-                stdin=subprocess.DEVNULL,
+            self._process = Child(
+                "fmuid.simulation.isolation.server",
+                str(other.fileno()),
+                stdin=subprocess.DEVNULL,  # its socket is its lifeline
                 pass_fds=[other.fileno()],
-                start_new_session=True,  # Ctrl-C is for this process alone
-                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+                environment={"OPENBLAS_NUM_THREADS": "1"},
             )
             other.close()
             return self._channel
@@ -124,11 +124,7 @@ class ForkServer:
             if self._channel is not None:
                 self._channel.close()
             if self._process is not None and self._owner == os.getpid():
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    self._process.wait(CLOSING_LIMIT if self._loaded else 0.0)
-                if self._process.returncode is None:
-                    self._process.kill()
-                    self._process.wait()
+                self._process.end(CLOSING_LIMIT if self._loaded else 0.0)
             self._channel = self._process = None
 
 
