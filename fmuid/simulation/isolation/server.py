@@ -172,7 +172,7 @@ class Host:
 
     def _watch(self) -> None:
         """Let all workers of this process write what they are doing where the other side sees it."""
-        from fmuid.simulation.in_process import shared_words
+        from fmuid.simulation.worker import shared_words
 
         self._memory = mmap.mmap(self._file, 8 * DOING)
         shared_words.append(np.frombuffer(self._memory, np.intp, DOING))

@@ -1,0 +1,289 @@
+"""One instance of every component of a system, kept and reused by one thread, reset between simulations."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import logging
+import time
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.arrays import Floats
+from fmuid.errors import SimulationError
+from fmuid.fmi import Instance, Loop, Run, codes, describe, new_reports, warn
+from fmuid.models import Component
+
+_log = logging.getLogger("fmuid.fmu")
+# Longest that one call of the core should last, s: between calls an interruption gets through.
+CALL_SECONDS = 0.2
+FATAL = 4  # fmi2Fatal
+# Two simulations with the same parameters, before and after a reset, may differ by this share of the largest output:
+# an integrator that keeps its last step length is still the same model.
+RESET_TOLERANCE = 1e-6
+MESSAGES_TOLD = 3  # of one failed simulation
+
+
+shared_words: list[NDArray[np.intp]] = []
+"""Where the workers of a process that is watched write what they are doing; empty in any other."""
+
+_slots = itertools.count()
+
+
+def _words() -> NDArray[np.intp]:
+    if not shared_words:
+        return np.zeros(2, np.intp)
+    at = 2 * next(_slots) % len(shared_words[0])
+    return shared_words[0][at : at + 2]
+
+
+class Worker:
+    """One instance of every component of a system, used by one thread only.
+
+    All calls to an instance, from instantiation to freeing, come from the same thread: some FMUs keep
+    thread-local data. The first worker is the caller's own thread, the others have one each.
+
+    Parameters
+    ----------
+    components : mapping of str to Component
+    index : int
+        Its number; 0 is the caller's own thread.
+    resets : bool, optional
+        Whether an instance can be reset to its beginning; default: found out with the first simulation.
+
+    Attributes
+    ----------
+    doing : (2,) array of intp
+        What it is doing now (`codes.IDLE` and so on), and how often it was told to simulate.
+    longest : float
+        Duration of the longest simulation so far, s.
+    """
+
+    def __init__(self, components: Mapping[str, Component], index: int, resets: bool | None = None) -> None:
+        self._components, self._index = components, index
+        self._executor = ThreadPoolExecutor(1, f"fmuid-{index}") if index else None
+        self._instances: list[Instance] = []
+        self._loops: weakref.WeakKeyDictionary[Run, Loop] = weakref.WeakKeyDictionary()
+        self._used = np.zeros(0, np.intp)
+        self._seconds = CALL_SECONDS  # of one simulation, as last measured
+        self._resets = resets
+        self._told: set[str] = set()
+        self.doing = _words()
+        self.longest = 0.0
+
+    def start(self, task: Callable[..., None], *arguments: Any) -> Future[None] | None:
+        """Run a task in this worker's thread: at once, or returning a future; an OSError where it cannot have one."""
+        if self._executor is not None:
+            try:
+                return self._executor.submit(task, *arguments)
+            except RuntimeError as error:  # what Python makes of pthread_create's EAGAIN
+                raise OSError(errno.EAGAIN, str(error)) from error
+        task(*arguments)
+        return None
+
+    def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+        """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, codes.REPORT)."""
+        done = 0
+        while done < len(thetas):
+            share = max(1, int(CALL_SECONDS / self._seconds)) if self._resets else 1
+            part = slice(done, min(len(thetas), done + share))
+            began = time.perf_counter()
+            self._call(run, thetas[part], outputs[part], reports[part])
+            self._seconds = max((time.perf_counter() - began) / share, 1e-6)
+            part = self._valid(part, reports)
+            failed = bool((reports[part, 0] >= 0).any())
+            if failed and (reports[part, 2][reports[part, 0] >= 0] >= FATAL).any():
+                self.close(fatal=True)
+            elif not failed and self._resets is None:
+                self._try_reset(run, thetas[part], outputs[part])
+            done = part.stop
+        self._pass_on_warnings(failed=bool((reports[:, 0] >= 0).any()))
+
+    def _valid(self, part: slice, reports: NDArray[np.intp]) -> slice:
+        """Return the part of a call that counts; what comes after it is simulated again by another instance."""
+        begun = reports[part]
+        again = begun[:, 2] == codes.UNDONE  # the one before them failed fatally
+        if self._resets and self._can_be_replaced:  # what they were to begin with was spoilt by the one before them
+            stuck = begun[:, 0] == codes.RESET
+            if stuck.any():
+                self.close(fatal=bool((begun[stuck, 2] >= FATAL).any()))
+            again |= stuck
+        return slice(part.start, part.start + int(np.argmax(again)) if again.any() else part.stop)
+
+    def _try_reset(self, run: Run, theta: Floats, expected: Floats) -> None:
+        """Repeat the first simulation after a reset: an FMU that keeps something is instantiated anew every time."""
+        if not np.isfinite(expected).all():
+            return
+        with self._busy(codes.REPEATING):
+            self._judge_reset(run, theta, expected)
+
+    def _judge_reset(self, run: Run, theta: Floats, expected: Floats) -> None:
+        same, fatal = self._repeats(run, theta, expected)
+        self._resets = same
+        if not same:
+            self._give_up_reset(fatal)
+        if not same and self._can_be_replaced:
+            self._prepare()
+            same, fatal = self._repeats(run, theta, expected)
+            self.close(fatal)
+            if not same and self._index == 0:
+                _log.warning(
+                    "%s: not even a new instance begins where the first did: the FMU keeps something outside its "
+                    "instances, and results depend on the simulations before them",
+                    ", ".join(self._labels),
+                )
+
+    def _repeats(self, run: Run, theta: Floats, expected: Floats) -> tuple[bool, bool]:
+        """Simulate again; return whether the outputs are the same, and whether the FMU failed fatally."""
+        outputs, report = np.empty_like(expected), new_reports(1)
+        self._simulate(run, theta, outputs, report)
+        tolerance = RESET_TOLERANCE * np.abs(expected).max(initial=0.0)
+        same = report[0, 0] < 0 and np.allclose(outputs, expected, rtol=0.0, atol=tolerance)
+        return bool(same), bool(report[0, 0] >= 0 and report[0, 2] >= FATAL)
+
+    def _give_up_reset(self, fatal: bool = False) -> None:
+        self._resets = False
+        self.close(fatal)
+        if self._index == 0:
+            _log.warning(
+                "%s: a reset does not bring it back to its beginning, so it is instantiated anew for every "
+                "simulation, which is slow and, for some FMUs, fails after a thousand times",
+                ", ".join(self._labels),
+                extra={"no_reset": True},
+            )
+
+    def _pass_on_warnings(self, failed: bool) -> None:
+        for instance in self._instances:
+            if instance.messages and not failed:
+                warn(instance, self._told)
+            instance.forget_messages()
+
+    @contextmanager
+    def _busy(self, doing: int) -> Iterator[None]:
+        before, self.doing[0] = int(self.doing[0]), doing
+        try:
+            yield
+        finally:
+            self.doing[0] = before
+
+    def explain(self, run: Run, theta: Floats, parameters: Mapping[str, float]) -> SimulationError | None:
+        """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
+        outputs = np.empty((1, run.grid.times.size, len(run.output_names)))
+        reports = new_reports(1)
+        if self._resets is False or (self._resets is None and self._can_be_replaced):
+            self.close()  # whether a reset undoes the failure is not known
+        self._prepare()
+        for instance in self._instances:
+            instance.forget_messages()
+            instance.set_logging(True)
+        self._simulate(run, theta[np.newaxis], outputs, reports)
+        error = self.error(run, outputs[0], reports[0], parameters)
+        if reports[0, 0] >= 0 and reports[0, 2] >= FATAL:
+            self.close(fatal=True)
+        for instance in self._instances:
+            instance.set_logging(False)
+            instance.forget_messages()
+        return error
+
+    def error(
+        self, run: Run, outputs: Floats, report: NDArray[np.intp], parameters: Mapping[str, float]
+    ) -> SimulationError | None:
+        """Return what a report and the outputs say, as an error; None where the simulation succeeded."""
+        function, component, _, sample = (int(word) for word in report[:4])
+        if function >= 0:
+            at = float(run.grid.times[max(sample, 0)])
+            if function == codes.LOOP:
+                loop = run.plan.loops[component]
+                what = f"the loop of direct feed-through through {loop.words} ({len(loop.signals)} unknowns) has no "
+                return SimulationError(", ".join(self._labels), at, parameters, what + "solution that is found", [])
+            said = _last_words(self._instances[component]) if self._instances else []
+            what = self._describe(run, report)
+            return SimulationError(self._labels[component], at, parameters, what, said)
+        bad = np.argwhere(~np.isfinite(outputs))
+        if len(bad):
+            row, column = bad[0]
+            what = f"output {run.output_names[column]!r} is not finite"
+            said = [text for instance in self._instances for text in _last_words(instance)]
+            return SimulationError(", ".join(self._labels), float(run.grid.times[row]), parameters, what, said)
+        return None
+
+    def _describe(self, run: Run, report: NDArray[np.intp]) -> str:
+        failure, component, status, _, bad = (int(word) for word in report[:5])
+        time, step = (float(number) for number in report[5:].view(np.float64))
+        description = list(self._components.values())[component].fmu.description
+        integration, count = run.plan.integrations[component], len(description.states)
+        state = description.states[bad % count] if bad >= 0 and count else "of the model"
+        state += f" (its sensitivity to parameter {bad // count})" if count and bad >= count else ""
+        integrator = integration.integrator if integration else ""
+        return describe(failure, status, description.major_version, integrator, state, time, step)
+
+    def close(self, fatal: bool = False) -> None:
+        """Free the instances; after a fatal error they are left alone."""
+        with self._busy(codes.CLOSING):
+            for instance in self._instances:
+                instance.close(fatal)
+        self._instances = []
+        self._loops.clear()
+
+    def forget(self, run: Run) -> None:
+        """Lay a run out anew before its next simulation."""
+        self._loops.pop(run, None)
+
+    def shut_down(self) -> None:
+        """Free the instances in their own thread and end it."""
+        future = self.start(self.close)
+        if self._executor is not None and future is not None:
+            future.result()
+            self._executor.shutdown()
+
+    @property
+    def _can_be_replaced(self) -> bool:
+        used = [model.fmu.description.interfaces[model.kind] for model in self._components.values()]
+        return not any(interface.once_per_process for interface in used)
+
+    @property
+    def _labels(self) -> list[str]:
+        paths = {name: model.fmu.path for name, model in self._components.items()}
+        return [f"{name} ({path})" if name else str(path) for name, path in paths.items()]
+
+    def _prepare(self) -> None:
+        if not self._instances:
+            with self._busy(codes.PREPARING):
+                for component, model in self._components.items():
+                    name = f"{component or model.fmu.name}-{self._index}"
+                    self._instances.append(Instance(model.fmu, model.kind, name))
+            self._used = np.zeros(len(self._instances), np.intp)
+
+    def _call(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+        if self._resets is False:
+            self.close()
+        self._prepare()
+        self._simulate(run, thetas, outputs, reports)
+        if self._resets is None and reports[0, 0] == codes.RESET:  # the simulation before failed: nothing was known
+            self._give_up_reset(fatal=reports[0, 2] >= FATAL)
+            self._prepare()
+            self._simulate(run, thetas, outputs, reports)
+
+    def _simulate(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+        loop = self._loops.get(run)
+        if loop is None:
+            with self._busy(codes.PREPARING):
+                loop = self._loops[run] = Loop(run.plan, run.grid, self._instances, self._used)
+        began = time.perf_counter()
+        self.doing[1] += 1
+        with self._busy(max(codes.SIMULATING, int(self.doing[0]))):
+            loop.run(thetas, outputs, reports)
+        self.longest = max(self.longest, (time.perf_counter() - began) / len(thetas))
+
+
+def _last_words(instance: Instance) -> list[str]:
+    """Return the last distinct messages of an instance, warnings and errors before mere information."""
+    serious = [text for status, text in instance.messages if status > 0]
+    words = serious or [text for _, text in instance.messages]
+    return list(dict.fromkeys(words))[-MESSAGES_TOLD:]
