@@ -30,6 +30,7 @@ from fmuid.studies.words import (
     Scalar,
     Text,
     Words,
+    as_list,
     must_be,
     one_of,
     word,
@@ -63,16 +64,12 @@ class RangeWords(Words):
     count: Points = word(..., "how many")
 
 
-def _listed(value: Any) -> Any:
-    return [value] if isinstance(value, str) else value
-
-
 TABLES = 'a pattern of files, "records/*.csv", a list of files and patterns, or { name = "file" }'
 Tables = Annotated[
     Annotated[list[Text], Field(min_length=1), Tag(VALUE_TAG)]
     | Annotated[dict[str, Text], Field(min_length=1), Tag(TABLE_TAG)],
     BY_SHAPE,
-    BeforeValidator(_listed, json_schema_input_type=str | list[str] | dict[str, str]),
+    BeforeValidator(as_list, json_schema_input_type=str | list[str] | dict[str, str]),
     Kind(TABLES),
 ]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BeforeValidator, Tag
 
@@ -38,6 +38,7 @@ from fmuid.studies.words import (
     Text,
     Texts,
     Words,
+    as_list,
     one_of,
     word,
 )
@@ -152,11 +153,7 @@ class ConnectionWords(Words):
         return self.source, self.target, self.factor, self.offset
 
 
-def _listed(value: Any) -> Any:
-    return [value] if isinstance(value, str) else value
-
-
-OneOrMore = Annotated[Names, BeforeValidator(_listed, json_schema_input_type=str | list[str])]
+OneOrMore = Annotated[Names, BeforeValidator(as_list, json_schema_input_type=str | list[str])]
 
 
 class ModelWords(NumericsWords):

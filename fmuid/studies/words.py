@@ -319,6 +319,11 @@ def _columns(value: Any) -> Any:
     return value
 
 
+def as_list(value: Any) -> Any:
+    """Return one text as a list of it, and what else is there as it is."""
+    return [value] if isinstance(value, str) else value
+
+
 def existing_file(value: object, info: ValidationInfo) -> Path:
     """Return the path of a file that must be there, relative to the study file."""
     if not isinstance(value, str) or not value:
