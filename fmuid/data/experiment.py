@@ -129,10 +129,7 @@ class Experiment:
             "curved": curved,
             "input_slopes": _slopes(source, times, input_values, curved),
         }
-        for name, value in derived.items():
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-            object.__setattr__(self, name, value)  # frozen from here on
+        self._set(derived)
 
     @classmethod
     def read(
@@ -198,12 +195,15 @@ class Experiment:
         counted = _counted(self.source, self.times, given, outputs, self.discard)
         columns = self.columns | outputs
         other = copy.copy(self)
-        derived = {"frame": frame, "outputs": outputs, "columns": columns, "output_values": given, "counted": counted}
-        for name, value in derived.items():
+        other._set({"frame": frame, "outputs": outputs, "columns": columns, "output_values": given, "counted": counted})
+        return other
+
+    def _set(self, fields: Mapping[str, object]) -> None:
+        """Set fields in spite of the frozen class; arrays become read-only."""
+        for name, value in fields.items():
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
-            object.__setattr__(other, name, value)
-        return other
+            object.__setattr__(self, name, value)
 
 
 def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> dict[str, str]:

@@ -23,7 +23,7 @@ _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _NUMERIC, _FUNCTION, _OPAQUE = 1, 2, 3,
 _COMPLEX = 0x800
 _ORDERS = {b"IM": "<", b"MI": ">"}
 
-Element = tuple[int, memoryview]
+_Element = tuple[int, memoryview]
 """Type and content."""
 
 
@@ -49,7 +49,7 @@ def check_mat(path: Path) -> None:
             _check_array((kind, body), order)
 
 
-def _check_array(given: Element, order: str, depth: int = 0) -> None:
+def _check_array(given: _Element, order: str, depth: int = 0) -> None:
     """Check that the number and types of an array's elements agree with its class, dimensions and flags."""
     kind, body = given
     if kind == _MATRIX and depth and not body:
@@ -71,7 +71,7 @@ def _check_array(given: Element, order: str, depth: int = 0) -> None:
         _check_array(each, order, depth + 1)
 
 
-def _expected(flags: int, elements: list[Element], order: str) -> tuple[int, int]:
+def _expected(flags: int, elements: list[_Element], order: str) -> tuple[int, int]:
     """Return the numbers of numeric elements (with dimensions and name) and of arrays that follow the flags."""
     array_class, parts = flags & 0xFF, 2 if flags & _COMPLEX else 1
     if array_class == _CHAR:
@@ -93,7 +93,7 @@ def _expected(flags: int, elements: list[Element], order: str) -> tuple[int, int
     return fields + 1, count * (names // length) if length > 0 else -1
 
 
-def _integers(elements: list[Element], place: int, order: str) -> tuple[int, ...]:
+def _integers(elements: list[_Element], place: int, order: str) -> tuple[int, ...]:
     """Return the content of an element as integers, empty if it is missing; dimensions are never negative."""
     content = elements[place][1] if place < len(elements) else b""
     found = struct.unpack(f"{order}{len(content) // 4}i", content[: len(content) // 4 * 4])
@@ -102,7 +102,7 @@ def _integers(elements: list[Element], place: int, order: str) -> tuple[int, ...
     return found
 
 
-def _elements(data: memoryview, order: str) -> list[Element]:
+def _elements(data: memoryview, order: str) -> list[_Element]:
     """Return the sequence of elements in some data."""
     found, place = [], 0
     while place + 8 <= len(data):

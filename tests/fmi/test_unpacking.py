@@ -458,6 +458,8 @@ def test_xml_and_archives_are_read_in_one_place() -> None:
         ('modelIdentifier="linear" has', 'modelIdentifier="..\\evil" has', "no name of a binary"),
         ('modelIdentifier="linear" has', "has", "no name of a binary"),
         ('start="0.5"', 'start="half"', "could not convert string to float"),
+        (' instantiationToken="linear"', "", "has no guid or instantiationToken"),
+        (' modelName="Linear"', "", "has a fmiModelDescription without its name"),
         ('<Float64 name="length"', '<Float65 name="length"', "cannot be read"),
     ],
 )
@@ -486,3 +488,9 @@ def test_content_is_what_zipfile_reads() -> None:
         assert archive.comment == plain.comment
         assert [b"".join(archive.chunks(e)) for e in archive.entries] == [plain.read(n) for n in plain.namelist()]
     assert unpacked(COIL, file_digest(COIL)).is_dir()
+
+
+def test_an_fmu_for_scheduled_execution_alone_is_refused(tmp_path: Path) -> None:
+    text = re.sub(r"<(CoSimulation|ModelExchange) .*/>\n", "", FMI3)
+    with pytest.raises(InputError, match="offers neither co-simulation nor model exchange"):
+        FMU(write_fmu(tmp_path / "a.fmu", text))
