@@ -24,6 +24,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
+from fmuid.estimation import Marquardt
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.model_problem import Problem
@@ -453,7 +454,7 @@ def test_interruptions_and_bugs_pass(folder: Path, monkeypatch: pytest.MonkeyPat
 def test_the_log_has_the_warnings_of_its_own_thread(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log, runner = logging.getLogger("fmuid.fmu"), CaseRunner(study_of(folder, {"starts": 1}))
 
-    def warn(problem: LeastSquares, settings: Any) -> Any:
+    def warn(settings: Marquardt, problem: LeastSquares) -> Any:
         log.warning("the coil %s", "hums")
         log.info("nothing")
         other = threading.Thread(target=log.warning, args=("another case",))
@@ -462,7 +463,7 @@ def test_the_log_has_the_warnings_of_its_own_thread(folder: Path, monkeypatch: p
         return identify(problem, settings)
 
     with monkeypatch.context() as patch:
-        patch.setattr(case_run, "identify", warn)
+        patch.setattr(Marquardt, "search", warn)
         assert runner(0).log == "the coil hums"
     assert runner(0).log == ""
     assert not any(isinstance(each, case_run._Listener) for each in logging.getLogger("fmuid").handlers)
