@@ -66,12 +66,11 @@ class Loop:
         """Simulate thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
         check_arrays(self._plan_given, self._grid_given, thetas, outputs, reports)
         arrays = (c_void_p(each.ctypes.data) for each in (thetas, outputs, reports))
-        self._cancel.value = 0
         plan, grid, cancel = map(ctypes.byref, (self._plan, self._grid, self._cancel))
         self._core.simulate(plan, grid, len(thetas), *arrays, cancel)
 
     def cancel(self) -> None:
-        """Let the simulations that another thread runs here end soon, as failed."""
+        """Let all simulations here, those that another thread runs now and later ones, end soon, as failed."""
         self._cancel.value = 1
 
     # --- what the core works on

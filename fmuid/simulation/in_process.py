@@ -72,9 +72,14 @@ class InProcess:
                 # the caller's own share last: it is worked off at once
                 future = worker.start(worker.run, run, thetas[share], outputs[share], reports[share])
                 futures += [future] if future else []
-        finally:
-            if futures:
-                wait(futures)
+            wait(futures)
+        except BaseException:  # an interruption: the other threads are not to go on for nobody
+            for worker in self._workers:
+                worker.cancel(run)
+            wait(futures)
+            for worker in self._workers:
+                worker.forget(run)
+            raise
         for future in futures:
             future.result()
 

@@ -72,13 +72,14 @@ class Worker:
         self._loops: weakref.WeakKeyDictionary[Run, Loop] = weakref.WeakKeyDictionary()
         self._used = np.zeros(0, np.intp)
         self._seconds = CALL_SECONDS  # of one simulation, as last measured
-        self._resets = resets
+        self._resets, self._cancelled = resets, False
         self._told: set[str] = set()
         self.doing = _words()
         self.longest = 0.0
 
     def start(self, task: Callable[..., None], *arguments: Any) -> Future[None] | None:
         """Run a task in this worker's thread: at once, or returning a future; an OSError where it cannot have one."""
+        self._cancelled = False
         if self._executor is not None:
             try:
                 return self._executor.submit(task, *arguments)
@@ -90,7 +91,7 @@ class Worker:
     def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, codes.REPORT)."""
         done = 0
-        while done < len(thetas):
+        while done < len(thetas) and not self._cancelled:
             share = max(1, int(CALL_SECONDS / self._seconds)) if self._resets else 1
             part = slice(done, min(len(thetas), done + share))
             began = time.perf_counter()
@@ -231,6 +232,13 @@ class Worker:
         self._instances = []
         self._loops.clear()
 
+    def cancel(self, run: Run) -> None:
+        """Let the simulations of a run end soon, as failed; it must be forgotten before its next one."""
+        self._cancelled = True
+        loop = self._loops.get(run)
+        if loop is not None:
+            loop.cancel()
+
     def forget(self, run: Run) -> None:
         """Lay a run out anew before its next simulation."""
         self._loops.pop(run, None)
@@ -275,6 +283,8 @@ class Worker:
         if loop is None:
             with self._busy(codes.PREPARING):
                 loop = self._loops[run] = Loop(run.plan, run.grid, self._instances, self._used)
+        if self._cancelled:
+            loop.cancel()
         began = time.perf_counter()
         self.doing[1] += 1
         with self._busy(max(codes.SIMULATING, int(self.doing[0]))):

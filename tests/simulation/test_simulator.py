@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,12 @@ from scipy.integrate import solve_ivp
 
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
+from fmuid.models.component import Numerics
 from fmuid.models.system import System
 from fmuid.simulation.simulator import Simulator
+from fmuid.simulation.worker import Worker
 from tests.support.closed_forms import coil_response
+from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
 
@@ -315,3 +319,25 @@ def test_failure_over_dirty_memory(probe: ProbeMaker, monkeypatch: pytest.Monkey
     batch = simulator.many([[0.15]])
     assert isinstance(batch.errors[0], SimulationError)
     assert np.isnan(batch.outputs).all()
+
+
+def test_an_interruption_ends_the_simulations_of_other_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The caller's own share is interrupted while another thread is in a simulation that takes for ever."""
+    numerics = Numerics("model-exchange", "rk4", step_size=1e-9)
+    frame = table(np.array([0.0, 1e5]), x=np.zeros(2))
+    experiment = Experiment(frame, outputs={"x0": "x"})
+    path = hybrid_fmu(tmp_path, "van_der_pol", attributes='canBeInstantiatedOnlyOncePerProcess="false"')
+    simulator = Simulator(System(path, numerics=numerics), experiment, ["start0"], values={"p0": 1.0})
+    other = threading.Event()
+    original = Worker._simulate
+
+    def simulate(worker: Worker, *arguments: Any) -> None:
+        if worker._index == 0:
+            assert other.wait(60.0)
+            raise KeyboardInterrupt
+        other.set()
+        original(worker, *arguments)
+
+    monkeypatch.setattr(Worker, "_simulate", simulate)
+    with pytest.raises(KeyboardInterrupt):
+        simulator([[2.0], [2.0]])
