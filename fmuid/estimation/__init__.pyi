@@ -13,6 +13,8 @@ from .identification import Method as Method
 from .identification import identify as identify
 from .least_squares import LeastSquares as LeastSquares
 from .local_model import LocalModel as LocalModel
+from .marquardt.outcome import AtBound as AtBound
+from .marquardt.outcome import Outcome as Outcome
 from .marquardt.search import Marquardt as Marquardt
 from .marquardt.search import State as State
 from .marquardt.search import search as search
@@ -22,7 +24,5 @@ from .misfit import misfits as misfits
 from .misfit import refuse_loss as refuse_loss
 from .misfit import variances as variances
 from .model_derivatives import SENSITIVITIES as SENSITIVITIES
-from .outcome import AtBound as AtBound
-from .outcome import Outcome as Outcome
 from .result import Result as Result
 from .result import check_level as check_level

@@ -45,9 +45,9 @@ from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimation.box import Box
 from fmuid.estimation.identification import identify, point_result
 from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.estimation.misfit import Misfits, fitted, misfits, refuse_loss, variances
-from fmuid.estimation.outcome import Outcome
 from fmuid.estimation.result import Result
 from fmuid.progress import GlobalStep, Progress
 from fmuid.text import nearest

@@ -19,7 +19,7 @@ from fmuid.data import JointPrior, Normal
 from fmuid.errors import InputError
 from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
-from fmuid.estimation.outcome import AtBound, Outcome
+from fmuid.estimation.marquardt.outcome import AtBound, Outcome
 
 if TYPE_CHECKING:
     from fmuid.estimation.global_search import Optimum

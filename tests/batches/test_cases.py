@@ -426,7 +426,7 @@ def test_what_the_arithmetic_raises_is_a_row(folder: Path, monkeypatch: pytest.M
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(case_run, "identify", fail)
+    monkeypatch.setattr(Marquardt, "search", fail)
     row = CaseRunner(study_of(folder, {"starts": 1}))(0).row
     assert row["status"] == "failed"
     assert row["message"] == (f"{type(error).__name__}: {error}" if str(error) else "MemoryError")

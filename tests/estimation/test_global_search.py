@@ -18,9 +18,9 @@ from fmuid.estimation.box import Box
 from fmuid.estimation.global_search import GlobalResult, GlobalSearch, Strategy, search_globally
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.estimation.misfit import misfits
-from fmuid.estimation.outcome import Outcome
 from fmuid.model_problem import Problem
 from fmuid.progress import Event, GlobalStep
 from fmuid.reports.words.result import ending

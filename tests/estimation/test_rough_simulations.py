@@ -18,7 +18,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import FiniteDifferences
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.result import Result
 from fmuid.reports.apply import apply_result
 from fmuid.reports.words.result import ending

@@ -17,7 +17,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.covariance import UNDETERMINED_STD, local_covariance
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.outcome import AtBound, Outcome
+from fmuid.estimation.marquardt.outcome import AtBound, Outcome
 from fmuid.estimation.result import Result
 from fmuid.reports.words.result import ending
 from tests.support.paths import FMUS

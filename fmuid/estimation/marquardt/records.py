@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
-from fmuid.estimation.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.progress import Progress
 
 if TYPE_CHECKING:

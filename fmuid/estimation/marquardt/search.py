@@ -22,6 +22,7 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.estimation.finite_differences import SensitivityError
+from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.radius import NOISE_SURPRISE, Radius
 from fmuid.estimation.marquardt.records import Iteration as Iteration
 from fmuid.estimation.marquardt.records import LeastSquares as LeastSquares
@@ -29,7 +30,6 @@ from fmuid.estimation.marquardt.records import Marquardt as Marquardt
 from fmuid.estimation.marquardt.records import State as State
 from fmuid.estimation.marquardt.stagnation import SLOW, WORTHLESS, Stagnation
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
-from fmuid.estimation.outcome import Outcome
 
 # The search ends where, all together, the parameters have no more than this share of their standard deviations to go.
 OFFSET_TOLERANCE = 1e-3
