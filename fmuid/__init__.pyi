@@ -18,8 +18,10 @@ from .data import prbs as prbs
 from .data import read_table as read_table
 from .data import steps as steps
 from .diagnosis import Angle as Angle
+from .diagnosis import Baseline as Baseline
 from .diagnosis import Design as Design
 from .diagnosis import Diagnosis as Diagnosis
+from .diagnosis import DiagnosisSettings as DiagnosisSettings
 from .diagnosis import Fault as Fault
 from .diagnosis import Monitor as Monitor
 from .diagnosis import Rule as Rule

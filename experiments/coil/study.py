@@ -125,11 +125,10 @@ def diagnose(
     turns = fmuid.Fault(faulty, {"dR": fmuid.Parameter(0.0, nominal=1.0)}, values={"tau": tau})
     return fmuid.diagnose(
         experiment(table),
-        healthy,
+        fmuid.Baseline(healthy, INFLATE if inflate is None else inflate),
         {"turns": turns},
-        nominal_model=coil,
-        inflate=INFLATE if inflate is None else inflate,
-        level=LEVEL,
+        coil,
+        fmuid.DiagnosisSettings(LEVEL),
     )
 
 

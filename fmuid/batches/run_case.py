@@ -156,10 +156,7 @@ class CaseRunner:
         """Read a table; the outputs need not be in it where they are simulated."""
         source = str(self._copies.original(table))
         frame = read_table(table, given.time, source=source)
-        if self._drawn is not None:
-            missing = [column for column in given.outputs.values() if column not in frame.columns]
-            frame = frame.assign(**dict.fromkeys(missing, 0.0))
-        return given.experiment(frame, source)
+        return given.experiment(frame, source, measured=self._drawn is None)
 
     def _disturbed(
         self, case: Case, draw: int, drawn: NoiseDraws, experiments: tuple[Experiment, ...]
@@ -172,7 +169,8 @@ class CaseRunner:
         for number, (experiment, outputs) in enumerate(zip(experiments, clean, strict=True)):
             std = np.array([drawn.std_of(name) for name in experiment.output_names])
             values = outputs + std * noise(self._seed, case.record, draw, number, outputs.shape)
-            found.append(experiment.with_outputs(np.where(np.isnan(experiment.output_values), np.nan, values)))
+            there = experiment.counted | ~np.isnan(experiment.output_values)
+            found.append(experiment.with_outputs(np.where(there, values, np.nan)))
         return tuple(found)
 
     def _simulate(self, experiments: tuple[Experiment, ...], truth: Mapping[str, Value]) -> tuple[Floats, ...]:

@@ -49,6 +49,9 @@ class Experiment:
         Duration from the first time on that is simulated but not counted, s (1.32).
     units : mapping of str to str
         FMU variable to the unit of its column, where that is not the unit of the FMU.
+    measured : bool
+        Whether the outputs are there. If not, as for an experiment that is still to be made, they are names only: one
+        without a column counts at every time after `discard`, and its values are NaN.
     name : str
         Name of the experiment in results.
     source : str
@@ -88,6 +91,7 @@ class Experiment:
     interpolation: str | Mapping[str, str] = "linear"
     discard: float = 0.0
     units: Mapping[str, str] = field(default_factory=dict)
+    measured: bool = True
     name: str = "experiment"
     source: str = "the table"
     columns: dict[str, str] = field(init=False, repr=False)
@@ -107,10 +111,12 @@ class Experiment:
         for variable in inputs:
             if variable in outputs:
                 raise InputError(f"{source}: {variable!r} is both an input and an output: give it one role")
-        frame = _table(source, self.frame, self.time, inputs, outputs)
+        frame = _frame(source, self.frame, self.time)
+        there = outputs if self.measured else {name: c for name, c in outputs.items() if c in frame.columns}
+        _check_columns(source, frame, {"time": [self.time], "input": inputs.values(), "output": there.values()})
         times = _times(source, frame, self.time)
-        output_values = _values(source, frame, times, "output", outputs)
-        input_values = _values(source, frame, times, "input", inputs)
+        output_values = _values(source, frame, times, "output", outputs, there)
+        input_values = _values(source, frame, times, "input", inputs, inputs)
         words = _interpolation_words(source, self.interpolation, inputs)
         curved = np.array([word == "cubic" for word in words], dtype=np.bool_)
         derived = {
@@ -124,7 +130,7 @@ class Experiment:
             "times": times,
             "input_values": input_values,
             "output_values": output_values,
-            "counted": _counted(source, times, output_values, outputs, self.discard),
+            "counted": _counted(source, times, output_values, outputs, there, self.discard),
             "held": np.array([word == "hold" for word in words], dtype=np.bool_),
             "curved": curved,
             "input_slopes": _slopes(source, times, input_values, curved),
@@ -192,10 +198,11 @@ class Experiment:
             if taken.count(column) > 1:  # another variable reads this column too, and must go on doing so
                 column = outputs[variable] = f"{column} as {variable}"
             frame[column] = given[:, k]
-        counted = _counted(self.source, self.times, given, outputs, self.discard)
+        counted = _counted(self.source, self.times, given, outputs, outputs, self.discard)
         columns = self.columns | outputs
         other = copy.copy(self)
-        other._set({"frame": frame, "outputs": outputs, "columns": columns, "output_values": given, "counted": counted})
+        derived = {"frame": frame, "outputs": outputs, "measured": True, "columns": columns}
+        other._set(derived | {"output_values": given, "counted": counted})
         return other
 
     def _set(self, fields: Mapping[str, object]) -> None:
@@ -221,10 +228,8 @@ def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> 
     return roles
 
 
-def _table(
-    source: str, given: pd.DataFrame, time: str, inputs: Mapping[str, str], outputs: Mapping[str, str]
-) -> pd.DataFrame:
-    """Return a copy of the frame with the time as a column, each column that has a role being there once."""
+def _frame(source: str, given: pd.DataFrame, time: str) -> pd.DataFrame:
+    """Return a copy of the frame with the time as a column, each column being there once."""
     if not isinstance(given, pd.DataFrame):
         raise InputError(f"{source} is of type {type(given).__name__}: give a pandas DataFrame")
     frame = given.copy()
@@ -233,11 +238,14 @@ def _table(
     twice = frame.columns[frame.columns.duplicated()]
     if len(twice):
         raise InputError(f"{source}: the column {twice[0]!r} is there twice: rename or remove one of the two")
-    for role, columns in (("time", [time]), ("input", inputs.values()), ("output", outputs.values())):
+    return frame
+
+
+def _check_columns(source: str, frame: pd.DataFrame, roles: Mapping[str, Iterable[str]]) -> None:
+    for role, columns in roles.items():
         for column in columns:
             if column not in frame.columns:
                 raise InputError(f"{source}: {missing_column(role, column, frame.columns)}")
-    return frame
 
 
 def _times(source: str, frame: pd.DataFrame, time: str) -> Floats:
@@ -266,10 +274,19 @@ def _times(source: str, frame: pd.DataFrame, time: str) -> Floats:
     return times
 
 
-def _values(source: str, frame: pd.DataFrame, times: Floats, role: str, columns: Mapping[str, str]) -> Floats:
-    """Return the columns of a role side by side; an input is finite, an output finite or NaN."""
-    values = np.empty((times.size, len(columns)))
-    for k, column in enumerate(columns.values()):
+def _values(
+    source: str,
+    frame: pd.DataFrame,
+    times: Floats,
+    role: str,
+    columns: Mapping[str, str],
+    there: Mapping[str, str],
+) -> Floats:
+    """Return the columns of a role side by side, NaN where one is not there; an input is finite, an output or NaN."""
+    values = np.full((times.size, len(columns)), np.nan)
+    for k, (variable, column) in enumerate(columns.items()):
+        if variable not in there:
+            continue
         values[:, k] = numeric_column(frame, column, source)
         bad = np.flatnonzero(~np.isfinite(values[:, k]) if role == "input" else np.isinf(values[:, k]))
         if bad.size:
@@ -283,12 +300,17 @@ def _values(source: str, frame: pd.DataFrame, times: Floats, role: str, columns:
 
 
 def _counted(
-    source: str, times: Floats, values: Floats, outputs: Mapping[str, str], discard: float
+    source: str,
+    times: Floats,
+    values: Floats,
+    outputs: Mapping[str, str],
+    measured: Mapping[str, str],
+    discard: float,
 ) -> npt.NDArray[np.bool_]:
-    """Return where an output sample counts; every output must have one that does."""
+    """Return where an output sample counts, everywhere of those not measured; every output must have one that does."""
     if isinstance(discard, bool) or not isinstance(discard, int | float) or not 0 <= discard < np.inf:
         raise InputError(f"{source}: discard is {discard!r}: give a duration in seconds, zero or more")
-    there = ~np.isnan(values)
+    there = ~np.isnan(values) | np.array([name not in measured for name in outputs], dtype=np.bool_)
     late = times >= times[0] + discard - _TIME_TOLERANCE * (times[-1] - times[0])
     counted: npt.NDArray[np.bool_] = there & late[:, np.newaxis]
     for k, column in enumerate(outputs.values()):

@@ -1,3 +1,4 @@
+from .baseline import Baseline as Baseline
 from .design import FALSE_ALARM as FALSE_ALARM
 from .design import MISS as MISS
 from .design import Design as Design
@@ -10,6 +11,7 @@ from .monitoring.alarms import Rule as Rule
 from .monitoring.monitor import Monitor as Monitor
 from .monitoring.window_fit import Extended as Extended
 from .procedure import LEVEL as LEVEL
+from .procedure import DiagnosisSettings as DiagnosisSettings
 from .procedure import diagnose as diagnose
 from .verdict import Diagnosis as Diagnosis
 from .verdict import chance as chance

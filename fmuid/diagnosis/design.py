@@ -18,8 +18,9 @@ import pandas as pd
 from scipy import special
 
 from fmuid.arrays import Floats
-from fmuid.data import Experiment, Parameter
-from fmuid.diagnosis.faults import Fault, common_mode
+from fmuid.data import Experiment
+from fmuid.diagnosis.baseline import Baseline
+from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.monitoring.belief import Belief
 from fmuid.diagnosis.monitoring.window_fit import Extended
 from fmuid.errors import InputError
@@ -61,16 +62,12 @@ class Design:
     Parameters
     ----------
     fault : Fault
-    healthy : Result or path
-        Of the healthy machine, or its ``result.json``.
+    baseline : Baseline, Result or path
+        As for `fmuid.diagnose`.
     false_alarm : float
         Probability of a significant result without a fault.
     miss : float
         Probability of none with it, below one half.
-    inflate, parameters, values
-        As for `fmuid.diagnose`.
-    noise_variance : mapping of output to float, optional
-        Default: that of the healthy result.
 
     Raises
     ------
@@ -81,28 +78,16 @@ class Design:
     def __init__(
         self,
         fault: Fault,
-        healthy: Result | str | Path,
+        baseline: Baseline | Result | str | Path,
         *,
         false_alarm: float = FALSE_ALARM,
         miss: float = MISS,
-        inflate: float | Mapping[str, float] = 1.0,
-        noise_variance: Mapping[str, float] | None = None,
-        parameters: Mapping[str, Parameter] | None = None,
-        values: Mapping[str, float | int | bool | str] | None = None,
     ) -> None:
         check_level(false_alarm, "a test")
         if not 0 < miss < 0.5:
             raise InputError(f"the rate of misses must be above 0 and below 0.5, not {miss!r}")
-        known = healthy if isinstance(healthy, Result) else Result.from_json(healthy)
-        common = common_mode(known, inflate, parameters, dict(values or {}))
-        given = noise_variance is not None
-        self.model = Extended(
-            "the fault",
-            fault,
-            common,
-            noise_variance if noise_variance is not None else known.variance,
-            math.inf if given else float(known.degrees_of_freedom),
-        )
+        healthy = Baseline.of(baseline)
+        self.model = Extended("the fault", fault, healthy.common, healthy.variances, healthy.freedom)
         self.false_alarm, self.miss = false_alarm, miss
 
     def detectable(self, excitation: Experiment) -> tuple[Detectable, ...]:
@@ -208,8 +193,14 @@ def trial(
     inputs, outputs, time, interpolation, discard, name
         As for `fmuid.Experiment`; every output counts at every time after `discard`.
     """
-    columns = outputs.values() if isinstance(outputs, Mapping) else outputs
-    empty = frame.assign(**dict.fromkeys(columns, 0.0))
     return Experiment(
-        empty, inputs, outputs, time=time, interpolation=interpolation, discard=discard, name=name, source=name
+        frame,
+        inputs,
+        outputs,
+        time=time,
+        interpolation=interpolation,
+        discard=discard,
+        measured=False,
+        name=name,
+        source=name,
     )

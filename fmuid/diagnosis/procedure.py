@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -27,16 +28,18 @@ from fmuid.assessment import (
     read_result,
 )
 from fmuid.data import Experiment, Noise, Parameter
+from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.decision import Reference, at_least_one, orthant_weights, rivals
-from fmuid.diagnosis.faults import Fault, common_mode
+from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.hypothesis import Hypothesis, Size
 from fmuid.diagnosis.verdict import Diagnosis, Test
 from fmuid.errors import InputError
-from fmuid.estimation import Marquardt, Outcome, Result, check_level, identify
+from fmuid.estimation import SENSITIVITIES, Marquardt, Outcome, Result, check_level, identify
 from fmuid.fmi import FMU
 from fmuid.model_problem import Problem
 from fmuid.models import System
 from fmuid.progress import FaultStep, Progress
+from fmuid.text import nearest
 from fmuid.version import __version__
 
 LEVEL = 0.01
@@ -50,19 +53,42 @@ SAME_CRITERION = 1.0
 UNEXPLAINED_SHARE = 0.1
 
 
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """How faults are looked for.
+
+    Parameters
+    ----------
+    level : float
+        Probability of an alarm where nothing is wrong, whatever the number of faults looked for.
+    search : Marquardt
+        Of the fits.
+    sensitivity : "finite-difference", "forward" or "fmu"
+        As for `fmuid.Problem`.
+
+    Raises
+    ------
+    InputError
+        If the level is not between 0 and 1, or there is no such sensitivity.
+    """
+
+    level: float = LEVEL
+    search: Marquardt = field(default_factory=Marquardt)
+    sensitivity: str = "finite-difference"
+
+    def __post_init__(self) -> None:
+        check_level(self.level, "a test")
+        if self.sensitivity not in SENSITIVITIES:
+            near = nearest(self.sensitivity, SENSITIVITIES)
+            raise InputError(f"sensitivity {self.sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
+
+
 def diagnose(
     experiments: Experiment | Sequence[Experiment],
-    healthy: Result | str | Path,
+    baseline: Baseline | Result | str | Path,
     hypotheses: Mapping[str, Fault],
-    *,
     nominal_model: System | FMU | str | Path,
-    inflate: float | Mapping[str, float] = 1.0,
-    level: float = LEVEL,
-    noise_variance: float | Mapping[str, float] | None = None,
-    parameters: Mapping[str, Parameter] | None = None,
-    values: Mapping[str, float | int | bool | str] | None = None,
-    settings: Marquardt | None = None,
-    sensitivity: str = "finite-difference",
+    settings: DiagnosisSettings | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Look for faults in a record.
@@ -71,26 +97,13 @@ def diagnose(
     ----------
     experiments : Experiment or sequence of Experiment
         The record, with the names of the nominal model.
-    healthy : Result or path
-        Of the healthy machine, or its ``result.json``.
+    baseline : Baseline, Result or path
+        The healthy machine; a result, or its ``result.json``, where there is nothing else to say of it.
     hypotheses : mapping of str to Fault
         What may be wrong.
     nominal_model : System, FMU or path
         The healthy machine.
-    inflate : float or mapping of str to float
-        Factor on the standard deviations of the healthy estimates for variations that are no fault (1.67);
-        infinite for parameters that may be anything.
-    level : float
-        Probability of an alarm where nothing is wrong, whatever the number of hypotheses.
-    noise_variance : float or mapping of output to float, optional
-        Default: that of the healthy result.
-    parameters : mapping of str to Parameter, optional
-        Nominal parameters with bounds, or of which the healthy result knows nothing.
-    values : mapping, optional
-        Variables of the nominal model held at a value; fault models have their own.
-    settings : Marquardt, optional
-    sensitivity : "finite-difference", "forward" or "fmu"
-        As for `fmuid.Problem`.
+    settings : DiagnosisSettings, optional
     progress : callable, optional
         Called with a `fmuid.progress.FaultStep` before each fit.
 
@@ -105,20 +118,10 @@ def diagnose(
     SimulationError
         If the simulation fails at the healthy estimate.
     """
-    check_level(level, "a test")
     if not hypotheses:
         raise InputError("there is no fault to look for: give at least one fault model with its parameters")
-    known = healthy if isinstance(healthy, Result) else Result.from_json(healthy)
-    held = dict(values or {})
-    work = _Diagnosing(
-        [experiments] if isinstance(experiments, Experiment) else list(experiments),
-        common_mode(known, inflate, parameters, held),
-        known,
-        noise_variance,
-        settings,
-        sensitivity,
-        level,
-    )
+    listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
+    work = _Diagnosing(listed, Baseline.of(baseline), settings or DiagnosisSettings())
     models: list[str | None] = [None, *hypotheses]
 
     def tell(fault: str | None) -> None:
@@ -126,7 +129,7 @@ def diagnose(
             progress(FaultStep(share=models.index(fault) / len(models), fault=fault))
 
     tell(None)
-    nominal = work.fit_nominal(System.of(nominal_model), held)
+    nominal = work.fit_nominal(System.of(nominal_model))
     found = []
     for name, fault in hypotheses.items():
         tell(name)
@@ -140,41 +143,16 @@ def diagnose(
 class _Diagnosing:
     """What all hypotheses share: the record, the common mode, the noise."""
 
-    def __init__(
-        self,
-        experiments: list[Experiment],
-        common: dict[str, Parameter],
-        healthy: Result,
-        noise_variance: float | Mapping[str, float] | None,
-        settings: Marquardt | None,
-        sensitivity: str,
-        level: float,
-    ) -> None:
-        self.experiments, self.common, self.level = experiments, common, level
-        self.settings, self.sensitivity = settings, sensitivity
-        outputs = dict.fromkeys(name for each in experiments for name in each.output_names)
-        if noise_variance is None:
-            self.freedom = healthy.degrees_of_freedom
-            self.variance = {}
-            for name in outputs:
-                if name not in healthy.variance:
-                    raise InputError(
-                        f"the healthy result has no noise variance of {name!r}, only of {', '.join(healthy.variance)}: "
-                        "measure the same outputs, or give noise.variance"
-                    )
-                self.variance[name] = healthy.variance[name]
-        else:
-            self.freedom = math.inf
-            given = Noise(noise_variance).known(tuple(outputs))
-            self.variance = dict(zip(outputs, given.tolist(), strict=True))
-            for name, value in self.variance.items():
-                if math.isnan(value):
-                    raise InputError(f"noise.variance has none of {name!r}, and a diagnosis needs it: give it too")
+    def __init__(self, experiments: list[Experiment], baseline: Baseline, settings: DiagnosisSettings) -> None:
+        self.experiments, self.common, self.held = experiments, baseline.common, baseline.values
+        self.settings, self.level = settings, settings.level
+        outputs = tuple(dict.fromkeys(name for each in experiments for name in each.output_names))
+        self.freedom, self.variance = baseline.freedom, baseline.variance(outputs)
 
-    def fit_nominal(self, model: System, held: Mapping[str, float | int | bool | str]) -> tuple[Result, Reading]:
+    def fit_nominal(self, model: System) -> tuple[Result, Reading]:
         """Fit the healthy machine."""
-        problem = self._problem(model, self.experiments, self.common, self.variance, held)
-        result = identify(problem, self.settings)
+        problem = self._problem(model, self.experiments, self.common, self.variance, self.held)
+        result = identify(problem, self.settings.search)
         return result, read_result(problem, result)
 
     def fit_fault(self, name: str, fault: Fault, nominal: tuple[Result, Reading]) -> Hypothesis:
@@ -192,9 +170,9 @@ class _Diagnosing:
                 raise InputError(f"the parameter {each!r} is the fault's and the healthy machine's: it can be only one")
         variance = {names.get(each, each): value for each, value in self.variance.items()}
         without = self._problem(system, experiments, common, variance, {**fault.values, **fault.zero})
-        healthy = identify(without, self.settings, start=_started(without, nominal[0], names))
+        healthy = identify(without, self.settings.search, start=_started(without, nominal[0], names))
         problem = self._problem(system, experiments, common | fault.searched, variance, fault.values)
-        found = [identify(problem, self.settings, start=start) for start in _starts(problem, healthy, fault)]
+        found = [identify(problem, self.settings.search, start=start) for start in _starts(problem, healthy, fault)]
         best = min(found, key=lambda each: each.criterion)
         examined = examine_residuals(problem, best)
         reading, colour = read_result(problem, best, diagnostics=examined), _colour(examined, fault)
@@ -209,7 +187,7 @@ class _Diagnosing:
         values: Mapping[str, float | int | bool | str],
     ) -> Problem:
         return Problem(
-            system, experiments, parameters, noise=Noise(variance), values=values, sensitivity=self.sensitivity
+            system, experiments, parameters, noise=Noise(variance), values=values, sensitivity=self.settings.sensitivity
         )
 
     def decided(self, nominal: tuple[Result, Reading], found: Sequence[Hypothesis]) -> Diagnosis:

@@ -30,12 +30,13 @@ def extended_by(experiment: Experiment, outputs: Sequence[str]) -> Experiment:
     """Return an experiment with the same inputs and other outputs, in the units of the FMU."""
     columns = {name: f"simulated {i}" for i, name in enumerate(outputs)}  # no name of a measured column
     return Experiment(
-        experiment.frame.assign(**dict.fromkeys(columns.values(), 0.0)),
+        experiment.frame,
         experiment.inputs,
         columns,
         time=experiment.time,
         interpolation=experiment.interpolation,
         units={name: experiment.units[name] for name in experiment.input_names if name in experiment.units},
+        measured=False,
         name=experiment.name,
         source=experiment.source,
     )

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import AfterValidator, Tag
 
-from fmuid.data import Experiment, Noise, Parameter
+from fmuid.data import Noise, Parameter
 from fmuid.diagnosis import Rule
 from fmuid.errors import InputError
-from fmuid.estimation import Marquardt, Result
+from fmuid.estimation import Result
 from fmuid.models import System
-from fmuid.progress import Progress
 from fmuid.studies.model import ModelSettings, ModelWords
 from fmuid.studies.parameters import Knowns, Source
 from fmuid.studies.words import (
@@ -39,7 +38,7 @@ from fmuid.studies.words import (
 )
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Angle, Diagnosis, Fault
+    from fmuid.diagnosis import Angle, Baseline, Fault
 
 RULE = Rule()
 """What is not said of a test."""
@@ -174,7 +173,7 @@ class DiagnosisWords(Words):
     level: Share = word(RULE.level, "probability of a false alarm", RULE.level)
     faults: dict[str, FaultWords] = word({}, "the faults to look for, by their names")
 
-    def settings(self, model: ModelSettings, loss: str, known: Knowns) -> DiagnosisSettings:
+    def settings(self, model: ModelSettings, loss: str, known: Knowns) -> FaultSearch:
         """Return the diagnosis of a study with this model, loss and these parameters.
 
         Raises
@@ -193,7 +192,7 @@ class DiagnosisWords(Words):
         if not self.faults:
             raise self.error("has no faults: describe at least one as [diagnosis.faults.<name>]")
         names = tuple(name for name in result.names if not name.endswith("]") and name not in model.values)
-        return DiagnosisSettings(
+        return FaultSearch(
             Source(str(self.place), self.healthy, result, names),
             self.inflate,
             self.level,
@@ -260,8 +259,8 @@ class FaultSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class DiagnosisSettings:
-    """The table ``[diagnosis]``.
+class FaultSearch:
+    """What the table ``[diagnosis]`` says: the healthy machine, and the faults to look for.
 
     Attributes
     ----------
@@ -278,44 +277,25 @@ class DiagnosisSettings:
     level: float
     faults: Mapping[str, FaultSettings]
 
-    def diagnose(
-        self,
-        experiments: Sequence[Experiment],
-        system: System,
-        model: ModelSettings,
-        parameters: Mapping[str, Parameter],
-        *,
-        noise: Noise,
-        settings: Marquardt,
-        sensitivity: str,
-        progress: Progress | None = None,
-    ) -> Diagnosis:
-        """Look for the faults in experiments, with the study's own model and the words of its other tables.
+    def hypotheses(self, system: System, model: ModelSettings) -> dict[str, Fault]:
+        """Return the faults; `system` and `model` are the study's own.
 
         Raises
         ------
         InputError
-            If the models, the healthy result and the tables do not fit together.
-        SimulationError
-            If the simulation fails at the healthy estimate.
+            If an FMU of theirs cannot be read or their parameters are no fault's.
         """
-        from fmuid.diagnosis import diagnose
+        return {name: each.fault(system, model) for name, each in self.faults.items()}
 
-        hypotheses = {name: each.fault(system, model) for name, each in self.faults.items()}
-        try:
-            return diagnose(
-                experiments,
-                self.source.result,
-                hypotheses,
-                nominal_model=system,
-                inflate=self.inflate,
-                level=self.level,
-                noise_variance=None if isinstance(noise.variance, str) else noise.variance,
-                parameters=parameters,
-                values=model.values,
-                settings=settings,
-                sensitivity=sensitivity,
-                progress=progress,
-            )
-        except InputError as error:
-            raise InputError(f"{self.source.where}: {error}") from None
+    def baseline(self, model: ModelSettings, parameters: Mapping[str, Parameter], noise: Noise) -> Baseline:
+        """Return the healthy machine, with the words of the study's other tables.
+
+        Raises
+        ------
+        InputError
+            If the healthy result does not fit them.
+        """
+        from fmuid.diagnosis import Baseline
+
+        variance = None if isinstance(noise.variance, str) else noise.variance
+        return Baseline(self.source.result, self.inflate, variance, parameters, model.values)

@@ -225,8 +225,10 @@ class ExperimentSettings(Words):
     discard: NotNegative = word(0.0, "s of transient at the beginning, simulated but not counted", 0.0)
     units: Texts = word({}, "of columns that are not in the FMU's unit: { variable = unit }")
 
-    def experiment(self, frame: pd.DataFrame, source: str) -> Experiment:
+    def experiment(self, frame: pd.DataFrame, source: str, *, measured: bool = True) -> Experiment:
         """Return the experiment that a table is with these words; messages call the table `source`.
+
+        Outputs that are not `measured` need no column.
 
         Raises
         ------
@@ -234,7 +236,7 @@ class ExperimentSettings(Words):
             If the table has not what the words say.
         """
         words = {name: getattr(self, name) for name in ("time", "interpolation", "discard", "units", "name")}
-        return Experiment(frame, self.inputs, self.outputs, **words, source=source)
+        return Experiment(frame, self.inputs, self.outputs, **words, measured=measured, source=source)
 
 
 def named(experiments: Sequence[ExperimentSettings], top: Place) -> tuple[ExperimentSettings, ...]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from fmuid.data import Experiment, read_table
 from fmuid.diagnosis import FALSE_ALARM, MISS, Design, Monitor, Rule
 from fmuid.errors import InputError
-from fmuid.studies.diagnosis import DiagnosisSettings
+from fmuid.studies.diagnosis import FaultSearch
 from fmuid.studies.study import Study
 
 KINDS = (".csv", ".parquet", ".mat")
@@ -38,9 +36,9 @@ def monitor_of(study: Study, rule: Rule) -> Monitor:
         If the study has none, or models and healthy result do not fit together.
     """
     settings = _settings(study)
-    hypotheses = {name: each.fault(study.system, study.model) for name, each in settings.faults.items()}
+    hypotheses = settings.hypotheses(study.system, study.model)
     try:
-        return Monitor(settings.source.result, hypotheses, rule, **_words(study, settings))
+        return Monitor(settings.baseline(study.model, study.parameters, study.noise), hypotheses, rule)
     except InputError as error:
         raise InputError(f"{settings.source.where}: {error}") from None
 
@@ -57,8 +55,8 @@ def design_of(study: Study, fault: str, *, false_alarm: float = FALSE_ALARM, mis
     if fault not in settings.faults:
         raise InputError(f"{settings.source.where} has no fault {fault!r}, only {', '.join(settings.faults)}")
     model = settings.faults[fault].fault(study.system, study.model)
-    words = _words(study, settings)
-    return Design(model, settings.source.result, false_alarm=false_alarm, miss=miss, **words)
+    healthy = settings.baseline(study.model, study.parameters, study.noise)
+    return Design(model, healthy, false_alarm=false_alarm, miss=miss)
 
 
 def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -> Iterator[Experiment]:
@@ -103,21 +101,10 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     return found
 
 
-def _settings(study: Study) -> DiagnosisSettings:
+def _settings(study: Study) -> FaultSearch:
     if study.diagnosis is None:
         raise InputError(
             f'{study.path} has no [diagnosis]: give it, with healthy = "healthy/result.json" and the fault '
             "models as [diagnosis.faults.<name>]"
         )
     return study.diagnosis
-
-
-def _words(study: Study, settings: DiagnosisSettings) -> dict[str, Any]:
-    outputs = tuple(study.experiments[0].outputs)
-    given = dict(zip(outputs, study.noise.known(outputs).tolist(), strict=True))
-    return {
-        "inflate": settings.inflate,
-        "noise_variance": None if any(math.isnan(each) for each in given.values()) else given,
-        "parameters": study.parameters,
-        "values": study.model.values,
-    }

@@ -21,7 +21,7 @@ from fmuid.model_problem import Problem
 from fmuid.models import System
 from fmuid.progress import Progress
 from fmuid.simulation import Fit, Simulator, fit_of
-from fmuid.studies.diagnosis import DiagnosisSettings, MonitoringWords
+from fmuid.studies.diagnosis import FaultSearch, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelSettings, named
 from fmuid.studies.overrides import override
 from fmuid.studies.parameters import Reader, Source
@@ -63,7 +63,7 @@ class Study:
         What is asked beyond the local covariance.
     sensitivity : "finite-difference", "forward" or "fmu"
         How the derivatives of the outputs by the parameters are found.
-    diagnosis : DiagnosisSettings or None
+    diagnosis : FaultSearch or None
         The faults to look for, and what is known of the healthy machine.
     monitoring : MonitoringWords
         How records are cut into windows, and what makes an alarm.
@@ -85,7 +85,7 @@ class Study:
     sources: tuple[Source, ...] = ()
     uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
     sensitivity: str = "finite-difference"
-    diagnosis: DiagnosisSettings | None = None
+    diagnosis: FaultSearch | None = None
     monitoring: MonitoringWords = field(default_factory=MonitoringWords)
     batch: BatchSettings | None = None
     data: Mapping[str, Any] = field(default_factory=dict, repr=False)
@@ -306,16 +306,15 @@ class Study:
                 f'{self.path} has no [diagnosis]: give it, with healthy = "healthy/result.json" and the fault '
                 "models as [diagnosis.faults.<name>]"
             )
-        return settings.diagnose(
-            self.tables,
-            self.system,
-            self.model,
-            self.parameters,
-            noise=self.noise,
-            settings=self.estimator.marquardt,
-            sensitivity=self.sensitivity,
-            progress=progress,
-        )
+        from fmuid.diagnosis import DiagnosisSettings, diagnose  # and all that decides
+
+        hypotheses = settings.hypotheses(self.system, self.model)
+        how = DiagnosisSettings(settings.level, self.estimator.marquardt, self.sensitivity)
+        try:
+            healthy = settings.baseline(self.model, self.parameters, self.noise)
+            return diagnose(self.tables, healthy, hypotheses, self.system, how, progress)
+        except InputError as error:
+            raise InputError(f"{settings.source.where}: {error}") from None
 
     def uncertainty(self, result: Result, progress: Progress | None = None) -> Uncertainty:
         """Do what ``[uncertainty]`` asks for around a result of this study: maps, profiles, posterior.

@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 import fmuid
 from experiments.coil import study as coil
 from fmuid.data.excitation import multisine, prbs, steps
+from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.design import Design, trial
 from fmuid.diagnosis.monitoring.alarms import Rule
 from fmuid.diagnosis.monitoring.monitor import Monitor
@@ -41,11 +42,9 @@ def turns(largest: float = math.inf) -> fmuid.Fault:
 def design(healthy: fmuid.Result, fault: fmuid.Fault | None = None) -> Design:
     return Design(
         fault or turns(),
-        healthy,
+        Baseline(healthy, coil.INFLATE, VARIANCE),
         false_alarm=FALSE_ALARM,
         miss=MISS,
-        inflate=coil.INFLATE,
-        noise_variance=VARIANCE,
     )
 
 
@@ -114,7 +113,7 @@ def test_the_rates_are_those_of_draws(healthy: fmuid.Result) -> None:
     """Draws of record and healthy result; R with the errors of its estimate, so not inflated."""
     rng, count = np.random.default_rng(6), 300
     experiment = coil.experiment(coil.record(coil.R, 0.0, rng))
-    asked = Design(turns(), healthy, false_alarm=0.1, miss=0.2, noise_variance=VARIANCE)
+    asked = Design(turns(), Baseline(healthy, noise_variance=VARIANCE), false_alarm=0.1, miss=0.2)
     (smallest,) = asked.detectable(experiment)
     root = np.linalg.cholesky(np.diag(healthy.std**2))
     rates = []
@@ -122,7 +121,7 @@ def test_the_rates_are_those_of_draws(healthy: fmuid.Result) -> None:
         hits = 0
         for _ in range(count):
             known = replace(healthy, values=healthy.values + root @ rng.standard_normal(2))
-            watch = Monitor(known, {"turns": turns()}, Rule(level=0.1), noise_variance=VARIANCE)
+            watch = Monitor(Baseline(known, noise_variance=VARIANCE), {"turns": turns()}, Rule(level=0.1))
             watch.add(coil.experiment(coil.record(coil.R, fault, rng)))
             hits += watch.table["significant"][0] == "turns"
         rates.append(hits / count)
@@ -157,12 +156,12 @@ def test_several_sizes_are_noncentral_chi_square(plate: fmuid.System, known: fmu
     variance = {"x": STD**2, "y": STD**2}
     precision = np.diag(plate_precision(known, [2, 3, 4]))
     free = fmuid.Fault(plate, dict.fromkeys(PHASES, fmuid.Parameter(0.0, nominal=0.01)))
-    found = Design(free, known, noise_variance=variance).detectable(plate_record(None))
+    found = Design(free, Baseline(known, noise_variance=variance)).detectable(plate_record(None))
     for each, weight in zip(found, precision, strict=True):
         assert each.std == pytest.approx(weight**-0.5, rel=1e-4)
         assert stats.ncx2.sf(stats.chi2.isf(0.01, 3), 3, each.value**2 * weight) == pytest.approx(0.95, abs=1e-4)
     signed = fmuid.Fault(plate, dict.fromkeys(PHASES, fmuid.Parameter(0.0, min=0.0, nominal=0.01)))
-    limit = Design(signed, known, noise_variance=variance).detectable(plate_record(None))
+    limit = Design(signed, Baseline(known, noise_variance=variance)).detectable(plate_record(None))
     for each, other in zip(limit, found, strict=True):
         assert each.std == pytest.approx(other.std)
         assert (stats.norm.isf(0.01) + stats.norm.isf(0.05)) * each.std < each.value < 1.05 * other.value
@@ -171,7 +170,7 @@ def test_several_sizes_are_noncentral_chi_square(plate: fmuid.System, known: fmu
 def test_of_a_turned_fault_the_worst_angle_counts(plate: fmuid.System, known: fmuid.Result) -> None:
     parameters = {"size": fmuid.Parameter(0.0, min=0.0, nominal=0.01), "angle": fmuid.Parameter(0.0, nominal=1.0)}
     fault = fmuid.Fault(plate, parameters, angles={"angle": fmuid.Angle("size", math.pi)})
-    (found,) = Design(fault, known, noise_variance={"x": STD**2, "y": STD**2}).detectable(plate_record(None))
+    (found,) = Design(fault, Baseline(known, noise_variance={"x": STD**2, "y": STD**2})).detectable(plate_record(None))
     precision = plate_precision(known, [5, 6])
     angles = np.linspace(0.0, math.pi, 1001)
     worst = min(d @ precision @ d for d in np.column_stack([np.cos(2 * angles), np.sin(2 * angles)]))
@@ -200,7 +199,7 @@ def test_wrong_words_are_one_sentence(healthy: fmuid.Result) -> None:
     with pytest.raises(fmuid.InputError, match="'v'"):
         design(healthy).detectable(trial(prbs(1.0, coil.STEP, 1.0, 15, column="v"), ["v"], ["i"]))
     with pytest.raises(fmuid.InputError, match="the noise variance of 'i' is not known"):
-        Design(turns(), healthy, noise_variance={"j": 1.0}).detectable(on_coil(prbs(1.0, coil.STEP, 1.0, 15)))
+        Design(turns(), Baseline(healthy, noise_variance={"j": 1.0})).detectable(on_coil(prbs(1.0, coil.STEP, 1.0, 15)))
     clash = fmuid.Fault(coil.models()[1], {"R": fmuid.Parameter(0.0, nominal=1.0)})
     with pytest.raises(fmuid.InputError, match="it can be only one"):
         Design(clash, healthy)

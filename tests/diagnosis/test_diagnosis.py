@@ -39,8 +39,10 @@ Look = Callable[..., fmuid.Diagnosis]
 @pytest.fixture(scope="module")
 def look(plate: fmuid.System, healthy: fmuid.Result, faults: Faults) -> Look:
     def diagnosis(experiment: fmuid.Experiment, **words: Any) -> fmuid.Diagnosis:
-        given: dict[str, Any] = {"nominal_model": plate, "inflate": {"g": 5.0, "h": 5.0}} | words
-        return fmuid.diagnose(experiment, given.pop("healthy", healthy), given.pop("faults", faults), **given)
+        given: dict[str, Any] = {"result": healthy, "inflate": {"g": 5.0, "h": 5.0}} | words
+        settings = fmuid.DiagnosisSettings(given.pop("level", 0.01))
+        hypotheses = given.pop("faults", faults)
+        return fmuid.diagnose(experiment, fmuid.Baseline(**given), hypotheses, plate, settings)
 
     return diagnosis
 
@@ -112,7 +114,7 @@ def test_the_false_alarm_level_is_met(plate: fmuid.System, faults: Faults) -> No
     alarms = 0
     for _ in range(count):
         known = identified(plate, record(rng))
-        found = fmuid.diagnose(record(rng), known, faults, nominal_model=plate, level=level)
+        found = fmuid.diagnose(record(rng), known, faults, plate, fmuid.DiagnosisSettings(level))
         alarms += bool(found.called)
     # Bonferroni over two nearly independent faults: 1 - 0.95² = 9.75 %
     assert alarms / count == pytest.approx(0.0975, abs=3 * math.sqrt(0.1 * 0.9 / count))
@@ -262,11 +264,14 @@ def test_what_does_not_fit_together_is_refused(look: Look, plate: fmuid.System) 
         ({"faults": {"f": fmuid.Fault(plate, {"e": parameter})}}, "fault 'f': .*'e'"),
         ({"faults": {"f": fmuid.Fault(plate, {"g": parameter})}}, "fault 'f': the parameter 'g' is the fault's and"),
         ({"faults": {"f": fmuid.Fault(plate, {"ea": parameter}, {"q": "r"})}}, "fault 'f': names has 'q'"),
-        ({"healthy": "nowhere.json"}, "nowhere.json cannot be read"),
     ]
     for words, said in cases:
         with pytest.raises(fmuid.InputError, match=said):
             look(experiment, **words)
+    with pytest.raises(fmuid.InputError, match=r"nowhere\.json cannot be read"):
+        fmuid.diagnose(experiment, "nowhere.json", {"f": fmuid.Fault(plate, {"ea": parameter})}, plate)
+    with pytest.raises(fmuid.InputError, match=r"sensitivity 'forwards' is not known.*'forward'"):
+        fmuid.DiagnosisSettings(sensitivity="forwards")
 
 
 def test_the_common_mode_leaves_out_what_belongs_to_single_records(plate: fmuid.System) -> None:

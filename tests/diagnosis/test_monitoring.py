@@ -54,7 +54,7 @@ def healthy() -> fmuid.Result:
 
 def watch(healthy: fmuid.Result, rule: Rule = RULE) -> Monitor:
     fault = fmuid.Fault(coil.models()[1], {"dR": fmuid.Parameter(0.0, nominal=1.0)}, values={"tau": 0.02497})
-    return Monitor(healthy, {"turns": fault}, rule, inflate=coil.INFLATE)
+    return Monitor(fmuid.Baseline(healthy, coil.INFLATE), {"turns": fault}, rule)
 
 
 # --- the coil ---------------------------------------------------------------------------
@@ -115,7 +115,7 @@ def test_windows_without_voltage_say_nothing(healthy: fmuid.Result) -> None:
 def test_without_prior_it_stays_open(healthy: fmuid.Result) -> None:
     """∂i/∂ΔR = ∂i/∂R + 2τ ∂i/∂L: the windows alone cannot tell."""
     fault = watch(healthy).models[0].fault
-    found = Monitor(healthy, {"turns": fault}, RULE, inflate=math.inf)
+    found = Monitor(fmuid.Baseline(healthy, math.inf), {"turns": fault}, RULE)
     found.add(coil.experiment(warming(4, to=4.0, fails=2)))
     assert not found.alarms
     assert found.undetermined == ("turns",)
@@ -187,7 +187,7 @@ def test_forgetting_is_weighted_least_squares(plate: fmuid.System, sound: fmuid.
     """Windows count by powers of the factor, the healthy record once; the noise of the estimate counts them squared."""
     forgetting, inflate = 0.7, 5.0
     fault = fmuid.Fault(plate, {"ea": fmuid.Parameter(0.0, nominal=0.01)})
-    found = Monitor(sound, {"stator": fault}, Rule(forgetting=forgetting), inflate=inflate)
+    found = Monitor(fmuid.Baseline(sound, inflate), {"stator": fault}, Rule(forgetting=forgetting))
     own = COLUMNS[:, :3] / STD
     scale = STD**2 / sound.variance["x"], STD**2 / sound.variance["y"]
     weight = np.tile(scale, len(own) // 2)
@@ -223,8 +223,9 @@ def test_bounds_and_angles_are_those_of_a_diagnosis(
         ),
     }
     record = plate_record(np.random.default_rng(50), **faults)
-    expected = fmuid.diagnose(record, sound, hypotheses, nominal_model=plate, inflate=5.0)
-    found = Monitor(sound, hypotheses, Rule(needed=1, among=1), inflate=5.0)
+    baseline = fmuid.Baseline(sound, 5.0)
+    expected = fmuid.diagnose(record, baseline, hypotheses, plate)
+    found = Monitor(baseline, hypotheses, Rule(needed=1, among=1))
     found.add(record)
     row = found.table.iloc[0]
     for name, sizes in (("stator", PHASES), ("rotor", ("size",))):
@@ -246,7 +247,8 @@ def test_the_level_is_met_over_healthy_records(plate: fmuid.System, sound: fmuid
     hits = 0
     for _ in range(count):
         known = replace(sound, values=np.array(list(TRUTH.values())) + sound.std * rng.standard_normal(2))
-        found = Monitor(known, {"a": fault}, Rule(level=level), noise_variance={"x": STD**2, "y": STD**2})
+        baseline = fmuid.Baseline(known, noise_variance={"x": STD**2, "y": STD**2})
+        found = Monitor(baseline, {"a": fault}, Rule(level=level))
         found.add(plate_record(rng))
         hits += found.table["significant"][0] == "a"
     assert hits / count == pytest.approx(level, abs=3 * math.sqrt(level * (1 - level) / count))

@@ -23,9 +23,10 @@ import pandas as pd
 from scipy import special
 
 from fmuid.assessment import SAME_VARIANCE
-from fmuid.data import Experiment, Parameter
+from fmuid.data import Experiment
+from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.decision import at_least_one, rivals
-from fmuid.diagnosis.faults import Fault, common_mode
+from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Alarm, Rule, alarm_rate, alarms
 from fmuid.diagnosis.monitoring.belief import Belief, forgotten
 from fmuid.diagnosis.monitoring.window_fit import Extended, WindowFit
@@ -52,14 +53,10 @@ class Monitor:
 
     Parameters
     ----------
-    healthy : Result or path
-        Of the healthy machine, or its ``result.json``.
+    baseline : Baseline, Result or path
+        As for `fmuid.diagnose`.
     hypotheses : mapping of str to Fault
     rule : Rule
-    inflate, parameters, values
-        As for `fmuid.diagnose`.
-    noise_variance : mapping of output to float, optional
-        Default: that of the healthy result.
 
     Attributes
     ----------
@@ -75,26 +72,14 @@ class Monitor:
         If there is no hypothesis, or the healthy result does not fit the model.
     """
 
-    def __init__(
-        self,
-        healthy: Result | str | Path,
-        hypotheses: Mapping[str, Fault],
-        rule: Rule,
-        *,
-        inflate: float | Mapping[str, float] = 1.0,
-        noise_variance: Mapping[str, float] | None = None,
-        parameters: Mapping[str, Parameter] | None = None,
-        values: Mapping[str, float | int | bool | str] | None = None,
-    ) -> None:
+    def __init__(self, baseline: Baseline | Result | str | Path, hypotheses: Mapping[str, Fault], rule: Rule) -> None:
         if not hypotheses:
             raise InputError("there is no fault to look for: give at least one fault model with its parameters")
-        known = healthy if isinstance(healthy, Result) else Result.from_json(healthy)
-        common = common_mode(known, inflate, parameters, dict(values or {}))
-        variance = known.variance if noise_variance is None else noise_variance
-        self._freedom = float(known.degrees_of_freedom) if noise_variance is None else math.inf
-        self.rule = rule
+        healthy = Baseline.of(baseline)
+        self._freedom, self.rule = healthy.freedom, rule
         self.models = tuple(
-            Extended(name, fault, common, variance, self._freedom) for name, fault in hypotheses.items()
+            Extended(name, fault, healthy.common, healthy.variances, self._freedom)
+            for name, fault in hypotheses.items()
         )
         self.notes: tuple[str, ...] = ()
         self._rows: list[dict[str, Any]] = []
