@@ -162,7 +162,7 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
 
 
 def _stand_in(given: ExperimentSettings, rows: int) -> Experiment:
-    """Return an experiment in which nothing happens, with the inputs of the study's words."""
-    times = np.arange(rows, dtype=np.float64)
-    frame = pd.DataFrame({given.time: times} | dict.fromkeys(given.inputs.values(), 0.0))
-    return given.model_copy(update={"discard": 0.0}).experiment(frame, str(given.table), measured=False)
+    """Return an experiment in which nothing happens, with the columns of the study's words."""
+    columns = [*given.inputs.values(), *given.outputs.values()]
+    frame = pd.DataFrame({given.time: np.arange(rows, dtype=np.float64)} | dict.fromkeys(columns, 0.0))
+    return given.model_copy(update={"discard": 0.0}).experiment(frame, str(given.table))

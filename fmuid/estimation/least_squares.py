@@ -172,6 +172,8 @@ class LeastSquares:
                     "shorten discard or leave the output out"
                 )
             largest = float(np.max(np.abs(self.measured[self.groups == self.output_names.index(name)])))
+            if math.isnan(largest):
+                raise InputError(f"output {name!r} has not been measured: there is nothing to identify from it")
             if not largest < HUGE:
                 raise InputError(
                     f"a sample of output {name!r} is {largest:g} in magnitude; leave it empty or change the unit"

@@ -9,7 +9,10 @@ import pandas as pd
 import pytest
 
 from fmuid.data.experiment import Experiment
+from fmuid.data.parameters import Parameter
+from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
+from fmuid.estimation.least_squares import LeastSquares
 
 NAN = float("nan")
 
@@ -62,6 +65,26 @@ def test_without_outputs_it_can_be_simulated() -> None:
     run = Experiment(table(), inputs=["u"])
     assert run.output_values.shape == run.counted.shape == (5, 0)
     assert Experiment(table()).input_values.shape == (5, 0)
+
+
+def test_outputs_that_are_not_measured_are_names() -> None:
+    run = Experiment(table(), ["u"], ["y", "z"], discard=0.15, measured=False)
+    assert run.output_names == ("y", "z")
+    np.testing.assert_array_equal(run.output_values[:, 0], table()["y"])  # what is there is taken
+    assert np.isnan(run.output_values[:, 1]).all()
+    late = [False, False, True, True, True]
+    np.testing.assert_array_equal(run.counted, np.column_stack([late, late]))
+    with pytest.raises(InputError, match="'z'"):
+        Experiment(table(), ["u"], ["y", "z"])
+    with pytest.raises(InputError, match="'v'"):
+        Experiment(table(), ["v"], ["z"], measured=False)
+    with pytest.raises(InputError, match="output 'z' has not been measured: there is nothing to identify"):
+        LeastSquares([FunctionPredictor(lambda theta: theta, (5, 2))], [run], {"a": Parameter(1.0)})
+    found = run.with_outputs(np.column_stack([run.times, run.times]))
+    assert found.measured
+    np.testing.assert_array_equal(found.frame["z"], run.times)
+    with pytest.raises(InputError, match="'z' has no sample"):
+        run.with_outputs(np.column_stack([run.times, np.full(5, NAN)]))
 
 
 def test_it_does_not_change_any_more() -> None:
