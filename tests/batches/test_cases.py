@@ -27,7 +27,6 @@ from fmuid.errors import InputError
 from fmuid.estimation import Marquardt
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.model_problem import Problem
 from fmuid.simulation.simulator import Simulator
 from fmuid.studies.study import Study
