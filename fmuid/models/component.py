@@ -73,7 +73,8 @@ class Isolation:
     recycle : int, optional
         After how many simulations the process is replaced by a new one; default: only for its memory.
     threads : int, optional
-        How many simulations run at a time; default: one for each core.
+        How many simulations run at a time, in as many processes where the FMU does not bear threads; default: one for
+        each core.
 
     Raises
     ------

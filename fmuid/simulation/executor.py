@@ -23,11 +23,16 @@ def threads() -> int:
 
 
 def _made_for(system: System) -> Executor:
-    limit = threads() if system.can_run_in_threads else 1
+    in_threads = system.can_run_in_threads
+    limit = threads() if in_threads else 1
     if system.isolation is not None:
         if AVAILABLE:
             from fmuid.simulation.isolation.isolated import IsolatedWorkers  # for Linux and macOS only
+            from fmuid.simulation.isolation.spread import SpreadWorkers
 
+            processes = min(threads(), system.isolation.threads or threads())
+            if not in_threads and system.can_be_repeated and processes > 1:
+                return SpreadWorkers(system.components, processes, system.isolation)
             return IsolatedWorkers(system.components, limit, system.isolation)
         _log.warning("FMUs run inside fmuid's own process: processes of their own need Linux or macOS")
     from fmuid.simulation.in_process import InProcess  # and with it FMPy

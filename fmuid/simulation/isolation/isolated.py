@@ -48,6 +48,8 @@ class IsolatedWorkers:
     ----------
     lock : RLock
         Held by who runs simulations and asks for their failures.
+    cancelled : bool
+        Whether what is running in another thread is to end.
     """
 
     def __init__(self, components: Mapping[str, Component], limit: int, settings: Isolation) -> None:
@@ -59,6 +61,7 @@ class IsolatedWorkers:
         self._numbers: weakref.WeakKeyDictionary[Run, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()
         self._steps = 0  # of the simulation with most of them
+        self.cancelled = False
         _living.add(self)
 
     # --- simulations
@@ -194,6 +197,8 @@ class IsolatedWorkers:
 
     def _host(self) -> Host:
         """Return the process, a new one where there is none."""
+        if self.cancelled:
+            raise FmuidError(f"the simulations of {self._labels} were cancelled")
         try:
             return self._keeper.host(self._begin)
         except End:
@@ -223,6 +228,15 @@ class IsolatedWorkers:
             del self._forgotten[: len(forgotten)]
             self._known.add(number)
         return number
+
+    def forget(self, run: Run) -> None:
+        """Tell a run anew before its next simulation: it has changed."""
+        self._numbers.pop(run, None)
+
+    def cancel(self) -> None:
+        """Have simulations that another thread runs here end, with an error there."""
+        self.cancelled = True
+        self._keeper.strike()
 
     def _write(self, end: End, indices: NDArray[np.intp], reports: NDArray[np.intp]) -> None:
         limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory}

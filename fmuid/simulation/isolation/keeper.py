@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import weakref
 from collections.abc import Callable, Sequence
 
@@ -92,6 +94,13 @@ class Keeper:
         host = self._hosts.pop()
         self._text += host.printed()
         return host.states.copy()
+
+    def strike(self) -> None:
+        """End the process while another thread waits for it, which finds it killed and cleans up."""
+        for host in self._hosts[:]:
+            if host.alive:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(host.pid, signal.SIGKILL)
 
     def replace(self) -> None:
         """End the process if it has simulated anything; what comes next has a new one."""

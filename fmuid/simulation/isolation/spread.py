@@ -1,0 +1,91 @@
+"""FMUs that do not bear threads, in several processes with one instance each: as many simulations at a time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.arrays import Floats
+from fmuid.errors import SimulationError
+from fmuid.fmi import Run, shares
+from fmuid.models import Component, Isolation
+from fmuid.simulation.isolation.isolated import IsolatedWorkers
+
+
+class SpreadWorkers:
+    """Several `IsolatedWorkers` of one simulation at a time, which share what is to be simulated.
+
+    Parameters
+    ----------
+    components : mapping of str to Component
+    limit : int
+        The largest number of processes.
+    settings : Isolation
+        Of each process.
+
+    Attributes
+    ----------
+    lock : RLock
+        Held by who runs simulations and asks for their failures.
+    """
+
+    def __init__(self, components: Mapping[str, Component], limit: int, settings: Isolation) -> None:
+        self.lock = threading.RLock()
+        self._parts = [IsolatedWorkers(components, 1, settings) for _ in range(limit)]
+        self._threads = ThreadPoolExecutor(limit, "fmuid-process")
+
+    def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+        """Simulate all thetas (m, N) in equal shares; where one finds a model stiff, all are run again as such."""
+        plan = run.plan
+        self._run_shares(run, thetas, outputs, reports)
+        if run.plan is not plan:
+            for part in self._parts:
+                part.forget(run)
+            self._run_shares(run, thetas, outputs, reports)
+
+    def _run_shares(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+        count = min(len(self._parts), len(thetas))
+        futures: list[Future[None]] = []
+        try:
+            for part, share in reversed(list(zip(self._parts, shares(len(thetas), count), strict=False))):
+                given = run, thetas[share], outputs[share], reports[share]
+                if part is self._parts[0]:  # the caller's own share last: it is worked off at once
+                    part.run(*given)
+                else:
+                    futures.append(self._threads.submit(part.run, *given))
+            for future in futures:
+                future.result()
+        except BaseException:  # also an interruption, which reaches this thread alone
+            for part in self._parts:
+                part.cancel()
+            wait(futures)
+            raise
+        finally:
+            for part in self._parts:
+                part.cancelled = False
+
+    def failure(
+        self,
+        run: Run,
+        theta: Floats,
+        outputs: Floats,
+        report: NDArray[np.intp],
+        parameters: Mapping[str, float],
+        explain: bool = False,
+    ) -> SimulationError | None:
+        """Return what outputs and report of one simulation say as an error; None where it succeeded."""
+        return self._parts[0].failure(run, theta, outputs, report, parameters, explain)
+
+    def printed(self) -> str:
+        """Return and forget what the FMUs printed."""
+        return "".join(part.printed() for part in self._parts)
+
+    def close(self) -> None:
+        """End the processes; a later simulation makes new ones."""
+        with self.lock:
+            for part in self._parts:
+                part.close()
