@@ -99,8 +99,15 @@ def left_over(processes: Sequence[psutil.Process], patience: float = 10.0) -> li
     """Return which processes are still there after some time, s."""
     until = time.monotonic() + patience
     while time.monotonic() < until:
-        there = [each for each in processes if each.is_running() and each.status() != psutil.STATUS_ZOMBIE]
+        there = [each for each in processes if _runs(each)]
         if not there:
             return []
         time.sleep(0.1)
     return there
+
+
+def _runs(process: psutil.Process) -> bool:
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:  # it ended between the two questions
+        return False
