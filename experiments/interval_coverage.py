@@ -125,7 +125,7 @@ def covered(case: str, level: float, sampling: Sampling, seed: int) -> NDArray[n
     result = fmuid.identify(problem)
     posterior = sample(problem, result, sampling)
     if not (result.converged and posterior.converged):
-        raise RuntimeError(f"{case}, draw {seed}: {fmuid.describe(result)}; {posterior.status}")
+        raise RuntimeError(f"{case}, draw {seed}: {fmuid.describe(result)}; {fmuid.describe(posterior)}")
     ends = [
         result.intervals(level).to_numpy(),
         np.array([(p.lower, p.upper) for p in profiles(problem, result, level=level)]),

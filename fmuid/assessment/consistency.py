@@ -14,22 +14,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 from scipy import special
 
-from fmuid.arrays import Floats
 from fmuid.assessment.residuals import Diagnostics
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, LocalModel, Result
-from fmuid.text import listed, nearest
+from fmuid.text import nearest
 
 # Tests are said to fail below this probability.
 SIGNIFICANT = 0.01
 # A variance that differs from the known one by less than this factor is said to be as large: with many samples the
 # smallest difference is significant.
 SAME_VARIANCE = 1.1
+
+
+class Deviation(Enum):
+    """What a variance is against the known one."""
+
+    NONE = "none"
+    LARGER = "larger"
+    SMALLER = "smaller"
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,8 @@ class VarianceTest:
         Independent samples that the residual is worth, less the parameters it paid for.
     probability : float
         That noise of the known variance gives as much or more.
+    deviation : Deviation
+        What is too unlikely to be chance, all outputs together, and large enough to matter.
     """
 
     output: str
@@ -56,6 +66,7 @@ class VarianceTest:
     ratio: float
     degrees_of_freedom: float
     probability: float
+    deviation: Deviation = Deviation.NONE
 
 
 @dataclass(frozen=True)
@@ -74,6 +85,11 @@ class Agreement:
     statistic: float
     degrees_of_freedom: int
     probability: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether prior and data agree as far as chance lets them."""
+        return self.probability >= SIGNIFICANT
 
 
 def agree(local: LocalModel, diagnostics: Diagnostics) -> Agreement | None:
@@ -149,61 +165,19 @@ def variance_tests(
         ratio = float(weights @ [test.ratio for test in tests] / weights.sum())
         freedom = float(weights.sum() ** 2 / np.sum(weights**2 / [test.degrees_of_freedom for test in tests]))
         tests.append(_test("", math.nan, math.nan, ratio, freedom))
-    return tuple(tests)
+    return tuple(replace(test, deviation=_deviation(test, len(known))) for test in tests)
+
+
+def _deviation(test: VarianceTest, outputs: int) -> Deviation:
+    level = SIGNIFICANT / max(outputs, 1)
+    if test.ratio > SAME_VARIANCE and test.probability < level:
+        return Deviation.LARGER
+    if test.ratio < 1.0 / SAME_VARIANCE and test.probability > 1.0 - level:
+        return Deviation.SMALLER
+    return Deviation.NONE
 
 
 def _test(output: str, known: float, estimated: float, ratio: float, freedom: float) -> VarianceTest:
     return VarianceTest(
         output, known, estimated, ratio, float(freedom), float(special.chdtrc(freedom, ratio * freedom))
     )
-
-
-def agreement_words(agreement: Agreement, names: tuple[str, ...], conflict: Floats) -> str:
-    """Say whether prior and data agree and, where not, on which parameter they disagree most."""
-    chance = (
-        f"χ² {agreement.statistic:.3g} with {agreement.degrees_of_freedom} degrees of freedom, "
-        f"probability {agreement.probability:.2g}"
-    )
-    if agreement.probability >= SIGNIFICANT:
-        return f"Prior and data agree ({chance})"
-    sizes = np.abs(np.nan_to_num(conflict))
-    i = int(np.argmax(sizes))
-    most = f", most of all on {names[i]}, {sizes[i]:.2g} standard deviations apart" if sizes[i] else ""
-    return (
-        f"Prior and data disagree ({chance}){most}: the system has changed, the model lacks something, or the prior is "
-        "wrong or too sure of itself; the estimate lies between both"
-    )
-
-
-def variance_words(tests: tuple[VarianceTest, ...], *, prior: bool) -> list[str]:
-    """Say which residuals are larger or smaller than the known noise, or that all are as large.
-
-    Parameters
-    ----------
-    tests : tuple of VarianceTest
-    prior : bool
-        Whether there is a prior, which may be to blame.
-    """
-    blame = "the model or the prior" if prior else "the model"
-    said, outputs = [], [test for test in tests if test.output]
-    level = SIGNIFICANT / max(len(outputs), 1)
-    for test in outputs:
-        times = f"{test.estimated:.3g}, {test.ratio:.2g} times the known {test.known:.3g}"
-        if test.ratio > SAME_VARIANCE and test.probability < level:
-            said.append(
-                f"The residual of {test.output} is larger than its noise (variance {times}; probability "
-                f"{test.probability:.2g}): the system has changed, or {blame} is wrong"
-            )
-        elif test.ratio < 1.0 / SAME_VARIANCE and test.probability > 1.0 - level:
-            said.append(
-                f"The residual of {test.output} is smaller than its noise (variance {times}): the noise is less than "
-                "was said, and the standard deviations are too large"
-            )
-    if outputs and not said:
-        shares = listed([f"{test.ratio:.3g}" for test in outputs])
-        which = listed([test.output for test in outputs])
-        said.append(
-            f"The residual of {which} is as large as the known noise says (variance {shares} times it, probability "
-            f"{tests[-1].probability:.2g})"
-        )
-    return said

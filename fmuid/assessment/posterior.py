@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 import pandas as pd
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
-from fmuid.estimation import check_level
+from fmuid.estimation import Direction, check_level
 
 # Steps of the longest chain.
 MAX_STEPS = 20_000
@@ -63,17 +64,37 @@ class Sampling:
             raise InputError(f"the setting burn of the sampler must be a share from 0 to below 1, not {self.burn!r}")
 
 
+class Doubt(Enum):
+    """Why samples cannot be trusted."""
+
+    RUNAWAY = "runaway"
+    """Nothing holds a parameter."""
+    TOO_SHORT = "too_short"
+    """The chain is too short to judge."""
+    STUCK = "stuck"
+    """Hardly any proposal is accepted."""
+    DISAGREEING = "disagreeing"
+    """The walkers do not tell the same of a parameter."""
+    TOO_FEW = "too_few"
+    """The samples of a parameter are worth fewer independent ones than were asked for."""
+
+
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """Samples of the posterior with their diagnostics.
 
     Attributes
     ----------
-    status : str
-        Whether the samples can be trusted and, where not, the remedy.
-    converged : bool
+    doubt : Doubt or None
+        Why the samples cannot be trusted; None where they can.
+    doubtful : str
+        The parameter that the doubt is about, "" where it is about all of them.
     interrupted : bool
         Whether the keyboard ended it.
+    wanted : int
+        How many independent samples were asked for.
+    undetermined : tuple of Direction
+        Along which the samples show priors and bounds, not data.
     names : tuple of str
     chain : (steps, walkers, N) array
         Every step of every walker, the first `burn` ones included.
@@ -93,9 +114,11 @@ class Posterior:
     elapsed_s : float
     """
 
-    status: str
-    converged: bool
+    doubt: Doubt | None
+    doubtful: str
     interrupted: bool
+    wanted: int
+    undetermined: tuple[Direction, ...]
     names: tuple[str, ...]
     chain: Floats
     log_density: Floats
@@ -106,6 +129,11 @@ class Posterior:
     acceptance: float
     simulations: int
     elapsed_s: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the samples can be trusted."""
+        return self.doubt is None
 
     @property
     def samples(self) -> Floats:

@@ -21,18 +21,18 @@ from fmuid.assessment.consistency import (
     Agreement,
     VarianceTest,
     agree,
-    agreement_words,
     known_variances,
     variance_tests,
-    variance_words,
 )
 from fmuid.assessment.residuals import Diagnostics, examine_residuals
 from fmuid.errors import InputError
 from fmuid.estimation import (
     Criterion,
+    Direction,
     LeastSquares,
     LocalModel,
     Marquardt,
+    Outcome,
     Result,
     SensitivityError,
     State,
@@ -40,13 +40,53 @@ from fmuid.estimation import (
     prepare,
     search,
 )
-from fmuid.text import listed
 
 # A barycentre further than this from the estimate, in standard deviations, shows that the model is not linear.
 NONLINEAR = 0.5
 # An estimate that the prior moved by more than this, in standard deviations, is named; and one whose standard deviation
 # would be larger by this factor without the prior.
 MOVED, RESTS = 1.0, 2.0
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """Why the optimum of the data alone is extrapolated although it was to be searched.
+
+    Attributes
+    ----------
+    robust : bool
+        A robust loss, with which it is not searched.
+    outcome : Outcome or None
+        How its search ended, where it did not converge.
+    at_bounds : tuple of str
+        The parameters that the data alone push to a bound.
+    undetermined : tuple of Direction
+        What the data alone leave open there.
+    """
+
+    robust: bool = False
+    outcome: Outcome | None = None
+    at_bounds: tuple[str, ...] = ()
+    undetermined: tuple[Direction, ...] = ()
+
+
+@dataclass(frozen=True)
+class Influence:
+    """What a prior does to an estimate.
+
+    Attributes
+    ----------
+    name : str
+        The parameter.
+    prior : str
+        The parameter whose prior did most of it.
+    rests : bool
+        Whether the estimate rests on that prior, its standard deviation being far larger without; else it was moved.
+    """
+
+    name: str
+    prior: str
+    rests: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +113,7 @@ class Reading:
         None where data and prior have nothing in common.
     variances : tuple of VarianceTest
         One an output whose variance is known, and one for all of them where there are several.
-    notes : tuple of str
+    obstacle : Obstacle or None
         What stood in the way of the search for the data's optimum.
     """
 
@@ -89,7 +129,7 @@ class Reading:
     moves: Floats
     agreement: Agreement | None
     variances: tuple[VarianceTest, ...]
-    notes: tuple[str, ...]
+    obstacle: Obstacle | None
 
     @property
     def pull(self) -> Floats:
@@ -139,45 +179,22 @@ class Reading:
         )
 
     @property
-    def words(self) -> tuple[str, ...]:
-        """What is to be known of it, in sentences; none where there is neither a prior nor a known variance."""
-        agreement = [] if self.agreement is None else [agreement_words(self.agreement, self.names, self.conflict)]
-        return tuple(
-            agreement
-            + self._moves()
-            + self._nonlinear()
-            + variance_words(self.variances, prior=bool(np.isfinite(self.prior_mean).any()))
-            + list(self.notes)
-        )
-
-    def _moves(self) -> list[str]:
-        """Say which estimates rest on a prior, and which others a prior has moved, the most first."""
-        said = []
+    def influences(self) -> tuple[Influence, ...]:
+        """The estimates that rest on a prior, and others that a prior has moved, the most first."""
+        found = []
         for i in np.argsort(-np.abs(np.nan_to_num(self.moved)), kind="stable"):
-            if not (self.moved_by[i] and math.isfinite(self.data_std[i])):
-                continue
-            name, alone = self.names[i], _shown(self.data[i], self.data_std[i])
-            whose = "its own prior" if self.moved_by[i] == name else f"the prior of {self.moved_by[i]}"
-            if self.data_std[i] >= RESTS * self.combined_std[i]:
-                said.append(f"{name} rests on {whose}: the data alone say {alone} ± {self.data_std[i]:.2g}")
-            elif abs(self.moved[i]) >= MOVED:
-                said.append(
-                    f"The prior moved {name} from {alone}, which is what the data alone say, to "
-                    f"{_shown(self.combined[i], self.data_std[i])}, by {abs(self.moved[i]):.2g} of its standard "
-                    f"deviations; {whose} did most of it"
-                )
-        return said
+            if self.moved_by[i] and math.isfinite(self.data_std[i]):
+                rests = bool(self.data_std[i] >= RESTS * self.combined_std[i])
+                if rests or abs(self.moved[i]) >= MOVED:
+                    found.append(Influence(self.names[i], self.moved_by[i], rests))
+        return tuple(found)
 
-    def _nonlinear(self) -> list[str]:
+    @property
+    def bent(self) -> str:
+        """The parameter whose barycentre lies so far from the estimate that the model is not linear, "" for none."""
         off = np.abs(np.nan_to_num(self.nonlinearity))
         i = int(np.argmax(off))
-        if off[i] < NONLINEAR:
-            return []
-        return [
-            f"Between prior and data the model is not linear: their barycentre has {self.names[i]} at "
-            f"{_shown(self.barycentre[i], self.combined_std[i])}, {off[i]:.2g} standard deviations from its estimate: "
-            "the local standard deviations are an order of magnitude; a profile or the posterior tell more"
-        ]
+        return self.names[i] if off[i] >= NONLINEAR else ""
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return ``consistency`` of ``result.json``; what is not a finite number is None."""
@@ -185,7 +202,6 @@ class Reading:
         keys = ("data", "data_std", "moved", "moved_by", "conflict", "barycentre", "nonlinearity")
         agreement = self.agreement
         return {
-            "words": list(self.words),
             "searched": self.searched,
             "parameters": {name: {key: _plain(table.loc[name, key]) for key in keys} for name in self.names},
             "prior_against_data": None
@@ -203,16 +219,11 @@ class Reading:
                     "ratio": each.ratio,
                     "degrees_of_freedom": each.degrees_of_freedom,
                     "probability": each.probability,
+                    "deviation": each.deviation.value,
                 }
                 for each in self.variances
             ],
         }
-
-
-def _shown(value: float, std: float) -> str:
-    """Return a number to the second significant digit of its standard deviation."""
-    decimals = 1 - math.floor(math.log10(std))
-    return f"{value:.{decimals}f}" if 0 <= decimals <= 9 else f"{value:.4g}"
 
 
 def _plain(value: Any) -> Any:
@@ -256,15 +267,14 @@ def read_result(
     known = known_variances(problem, result.given_variance if healthy is None else healthy)
     examined = examine_residuals(problem, result) if diagnostics is None else diagnostics
     variances = variance_tests(problem, result, known, local, examined)
-    at, there, notes, searched = result.values, local, list[str](), False
+    at, there, obstacle = result.values, local, None
     if search_data and len(local.prior_residual) and local.data.rank == len(result.names):
-        found: tuple[Floats, LocalModel] | str = "With a robust loss the optimum of the data alone is extrapolated"
-        if problem.loss is None:
-            found = _search_data(problem, result, local)
-        if isinstance(found, str):
-            notes.append(found)
+        found = Obstacle(robust=True) if problem.loss is not None else _search_data(problem, result, local)
+        if isinstance(found, Obstacle):
+            obstacle = found
         else:
-            (at, there), searched = found, True
+            at, there = found
+    searched = there is not local
     data_std = np.sqrt(np.diag(there.data.covariance))
     white = there.combine()
     return Reading(
@@ -280,7 +290,7 @@ def read_result(
         local.moves(),
         agree(there, examined),
         variances,
-        tuple(notes),
+        obstacle,
     )
 
 
@@ -317,32 +327,30 @@ class _DataAlone:
         return self._criterion.jacobian_error(theta, residual, central=central)
 
 
-def _search_data(problem: LeastSquares, result: Result, local: LocalModel) -> tuple[Floats, LocalModel] | str:
-    """Return the optimum of the data alone and the local model there, or a sentence on why there is none."""
+def _search_data(problem: LeastSquares, result: Result, local: LocalModel) -> tuple[Floats, LocalModel] | Obstacle:
+    """Return the optimum of the data alone and the local model there, or why there is none."""
     variance = np.array([result.variance[name] for name in problem.output_names])
     state = State(result.values.copy(), local.residual, local.jacobian, fresh=False)
-    why = "interrupted"
     try:
         alone = _DataAlone(prepare(problem, result.start).criterion.reweighted(variance))
         for _ in search(alone, state, Marquardt()):
             pass
         if not state.fresh:
             state.jacobian = alone.jacobian(state.theta, state.residual, central=True)
-        why = state.outcome.value if state.outcome is not None else why
     except SensitivityError:
-        why = "stopped where simulations fail"
+        state.outcome = Outcome.FAILING
     except KeyboardInterrupt:
-        state.outcome = None
+        state.outcome = Outcome.INTERRUPTED
     if state.outcome is None or not state.outcome.converged:
-        return f"The search for the optimum of the data alone did not converge, so it is extrapolated: {why}"
+        return Obstacle(outcome=state.outcome)
     held = [result.names[i] for i in np.flatnonzero(state.held)]
     if held:
-        return f"The data alone would push {listed(held)} to a bound, so their optimum is extrapolated"
+        return Obstacle(at_bounds=tuple(held))
     magnitudes = alone.magnitudes(state.theta)
     error = alone.jacobian_error(state.theta, state.residual, central=state.central)
     data = local_covariance(result.names, state.jacobian, magnitudes, error, theta=state.theta)
     if data.rank < len(result.names):
-        return f"At the optimum of the data alone {listed(data.undetermined)}, so it is extrapolated"
+        return Obstacle(undetermined=data.undetermined)
     prior = problem.parameters.prior_residual(state.theta[None])[0]
     there = LocalModel(state.residual, state.jacobian, prior, local.prior_jacobian, magnitudes, data, local.combined)
     return state.theta, there

@@ -30,6 +30,8 @@ SHOWN_LAGS = 40
 FEWEST = 20
 # A residual below this share of the measured values is rounding.
 ROUNDING = 1e-9
+# A skewness and excess kurtosis beyond which noise no longer looks normal.
+SKEWED, TAILED = 0.5, 1.0
 # A sample this many standard deviations away is an outlier: of normal noise, 1 in 15 000.
 OUTLYING = 4.0
 
@@ -131,6 +133,23 @@ class ResidualSeries:
     def examined(self) -> bool:
         """Whether there were samples enough, and more than rounding, to say anything."""
         return not math.isnan(self.whiteness_probability)
+
+    @property
+    def strongest_autocorrelation(self) -> tuple[int, float]:
+        """The lag, in samples, at which the autocorrelation is largest, of those tested, and its value there."""
+        tested = np.nan_to_num(self.autocorrelation[: self.tested_lags + 1])
+        lag = 1 + int(np.argmax(np.abs(tested[1:])))
+        return lag, float(tested[lag])
+
+    @property
+    def lopsided(self) -> bool:
+        """Whether the skewness is larger than looks normal."""
+        return abs(self.skewness) > SKEWED
+
+    @property
+    def tailed(self) -> bool:
+        """Whether the tails are heavier or lighter than looks normal."""
+        return abs(self.kurtosis) > TAILED
 
     @property
     def correlation_samples(self) -> float:

@@ -34,7 +34,7 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.assessment.chains import effective_size, r_hat
 from fmuid.assessment.conditional import check_result
-from fmuid.assessment.posterior import Posterior, Sampling
+from fmuid.assessment.posterior import Doubt, Posterior, Sampling
 from fmuid.assessment.profile import reach
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result
@@ -78,7 +78,7 @@ def sample(
     Returns
     -------
     Posterior
-        Also where it did not converge or was interrupted from the keyboard: its status says so.
+        Also where it did not converge or was interrupted from the keyboard, which it says.
 
     Raises
     ------
@@ -257,9 +257,11 @@ class _Sampler:
         columns = [kept[:, :, i] for i in range(chain.shape[2])]
         effective = np.array([effective_size(column) for column in columns])
         found = Posterior(
-            status="",
-            converged=False,
+            doubt=None,
+            doubtful="",
             interrupted=self.interrupted,
+            wanted=self.settings.effective_size,
+            undetermined=self.result.undetermined,
             names=self.problem.parameters.names,
             chain=chain,
             log_density=self.sampler.get_log_prob().copy(),
@@ -271,17 +273,8 @@ class _Sampler:
             simulations=self.problem.simulations - self.simulations,
             elapsed_s=time.perf_counter() - self.clock,
         )
-        doubt = self._doubt(found)
-        words = [f"interrupted after {len(chain)} steps"] if self.interrupted else []
-        words.append(
-            doubt
-            or f"converged: at least {effective.min():.0f} independent samples of each parameter, "
-            f"R-hat at most {found.r_hat.max():.3f}"
-        )
-        words += [
-            f"{said}: along this the samples show priors and bounds, not data" for said in self.result.undetermined
-        ]
-        return replace(found, status="; ".join(words), converged=not doubt)
+        doubt, doubtful = self._doubt(found)
+        return replace(found, doubt=doubt, doubtful=doubtful)
 
     def _runaway(self, found: Posterior) -> str:
         """Return the name of a parameter that runs away on a side without bound, empty if none does."""
@@ -291,35 +284,22 @@ class _Sampler:
         below = np.isinf(parameters.lower) & (beyond < -self.far).any(axis=0)
         return next((name for name, gone in zip(found.names, above | below, strict=True) if gone), "")
 
-    def _doubt(self, found: Posterior) -> str:
-        """Return why the samples cannot be trusted yet, and the remedy; empty if they can."""
-        length = len(found.chain)
+    def _doubt(self, found: Posterior) -> tuple[Doubt | None, str]:
+        """Return why the samples cannot be trusted yet, and of which parameter; None where they can."""
         runaway = self._runaway(found)
         if runaway:
-            return f"nothing holds {runaway}, the samples run away: give a prior or bounds, or measure more"
+            return Doubt.RUNAWAY, runaway
         if np.isnan(found.r_hat).any() or np.isnan(found.effective_size).any():
-            return f"{length} steps are too few to judge: raise steps, or let it go on"
+            return Doubt.TOO_SHORT, ""
         if found.acceptance < LEAST_ACCEPTANCE:
-            return (
-                f"the walkers hardly move, {found.acceptance:.1%} of the proposals are accepted: look for several "
-                "optima and for simulations that fail, and narrow the bounds around what is meant"
-            )
+            return Doubt.STUCK, ""
         worst = int(np.argmax(found.r_hat))
         if found.r_hat[worst] > LARGEST_R_HAT:
-            return (
-                f"not converged: the walkers do not agree on {found.names[worst]} (R-hat {found.r_hat[worst]:.3f}, "
-                f"{LARGEST_R_HAT} is the most) after {length} steps: raise steps; if that does not help, the data "
-                "leave it open or there are several optima, so give a prior or narrower bounds"
-            )
+            return Doubt.DISAGREEING, found.names[worst]
         worst = int(np.argmin(found.effective_size))
-        share = self.settings.effective_size / float(found.effective_size[worst])
-        if share > 1.0:
-            return (
-                f"not enough: the samples of {found.names[worst]} are worth {found.effective_size[worst]:.0f} "
-                f"independent ones instead of {self.settings.effective_size}: raise steps to about "
-                f"{math.ceil(1.2 * share * length)}"
-            )
-        return ""
+        if found.effective_size[worst] < self.settings.effective_size:
+            return Doubt.TOO_FEW, found.names[worst]
+        return None, ""
 
 
 def _root(covariance: Floats) -> Floats | None:

@@ -90,7 +90,7 @@ class Uncertainty:
     def succeeded(self) -> bool:
         """Whether all is done, no better optimum has shown, and the samples of the posterior can be trusted."""
         ends = [end for each in self.profiles for end in (each.lower, each.upper)]
-        better = bool(np.isnan(ends).any()) or any(_better(chart) for chart in (*self.maps, *self.box_maps))
+        better = bool(np.isnan(ends).any()) or any(better_point(chart) for chart in (*self.maps, *self.box_maps))
         return not self.interrupted and not better and (self.posterior is None or self.posterior.converged)
 
     def intervals(self, result: Result) -> pd.DataFrame:
@@ -112,15 +112,6 @@ class Uncertainty:
         return pd.concat([each.table.assign(profiled=each.name) for each in self.profiles], ignore_index=True)[
             ["profiled", *self.profiles[0].table.columns]
         ]
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks on the intervals and maps."""
-        said = [note for each in self.profiles for note in each.notes]
-        said += [note for chart in (*self.maps, *self.box_maps) for note in _better(chart)]
-        if self.posterior is not None and not self.posterior.converged:
-            said.append(f"posterior: {self.posterior.status}")
-        return tuple(said)
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return the entries ``profiles`` and ``posterior`` of ``result.json``; what is not finite is None."""
@@ -151,8 +142,10 @@ def _posterior(found: Posterior, level: float) -> dict[str, Any]:
         "r_hat": found.r_hat,
     }
     return {
-        "status": found.status,
         "converged": found.converged,
+        "doubt": found.doubt.value if found.doubt is not None else None,
+        "doubtful": found.doubtful,
+        "interrupted": found.interrupted,
         "level": level,
         "parameters": {
             name: {key: _plain(np.asarray(values)[i]) for key, values in columns.items()}
@@ -171,19 +164,12 @@ def _posterior(found: Posterior, level: float) -> dict[str, Any]:
     }
 
 
-def _better(chart: CriterionMap) -> list[str]:
-    """Say where a map shows a lower criterion than the estimate has."""
-    first, second = chart.names
-    points = chart.table[[first, second, "criterion"]].to_numpy()
+def better_point(chart: CriterionMap) -> tuple[float, float, float] | None:
+    """Return where a map shows a lower criterion than the estimate has, and by how much; None where it does not."""
+    points = chart.table[[*chart.names, "criterion"]].to_numpy()
     values = np.where(np.isnan(points[:, 2]), np.inf, points[:, 2])
     x, y, least = points[int(np.argmin(values))]
-    if not least < chart.criterion - LOWER_OPTIMUM:
-        return []
-    return [
-        f"the criterion over {first} and {second} is lower at {first} = {x:.6g}, {second} = {y:.6g} than at the "
-        f"estimate, by {chart.criterion - least:.3g}: there is a better optimum; start there, or search with "
-        'method = "global"'
-    ]
+    return (float(x), float(y), float(chart.criterion - least)) if least < chart.criterion - LOWER_OPTIMUM else None
 
 
 def _plain(value: float) -> float | None:

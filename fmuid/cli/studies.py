@@ -118,6 +118,7 @@ def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
         from fmuid import files
+        from fmuid.reports import write_diagnosis
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.diagnosis import show_diagnosis
         from fmuid.reports.console.progress import Display
@@ -131,7 +132,7 @@ def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in
         with Display() as display:
             found = read.diagnose(display)
         show_diagnosis(found)
-        written = [found.to_json(folder / "diagnosis.json"), files.write_table(folder / "diagnosis.csv", found.table)]
+        written = write_diagnosis(folder, found)
         written += plots.save(figures_diagnosis.draw(found), folder / "figures")
         console.show_files(written)
         return DONE if found.kind == "healthy" else NOT_SUCCEEDED

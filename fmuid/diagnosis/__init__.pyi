@@ -7,6 +7,8 @@ from .faults import Angle as Angle
 from .faults import Fault as Fault
 from .hypothesis import Hypothesis as Hypothesis
 from .hypothesis import Size as Size
+from .hypothesis import Strain as Strain
+from .monitoring.alarms import SOMETHING_ELSE as SOMETHING_ELSE
 from .monitoring.alarms import Rule as Rule
 from .monitoring.monitor import Monitor as Monitor
 from .monitoring.window_fit import Extended as Extended
@@ -14,4 +16,3 @@ from .procedure import LEVEL as LEVEL
 from .procedure import DiagnosisSettings as DiagnosisSettings
 from .procedure import diagnose as diagnose
 from .verdict import Diagnosis as Diagnosis
-from .verdict import chance as chance

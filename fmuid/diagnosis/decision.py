@@ -87,13 +87,6 @@ class Reference:
             top *= 2.0
         return float(optimize.brentq(lambda d: self.probability(d) - level if d > 0 else 1.0 - level, 0.0, top))
 
-    @property
-    def words(self) -> str:
-        """The distribution in words."""
-        if len(self.weights) == 1:
-            return f"χ²_{self.free}"
-        return " + ".join(f"{w:.3g} χ²_{self.free + j}" for j, w in enumerate(self.weights))
-
 
 def orthant_weights(covariance: Floats) -> tuple[float, ...]:
     """Return the probabilities that 0 to k components of a constrained estimate are positive, its truth being zero.

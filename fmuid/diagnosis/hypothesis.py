@@ -12,8 +12,7 @@ from scipy import special
 from fmuid.assessment import VarianceTest
 from fmuid.diagnosis.decision import Reference
 from fmuid.errors import InputError
-from fmuid.estimation import Outcome, Result, check_level
-from fmuid.text import has_unit, listed, with_std
+from fmuid.estimation import Direction, Outcome, Result, check_level
 
 Estimate = tuple[float, float]
 """Value and standard deviation."""
@@ -28,10 +27,14 @@ _PLAIN_KEYS = (
     "colour",
     "active",
     "criterion",
+    "mismatch",
     "ended",
-    "undetermined",
-    "notes",
 )
+_DIRECTIONS = ("undetermined", "prior_determined")
+
+# A model that without its fault fits worse or better than the healthy one by more than this has another healthy machine
+# in it; differences of the simulations alone are smaller.
+SAME_CRITERION = 1.0
 
 
 @dataclass(frozen=True)
@@ -79,13 +82,20 @@ class Size:
         half = float(special.ndtri(0.5 + level / 2.0)) * self.std
         return max(self.value - half, self.min), min(self.value + half, self.max)
 
-    def words(self, *, located: bool) -> str:
-        """Return name, value and standard deviation; with the angle where that is asked for."""
-        unit = f" {self.unit}" if has_unit(self.unit) else ""
-        if math.isinf(self.std):
-            return f"{self.name} not determined"
-        at = f" at {self.angle} = {with_std(self.angle_value, self.angle_std)}" if located and self.angle else ""
-        return f"{self.name} = {with_std(self.value, self.std)}{unit}{at}"
+
+@dataclass(frozen=True)
+class Strain:
+    """A nominal parameter that has left what was foreseen.
+
+    Attributes
+    ----------
+    name : str
+    distance : float
+        From the prior to the data's optimum, in standard deviations of the two together.
+    """
+
+    name: str
+    distance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,19 +122,22 @@ class Hypothesis:
         J_C with the fault.
     ended : bool
         Whether both searches ended at a minimum.
-    undetermined : tuple of str
-        Directions that leave the fault open, in words.
+    undetermined : tuple of Direction
+        What leaves the fault open.
+    prior_determined : tuple of Direction
+        What would leave it open without the healthy record.
+    mismatch : float
+        By how much the criterion of this model without its fault differs from the healthy machine's.
     outcome : Outcome
         How the search ended.
-    notes : tuple of str
     adjusted : float
         `probability`, adjusted for the number of hypotheses.
     threshold : float
         What D must exceed at the chosen level.
     information : float
         Bayesian information criterion against no fault, k ln n − D; less is better.
-    strain : tuple of str
-        Nominal parameters that have left what was foreseen, in words; not kept in a file.
+    strain : Strain or None
+        The nominal parameter that has left what was foreseen; not kept in a file.
     variances : tuple of VarianceTest
         Not kept in a file.
     result : Result or None
@@ -141,13 +154,14 @@ class Hypothesis:
     active: int
     criterion: float
     ended: bool
-    undetermined: tuple[str, ...]
+    undetermined: tuple[Direction, ...]
+    prior_determined: tuple[Direction, ...]
+    mismatch: float
     outcome: Outcome
-    notes: tuple[str, ...] = ()
     adjusted: float = math.nan
     threshold: float = math.nan
     information: float = math.nan
-    strain: tuple[str, ...] = ()
+    strain: Strain | None = None
     variances: tuple[VarianceTest, ...] = ()
     result: Result | None = None
 
@@ -159,6 +173,11 @@ class Hypothesis:
     def determined(self) -> bool:
         """Whether all sizes are determined."""
         return not self.undetermined
+
+    @property
+    def healthy_at_zero(self) -> bool:
+        """Whether the model without its fault fits as the healthy machine does."""
+        return abs(self.mismatch) <= SAME_CRITERION
 
     def __getitem__(self, name: str) -> Size:
         """Return one size."""
@@ -172,11 +191,6 @@ class Hypothesis:
         order = sorted(self.sizes, key=lambda each: each.probability)
         return tuple(each for each in order if each.probability <= level / len(order)) or tuple(order[:1])
 
-    def words(self, level: float) -> str:
-        """Return the name and the sizes that matter."""
-        sizes = [each.words(located=self.located(each, level)) for each in self.significant(level)]
-        return f"{self.name}, " + listed(sizes)
-
     def to_json_dict(self, level: float) -> dict[str, Any]:
         """Return what ``diagnosis.json`` has of it; angles are left out whose sizes are not significant at a level."""
         sizes = {}
@@ -187,9 +201,10 @@ class Hypothesis:
         return {
             **{key: getattr(self, key) for key in _PLAIN_KEYS},
             "outcome": self.outcome.value,
+            **{key: [each.to_json_dict() for each in getattr(self, key)] for key in _DIRECTIONS},
             "sizes": sizes,
             "common": {name: {"value": value, "std": std} for name, (value, std) in self.common.items()},
-            "reference": asdict(self.reference) | {"words": self.reference.words},
+            "reference": asdict(self.reference),
         }
 
     def located(self, size: Size, level: float) -> bool:
@@ -211,9 +226,6 @@ class Hypothesis:
             bounds = {"min": number(each["min"], -math.inf), "max": number(each["max"], math.inf)}
             sizes.append(Size(**each | located | bounds | {"std": number(each["std"], math.inf)}))
         reference = data["reference"]
-        words: dict[str, Any] = {
-            key: tuple(data[key]) if isinstance(data[key], list) else data[key] for key in _PLAIN_KEYS
-        }
         return cls(
             name=name,
             sizes=tuple(sizes),
@@ -222,7 +234,9 @@ class Hypothesis:
                 int(reference["free"]), tuple(reference["weights"]), number(reference["freedom"], math.inf)
             ),
             outcome=Outcome(data["outcome"]),
-            **words,
+            undetermined=tuple(map(Direction.of_json, data["undetermined"])),
+            prior_determined=tuple(map(Direction.of_json, data["prior_determined"])),
+            **{key: data[key] for key in _PLAIN_KEYS},
         )
 
 

@@ -31,7 +31,7 @@ from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.decision import Reference, at_least_one, orthant_weights, rivals
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.hypothesis import Hypothesis, Size
+from fmuid.diagnosis.hypothesis import Hypothesis, Size, Strain
 from fmuid.diagnosis.verdict import Diagnosis, Test
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt, Outcome, Result, check_level, identify
@@ -45,9 +45,6 @@ from fmuid.version import __version__
 LEVEL = 0.01
 """Probability of calling a fault where there is none, unless said otherwise."""
 
-# A model that without its fault fits worse or better than the healthy one by more than this has another healthy machine
-# in it; differences of the simulations alone are smaller.
-SAME_CRITERION = 1.0
 # The residual may be larger than the noise for other reasons than the faults that are looked for: this share of the
 # level is spent on it, so that the level as a whole is met.
 UNEXPLAINED_SHARE = 0.1
@@ -221,7 +218,7 @@ class _Diagnosing:
                 n: (v, s) for n, v, s in zip(result.names, result.values.tolist(), result.std.tolist(), strict=True)
             },
             ended=_ended(result),
-            notes=found[best[0]].strain if best else _strain(nominal[1]),
+            strain=found[best[0]].strain if best else _strain(nominal[1]),
             version=__version__,
             result=result,
         )
@@ -291,18 +288,6 @@ def _hypothesis(
         _size(each, fault, best, system.unit(each) or "", colour, freedom, probability) for each in fault.sizes
     )
     off_bound = [each for each in sizes if each.value != 0.0 or each.name not in fault.constrained]
-    off = without.criterion - nominal_criterion
-    notes = [f"without the healthy record, {sentence}" for sentence in best.prior_determined]
-    if abs(off) > SAME_CRITERION:
-        notes.append(
-            f"without its fault this model is not the healthy machine: its criterion differs by {off:.3g}; "
-            "check its names and values"
-        )
-    if colour > 1.0:
-        notes.append(
-            f"the residual is not white: D is divided by {colour**2:.3g}, and the standard deviations are larger by "
-            f"{colour:.3g}"
-        )
     return Hypothesis(
         name=name,
         sizes=sizes,
@@ -319,8 +304,9 @@ def _hypothesis(
         criterion=best.criterion,
         ended=_ended(best) and _ended(without),
         undetermined=best.undetermined if any(not math.isfinite(each.std) for each in sizes) else (),
+        prior_determined=best.prior_determined,
+        mismatch=without.criterion - nominal_criterion,
         outcome=best.outcome,
-        notes=tuple(notes),
         strain=_strain(reading),
         variances=reading.variances,
         result=best,
@@ -369,16 +355,11 @@ def _size(
     )
 
 
-def _strain(reading: Reading) -> tuple[str, ...]:
-    """Say which nominal parameter has left what was foreseen."""
+def _strain(reading: Reading) -> Strain | None:
+    """Return the nominal parameter that has left what was foreseen, the one that has most."""
     agreement = reading.agreement
     if agreement is None or agreement.probability >= SIGNIFICANT:
-        return ()
+        return None
     conflict = np.abs(np.nan_to_num(reading.conflict))
     i = int(np.argmax(conflict))
-    if conflict[i] == 0.0:
-        return ()
-    return (
-        f"{reading.names[i]} lies {conflict[i]:.2g} standard deviations from what the healthy record and inflate "
-        "foresee: it has changed more than was expected, or something else has",
-    )
+    return Strain(reading.names[i], float(conflict[i])) if conflict[i] else None

@@ -1,4 +1,4 @@
-"""What a diagnosis found, in numbers, words and JSON."""
+"""What a diagnosis found, in numbers and JSON."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from typing import Any
 
 import pandas as pd
 
-from fmuid.diagnosis.hypothesis import Estimate, Hypothesis, estimates_of
+from fmuid.diagnosis.hypothesis import Estimate, Hypothesis, Strain, estimates_of
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import replacing
-from fmuid.text import listed
 
 # A fault whose model explains less than this share of what exceeds the noise is not what is wrong.
 MOSTLY = 0.5
@@ -64,7 +63,8 @@ class Diagnosis:
         The healthy model fitted.
     ended : bool
         Whether that fit ended at a minimum.
-    notes : tuple of str
+    strain : Strain or None
+        The nominal parameter that has left what was foreseen.
     version : str
         Of fmuid.
     result : Result or None
@@ -80,7 +80,7 @@ class Diagnosis:
     noise_variance: Mapping[str, float]
     nominal: Mapping[str, Estimate]
     ended: bool
-    notes: tuple[str, ...]
+    strain: Strain | None
     version: str
     result: Result | None = None
 
@@ -100,53 +100,6 @@ class Diagnosis:
             return "fault" if len(self.named) == 1 else "ambiguous"
         open_ = not self.ended or any(not each.ended or each.undetermined for each in self.hypotheses)
         return "undecided" if open_ else "healthy"
-
-    @property
-    def verdict(self) -> str:
-        """What it is, in one sentence."""
-        named = [self[name] for name in self.named]
-        nearest = min(self.hypotheses, key=lambda each: each.probability)
-        if self.kind == "unexplained":
-            said = (
-                f"Something else is wrong: the residual's variance is {self.unexplained.ratio:.3g} times the noise "
-                f"of the healthy machine (probability {chance(self.unexplained.probability)})"
-            )
-            if not named:
-                return f"{said}, and no fault that was looked for explains it"
-            return f"{said} even with the most likely fault, {named[0].words(self.level)}"
-        if self.kind == "fault":
-            likely = f"probability without a fault {chance(named[0].adjusted)}"
-            return f"Fault found: {named[0].words(self.level)} ({likely}){self._rest()}"
-        if self.kind == "ambiguous":
-            which = listed([each.name for each in named])
-            return (
-                f"Fault found, but the data cannot tell {which} apart: "
-                + "; or ".join(each.words(self.level) for each in named)
-                + self._rest()
-            )
-        if self.kind == "undecided":
-            return f"Whether there is a fault stays open: {self._obstacle()}"
-        return (
-            f"No fault found at a false-alarm level of {100 * self.level:g} %; the most likely one is "
-            f"{nearest.words(self.level)} (probability without a fault {chance(nearest.adjusted)})"
-        )
-
-    def _rest(self) -> str:
-        """Say what the fault leaves unexplained, "" for nothing."""
-        if not self.unexplained.larger:
-            return ""
-        return (
-            f"; its model explains {self.unexplained.explained:.0%} of what exceeds the noise, not all of it: "
-            "the size is that of a model that is nearly right"
-        )
-
-    def _obstacle(self) -> str:
-        if not self.ended:
-            return "the search for the healthy model did not end at a minimum"
-        each = next(each for each in self.hypotheses if not each.ended or each.undetermined)
-        return (
-            "; ".join(each.undetermined) if each.undetermined else f"{each.name}: the search did not end at a minimum"
-        )
 
     @property
     def table(self) -> pd.DataFrame:
@@ -181,7 +134,6 @@ class Diagnosis:
     def to_json_dict(self) -> dict[str, Any]:
         """Return the content of ``diagnosis.json``; what is not a finite number is None."""
         content = {
-            "verdict": self.verdict,
             "kind": self.kind,
             "called": self.called,
             "named": self.named,
@@ -192,7 +144,7 @@ class Diagnosis:
             "nominal": {n: {"value": v, "std": s} for n, (v, s) in self.nominal.items()},
             "ended": self.ended,
             "faults": {each.name: each.to_json_dict(self.level) for each in self.hypotheses},
-            "notes": self.notes,
+            "strain": None if self.strain is None else asdict(self.strain),
             "version": self.version,
         }
         plain: dict[str, Any] = _plain(content)
@@ -232,7 +184,7 @@ class Diagnosis:
                 noise_variance=dict(data["noise_variance"]),
                 nominal=estimates_of(data["nominal"]),
                 ended=bool(data["ended"]),
-                notes=tuple(data["notes"]),
+                strain=None if data["strain"] is None else Strain(**data["strain"]),
                 version=str(data["version"]),
             )
         except OSError as error:
@@ -240,11 +192,6 @@ class Diagnosis:
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path} is no diagnosis of fmuid: {what}; give a diagnosis.json") from None
-
-
-def chance(probability: float) -> str:
-    """Return a probability to two digits."""
-    return f"{probability:.2g}" if probability > 1e-300 else "below 1e-300"
 
 
 def _plain(value: Any) -> Any:

@@ -1,5 +1,7 @@
 from .box import Box as Box
 from .box import spans_decades as spans_decades
+from .covariance import Determined as Determined
+from .covariance import Direction as Direction
 from .covariance import local_covariance as local_covariance
 from .criterion import Criterion as Criterion
 from .criterion import prepare as prepare
@@ -13,7 +15,6 @@ from .identification import Method as Method
 from .identification import identify as identify
 from .least_squares import LeastSquares as LeastSquares
 from .local_model import LocalModel as LocalModel
-from .marquardt.outcome import AtBound as AtBound
 from .marquardt.outcome import Outcome as Outcome
 from .marquardt.search import Marquardt as Marquardt
 from .marquardt.search import State as State
@@ -24,5 +25,6 @@ from .misfit import misfits as misfits
 from .misfit import refuse_loss as refuse_loss
 from .misfit import variances as variances
 from .model_derivatives import SENSITIVITIES as SENSITIVITIES
+from .result import AtBound as AtBound
 from .result import Result as Result
 from .result import check_level as check_level

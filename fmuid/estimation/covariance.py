@@ -17,15 +17,17 @@ P. J. Huber, "Robust Statistics", Wiley 1981.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.estimation.marquardt.step import triangle
-from fmuid.text import listed
 
 # A direction whose standard deviation exceeds this share of the parameters' magnitudes is hardly determined ...
 WEAK_STD = 1.0
@@ -38,15 +40,97 @@ ASTRAY_STD = 100.0
 # Singular values are zero where they are below so many times the error that finite differences may have made along
 # their direction: where nothing is determined they come out at 0.1 to 1 times what is foreseen of it.
 JACOBIAN_ERRORS = 2.0
-# Parameters with less than this share of a direction's largest component are left out of its words ...
+# Parameters with less than this share of a direction's largest component are no part of what is told of it.
 WORTH_NAMING = 0.05
-# ... and are no longer considered part of an undetermined direction below this share.
+# Below this share they are no longer considered part of an undetermined direction.
 INVOLVED = 1e-3
-# Steps along a direction are told in percent of values, but of magnitudes where values are below this share of them.
-# The largest is 1 %, which is small enough for the linear model: that of the first parameter within this share of it.
-NEAR_ZERO, AS_LARGE = 0.5, 0.99
-# Of all coefficients in words, so many digits are shown.
-DIGITS = 3
+
+
+class Determined(Enum):
+    """How little is known along a direction, within the limits above."""
+
+    NOT = "not"
+    """Moving along it changes nothing."""
+    NOT_IN_EFFECT = "not_in_effect"
+    """The standard deviation is so large that not even the parameters' power of ten is known."""
+    HARDLY = "hardly"
+    """The standard deviation is larger than the parameters' own magnitudes."""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A direction of the parameters that is not, or hardly, determined.
+
+    Attributes
+    ----------
+    determined : Determined
+    names : tuple of str
+        The parameters that move most along it.
+    coefficients : tuple of float
+        How far each of them moves, in its unit; the whole has any length.
+    std : float
+        Standard deviation along it, relative to the parameters' magnitudes; infinite where it is not determined.
+    values, magnitudes : tuple of float
+        The parameters where this was found, and how large each is.
+    """
+
+    determined: Determined
+    names: tuple[str, ...]
+    coefficients: tuple[float, ...]
+    std: float
+    values: tuple[float, ...]
+    magnitudes: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls,
+        determined: Determined,
+        names: Sequence[str],
+        relative: Floats,
+        std: float,
+        theta: Floats,
+        magnitudes: Floats,
+    ) -> Direction:
+        """Return a direction (N,) that is relative to the magnitudes, without the parameters that hardly move."""
+        size = np.abs(relative)
+        main = np.flatnonzero(size >= WORTH_NAMING * size.max()).tolist()
+        return cls(
+            determined,
+            tuple(names[i] for i in main),
+            tuple((relative * magnitudes)[main].tolist()),
+            std,
+            tuple(theta[main].tolist()),
+            tuple(magnitudes[main].tolist()),
+        )
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return what ``result.json`` has of it; an infinite standard deviation is None."""
+        return {
+            "determined": self.determined.value,
+            "names": list(self.names),
+            "coefficients": list(self.coefficients),
+            "std": self.std if math.isfinite(self.std) else None,
+            "values": list(self.values),
+            "magnitudes": list(self.magnitudes),
+        }
+
+    @classmethod
+    def of_json(cls, data: Mapping[str, Any]) -> Direction:
+        """Return a direction of a file.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If it is none.
+        """
+        coefficients, values, magnitudes = (
+            tuple(map(float, data[key])) for key in ("coefficients", "values", "magnitudes")
+        )
+        names = tuple(map(str, data["names"]))
+        if not len(names) == len(coefficients) == len(values) == len(magnitudes) > 0:
+            raise ValueError("a direction has not as many numbers as names")
+        std = math.inf if data["std"] is None else float(data["std"])
+        return cls(Determined(data["determined"]), names, coefficients, std, values, magnitudes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +141,8 @@ class LocalCovariance:
     ----------
     covariance : (N, N) array
         (JᵀJ)⁻¹ of the whitened Jacobian; infinite variances and NaN covariances for parameters that are not determined.
-    undetermined, weak : tuple of str
-        Sentences, one a direction; undetermined at all first, then in effect.
+    undetermined, weak : tuple of Direction
+        What is not determined, at all first, then in effect; what is hardly determined.
     rank : int
         How many directions are determined at all, if only in theory: those of finite variance.
     root : (N, k) array
@@ -66,8 +150,8 @@ class LocalCovariance:
     """
 
     covariance: Floats
-    undetermined: tuple[str, ...]
-    weak: tuple[str, ...]
+    undetermined: tuple[Direction, ...]
+    weak: tuple[Direction, ...]
     rank: int
     root: Floats
 
@@ -105,7 +189,7 @@ def local_covariance(
         How many of the last rows are the prior's; they have no error, and what they say of a direction counts even
         where it is less than the errors of the others.
     theta : (N,) array, optional
-        The parameters, for words. Default: the magnitudes.
+        The parameters, which directions are told with. Default: the magnitudes.
     scale : (N,) array, optional
         How large each parameter was thought to be at the start: an estimate that happens to lie near zero is not
         undetermined for that. Default: the magnitudes.
@@ -133,13 +217,14 @@ def local_covariance(
     covariance[lost, :] = covariance[:, lost] = np.nan
     covariance[lost, lost] = np.inf
     at = magnitudes if theta is None else theta
-    undetermined = [describe_lost(names, row * magnitudes, magnitudes, at) for row in _sparse(null)]
-    weak = []
-    for direction, std in zip(directions[~zero], 1.0 / values[~zero], strict=True):
+    undetermined, weak = [], []
+    for row in _sparse(null):
+        undetermined.append(Direction.of(Determined.NOT, names, row, math.inf, at, magnitudes))
+    for direction, std in zip(directions[~zero], (1.0 / values[~zero]).tolist(), strict=True):
         if _lost_in_effect(np.abs(direction) * std * magnitudes, magnitudes, magnitudes if scale is None else scale):
-            undetermined.append(describe_open(names, direction * magnitudes, magnitudes, std))
+            undetermined.append(Direction.of(Determined.NOT_IN_EFFECT, names, direction, std, at, magnitudes))
         elif std > WEAK_STD:
-            weak.append(describe_weak(names, direction * magnitudes, magnitudes, std))
+            weak.append(Direction.of(Determined.HARDLY, names, direction, std, at, magnitudes))
     rank = len(names) - int(zero.sum())
     return LocalCovariance(covariance, tuple(undetermined), tuple(weak), rank, root[:, ~unseen])
 
@@ -177,87 +262,3 @@ def _sparse(rows: Floats) -> list[Floats]:
             if other != k:
                 basis[other] -= basis[other, pivot] * basis[k]
     return list(basis)
-
-
-def _main(direction: Floats, magnitudes: Floats) -> list[int]:
-    size = np.abs(direction) / magnitudes
-    return [int(i) for i in np.flatnonzero(size >= WORTH_NAMING * size.max())]
-
-
-def _combinations(names: Sequence[str], direction: Floats, main: Sequence[int]) -> str:
-    """Return the combinations that stay the same along a direction: θ_i − (v_i/v_last) θ_last."""
-    last = main[-1]
-    found = []
-    for i in main[:-1]:
-        share = -direction[i] / direction[last]
-        found.append(f"{names[i]} {'-' if share < 0 else '+'} {_times(abs(share), names[last])}")
-    return listed(found)
-
-
-def _times(factor: float, name: str) -> str:
-    shown = f"{factor:.{DIGITS}g}"
-    return name if shown == "1" else f"{shown} {name}"
-
-
-def describe_lost(names: Sequence[str], direction: Floats, magnitudes: Floats, theta: Floats) -> str:
-    """Say in words that moving the parameters along a direction changes no output.
-
-    Parameters
-    ----------
-    names : sequence of str
-    direction : (N,) array
-        In the parameters' units.
-    magnitudes : (N,) array
-    theta : (N,) array
-        The parameters.
-    """
-    main = _main(direction, magnitudes)
-    who = listed([names[i] for i in main])
-    if len(main) == 1:
-        return f"{who} is not determined: changing it changes no output"
-    only = _combinations(names, direction, main)
-    if len(main) == 2:
-        return f"{who} cannot be told apart: only {only} is determined"
-    sizes = np.where(np.abs(theta) > NEAR_ZERO * magnitudes, np.abs(theta), magnitudes)
-    shares = direction / sizes
-    largest = np.abs(shares[main]).max()
-    first = next(i for i in main if abs(shares[i]) >= AS_LARGE * largest)
-    shares /= shares[first]
-    steps = [f"{abs(share):.{DIGITS}g} %" for share in shares]
-    # a percentage of what is negative or near zero would mislead
-    steps = [
-        step if value >= size else f"{step} of its magnitude {size:.{DIGITS}g}"
-        for step, value, size in zip(steps, theta, sizes, strict=True)
-    ]
-    moves = [f"{names[i]} {'rises' if shares[i] > 0 else 'falls'} by {steps[i]}" for i in main if i != first]
-    return (
-        f"{who} cannot be told apart: raising {names[first]} by {steps[first]} while {listed(moves)} changes no "
-        f"output; only {only} are determined"
-    )
-
-
-def describe_open(names: Sequence[str], direction: Floats, magnitudes: Floats, std: float) -> str:
-    """Say in words that a direction is not determined in effect; `std` is relative to the magnitudes."""
-    main = _main(direction, magnitudes)
-    who = listed([names[i] for i in main])
-    if len(main) == 1:
-        return f"{who} is not determined in effect: its standard deviation is {std:.{DIGITS}g} times its magnitude"
-    verb = "is" if len(main) == 2 else "are"
-    return (
-        f"{who} cannot be told apart in effect: only {_combinations(names, direction, main)} {verb} determined, and "
-        f"their standard deviation together is {std:.{DIGITS}g} times their magnitude"
-    )
-
-
-def describe_weak(names: Sequence[str], direction: Floats, magnitudes: Floats, std: float) -> str:
-    """Say in words that a direction is hardly determined; `std` is relative to the magnitudes."""
-    main = _main(direction, magnitudes)
-    who = listed([names[i] for i in main])
-    if len(main) == 1:
-        return f"{who} is hardly determined: its standard deviation is {std:.0%} of its magnitude"
-    only = _combinations(names, direction, main)
-    verb = "is" if len(main) == 2 else "are"
-    return (
-        f"{who} can hardly be told apart: {only} {verb} determined better than each of them, "
-        f"whose standard deviation together is {std:.0%} of their magnitude"
-    )

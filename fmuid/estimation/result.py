@@ -17,9 +17,10 @@ from scipy import special
 from fmuid.arrays import Floats
 from fmuid.data import JointPrior, Normal
 from fmuid.errors import InputError
+from fmuid.estimation.covariance import Direction
 from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
-from fmuid.estimation.marquardt.outcome import AtBound, Outcome
+from fmuid.estimation.marquardt.outcome import Outcome
 
 if TYPE_CHECKING:
     from fmuid.estimation.global_search import Optimum
@@ -38,6 +39,21 @@ def check_level(level: float, of: str = "an interval") -> None:
     """
     if not 0.0 < level < 1.0:
         raise InputError(f"the level of {of} must lie between 0 and 1, not {level!r}")
+
+
+@dataclass(frozen=True)
+class AtBound:
+    """A parameter that lies on a bound, which the data would push it beyond.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+        The bound.
+    """
+
+    name: str
+    value: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +84,12 @@ class Result:
         Of the variances behind `covariance`: K − N where they are estimated, infinite where all are given.
     iterations, simulations : int
     elapsed_s : float
-    undetermined : tuple of str
+    undetermined : tuple of Direction
         Directions in which the estimates could be moved without any effect, or along which their standard deviations
         are so large that they are not determined in effect (`fmuid.estimation.covariance`).
-    weak : tuple of str
+    weak : tuple of Direction
         Directions that are determined to no better than the parameters' own magnitudes.
-    prior_determined : tuple of str
+    prior_determined : tuple of Direction
         Directions that the data alone leave undetermined, and the prior decides.
     at_bounds : tuple of AtBound
         Parameters that the data would push beyond a bound.
@@ -113,9 +129,9 @@ class Result:
     iterations: int
     simulations: int
     elapsed_s: float
-    undetermined: tuple[str, ...]
-    weak: tuple[str, ...]
-    prior_determined: tuple[str, ...]
+    undetermined: tuple[Direction, ...]
+    weak: tuple[Direction, ...]
+    prior_determined: tuple[Direction, ...]
     at_bounds: tuple[AtBound, ...]
     version: str
     models: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -287,9 +303,9 @@ class Result:
             "iterations": self.iterations,
             "simulations": self.simulations,
             "elapsed_s": _plain(self.elapsed_s),
-            "undetermined": list(self.undetermined),
-            "weak": list(self.weak),
-            "prior_determined": list(self.prior_determined),
+            "undetermined": [each.to_json_dict() for each in self.undetermined],
+            "weak": [each.to_json_dict() for each in self.weak],
+            "prior_determined": [each.to_json_dict() for each in self.prior_determined],
             "at_bounds": [asdict(each) for each in self.at_bounds],
             "version": self.version,
             "models": {component: dict(model) for component, model in self.models.items()},
@@ -356,9 +372,9 @@ class Result:
             iterations=int(data["iterations"]),
             simulations=int(data["simulations"]),
             elapsed_s=float(data["elapsed_s"]),
-            undetermined=tuple(map(str, data.get("undetermined", ()))),
-            weak=tuple(map(str, data.get("weak", ()))),
-            prior_determined=tuple(map(str, data.get("prior_determined", ()))),
+            undetermined=tuple(map(Direction.of_json, data.get("undetermined", ()))),
+            weak=tuple(map(Direction.of_json, data.get("weak", ()))),
+            prior_determined=tuple(map(Direction.of_json, data.get("prior_determined", ()))),
             at_bounds=tuple(AtBound(str(b["name"]), float(b["value"])) for b in data.get("at_bounds", ())),
             version=str(data["version"]),
             models={

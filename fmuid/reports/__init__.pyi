@@ -4,6 +4,7 @@ from .apply import write_estimates as write_estimates
 from .batch_words import summary_words as summary_words
 from .batch_words import write_summary as write_summary
 from .findings import Findings as Findings
+from .findings import write_diagnosis as write_diagnosis
 from .run import Identified as Identified
 from .run import SearchInterruptedError as SearchInterruptedError
 from .run import run_study as run_study

@@ -18,11 +18,17 @@ from fmuid.data import ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import Outcome, Result, optima_table
 from fmuid.files import file_name, replacing, write_table
+from fmuid.reports.words.diagnosis import verdict
+from fmuid.reports.words.prior_and_data import reading_words
+from fmuid.reports.words.residuals import residual_words
+from fmuid.reports.words.result import ending, remarks
+from fmuid.reports.words.uncertainty import uncertainty_words
 from fmuid.simulation import Fit, fit_of
 
 if TYPE_CHECKING:
     from fmuid.assessment import CriterionMap, Diagnostics, Reading, Uncertainty
     from fmuid.data import Experiment
+    from fmuid.diagnosis import Diagnosis
     from fmuid.models import System
 
 # Tables that a run may write: those of an earlier run would be taken for this one's.
@@ -149,8 +155,11 @@ class Findings:
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return the content of ``result.json``."""
-        content = self.result.to_json_dict()
-        content |= {"diagnostics": self.diagnostics.to_json_dict(), "consistency": self.reading.to_json_dict()}
+        content = {"words": [ending(self.result), *remarks(self.result)], **self.result.to_json_dict()}
+        content |= {
+            "diagnostics": {"words": list(residual_words(self.diagnostics)), **self.diagnostics.to_json_dict()},
+            "consistency": {"words": list(reading_words(self.reading)), **self.reading.to_json_dict()},
+        }
         if self.result.optima:
             content["optima"] = [
                 {
@@ -162,7 +171,10 @@ class Findings:
                 }
                 for optimum in self.result.optima
             ]
-        return content | (self.uncertainty.to_json_dict() if self.uncertainty is not None else {})
+        if self.uncertainty is not None:
+            content |= self.uncertainty.to_json_dict()
+            content["words"] += uncertainty_words(self.uncertainty)
+        return content
 
     def maps(self) -> dict[str, CriterionMap]:
         """Return the maps of the criterion by the names of their files."""
@@ -208,11 +220,21 @@ def write_point(folder: Path, result: Result, units: Sequence[str | None]) -> li
     return _write(folder, result.to_json_dict(), {"estimates": estimates_frame(result, units)})
 
 
+def write_diagnosis(folder: Path, found: Diagnosis) -> list[Path]:
+    """Write ``diagnosis.json``, with its verdict in words, and ``diagnosis.csv``, and return their paths."""
+    path = folder / "diagnosis.json"
+    _write_json(path, {"verdict": verdict(found), **found.to_json_dict()})
+    return [path, write_table(folder / "diagnosis.csv", found.table)]
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    with replacing(path) as draft:
+        draft.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
 def _write(folder: Path, content: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> list[Path]:
     path = folder / "result.json"
-    with replacing(path) as draft:
-        text = json.dumps(content, indent=2, ensure_ascii=False)
-        draft.write_text(text + "\n", encoding="utf-8")
+    _write_json(path, content)
     written = [path, *(write_table(folder / f"{name}.csv", frame) for name, frame in tables.items())]
     for old in (old for pattern in _TABLES for old in folder.glob(pattern)):
         if old not in written:

@@ -13,7 +13,7 @@ from scipy.integrate import quad
 
 from experiments.interval_coverage import coverage
 from fmuid.assessment.chains import effective_size, r_hat
-from fmuid.assessment.posterior import Posterior, Sampling
+from fmuid.assessment.posterior import Doubt, Posterior, Sampling
 from fmuid.assessment.sampler import log_density, sample
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
@@ -24,6 +24,7 @@ from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.progress import Event, SamplingStep
 from fmuid.reports.figures import uncertainty as figures_uncertainty
+from fmuid.reports.words.uncertainty import posterior_words
 
 Array = npt.NDArray[np.float64]
 # Sampling errors are normal: four of their standard deviations are passed once in 16,000 times.
@@ -46,7 +47,7 @@ def sampled(problem: LeastSquares, **settings: Any) -> tuple[Posterior, Result]:
 
 def assert_moments(posterior: Posterior, mean: Array, covariance: Array) -> None:
     """Compare with the exact moments: the error of a mean is std/√ESS, that of a normal's covariance likewise."""
-    assert posterior.converged, posterior.status
+    assert posterior.converged, posterior.doubt
     std, size = np.sqrt(np.diag(covariance)), posterior.effective_size.min()
     assert size >= 2000
     np.testing.assert_array_less(np.abs(posterior.mean - mean), ERRORS * std / math.sqrt(size))
@@ -144,7 +145,7 @@ def test_linear_gaussian() -> None:
     posterior, _ = sampled(problem)
     assert_moments(posterior, mean, covariance)
     assert posterior.r_hat.max() < 1.01
-    assert posterior.status.startswith("converged: at least ")
+    assert posterior_words(posterior).startswith("converged: at least ")
 
 
 def test_linear_student() -> None:
@@ -222,8 +223,8 @@ def test_bounds_alone_hold_what_data_leave_open() -> None:
     posterior, result = sampled(problem)
     assert not np.isfinite(result.std).any()
     assert posterior.converged
-    assert "a and b cannot be told apart" in posterior.status
-    assert "along this the samples show priors and bounds, not data" in posterior.status
+    assert "a and b cannot be told apart" in posterior_words(posterior)
+    assert "along this the samples show priors and bounds, not data" in posterior_words(posterior)
     distance = stats.kstest(posterior.samples[:, 0], stats.uniform(0.0, 2.0).cdf).statistic
     assert distance < stats.kstwo.ppf(0.9999, round(posterior.effective_size.min()))
     assert posterior.samples.sum(axis=1).std() == pytest.approx(0.1, rel=0.1)
@@ -231,8 +232,8 @@ def test_bounds_alone_hold_what_data_leave_open() -> None:
 
 def test_nothing_holds_what_data_leave_open() -> None:
     posterior, _ = sampled(sum_only(Parameter(1.0), Parameter(1.0)))
-    assert not posterior.converged
-    assert posterior.status.startswith("nothing holds a, the samples run away: give a prior or bounds")
+    assert (posterior.doubt, posterior.doubtful) == (Doubt.RUNAWAY, "a")
+    assert posterior_words(posterior).startswith("nothing holds a, the samples run away: give a prior or bounds")
 
 
 # --- the run
@@ -286,10 +287,10 @@ def test_too_few_steps_are_not_trusted() -> None:
     problem, _ = linear()
     posterior, _ = sampled(problem, steps=12)
     assert not posterior.converged
-    assert "raise steps" in posterior.status
+    assert "raise steps" in posterior_words(posterior)
     few, _ = sampled(problem, steps=900, effective_size=1_000_000)
-    assert not few.converged
-    assert "independent ones instead of 1000000: raise steps to about" in few.status
+    assert few.doubt is Doubt.TOO_FEW
+    assert "independent ones instead of 1000000: raise steps to about" in posterior_words(few)
 
 
 def test_interrupted_keeps_what_there_is() -> None:
@@ -305,7 +306,7 @@ def test_interrupted_keeps_what_there_is() -> None:
     posterior = sample(problem, identify(problem), progress=stop)
     assert len(posterior.chain) == 40
     assert posterior.interrupted
-    assert posterior.status.startswith("interrupted after 40 steps; ")
+    assert posterior_words(posterior).startswith("interrupted after 40 steps; ")
     assert not posterior.converged
     assert posterior.samples.shape == (30 * 16, 2)
     assert seen[-1].acceptance > 0.2

@@ -10,7 +10,8 @@ import pytest
 from scipy import stats
 
 from fmuid.arrays import Floats
-from fmuid.assessment.prior_and_data import Reading, read_result
+from fmuid.assessment.consistency import Deviation
+from fmuid.assessment.prior_and_data import Influence, Obstacle, Reading, read_result
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
@@ -20,6 +21,7 @@ from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.result import Result
 from fmuid.model_problem import Problem
+from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.studies.study import Study
 from tests.support.paths import ROOT
 from tests.support.problems import ar1, coil_problem
@@ -135,9 +137,11 @@ def test_the_kalman_form_of_the_induction_machine() -> None:
     assert reading.searched
     assert (np.abs(reading.nonlinearity) < 0.05).all()
     assert reading.agreement is not None
-    assert reading.agreement.probability > 0.01
-    assert reading.words[0].startswith("Prior and data agree (χ² ")
-    assert reading.words[-1].startswith("The residual of ids and iqs is as large as the known noise says")
+    assert reading.agreement.holds
+    assert all(each.deviation is Deviation.NONE for each in reading.variances)
+    said = reading_words(reading)
+    assert said[0].startswith("Prior and data agree (χ² ")
+    assert said[-1].startswith("The residual of ids and iqs is as large as the known noise says")
 
 
 def test_a_changed_machine_is_noticed() -> None:
@@ -146,11 +150,12 @@ def test_a_changed_machine_is_noticed() -> None:
     reading = read_result(problem, identify(problem), search_data=True)
     assert reading.agreement is not None
     assert reading.agreement.probability < 1e-6
-    assert "Prior and data disagree" in reading.words[0]
-    assert "most of all on Rr" in reading.words[0]
-    assert any(
-        line.startswith("The prior moved Rr from 3.8") and "its own prior did most" in line for line in reading.words
-    )
+    assert not reading.agreement.holds
+    assert Influence("Rr", "Rr", rests=False) in reading.influences
+    said = reading_words(reading)
+    assert "Prior and data disagree" in said[0]
+    assert "most of all on Rr" in said[0]
+    assert any(line.startswith("The prior moved Rr from 3.8") and "its own prior did most" in line for line in said)
 
 
 def test_the_data_alone_are_searched() -> None:
@@ -172,7 +177,8 @@ def test_the_data_alone_are_searched() -> None:
     np.testing.assert_allclose(reading.data_std, alone.std, rtol=1e-3)
     # far from each other, the paraboloids of both do not describe what lies between
     assert np.abs(reading.nonlinearity).max() > 0.5
-    assert any(line.startswith("Between prior and data the model is not linear") for line in reading.words)
+    assert reading.bent
+    assert any(line.startswith("Between prior and data the model is not linear") for line in reading_words(reading))
     extrapolated = read_result(problem, result)
     assert np.abs((extrapolated.data - alone.values) / alone.std).max() > 0.5
 
@@ -188,7 +194,8 @@ def test_whose_prior_moved_what() -> None:
     # the force of a prior at the estimate, through the data's compliance
     force = (1.3 - result["a"]) / 0.02**2
     np.testing.assert_allclose(reading.moves[:, 0], np.linalg.inv(information())[:, 0] * force, rtol=1e-5)
-    said = [line for line in reading.words if "the prior of a" in line]
+    assert ("b", "a") in {(each.name, each.prior) for each in reading.influences}
+    said = [line for line in reading_words(reading) if "the prior of a" in line]
     assert any(line.startswith(("b rests on", "The prior moved b")) for line in said)
 
 
@@ -214,7 +221,9 @@ def test_data_that_determine_combinations_only() -> None:
     assert not reading.searched
     assert reading.agreement is not None
     assert reading.agreement.degrees_of_freedom == 1
-    assert reading.words[0].startswith("Prior and data agree")
+    assert reading.agreement.holds
+    assert reading.obstacle is None
+    assert reading_words(reading)[0].startswith("Prior and data agree")
     json.dumps(reading.to_json_dict(), allow_nan=False)
 
 
@@ -261,7 +270,7 @@ def test_the_known_variance() -> None:
     )
     result = identify(problem)
     assert read_result(problem, result).variances == ()
-    assert read_result(problem, result).words == ()
+    assert reading_words(read_result(problem, result)) == ()
     reading = white_reading(problem, result, healthy={"i": VARIANCE, "u": VARIANCE})
     one, other, both = reading.variances
     assert (one.output, other.output, both.output) == ("u", "i", "")
@@ -271,11 +280,14 @@ def test_the_known_variance() -> None:
     assert other.probability == pytest.approx(expected)
     total = one.ratio * one.degrees_of_freedom + other.ratio * other.degrees_of_freedom
     assert both.probability == pytest.approx(stats.chi2(2 * COUNT - 3).sf(total), rel=1e-3)
-    assert reading.words[0].startswith("The residual of i is larger than its noise (variance 0.1")
-    assert reading.words[0].endswith("the system has changed, or the model is wrong")
-    assert all(not line.startswith("The residual of u") for line in reading.words)
+    assert [each.deviation for each in (one, other)] == [Deviation.NONE, Deviation.LARGER]
+    said = reading_words(reading)
+    assert said[0].startswith("The residual of i is larger than its noise (variance 0.1")
+    assert said[0].endswith("the system has changed, or the model is wrong")
+    assert all(not line.startswith("The residual of u") for line in said)
     smaller = white_reading(problem, result, healthy={"u": 4.0 * VARIANCE})
-    assert smaller.words[0].startswith("The residual of u is smaller than its noise")
+    assert smaller.variances[0].deviation is Deviation.SMALLER
+    assert reading_words(smaller)[0].startswith("The residual of u is smaller than its noise")
     with pytest.raises(InputError, match="healthy names 'x', which is no measured output"):
         read_result(problem, result, healthy={"x": 1.0})
     with pytest.raises(InputError, match="healthy variance of 'u' must be positive"):
@@ -288,7 +300,8 @@ def test_a_robust_loss_is_extrapolated() -> None:
     y[::20] += 5.0
     problem, result = linear(y, joint(), loss="huber")
     reading = read_result(problem, result, search_data=True)
-    assert reading.notes == ("With a robust loss the optimum of the data alone is extrapolated",)
+    assert reading.obstacle == Obstacle(robust=True)
+    assert reading_words(reading)[-1] == "With a robust loss the optimum of the data alone is extrapolated"
     alone = linear(y, loss="huber")[1]
     assert (np.abs(reading.data - alone.values) < 0.5 * alone.std).all()
     np.testing.assert_allclose(reading.data_std, alone.std, rtol=0.1)
@@ -302,7 +315,9 @@ def test_a_search_that_ends_at_a_bound_is_said() -> None:
     assert result.at_bounds == ()
     reading = read_result(problem, result, search_data=True)
     assert not reading.searched
-    assert reading.notes == ("The data alone would push a to a bound, so their optimum is extrapolated",)
+    assert reading.obstacle == Obstacle(at_bounds=("a",))
+    said = "The data alone would push a to a bound, so their optimum is extrapolated"
+    assert reading_words(reading)[-1] == said
     np.testing.assert_allclose(reading.data, linear_least_squares(PHI, y).theta, rtol=1e-5)
 
 
@@ -310,7 +325,7 @@ def test_written_and_read() -> None:
     problem, result = linear(noisy(np.random.default_rng(10)), joint())
     reading = read_result(problem, result, search_data=True)
     written = json.loads(json.dumps(reading.to_json_dict(), allow_nan=False))
-    assert written["words"] == list(reading.words)
+    assert written["variances"][0]["deviation"] == reading.variances[0].deviation.value
     assert written["parameters"]["b"]["data"] == reading.data[1]
     assert written["prior_against_data"]["degrees_of_freedom"] == 3
     assert written["variances"][0]["output"] == "y"

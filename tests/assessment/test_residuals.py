@@ -11,7 +11,7 @@ import pytest
 
 from fmuid.arrays import Floats
 from fmuid.assessment.residual_series import ResidualSeries
-from fmuid.assessment.residuals import Diagnostics, examine_residuals
+from fmuid.assessment.residuals import Diagnostics, Stated, Trait, examine_residuals
 from fmuid.data.experiment import Experiment
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
@@ -21,6 +21,7 @@ from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.reports.figures.residuals import residuals
+from fmuid.reports.words.residuals import residual_words
 from fmuid.text import listed
 from tests.support.problems import ar1
 
@@ -57,7 +58,7 @@ def only(found: Diagnostics) -> ResidualSeries:
 
 def test_of_white_noise_words_say_what_was_tested() -> None:
     found = examined(white(1))
-    (sentence,) = found.words
+    (sentence,) = residual_words(found)
     assert sentence == (
         "The residual of y looks like white normal noise that has nothing to do with the inputs, as far as was tested: "
         "whiteness (Ljung–Box over 25 lags), mean, correlation with u and normality (Jarque–Bera), each at a level of "
@@ -74,7 +75,7 @@ def test_of_white_noise_words_say_what_was_tested() -> None:
 def test_words_are_rarely_wrong() -> None:
     """Of 100 draws of white normal noise, hardly any is called anything else."""
     quiet = "The residual of y looks like white normal noise"
-    wrong = [words for seed in range(100) if not (words := examined(white(seed)).words)[0].startswith(quiet)]
+    wrong = [words for seed in range(100) if not (words := residual_words(examined(white(seed))))[0].startswith(quiet)]
     assert len(wrong) <= 2
 
 
@@ -98,7 +99,9 @@ def test_the_scatter_of_estimates_in_coloured_noise() -> None:
 
 def test_coloured_noise_in_words() -> None:
     found = examined(ar1(np.random.default_rng(3), 0.9, COUNT))
-    far, factor = found.words
+    far, factor = residual_words(found)
+    assert [(each.trait, each.large) for each in found.findings] == [(Trait.COLOURED, True)]
+    assert (found.stated, list(found.too_small)) == (Stated.TOO_SMALL, ["level", "slow"])
     assert far.startswith("The residual of y is far from white (autocorrelation 0.9")
     assert far.endswith("at a lag of 1 sample): the model or the noise has dynamics of its own")
     assert "the stated standard deviations of level and slow are too small, by a factor of about 4" in factor
@@ -110,8 +113,10 @@ def test_slightly_coloured_noise_is_no_matter() -> None:
     """With 1000 samples an autocorrelation of 0.2 is significant and said, but costs little precision."""
     found = examined(ar1(np.random.default_rng(4), 0.2, COUNT))
     assert only(found).whiteness_probability < 0.01
-    assert found.words[0].startswith("The residual of y is not white (autocorrelation 0.1")
-    assert found.words[1] == "For the estimates this makes little difference: the stated standard deviations hold"
+    assert found.stated is Stated.HOLD
+    first, second = residual_words(found)
+    assert first.startswith("The residual of y is not white (autocorrelation 0.1")
+    assert second == "For the estimates this makes little difference: the stated standard deviations hold"
 
 
 def test_what_is_significant_but_slight_is_not_called_white() -> None:
@@ -122,7 +127,9 @@ def test_what_is_significant_but_slight_is_not_called_white() -> None:
     slight = dataclasses.replace(
         series, samples=20_000, autocorrelation=correlations, whiteness_probability=1e-9, inputs=(u,)
     )
-    first, second = Diagnostics((slight,), {"level": 1.0}).words
+    found = Diagnostics((slight,), {"level": 1.0})
+    assert [(each.trait, each.large) for each in found.findings] == [(Trait.COLOURED, False), (Trait.INPUT, False)]
+    first, second = residual_words(found)
     assert first == (
         "The residual of y has an autocorrelation of 0.07 at a lag of 1 sample and a correlation of +0.05 with the "
         "input u: significant, but slight"
@@ -131,16 +138,28 @@ def test_what_is_significant_but_slight_is_not_called_white() -> None:
 
 
 @pytest.mark.parametrize(
-    ("probability", "sentence"),
+    ("probability", "stated", "sentence"),
     [
-        (1e-9, "Since neighbouring samples are not independent, the stated standard deviations of level are too small"),
-        (0.02, "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: "),
+        (
+            1e-9,
+            Stated.TOO_SMALL,
+            "Since neighbouring samples are not independent, the stated standard deviations of level",
+        ),
+        (
+            0.02,
+            Stated.PERHAPS_TOO_SMALL,
+            "Neighbouring samples of the residual look correlated, if not strongly enough",
+        ),
     ],
 )
-def test_no_residual_is_called_white_where_standard_deviations_are_too_small(probability: float, sentence: str) -> None:
+def test_no_residual_is_called_white_where_standard_deviations_are_too_small(
+    probability: float, stated: Stated, sentence: str
+) -> None:
     """Small autocorrelations over many lags, none of them worth a sentence, add up where sensitivities are slow."""
     series = dataclasses.replace(only(examined(white(1))), whiteness_probability=probability)
-    (said,) = Diagnostics((series,), {"level": 1.3, "slow": 1.0}).words
+    found = Diagnostics((series,), {"level": 1.3, "slow": 1.0})
+    assert found.stated is stated
+    (said,) = residual_words(found)
     assert said.startswith(sentence)
     assert said.endswith(" too small, by a factor of about 1.3")
 
@@ -152,7 +171,9 @@ def test_standard_deviations_that_are_too_large() -> None:
     for name, omega in (("level", 0.0), ("slow", 0.02), ("fast", 2.0)):
         density = (1.0 - share**2) / (1.0 + share**2 - 2.0 * share * math.cos(omega))
         assert found.inflation[name] == pytest.approx(math.sqrt(density), rel=0.2)
-    assert "tend to cancel, the stated standard deviations are too large, by a factor of 1." in found.words[1]
+    assert found.stated is Stated.TOO_LARGE
+    said = residual_words(found)[1]
+    assert "tend to cancel, the stated standard deviations are too large, by a factor of 1." in said
 
 
 def test_a_prior_feels_no_colour() -> None:
@@ -185,7 +206,7 @@ def test_a_long_record_with_a_long_memory_takes_no_time() -> None:
     problem = LeastSquares([predictor], [experiment], {"level": Parameter(1e4)})
     found = examine_residuals(problem, identify(problem))
     assert found.inflation["level"] > 50.0
-    assert not any("input" in line for line in found.words)
+    assert all(each.trait is not Trait.INPUT for each in found.findings)
 
 
 def test_an_offset_is_named() -> None:
@@ -194,7 +215,7 @@ def test_an_offset_is_named() -> None:
     predictor = FunctionPredictor(lambda theta: REGRESSORS[:, 1] * theta[0], (COUNT, 1))
     problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"slow": Parameter(2.0)})
     found = examine_residuals(problem, identify(problem))
-    assert any(line.startswith("The residual of y has the mean 0.4") for line in found.words)
+    assert any(line.startswith("The residual of y has the mean 0.4") for line in residual_words(found))
     assert only(found).mean_probability < 1e-10
 
 
@@ -206,7 +227,9 @@ def test_a_forgotten_input_is_named() -> None:
     assert one.input == "u"
     assert one.lag == pytest.approx(0.05)
     assert one.correlation == pytest.approx(0.6 / math.sqrt(1.36), abs=0.08)
-    assert any("is correlated with the input u (+0.4" in line and "0.05 s later" in line for line in found.words)
+    assert any(
+        "is correlated with the input u (+0.4" in line and "0.05 s later" in line for line in residual_words(found)
+    )
     assert found.inputs["lag"].tolist() == [one.lag]
     assert found.table["input"].tolist() == ["u"]
 
@@ -215,7 +238,10 @@ def test_outliers_are_named() -> None:
     noise = white(9)
     noise[::100] *= 12.0
     found = examined(noise)
-    assert any("has heavy tails, unlike normal noise" in line and "robust loss" in line for line in found.words)
+    assert any(
+        "has heavy tails, unlike normal noise" in line and "robust loss" in line for line in residual_words(found)
+    )
+    assert [each.trait for each in found.findings if each.large] == [Trait.SHAPE]
     assert 5 <= only(found).outliers <= 10
 
 
@@ -225,11 +251,11 @@ def test_outliers_are_named() -> None:
 )
 def test_distributions_in_words(shape: Any, said: str) -> None:
     found = examined(shape(white(10)))
-    assert any(said in line for line in found.words)
+    assert any(said in line for line in residual_words(found))
 
 
 def test_what_cannot_be_examined_is_said() -> None:
-    (sentence,) = examined(np.zeros(COUNT), noise=Noise(1.0)).words
+    (sentence,) = residual_words(examined(np.zeros(COUNT), noise=Noise(1.0)))
     assert sentence == "The residual of y is too short, or nothing but rounding, to be examined"
     series = only(examined(white(1), discard=TIMES[-1] - 0.1))
     assert series.samples == 11
@@ -271,7 +297,9 @@ def test_rows_of_several_outputs_and_experiments() -> None:
         kept = np.flatnonzero(np.isfinite(each.residual))
         np.testing.assert_array_equal(each.places, kept - kept[0])
         assert each.step == pytest.approx(0.01)
-    assert "residuals of a in first, b in first, a in second and b in second look like white" in found.words[0]
+    assert (
+        "residuals of a in first, b in first, a in second and b in second look like white" in residual_words(found)[0]
+    )
 
 
 def test_an_output_that_one_experiment_lacks() -> None:
@@ -293,7 +321,8 @@ def test_written_and_read() -> None:
     problem, result = several()
     found = examine_residuals(problem, result)
     written = json.loads(json.dumps(found.to_json_dict(), allow_nan=False))
-    assert written["words"] == list(found.words)
+    assert written["stated"] == "hold"
+    assert len(written["findings"]) == len(found.findings)
     assert set(written["inflation"]) == {"level", "slow", "fast"}
     assert [row["output"] for row in written["residuals"]] == found.table["output"].tolist()
     assert written["residuals"][3]["inputs"][0]["input"] == "u"

@@ -17,6 +17,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.progress import Event, ProfileStep, SamplingStep
+from fmuid.reports.words.uncertainty import uncertainty_words
 
 ALL = UncertaintySettings(0.9, ("a", "b"), Sampling(steps=600, effective_size=600), (("a", "b"),))
 
@@ -47,7 +48,7 @@ def test_nothing_is_asked() -> None:
     found = explore(problem, result, UncertaintySettings())
     assert not UncertaintySettings().any
     assert found.succeeded
-    assert (found.maps, found.profiles, found.posterior, found.notes) == ((), (), None, ())
+    assert (found.maps, found.profiles, found.posterior, uncertainty_words(found)) == ((), (), None, ())
     assert found.to_json_dict() == {}
     assert problem.simulations == before
     np.testing.assert_array_equal(found.intervals(result).to_numpy(), result.intervals().to_numpy())
@@ -59,7 +60,7 @@ def test_everything_of_a_linear_problem_agrees() -> None:
     steps: list[Event] = []
     found = explore(problem, result, ALL, steps.append)
     assert found.succeeded
-    assert not found.notes
+    assert not uncertainty_words(found)
     assert list(dict.fromkeys(step.task for step in steps)) == ["uncertainty", "map", "profile", "posterior"]
     assert all(0.0 <= step.share <= 1.0 for step in steps)
 
@@ -130,7 +131,7 @@ def test_samples_that_cannot_be_trusted_are_no_success() -> None:
     found = explore(problem, identify(problem), settings)
     assert not found.interrupted
     assert not found.succeeded
-    (note,) = found.notes
+    (note,) = uncertainty_words(found)
     assert note.startswith("posterior: ")
     assert "raise steps" in note
 
@@ -142,10 +143,10 @@ def test_a_better_optimum_on_the_map_is_named() -> None:
     asked = UncertaintySettings(maps=(("a", "b"),))
     near = explore(problem, result, asked)  # four standard deviations around the estimate
     assert near.succeeded
-    assert not near.notes
+    assert not uncertainty_words(near)
     far = explore(problem, result, asked, box=True)
     assert (len(far.maps), len(far.box_maps)) == (1, 1)
-    (note,) = far.notes
+    (note,) = uncertainty_words(far)
     assert "the criterion over a and b is lower at a = 2, b = 0 than at the estimate" in note
     assert 'method = "global"' in note
     assert not far.succeeded

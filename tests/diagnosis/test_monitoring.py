@@ -18,6 +18,7 @@ from experiments.coil import study as coil
 from fmuid.cli.app import run
 from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Rule, alarm_rate, alarms
 from fmuid.diagnosis.monitoring.monitor import Monitor
+from fmuid.reports.words.monitoring import monitoring_words
 from fmuid.studies.monitoring import design_of, monitor_of, rule_of
 from tests.support.exported import export_text
 from tests.support.interrupting import SIGNALS, command, killing
@@ -71,7 +72,7 @@ def test_a_fault_is_found_soon_and_a_warm_winding_is_none(healthy: fmuid.Result)
     assert table["turns.dR"][30:].mean() == pytest.approx(0.5, abs=0.05)
     truth = coil.R + (5.0 - coil.R) * np.arange(40) / 40
     assert (np.abs(table["turns.R"] - truth) < 4 * table["turns.R.std"]).all()
-    assert found.verdict.startswith("Fault: turns, from 33 s of experiment on, dR = 0.")
+    assert monitoring_words(found).startswith("Fault: turns, from 33 s of experiment on, dR = 0.")
     assert table["turns.ended"].all()
 
 
@@ -80,7 +81,7 @@ def test_nothing_is_found_where_nothing_is(healthy: fmuid.Result, forgetting: fl
     found = watch(healthy, replace(RULE, forgetting=forgetting))
     found.add(coil.experiment(warming(60, to=4.8, seed=2)))
     assert not found.alarms
-    assert found.verdict.startswith("No alarm: ")
+    assert monitoring_words(found).startswith("No alarm: ")
     assert (found.table["significant"] != "").mean() < 0.06
     off = found.table["turns.dR"] / found.table["turns.dR.std"]
     # what the noise makes is less than what the healthy record's errors and the noise make
@@ -119,7 +120,7 @@ def test_without_prior_it_stays_open(healthy: fmuid.Result) -> None:
     found.add(coil.experiment(warming(4, to=4.0, fails=2)))
     assert not found.alarms
     assert found.undetermined == ("turns",)
-    assert found.verdict == "Whether there is a fault stays open: no window determines turns."
+    assert monitoring_words(found) == "Whether there is a fault stays open: no window determines turns."
 
 
 def test_a_gap_is_passed_over(healthy: fmuid.Result) -> None:
@@ -152,7 +153,7 @@ def test_something_else_is_an_alarm_too(healthy: fmuid.Result) -> None:
     found = watch(healthy)
     found.add(coil.experiment(table))
     assert [alarm.fault for alarm in found.alarms] == [SOMETHING_ELSE]
-    assert found.verdict.startswith("Something else is wrong, from 5 s")
+    assert monitoring_words(found).startswith("Something else is wrong, from 5 s")
 
 
 def test_with_forgetting_a_small_fault_is_found(healthy: fmuid.Result) -> None:

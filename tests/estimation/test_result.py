@@ -19,14 +19,16 @@ from fmuid.data.parameters import Normal, Parameter
 from fmuid.data.predictors import Table
 from fmuid.errors import InputError
 from fmuid.estimation import identification
+from fmuid.estimation.covariance import Determined
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.linear import linear_least_squares
-from fmuid.estimation.marquardt.outcome import AtBound, Outcome
+from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.search import Marquardt
-from fmuid.estimation.result import Result
+from fmuid.estimation.result import AtBound, Result
 from fmuid.progress import Event, SearchStep
 from fmuid.reports.findings import at_minimum
+from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.result import ending
 from tests.support.problems import Fake, coil_problem
 
@@ -198,7 +200,7 @@ def test_a_prior_tells_them_apart() -> None:
     assert result.converged
     assert result.undetermined == ()
     assert len(result.prior_determined) == 1
-    assert "only R + dR and L + 0.0494 dR are determined" in result.prior_determined[0]
+    assert "only R + dR and L + 0.0494 dR are determined" in direction_words(result.prior_determined[0])
     assert result["dR"] == pytest.approx(1.0, abs=4 * result.std[2])
     assert result.std[2] < 0.3
     assert result.correlation.to_numpy()[0, 2] < -0.5
@@ -214,8 +216,12 @@ def test_two_alike_and_one_lost() -> None:
             parameters,
         )
     )
-    assert any(line == "c is not determined: changing it changes no output" for line in result.undetermined)
-    assert any(line == "a and b cannot be told apart: only a + b is determined" for line in result.undetermined)
+    assert all(each.determined is Determined.NOT for each in result.undetermined)
+    assert {each.names for each in result.undetermined} == {("c",), ("a", "b")}
+    assert {direction_words(each) for each in result.undetermined} == {
+        "c is not determined: changing it changes no output",
+        "a and b cannot be told apart: only a + b is determined",
+    }
 
 
 def test_a_hardly_determined_parameter_is_named() -> None:
@@ -225,8 +231,9 @@ def test_a_hardly_determined_parameter_is_named() -> None:
         LeastSquares.from_function(lambda theta: theta[0] * TIMES + 1e-4 * theta[1] * TIMES**2, y, parameters)
     )
     assert result.converged
-    assert len(result.weak) == 1
-    assert result.weak[0].startswith("bend is hardly determined: its standard deviation is ")
+    (direction,) = result.weak
+    assert (direction.determined, direction.names) == (Determined.HARDLY, ("bend",))
+    assert direction_words(direction).startswith("bend is hardly determined: its standard deviation is ")
 
 
 def test_strong_correlations_are_listed() -> None:

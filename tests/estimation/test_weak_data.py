@@ -14,11 +14,12 @@ from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.data.predictors import Table
 from fmuid.errors import InputError
-from fmuid.estimation.covariance import UNDETERMINED_STD, local_covariance
+from fmuid.estimation.covariance import UNDETERMINED_STD, Determined, local_covariance
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.marquardt.outcome import AtBound, Outcome
-from fmuid.estimation.result import Result
+from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.result import AtBound, Result
+from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.result import ending
 from tests.support.paths import FMUS
 from tests.support.problems import Fake, coil
@@ -65,7 +66,8 @@ def test_any_prior_on_the_direction_determines_it() -> None:
     for name, prior in (("R", Normal(4.0, 0.1)), ("L", Normal(0.1, 0.002)), ("dR", Normal(1.0, 0.1))):
         result = coil_result(STEPS, **{name: prior})
         assert result.converged
-        assert "cannot be told apart" in result.prior_determined[0]
+        (direction,) = result.prior_determined
+        assert (direction.determined, direction.names) == (Determined.NOT, ("R", "L", "dR"))
         assert result.std[result.names.index(name)] == pytest.approx(prior.std, rel=0.05)
         assert result[name] == pytest.approx(prior.mean, abs=1e-3 * prior.std)  # the data do not pull at it
         assert result["dR"] == pytest.approx(1.0, abs=4.0 * result.std[2])
@@ -146,11 +148,17 @@ def test_weak_and_undetermined() -> None:
     assert bend(0.5).weak == ()
     weak = bend(9.0)
     assert weak.converged
-    assert weak.weak == ("bend is hardly determined: its standard deviation is 900% of its magnitude",)
+    (direction,) = weak.weak
+    assert (direction.determined, direction.names) == (Determined.HARDLY, ("bend",))
+    assert direction.std == pytest.approx(9.0, rel=1e-5)
+    assert direction_words(direction) == "bend is hardly determined: its standard deviation is 900% of its magnitude"
     lost = bend(11.0)
     assert not lost.converged
     assert lost.weak == ()
-    assert lost.undetermined == ("bend is not determined in effect: its standard deviation is 11 times its magnitude",)
+    (direction,) = lost.undetermined
+    assert direction.determined is Determined.NOT_IN_EFFECT
+    said = "bend is not determined in effect: its standard deviation is 11 times its magnitude"
+    assert direction_words(direction) == said
     assert lost.std == pytest.approx([weak.std[0], weak.std[1], 11.0], rel=1e-5)
 
 
@@ -183,7 +191,12 @@ def test_singular_and_weak_directions_together() -> None:
     jacobian = np.column_stack([rows[:, 0], rows[:, 0], rows[:, 1] / 20.0, 30.0 * rows[:, 2]])
     found = local_covariance("abcd", jacobian, np.ones(4), np.zeros(4))
     assert found.rank == 3
-    assert found.undetermined == (
+    none, in_effect = found.undetermined
+    assert (none.determined, none.names, none.std) == (Determined.NOT, ("a", "b"), math.inf)
+    assert none.coefficients[0] == pytest.approx(-none.coefficients[1])
+    assert (in_effect.determined, in_effect.names) == (Determined.NOT_IN_EFFECT, ("c",))
+    assert in_effect.std == pytest.approx(20.0)
+    assert tuple(map(direction_words, found.undetermined)) == (
         "a and b cannot be told apart: only a + b is determined",
         "c is not determined in effect: its standard deviation is 20 times its magnitude",
     )
@@ -200,8 +213,10 @@ def test_directions_are_told_relative_to_the_values() -> None:
     others = np.linalg.svd(null[None])[2][1:]
     jacobian = np.random.default_rng(8).standard_normal((50, 3)) @ others / magnitudes
     found = local_covariance(["k", "y", "z", "x"], jacobian, magnitudes, np.zeros(4), theta=theta)
-    (said,) = found.undetermined
-    assert said.startswith(
+    (direction,) = found.undetermined
+    along = np.array(direction.coefficients) / (null * magnitudes)
+    np.testing.assert_allclose(along, along[0], rtol=1e-6)
+    assert direction_words(direction).startswith(
         "k, y, z and x cannot be told apart: raising x by 1 % while k rises by 0.5 %, "
         "y rises by 0.25 % of its magnitude 3 and z falls by 0.125 % of its magnitude 5 changes no output; only "
     )
@@ -231,7 +246,9 @@ def test_a_parameter_with_a_prior_and_no_data(variance: object) -> None:
     assert both.pull[1] == pytest.approx(0.0, abs=1e-9)
     assert both["slope"] == pytest.approx(single["slope"], rel=1e-9)
     assert both.std[0] == pytest.approx(single.std[0], rel=1e-6)
-    assert both.prior_determined == ("idle is not determined: changing it changes no output",)
+    (direction,) = both.prior_determined
+    assert (direction.determined, direction.names) == (Determined.NOT, ("idle",))
+    assert direction_words(direction) == "idle is not determined: changing it changes no output"
 
 
 def test_priors_and_no_useful_data_at_all() -> None:

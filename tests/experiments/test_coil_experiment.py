@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 import fmuid
 from experiments.coil import study
+from fmuid.reports.words.diagnosis import hypothesis_notes, verdict
 
 README = (study.HERE / "README.md").read_text(encoding="utf-8")
 
@@ -63,7 +64,7 @@ def test_table_1_1(single: dict[int, fmuid.Diagnosis]) -> None:
         # the chapter's estimate has an error of its own
         assert abs(size.value - case.chapter[2]) < 4 * math.sqrt(2) * size.std
         assert single[number].kind == ("fault" if case.fault else "healthy")
-    assert single[1].verdict.startswith("Fault found: turns, dR = ")
+    assert verdict(single[1]).startswith("Fault found: turns, dR = ")
 
 
 def test_identifiability_with_and_without_prior() -> None:
@@ -72,9 +73,12 @@ def test_identifiability_with_and_without_prior() -> None:
     with_prior, without = study.diagnose(table, healthy), study.diagnose(table, healthy, math.inf)
     words = "R, L and dR cannot be told apart: raising dR by 1 %"
     assert with_prior["turns"].determined
-    assert any(note.startswith(f"without the healthy record, {words}") for note in with_prior["turns"].notes)
+    assert [each.names for each in with_prior["turns"].prior_determined] == [("R", "L", "dR")]
+    assert any(
+        note.startswith(f"without the healthy record, {words}") for note in hypothesis_notes(with_prior["turns"])
+    )
     assert (without.kind, without["turns"].determined) == ("undecided", False)
-    assert words in without.verdict
+    assert words in verdict(without)
     assert math.isinf(without["turns"]["dR"].std)
 
 

@@ -27,7 +27,8 @@ from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.decision import at_least_one, rivals
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Alarm, Rule, alarm_rate, alarms
+from fmuid.diagnosis.hypothesis import Size
+from fmuid.diagnosis.monitoring.alarms import Alarm, Rule, alarm_rate, alarms
 from fmuid.diagnosis.monitoring.belief import Belief, forgotten
 from fmuid.diagnosis.monitoring.window_fit import Extended, WindowFit
 from fmuid.diagnosis.monitoring.windows import cut, end_of, part_of
@@ -37,7 +38,6 @@ from fmuid.estimation import Result
 from fmuid.files import replacing, write_table
 from fmuid.progress import Progress, WindowStep
 from fmuid.simulation import Simulator
-from fmuid.text import has_unit, listed, with_std
 from fmuid.version import __version__
 
 TABLE_FILE, STATE_FILE = "monitoring.csv", "monitoring.json"
@@ -250,37 +250,18 @@ class Monitor:
         first = {each.name: f"{each.name}.{each.fault.sizes[0]}.std" for each in self.models}
         return tuple(name for name, std in first.items() if len(table) and np.isinf(table[std]).all())
 
-    @property
-    def verdict(self) -> str:
-        """What was found, in a sentence."""
-        table, rule = self.table, self.rule
-        if table.empty:
-            return "No window has been examined."
-        hits = int((table["significant"] != "").sum())
-        counted = f"{hits} of {len(table)} windows are significant at a level of {100 * rule.level:g} %"
-        if not self.alarms:
-            if self.undetermined:
-                return f"Whether there is a fault stays open: no window determines {listed(self.undetermined)}."
-            return f"No alarm: {counted}, never {rule.needed} of {rule.among} in a row."
-        first = self.alarms[0]
-        at = f"from {first.time:g} s of {first.record} on"
-        if first.fault == SOMETHING_ELSE:
-            return f"Something else is wrong, {at}: the residual is larger than the noise; {counted}."
-        last = max(i for i in range(first.last + 1) if table["significant"][i] == first.fault)
-        sizes = listed(self._sizes(first.fault.split(" or ")[0], table.iloc[last]))
-        return f"Fault: {first.fault}, {at}, {sizes} in the last window of it; {counted}."
+    def standing_out(self, alarm: Alarm) -> tuple[Size, ...]:
+        """Return the sizes that stand out in the last window of an alarm in which its fault is significant.
 
-    def _sizes(self, fault: str, row: pd.Series[Any]) -> list[str]:
-        """Return in words the sizes of a fault that stand out in a window, at least the one that does most."""
+        At least the one that does most; of faults that are not told apart those of the first one.
+        """
+        table, fault = self.table, alarm.fault.split(" or ")[0]
+        row = table.iloc[max(i for i in range(alarm.last + 1) if table["significant"][i] == alarm.fault)]
         model = next(each for each in self.models if each.name == fault)
-        ratios = {name: abs(row[f"{fault}.{name}"]) / row[f"{fault}.{name}.std"] for name in model.fault.sizes}
+        found = {name: (float(row[f"{fault}.{name}"]), float(row[f"{fault}.{name}.std"])) for name in model.fault.sizes}
+        ratios = {name: abs(value) / std for name, (value, std) in found.items()}
         kept = [name for name in ratios if ratios[name] >= min(STANDS_OUT, max(ratios.values()))]
-        found = []
-        for name in kept:
-            unit = model.system.unit(name)
-            shown = with_std(row[f"{fault}.{name}"], row[f"{fault}.{name}.std"])
-            found.append(f"{name} = {shown} {unit}" if has_unit(unit) else f"{name} = {shown}")
-        return found
+        return tuple(Size(name, *found[name], model.system.unit(name) or "", math.nan) for name in kept)
 
     def false_alarm_rates(self) -> tuple[float, float]:
         """Return the probability that a window of a healthy machine is in alarm: over all healthy records, and at most.
@@ -312,7 +293,6 @@ class Monitor:
         folder = Path(folder)
         rates = self.false_alarm_rates()
         content = {
-            "verdict": self.verdict,
             "alarms": [asdict(each) for each in self.alarms],
             "false_alarm_rate": None if math.isnan(rates[0]) else rates[0],
             "false_alarm_rate_at_most": rates[1],

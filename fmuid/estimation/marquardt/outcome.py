@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 
 
@@ -32,18 +31,3 @@ class Outcome(Enum):
     def converged(self) -> bool:
         """Whether the point is a minimum, as far as the simulation can tell, that determines every parameter."""
         return self in (Outcome.CONVERGED, Outcome.ACCURACY)
-
-
-@dataclass(frozen=True)
-class AtBound:
-    """A parameter that lies on a bound, which the data would push it beyond.
-
-    Attributes
-    ----------
-    name : str
-    value : float
-        The bound.
-    """
-
-    name: str
-    value: float

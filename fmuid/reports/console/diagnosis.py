@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from fmuid.diagnosis import chance
 from fmuid.reports.console.layout import console, table_of, unit_text
+from fmuid.reports.words.diagnosis import chance, hypothesis_notes, strain_words, verdict
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ def show_diagnosis(found: Diagnosis) -> None:
     """Print the verdict, the table of the faults looked for, and the notes."""
     out = console()
     out.print()
-    out.print(f"[bold {COLORS.get(found.kind, 'red')}]{escape(found.verdict)}[/]", soft_wrap=True)
+    out.print(f"[bold {COLORS.get(found.kind, 'red')}]{escape(verdict(found))}[/]", soft_wrap=True)
     out.print()
     rows = [_row(found, each, size, first=k == 0) for each in found.hypotheses for k, size in enumerate(each.sizes)]
     shown = [name for name in rows[0] if any(row[name] for row in rows)]
@@ -38,10 +38,10 @@ def show_diagnosis(found: Diagnosis) -> None:
         f"probability {found.unexplained.probability:.2g})",
         soft_wrap=True,
     )
-    for note in found.notes:
+    for note in strain_words(found.strain):
         out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
     for each in found.hypotheses:
-        for note in (*each.undetermined, *each.notes):
+        for note in hypothesis_notes(each):
             out.print(f"[yellow]note:[/] {escape(each.name)}: {escape(note)}", soft_wrap=True)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.reports.words.monitoring import monitoring_words
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ def show_monitoring(found: Monitor) -> None:
     out = console()
     out.print()
     colour = "red" if found.alarms else "yellow" if found.undetermined else "green"
-    out.print(f"[bold {colour}]{escape(found.verdict)}[/]", soft_wrap=True)
+    out.print(f"[bold {colour}]{escape(monitoring_words(found))}[/]", soft_wrap=True)
     out.print()
     if found.alarms:
         _show_alarms(found)

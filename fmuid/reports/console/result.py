@@ -14,7 +14,10 @@ from rich.table import Table
 from fmuid.assessment import WRONG_STD
 from fmuid.estimation import Outcome
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.reports.words.prior_and_data import reading_words
+from fmuid.reports.words.residuals import residual_words
 from fmuid.reports.words.result import capitalised, ending, remarks
+from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
@@ -44,7 +47,7 @@ def show_result(found: Findings) -> None:
         out.print(_reading(out, found))
     for remark in remarks(result):
         out.print(f"[yellow]note:[/] {escape(remark)}", soft_wrap=True)
-    for remark in (*found.reading.words, *found.diagnostics.words):
+    for remark in (*reading_words(found.reading), *residual_words(found.diagnostics)):
         out.print(escape(remark), soft_wrap=True)
     out.print(f"Misfit: {escape(_misfit(fits))}", soft_wrap=True)
     out.print(f"Residual: {escape(_noise(result, fits))}", soft_wrap=True)
@@ -195,10 +198,10 @@ def show_uncertainty(found: Findings) -> None:
         out.print(_intervals(out, found, there))
     factor = max((each for each in found.diagnostics.inflation.values() if math.isfinite(each)), default=1.0)
     wide = [f"as the residual is not white, all these intervals are too narrow, by up to {factor:.2g}"]
-    for note in (*(wide if factor >= WRONG_STD else []), *there.notes):
+    for note in (*(wide if factor >= WRONG_STD else []), *uncertainty_words(there)):
         out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
     if there.posterior is not None and there.posterior.converged:
-        out.print(f"Posterior: {escape(there.posterior.status)}", soft_wrap=True)
+        out.print(f"Posterior: {escape(posterior_words(there.posterior))}", soft_wrap=True)
     if there.interrupted:
         out.print("[bold red]Interrupted: this is what there is[/]")
 

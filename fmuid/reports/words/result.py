@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fmuid.estimation import Outcome
+from fmuid.reports.words.directions import direction_words
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
@@ -45,7 +46,10 @@ def ending(result: Result) -> str:
     """Return how an identification ended and, where that is needed, the remedy."""
     words = [ENDS[result.outcome] + (_so_far(result) if result.outcome is Outcome.INTERRUPTED else "")]
     if result.undetermined:
-        told = "; ".join(result.undetermined) + ": give a prior, hold one of them at a value, or measure more"
+        told = (
+            "; ".join(map(direction_words, result.undetermined))
+            + ": give a prior, hold one of them at a value, or measure more"
+        )
         words = [f"{words[0]}: {told}"] if result.outcome is Outcome.UNDETERMINED else [*words, told]
     if result.at_bounds:
         bounds = "; ".join(f"{each.name} is at its bound {each.value:g}" for each in result.at_bounds)
@@ -70,8 +74,8 @@ def remarks(result: Result) -> tuple[str, ...]:
         for i, name in enumerate(result.names)
         if name in result.moved_start
     ]
-    prior = [f"without the prior, {sentence}" for sentence in result.prior_determined]
-    return *moved, *pairs, *result.weak, *prior
+    prior = [f"without the prior, {direction_words(each)}" for each in result.prior_determined]
+    return *moved, *pairs, *map(direction_words, result.weak), *prior
 
 
 def capitalised(words: str) -> str:

@@ -1,0 +1,111 @@
+"""What a diagnosis found, in words: the verdict in one sentence, and what is to be known of each fault model."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from fmuid.reports.words.directions import direction_words
+from fmuid.text import has_unit, listed, with_std
+
+if TYPE_CHECKING:
+    from fmuid.diagnosis import Diagnosis, Hypothesis, Size, Strain
+
+
+def diagnosis_words(found: Diagnosis) -> tuple[str, ...]:
+    """Return all that is to be said of a diagnosis: the verdict first, then what is to be known of it."""
+    own = [f"{each.name}: {note}" for each in found.hypotheses for note in hypothesis_notes(each)]
+    return verdict(found), *strain_words(found.strain), *own
+
+
+def verdict(found: Diagnosis) -> str:
+    """Return what it is, in one sentence."""
+    named = [found[name] for name in found.named]
+    if found.kind == "unexplained":
+        said = (
+            f"Something else is wrong: the residual's variance is {found.unexplained.ratio:.3g} times the noise "
+            f"of the healthy machine (probability {chance(found.unexplained.probability)})"
+        )
+        if not named:
+            return f"{said}, and no fault that was looked for explains it"
+        return f"{said} even with the most likely fault, {hypothesis_words(named[0], found.level)}"
+    if found.kind == "fault":
+        likely = f"probability without a fault {chance(named[0].adjusted)}"
+        return f"Fault found: {hypothesis_words(named[0], found.level)} ({likely}){_rest(found)}"
+    if found.kind == "ambiguous":
+        which = listed([each.name for each in named])
+        each_one = "; or ".join(hypothesis_words(each, found.level) for each in named)
+        return f"Fault found, but the data cannot tell {which} apart: {each_one}{_rest(found)}"
+    if found.kind == "undecided":
+        return f"Whether there is a fault stays open: {_obstacle(found)}"
+    nearest = min(found.hypotheses, key=lambda each: each.probability)
+    return (
+        f"No fault found at a false-alarm level of {100 * found.level:g} %; the most likely one is "
+        f"{hypothesis_words(nearest, found.level)} (probability without a fault {chance(nearest.adjusted)})"
+    )
+
+
+def _rest(found: Diagnosis) -> str:
+    """Say what the fault leaves unexplained, "" for nothing."""
+    if not found.unexplained.larger:
+        return ""
+    return (
+        f"; its model explains {found.unexplained.explained:.0%} of what exceeds the noise, not all of it: "
+        "the size is that of a model that is nearly right"
+    )
+
+
+def _obstacle(found: Diagnosis) -> str:
+    if not found.ended:
+        return "the search for the healthy model did not end at a minimum"
+    each = next(each for each in found.hypotheses if not each.ended or each.undetermined)
+    if each.undetermined:
+        return "; ".join(map(direction_words, each.undetermined))
+    return f"the search for the fault {each.name} did not end at a minimum"
+
+
+def hypothesis_words(each: Hypothesis, level: float) -> str:
+    """Return the name and the sizes that matter."""
+    sizes = [size_words(size, located=each.located(size, level)) for size in each.significant(level)]
+    return f"{each.name}, " + listed(sizes)
+
+
+def size_words(size: Size, *, located: bool) -> str:
+    """Return name, value and standard deviation; with the angle where that is asked for."""
+    unit = f" {size.unit}" if has_unit(size.unit) else ""
+    if math.isinf(size.std):
+        return f"{size.name} not determined"
+    at = f" at {size.angle} = {with_std(size.angle_value, size.angle_std)}" if located and size.angle else ""
+    return f"{size.name} = {with_std(size.value, size.std)}{unit}{at}"
+
+
+def hypothesis_notes(each: Hypothesis) -> list[str]:
+    """Return what is to be known of one fault model."""
+    notes = [direction_words(direction) for direction in each.undetermined]
+    notes += [f"without the healthy record, {direction_words(direction)}" for direction in each.prior_determined]
+    if not each.healthy_at_zero:
+        notes.append(
+            f"without its fault this model is not the healthy machine: its criterion differs by {each.mismatch:.3g}; "
+            "check its names and values"
+        )
+    if each.colour > 1.0:
+        notes.append(
+            f"the residual is not white: D is divided by {each.colour**2:.3g}, and the standard deviations are larger "
+            f"by {each.colour:.3g}"
+        )
+    return notes
+
+
+def strain_words(strain: Strain | None) -> list[str]:
+    """Say which nominal parameter has left what was foreseen, nothing where none has."""
+    if strain is None:
+        return []
+    return [
+        f"{strain.name} lies {strain.distance:.2g} standard deviations from what the healthy record and inflate "
+        "foresee: it has changed more than was expected, or something else has"
+    ]
+
+
+def chance(probability: float) -> str:
+    """Return a probability to two digits."""
+    return f"{probability:.2g}" if probability > 1e-300 else "below 1e-300"

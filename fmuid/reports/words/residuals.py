@@ -1,0 +1,144 @@
+"""What the residuals say of the model and of the stated uncertainty, in words; where they say nothing, what was tested.
+
+An error of the model that its parameters make up for leaves a residual in which no test finds anything.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from fmuid.assessment import OUTLYING, RESIDUAL_LEVEL, TAILED, WRONG_STD, Stated, Trait
+from fmuid.text import listed
+
+if TYPE_CHECKING:
+    from fmuid.assessment import Diagnostics, Finding, ResidualSeries
+
+# An autocorrelation from which on a residual is called far from white.
+FAR_FROM_WHITE = 0.5
+
+
+def residual_words(found: Diagnostics) -> tuple[str, ...]:
+    """Return what is to be known of the residuals, in sentences; one at least."""
+    large = [each for each in found.findings if each.large]
+    coloured = [each for each in large if each.trait is Trait.COLOURED]
+    said = [_large(found, each) for each in coloured]
+    if coloured or found.stated is not Stated.HOLD:
+        said.append(_stated(found))
+    said += [_large(found, each) for each in large if each.trait is not Trait.COLOURED]
+    return tuple(said + _summary(found, quiet=not said))
+
+
+def _name(found: Diagnostics, series: ResidualSeries) -> str:
+    several = len({each.experiment for each in found.series}) > 1
+    return f"{series.output} in {series.experiment}" if several else series.output
+
+
+def _large(found: Diagnostics, finding: Finding) -> str:
+    """Return a sentence on what is large enough to be said by itself."""
+    series, name = finding.series, _name(found, finding.series)
+    if finding.trait is Trait.COLOURED:
+        lag, largest = series.strongest_autocorrelation
+        far = "far from white" if abs(largest) >= FAR_FROM_WHITE else "not white"
+        return (
+            f"The residual of {name} is {far} (autocorrelation {largest:.2f} at a lag of {_count(lag, 'sample')}): "
+            "the model or the noise has dynamics of its own"
+        )
+    if finding.trait is Trait.OFFSET:
+        return (
+            f"The residual of {name} has the mean {series.mean:.3g}, {abs(series.mean) / series.std:.2g} of its "
+            "standard deviation: a sensor's offset, or something constant that the model lacks"
+        )
+    if finding.input is not None:
+        one = finding.input
+        delay = f"{one.lag:.3g} s later" if one.lag > 0 else "at the same time"
+        return (
+            f"The residual of {name} is correlated with the input {one.input} ({one.correlation:+.2f}, {delay}; "
+            f"by chance within {one.band:.2g}): part of how {one.input} acts is not in the model"
+        )
+    traits = ["is lopsided"] if series.lopsided else []
+    traits += [f"has {'heavy' if series.kurtosis > 0 else 'light'} tails"] if series.tailed else []
+    remedy = ": look for outliers, or use a robust loss" if series.kurtosis > TAILED else ""
+    return (
+        f"The residual of {name} {listed(traits)}, unlike normal noise (skewness {series.skewness:.2g}, "
+        f"excess kurtosis {series.kurtosis:.2g}, {_count(series.outliers, 'sample')} beyond {OUTLYING:g} standard "
+        f"deviations){remedy}"
+    )
+
+
+def _stated(found: Diagnostics) -> str:
+    """Say what the colour of the residuals makes of the stated standard deviations."""
+    known = [factor for factor in found.inflation.values() if math.isfinite(factor)]
+    if found.stated is Stated.HOLD:
+        return "For the estimates this makes little difference: the stated standard deviations hold"
+    if found.stated is Stated.TOO_LARGE:
+        return (
+            "Since neighbouring samples tend to cancel, the stated standard deviations are too large, "
+            f"by a factor of {1.0 / max(known):.2g} or more"
+        )
+    small = found.too_small
+    low, high = min(small, key=small.__getitem__), max(small, key=small.__getitem__)
+    about = f"about {small[high]:.2g}"
+    if small[high] > WRONG_STD * small[low]:
+        about = f"{small[low]:.2g} ({low}) to {small[high]:.2g} ({high})"
+    of = "" if len(small) == len(known) else f" of {listed(tuple(small))}"
+    if found.stated is Stated.TOO_SMALL:
+        return (
+            f"Since neighbouring samples are not independent, the stated standard deviations{of} are too small, "
+            f"by a factor of {about}"
+        )
+    return (
+        "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: the stated "
+        f"standard deviations{of} may be too small, by a factor of {about}"
+    )
+
+
+def _summary(found: Diagnostics, *, quiet: bool) -> list[str]:
+    """Say where there was nothing to examine and, where nothing else is to be said, what was tested."""
+    idle = [_name(found, each) for each in found.series if not each.examined]
+    lines = [f"The residual of {listed(idle)} is too short, or nothing but rounding, to be examined"] if idle else []
+    examined = [each for each in found.series if each.examined]
+    if not quiet or not examined:
+        return lines
+    slight = {_name(found, each): [_slight(one) for one in found.findings if one.series is each] for each in examined}
+    slight = {name: traits for name, traits in slight.items() if traits}
+    said = "significant, but slight"
+    lines += [f"The residual of {name} has {listed(traits)}: {said}" for name, traits in slight.items()]
+    names = [_name(found, each) for each in examined]
+    which = f"residual of {names[0]} looks" if len(names) == 1 else f"residuals of {listed(names)} look"
+    return [
+        *lines,
+        f"The {which} {'otherwise like' if slight else 'like'} white normal noise that has nothing to do with the "
+        f"inputs, as far as was tested: {_tested(examined)}; nothing more was tested, and an error of the model that "
+        "the parameters make up for does not show there",
+    ]
+
+
+def _slight(finding: Finding) -> str:
+    """Return what is significant, but not large enough to be said by itself."""
+    series = finding.series
+    if finding.trait is Trait.COLOURED:
+        lag, largest = series.strongest_autocorrelation
+        return f"an autocorrelation of {largest:.2g} at a lag of {_count(lag, 'sample')}"
+    if finding.trait is Trait.OFFSET:
+        return f"a mean of {series.mean / series.std:.2g} standard deviations"
+    if finding.input is not None:
+        return f"a correlation of {finding.input.correlation:+.2g} with the input {finding.input.input}"
+    return f"a skewness of {series.skewness:.2g} and an excess kurtosis of {series.kurtosis:.2g}"
+
+
+def _tested(series: list[ResidualSeries]) -> str:
+    """Return what was tested, of how many samples and at what level."""
+    inputs = list(dict.fromkeys(one.input for each in series for one in each.inputs))
+    lags, samples = _range([each.tested_lags for each in series]), _range([each.samples for each in series])
+    crossed = [f"correlation with {listed(inputs)}"] if inputs else []
+    tests = listed([f"whiteness (Ljung–Box over {lags} lags)", "mean", *crossed, "normality (Jarque–Bera)"])
+    return f"{tests}, each at a level of {100 * RESIDUAL_LEVEL:g} %, with {samples} samples"
+
+
+def _range(numbers: list[int]) -> str:
+    return f"{min(numbers)}" if min(numbers) == max(numbers) else f"{min(numbers)} to {max(numbers)}"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -1,0 +1,78 @@
+"""What profiles, maps and samples of the posterior say, in words."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmuid.assessment import LARGEST_R_HAT, Doubt, better_point
+from fmuid.reports.words.directions import direction_words
+
+if TYPE_CHECKING:
+    from fmuid.assessment import CriterionMap, Posterior, Uncertainty
+
+# A chain that is advised is longer than what is foreseen to suffice by this factor.
+SURER = 1.2
+
+
+def uncertainty_words(found: Uncertainty) -> tuple[str, ...]:
+    """Return what is to be known of intervals, maps and samples."""
+    said = [note for each in found.profiles for note in each.notes]
+    said += [line for chart in (*found.maps, *found.box_maps) for line in _map_words(chart)]
+    if found.posterior is not None and not found.posterior.converged:
+        said.append(f"posterior: {posterior_words(found.posterior)}")
+    return tuple(said)
+
+
+def _map_words(chart: CriterionMap) -> list[str]:
+    """Say where a map shows a lower criterion than the estimate has."""
+    better = better_point(chart)
+    if better is None:
+        return []
+    (first, second), (x, y, by) = chart.names, better
+    return [
+        f"the criterion over {first} and {second} is lower at {first} = {x:.6g}, {second} = {y:.6g} than at the "
+        f'estimate, by {by:.3g}: there is a better optimum; start there, or search with method = "global"'
+    ]
+
+
+def posterior_words(found: Posterior) -> str:
+    """Say whether samples can be trusted and, where not, what to do."""
+    words = [f"interrupted after {len(found.chain)} steps"] if found.interrupted else []
+    words.append(_doubt_words(found))
+    words += [
+        f"{direction_words(each)}: along this the samples show priors and bounds, not data"
+        for each in found.undetermined
+    ]
+    return "; ".join(words)
+
+
+def _doubt_words(found: Posterior) -> str:
+    length, name = len(found.chain), found.doubtful
+    i = found.names.index(name) if name else int(np.argmin(found.effective_size))
+    if found.doubt is Doubt.RUNAWAY:
+        return f"nothing holds {name}, the samples run away: give a prior or bounds, or measure more"
+    if found.doubt is Doubt.TOO_SHORT:
+        return f"{length} steps are too few to judge: raise steps, or let it go on"
+    if found.doubt is Doubt.STUCK:
+        return (
+            f"the walkers hardly move, {found.acceptance:.1%} of the proposals are accepted: look for several "
+            "optima and for simulations that fail, and narrow the bounds around what is meant"
+        )
+    if found.doubt is Doubt.DISAGREEING:
+        return (
+            f"not converged: the walkers do not agree on {name} (R-hat {found.r_hat[i]:.3f}, {LARGEST_R_HAT} is the "
+            f"most) after {length} steps: raise steps; if that does not help, the data leave it open or there are "
+            "several optima, so give a prior or narrower bounds"
+        )
+    worth = float(found.effective_size[i])
+    if found.doubt is Doubt.TOO_FEW:
+        return (
+            f"not enough: the samples of {name} are worth {worth:.0f} independent ones instead of {found.wanted}: "
+            f"raise steps to about {math.ceil(SURER * found.wanted / worth * length)}"
+        )
+    return (
+        f"converged: at least {worth:.0f} independent samples of each parameter, R-hat at most {found.r_hat.max():.3f}"
+    )
