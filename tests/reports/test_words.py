@@ -1,0 +1,92 @@
+"""What is found, in words: every kind of value has them, and the same way in Python, on the terminal and in files."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fmuid
+from fmuid.assessment.prior_and_data import Obstacle
+from fmuid.estimation.covariance import Determined, Direction
+from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.reports.words.directions import direction_words
+from fmuid.reports.words.prior_and_data import obstacle_words
+from fmuid.reports.words.result import ENDS, ending
+
+TIMES = np.linspace(0.0, 1.0, 60)
+
+
+def line() -> tuple[fmuid.LeastSquares, fmuid.Result]:
+    y = 2.0 * TIMES + 0.1 * np.random.default_rng(0).standard_normal(60)
+    parameters = {"slope": fmuid.Parameter(1.0, prior=fmuid.Normal(2.0, 0.5))}
+    problem = fmuid.LeastSquares.from_function(lambda theta: theta[0] * TIMES, y, parameters)
+    return problem, fmuid.identify(problem)
+
+
+def test_whatever_is_found_is_described() -> None:
+    problem, result = line()
+    diagnostics = fmuid.examine_residuals(problem, result)
+    assert fmuid.describe(result) == "Converged"
+    assert fmuid.describe(diagnostics).startswith("Neighbouring samples of the residual look correlated")
+    assert fmuid.describe(fmuid.read_result(problem, result)).startswith("Prior and data agree")
+    assert "raise steps" in fmuid.describe(fmuid.sample(problem, result, fmuid.Sampling(steps=20)))
+
+
+@pytest.mark.parametrize("outcome", Outcome)
+def test_every_outcome_has_words(outcome: Outcome) -> None:
+    _, result = line()
+    assert fmuid.describe(replace(result, outcome=outcome)).startswith(ENDS[outcome][0].upper() + ENDS[outcome][1:])
+
+
+def test_an_end_names_directions_and_bounds() -> None:
+    _, result = line()
+    direction = Direction(Determined.NOT, ("a", "b"), (1.0, -2.0), math.inf, (1.0, 1.0), (1.0, 1.0))
+    assert direction_words(direction) == "a and b cannot be told apart: only a + 0.5 b is determined"
+    open_ = replace(result, outcome=Outcome.UNDETERMINED, undetermined=(direction,))
+    assert ending(open_) == f"undetermined: {direction_words(direction)}: " + (
+        "give a prior, hold one of them at a value, or measure more"
+    )
+    # where the search did not even end, that comes first
+    assert ending(replace(open_, outcome=Outcome.STALLED)).startswith(f"{ENDS[Outcome.STALLED]}; a and b")
+
+
+@pytest.mark.parametrize(
+    ("direction", "said"),
+    [
+        (
+            Direction(Determined.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),
+            "c is not determined: changing it changes no output",
+        ),
+        (
+            Direction(Determined.NOT_IN_EFFECT, ("a", "b"), (1.0, 1.0), 25.0, (1.0, 1.0), (1.0, 1.0)),
+            "a and b cannot be told apart in effect: only a - b is determined, and their standard deviation together "
+            "is 25 times their magnitude",
+        ),
+        (
+            Direction(Determined.HARDLY, ("a", "b", "c"), (1.0, 1.0, -1.0), 3.0, (1.0,) * 3, (1.0,) * 3),
+            "a, b and c can hardly be told apart: a + c and b + c are determined better than each of them, whose "
+            "standard deviation together is 300% of their magnitude",
+        ),
+    ],
+)
+def test_directions(direction: Direction, said: str) -> None:
+    assert direction_words(direction) == said
+    assert Direction.of_json(direction.to_json_dict()) == direction
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "said"),
+    [
+        (Obstacle(outcome=Outcome.STALLED), "did not converge, so it is extrapolated: stalled: no step lowers"),
+        (Obstacle(outcome=Outcome.INTERRUPTED), "did not converge, so it is extrapolated: interrupted"),
+        (
+            Obstacle(undetermined=(Direction(Determined.NOT, ("c",), (1.0,), math.inf, (1.0,), (1.0,)),)),
+            "optimum of the data alone c is not determined: changing it changes no output, so it is extrapolated",
+        ),
+    ],
+)
+def test_why_the_data_alone_are_extrapolated(obstacle: Obstacle, said: str) -> None:
+    assert said in obstacle_words(obstacle)
