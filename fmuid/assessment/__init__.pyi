@@ -5,6 +5,8 @@ from .consistency import Deviation as Deviation
 from .consistency import VarianceTest as VarianceTest
 from .criterion_map import CriterionMap as CriterionMap
 from .criterion_map import map_criterion as map_criterion
+from .ends import EndKind as EndKind
+from .ends import Remark as Remark
 from .posterior import Doubt as Doubt
 from .posterior import Posterior as Posterior
 from .posterior import Sampling as Sampling

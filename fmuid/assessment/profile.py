@@ -31,8 +31,9 @@ from scipy import stats
 
 from fmuid.arrays import Floats
 from fmuid.assessment.conditional import Point, best_near, best_with, check_result
+from fmuid.assessment.ends import EndKind, Remark
 from fmuid.errors import InputError
-from fmuid.estimation import Criterion, LeastSquares, Result, check_level
+from fmuid.estimation import AtBound, Criterion, LeastSquares, Outcome, Result, check_level
 from fmuid.progress import ProfileStep, Progress
 
 # Approximate number of steps of a side, equal in τ.
@@ -71,11 +72,11 @@ class Profile:
         Of the interval.
     lower, upper : float
         The interval; infinite on a side that is flat or where it cannot be found, its bound where it ends there, NaN
-        where no interval can be given. `notes` says which.
+        where no interval can be given. `remarks` say which.
     minimum, threshold : float
         J_min, and the rise above it at which the interval ends.
-    notes : tuple of str
-        Remarks on the ends; empty for an ordinary profile.
+    remarks : tuple of Remark
+        On the ends; empty for an ordinary profile.
     interrupted : bool
         Whether the keyboard ended it before both ends were found.
     table : DataFrame
@@ -90,7 +91,7 @@ class Profile:
     upper: float
     minimum: float
     threshold: float
-    notes: tuple[str, ...]
+    remarks: tuple[Remark, ...]
     interrupted: bool
     table: pd.DataFrame
 
@@ -179,11 +180,12 @@ def reach(problem: LeastSquares, result: Result) -> Floats:
 
 @dataclass(eq=False)
 class _Side:
-    """One side of a profile: the points in the order in which they were found, the end, and notes."""
+    """One side of a profile: the points in the order in which they were found, the end, and remarks."""
 
     points: list[Point]
+    upper: bool
     end: float = math.nan
-    notes: list[str] = field(default_factory=list)
+    remarks: list[Remark] = field(default_factory=list)
     lost: bool = False
     doubtful: bool = False
 
@@ -212,18 +214,15 @@ class _Profiler:
         self.interrupted = False
 
     def run(self) -> Profile:
-        sides = [_Side([]), _Side([])]
+        sides = [_Side([], upper=False), _Side([], upper=True)]
         try:
             for side, direction in zip(sides, (-1.0, 1.0), strict=True):
                 self._walk(side, direction)
         except KeyboardInterrupt:
             self.interrupted = True
         lower, upper = sides[0].end, sides[1].end
-        notes = [note for side in sides for note in side.notes]
         if any(side.lost for side in sides):
             lower = upper = math.nan
-        if self.interrupted:
-            notes.append(f"interrupted: the profile of {self.name} is not complete")
         points = sorted([*sides[0].points, self.origin, *sides[1].points], key=self._value)
         table = pd.DataFrame([point.theta for point in points], columns=list(self.names))
         table["criterion"] = [point.criterion for point in points]
@@ -236,7 +235,7 @@ class _Profiler:
             upper=upper,
             minimum=self.origin.criterion,
             threshold=self.threshold,
-            notes=tuple(notes),
+            remarks=tuple(remark for side in sides for remark in side.remarks),
             interrupted=self.interrupted,
             table=table,
         )
@@ -245,35 +244,32 @@ class _Profiler:
 
     def _walk(self, side: _Side, direction: float) -> None:
         """Step away from the estimate until the level, a bound, or nowhere is reached."""
-        where = "upper" if direction > 0 else "lower"
         bound = float((self.criterion.upper if direction > 0 else self.criterion.lower)[self.index])
         here, step = self.origin, self._first_step()
         while True:
             value = self._value(here)
             if value == bound:
                 side.end = bound
-                side.notes.append(f"the {where} end of {self.name} is its bound {bound:g}, where {self._risen(here)}")
+                self._remark(side, EndKind.BOUND, here)
                 return
             if abs(value - self._value(self.origin)) >= self.far:
                 side.end = direction * math.inf
-                side.notes.append(f"{self.name} has no {where} end: even at {value:.6g} {self._risen(here)}")
+                self._remark(side, EndKind.FLAT, here)
                 return
             point = self._next(here, value, direction * step, bound)
             if point is None:
                 side.end = direction * math.inf
-                side.notes.append(
-                    f"the {where} end of {self.name} is not known: beyond {value:.6g}, where {self._risen(here)}, "
-                    "the simulations fail; give a bound within which the model is sound"
-                )
+                self._remark(side, EndKind.FAILING, here)
                 return
             self._keep(side, point)
             if self._rise(point) < -LOWER_OPTIMUM_SHARE * self.threshold:
-                self._say_lost(side, point)
+                side.lost = True
+                self._remark(side, EndKind.LOWER, point)
                 return
             if self._rise(point) >= self.threshold:
                 end = self._refine(side, here, point)
                 side.end = min(max(end, self.criterion.lower[self.index]), self.criterion.upper[self.index])
-                self._say_held(side, where)
+                self._remark_held(side, side.points[-1])
                 return
             step = self._next_step(point, abs(self._value(point) - value))
             here = point
@@ -282,10 +278,7 @@ class _Profiler:
         side.points.append(point)
         if not point.outcome.converged and not side.doubtful:
             side.doubtful = True
-            side.notes.append(
-                f"at {self.name} = {self._value(point):.6g} the search for the other parameters did not converge "
-                f"({point.outcome.value}): the criterion there may be lower than found"
-            )
+            self._remark(side, EndKind.NOT_CONVERGED, point, outcome=point.outcome)
         if self.progress is not None:
             step = ProfileStep(
                 share=self.share,
@@ -338,7 +331,7 @@ class _Profiler:
             self._keep(side, point)
             low, high = (low, point) if self._rise(point) >= self.threshold else (point, high)
             near = point
-        side.notes.append(f"the end of {self.name} near {self._value(near):.6g} could not be found more precisely")
+        self._remark(side, EndKind.IMPRECISE, near)
         return self._value(near)
 
     def _newton(self, point: Point, level: float) -> float:
@@ -346,25 +339,16 @@ class _Profiler:
         away = math.copysign(1.0, self._value(point) - self._value(self.origin))
         return self._value(point) + away * (level - self._root(point)) / slope if slope > 0 else math.nan
 
-    # --- words
+    # --- remarks
 
-    def _risen(self, point: Point) -> str:
-        return (
-            f"the criterion has risen by only {max(self._rise(point), 0.0):.2g} of the {self.threshold:.3g} "
-            f"that {100.0 * self.level:.4g} % need"
-        )
+    def _remark(self, side: _Side, kind: EndKind, point: Point, *, outcome: Outcome | None = None) -> None:
+        side.remarks.append(Remark(kind, side.upper, self._value(point), self._rise(point), outcome))
 
-    def _say_lost(self, side: _Side, point: Point) -> None:
-        side.lost = True
-        side.notes.append(
-            f"no interval of {self.name}: at {self._value(point):.6g} the criterion is lower than at the estimate, "
-            f"by {-self._rise(point):.3g}; identify again from the table's row of that value"
-        )
-
-    def _say_held(self, side: _Side, where: str) -> None:
-        for i in side.points[-1].at_bounds:
-            bound = side.points[-1].theta[i]
-            side.notes.append(f"at the {where} end of {self.name}, {self.names[i]} is at its bound {bound:g}")
+    def _remark_held(self, side: _Side, point: Point) -> None:
+        for i in point.at_bounds:
+            other = AtBound(self.names[i], float(point.theta[i]))
+            value, rise = self._value(point), self._rise(point)
+            side.remarks.append(Remark(EndKind.OTHER_AT_BOUND, side.upper, value, rise, other=other))
 
     # --- numbers
 

@@ -122,7 +122,8 @@ class Uncertainty:
                     "level": each.level,
                     "lower": _plain(each.lower),
                     "upper": _plain(each.upper),
-                    "notes": list(each.notes),
+                    "remarks": [remark.to_json_dict() for remark in each.remarks],
+                    "interrupted": each.interrupted,
                 }
                 for each in self.profiles
             }

@@ -12,15 +12,17 @@ from scipy.optimize import brentq, least_squares
 from scipy.stats import f as f_distribution
 from scipy.stats import norm
 
+from fmuid.assessment.ends import EndKind
 from fmuid.assessment.profile import Profile, profiles
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.result import Result
+from fmuid.estimation.result import AtBound, Result
 from fmuid.progress import Event, ProfileStep
 from fmuid.reports.figures import uncertainty as figures_uncertainty
+from fmuid.reports.words.uncertainty import profile_words
 
 Array = npt.NDArray[np.float64]
 TIMES = np.linspace(0.0, 4.0, 25)
@@ -109,7 +111,7 @@ def test_linear_given_variance_and_prior() -> None:
         ends(found), np.column_stack([theta - half, theta + half]), rtol=0, atol=1e-6 * half.max()
     )
     assert found[0].threshold == pytest.approx(norm.ppf(0.975) ** 2)
-    assert all(not profile.notes for profile in found)
+    assert all(not profile.remarks for profile in found)
 
 
 def test_linear_two_outputs_and_joint_prior() -> None:
@@ -201,8 +203,8 @@ def test_flat_is_not_given_a_number() -> None:
     assert not np.isfinite(result.std).any()
     for profile in profiles(problem, result):
         assert (profile.lower, profile.upper) == (-math.inf, math.inf)
-        assert len(profile.notes) == 2
-        assert f"{profile.name} has no upper end: even at " in profile.notes[1]
+        assert [each.kind for each in profile.remarks] == [EndKind.FLAT, EndKind.FLAT]
+        assert f"{profile.name} has no upper end: even at " in profile_words(profile)[1]
         assert (profile.criterion - profile.minimum).max() < 1e-3
 
 
@@ -213,7 +215,8 @@ def test_ends_by_the_bounds_of_others() -> None:
     assert profile.lower == -math.inf
     total = result["L"] + 0.05 * result["dR"]
     assert profile.upper == pytest.approx((total - 1e-3) / 0.05, rel=0.1)
-    assert profile.notes[-1] == "at the upper end of dR, L is at its bound 0.001"
+    assert profile.remarks[-1].other == AtBound("L", 1e-3)
+    assert profile_words(profile)[-1] == "at the upper end of dR, L is at its bound 0.001"
 
 
 def test_saturates_below_the_level() -> None:
@@ -223,7 +226,7 @@ def test_saturates_below_the_level() -> None:
     profile = only(problem, result, "rate")
     assert profile.upper == math.inf
     assert math.isfinite(profile.lower)
-    (note,) = profile.notes
+    (note,) = profile_words(profile)
     assert note.startswith("rate has no upper end: even at ")
     at_infinity = problem.measured.copy()
     at_infinity[1:] -= at_infinity[1:].mean()
@@ -242,7 +245,8 @@ def test_simulations_fail_before_the_level() -> None:
     problem = LeastSquares.from_function(fragile, measured, {"top": Parameter(4.0), "rate": Parameter(0.7, max=2.0)})
     profile = only(problem, identify(problem), "rate")
     assert profile.upper == math.inf
-    assert "simulations fail; give a bound" in profile.notes[0]
+    assert profile.remarks[0].kind is EndKind.FAILING
+    assert "simulations fail; give a bound" in profile_words(profile)[0]
     assert profile.values[-1] == pytest.approx(0.85, abs=0.01)
 
 
@@ -257,7 +261,9 @@ def test_ends_at_its_own_bound() -> None:
     profile = only(problem, identify(problem), "rate")
     assert profile.upper == bound
     assert profile.lower == pytest.approx(free.lower, rel=1e-5)
-    assert profile.notes[0].startswith(f"the upper end of rate is its bound {bound:g}, where the criterion has risen")
+    assert profile_words(profile)[0].startswith(
+        f"the upper end of rate is its bound {bound:g}, where the criterion has risen"
+    )
 
 
 def test_estimate_on_its_bound() -> None:
@@ -291,7 +297,7 @@ def test_better_optimum_is_said() -> None:
     profile = only(problem, result, "w")
     assert math.isnan(profile.lower)
     assert math.isnan(profile.upper)
-    assert any("identify again from the table's row" in note for note in profile.notes)
+    assert any("identify again from the table's row" in note for note in profile_words(profile))
     better = profile.values[np.argmin(profile.criterion)]
     assert identify(problem, start=[better])["w"] == pytest.approx(3.0, abs=0.02)
 
@@ -309,10 +315,10 @@ def test_interrupted_keeps_what_there_is() -> None:
     found = profiles(problem, identify(problem), progress=stop)
     assert [profile.name for profile in found] == ["a", "b"]
     assert math.isfinite(found[0].upper)
-    assert not found[0].notes
+    assert not found[0].remarks
     assert [each.interrupted for each in found] == [False, True]
     assert math.isnan(found[1].lower)
-    assert found[1].notes == ("interrupted: the profile of b is not complete",)
+    assert profile_words(found[1]) == ("interrupted: the profile of b is not complete",)
     assert len(found[1].table) > 1
     assert seen[0].threshold == found[0].threshold
 

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmuid.assessment import LARGEST_R_HAT, Doubt, better_point
+from fmuid.assessment import LARGEST_R_HAT, Doubt, EndKind, better_point
 from fmuid.reports.words.directions import direction_words
+from fmuid.reports.words.result import ENDS
 
 if TYPE_CHECKING:
-    from fmuid.assessment import CriterionMap, Posterior, Uncertainty
+    from fmuid.assessment import CriterionMap, Posterior, Profile, Remark, Uncertainty
 
 # A chain that is advised is longer than what is foreseen to suffice by this factor.
 SURER = 1.2
@@ -19,11 +20,47 @@ SURER = 1.2
 
 def uncertainty_words(found: Uncertainty) -> tuple[str, ...]:
     """Return what is to be known of intervals, maps and samples."""
-    said = [note for each in found.profiles for note in each.notes]
+    said = [line for each in found.profiles for line in profile_words(each)]
     said += [line for chart in (*found.maps, *found.box_maps) for line in _map_words(chart)]
     if found.posterior is not None and not found.posterior.converged:
         said.append(f"posterior: {posterior_words(found.posterior)}")
     return tuple(said)
+
+
+def profile_words(profile: Profile) -> tuple[str, ...]:
+    """Return what is to be known about the ends of a profile; nothing where all is ordinary."""
+    said = [_remark_words(profile, remark) for remark in profile.remarks]
+    return *said, *([f"interrupted: the profile of {profile.name} is not complete"] if profile.interrupted else [])
+
+
+def _remark_words(profile: Profile, remark: Remark) -> str:
+    name, value, end = profile.name, f"{remark.value:.6g}", "upper" if remark.upper else "lower"
+    risen = (
+        f"the criterion has risen by only {max(remark.rise, 0.0):.2g} of the {profile.threshold:.3g} "
+        f"that {100.0 * profile.level:.4g} % need"
+    )
+    if remark.kind is EndKind.BOUND:
+        return f"the {end} end of {name} is its bound {remark.value:g}, where {risen}"
+    if remark.kind is EndKind.FLAT:
+        return f"{name} has no {end} end: even at {value} {risen}"
+    if remark.kind is EndKind.FAILING:
+        return (
+            f"the {end} end of {name} is not known: beyond {value}, where {risen}, the simulations fail; "
+            "give a bound within which the model is sound"
+        )
+    if remark.outcome is not None:
+        return (
+            f"at {name} = {value} the search for the other parameters did not converge ({ENDS[remark.outcome]}): "
+            "the criterion there may be lower than found"
+        )
+    if remark.other is not None:
+        return f"at the {end} end of {name}, {remark.other.name} is at its bound {remark.other.value:g}"
+    if remark.kind is EndKind.LOWER:
+        return (
+            f"no interval of {name}: at {value} the criterion is lower than at the estimate, by {-remark.rise:.3g}; "
+            "identify again from the table's row of that value"
+        )
+    return f"the end of {name} near {value} could not be found more precisely"
 
 
 def _map_words(chart: CriterionMap) -> list[str]:

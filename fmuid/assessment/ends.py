@@ -1,0 +1,66 @@
+"""What is to be known of the ends of a profile, as values."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from enum import Enum
+from typing import Any
+
+from fmuid.estimation import AtBound, Outcome
+
+
+class EndKind(Enum):
+    """What is to be known of an end of a profile."""
+
+    BOUND = "bound"
+    """It is the parameter's own bound."""
+    FLAT = "flat"
+    """There is none: the criterion does not rise."""
+    FAILING = "failing"
+    """It is not known: beyond, simulations fail."""
+    NOT_CONVERGED = "not_converged"
+    """On the way a search for the other parameters did not converge."""
+    IMPRECISE = "imprecise"
+    """It could not be found more precisely."""
+    LOWER = "lower"
+    """There is none: the criterion is lower than at the estimate."""
+    OTHER_AT_BOUND = "other_at_bound"
+    """There another parameter is at its bound."""
+
+
+@dataclass(frozen=True)
+class Remark:
+    """What is to be known of one end of a profile.
+
+    Attributes
+    ----------
+    kind : EndKind
+    upper : bool
+        Which end.
+    value : float
+        Of the parameter, where it happens.
+    rise : float
+        Of the criterion there, above its least value.
+    outcome : Outcome or None
+        How the search for the others ended, where it did not converge.
+    other : AtBound or None
+        The other parameter that is at its bound.
+    """
+
+    kind: EndKind
+    upper: bool
+    value: float
+    rise: float
+    outcome: Outcome | None = None
+    other: AtBound | None = None
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return what ``result.json`` has of it."""
+        return {
+            "kind": self.kind.value,
+            "end": "upper" if self.upper else "lower",
+            "value": self.value,
+            "rise": self.rise,
+            "outcome": self.outcome.value if self.outcome is not None else None,
+            "other": asdict(self.other) if self.other is not None else None,
+        }
