@@ -443,6 +443,7 @@ def test_traces() -> None:
     assert "R-hat" in figure.axes[0].get_title("right")
 
 
+@pytest.mark.slow
 def test_coverage_of_the_coil() -> None:
     """Of 12 draws a method that covers 95 % holds the truth at least 8 times but for one in 5,000 repetitions."""
     sampling = Sampling(effective_size=400, walkers=8)

@@ -240,6 +240,7 @@ def test_nothing_in_common() -> None:
     assert np.isnan(reading.data[3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_false_alarms_come_as_often_as_the_level_says(colour: float) -> None:
     """Over 300 draws of noise and of the truth from the prior, white noise or not: the tests know its colour."""

@@ -72,6 +72,7 @@ def test_of_white_noise_words_say_what_was_tested() -> None:
     assert series.tested_lags == 25
 
 
+@pytest.mark.slow
 def test_words_are_rarely_wrong() -> None:
     """Of 100 draws of white normal noise, hardly any is called anything else."""
     quiet = "The residual of y looks like white normal noise"
@@ -195,6 +196,7 @@ def test_a_robust_loss_keeps_the_factors() -> None:
     assert robust["level"] == pytest.approx(plain["level"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_long_record_with_a_long_memory_takes_no_time() -> None:
     """A drifting residual of 200 000 samples: all lags count, and are transformed rather than summed one by one."""
     count = 200_000

@@ -556,6 +556,7 @@ print(len(found.frame), found.interrupted)
 """
 
 
+@pytest.mark.slow
 def test_a_script_without_a_guard(folder: Path) -> None:
     """Workers that import the script again would begin the batch again; from standard input there is none to import."""
     script = SCRIPT.format(study=str(folder / "study.toml"), output=str(folder / "out"))
@@ -581,6 +582,7 @@ def wait_for_part(process: subprocess.Popen[str], folder: Path, known: int = 0) 
     raise AssertionError(process.communicate())
 
 
+@pytest.mark.slow
 def test_kills(folder: Path) -> None:
     """Of a worker and, at a drawn moment, of the driver; Ctrl-C, SIGTERM: no row lost or run again, no process left."""
     draws, rng = 200, np.random.default_rng(5)
@@ -684,6 +686,7 @@ def shops(folder: Path) -> list[Path]:
     return list(folder.glob("*/dask-scratch-space/worker-*/fmuid-*"))
 
 
+@pytest.mark.slow
 def test_a_cluster(
     fleet: Path, scheduler: tuple[str, subprocess.Popen[bytes]], capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -183,6 +183,7 @@ def test_ctrl_c_in_a_terminal_ends_a_command_whose_fmu_loops(tmp_path: Path, fmu
     assert "Traceback" not in said
 
 
+@pytest.mark.slow
 def test_a_batch_in_which_every_fifth_case_misbehaves(tmp_path: Path) -> None:
     """The campaign of experiments/batches in small: all rows are those of a run in-process, bit for bit."""
     ways = (Mode.SEGFAULT, Mode.EXIT_0, Mode.MUTTER, Mode.STUBBORN, Mode.RUNAWAY)

@@ -109,6 +109,7 @@ def test_nothing_is_detectable_without_excitation(healthy: fmuid.Result) -> None
     assert math.isinf(table["dR"][1]) and math.isfinite(table["dR"][0])
 
 
+@pytest.mark.slow
 def test_the_rates_are_those_of_draws(healthy: fmuid.Result) -> None:
     """Draws of record and healthy result; R with the errors of its estimate, so not inflated."""
     rng, count = np.random.default_rng(6), 300

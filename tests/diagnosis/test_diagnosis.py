@@ -111,6 +111,7 @@ def test_the_common_mode_takes_what_was_foreseen(look: Look, faults: Faults) -> 
     assert strain_words(surprised.strain)[0].startswith("g lies ")
 
 
+@pytest.mark.slow
 def test_the_false_alarm_level_is_met(plate: fmuid.System, faults: Faults) -> None:
     """Over healthy records and healthy machines: any alarm, of either fault, at a level of 10 %."""
     rng, level, count = np.random.default_rng(7), 0.1, 100

@@ -242,6 +242,7 @@ def test_bounds_and_angles_are_those_of_a_diagnosis(
         assert row["rotor.angle.std"] == pytest.approx(expected["rotor"]["size"].angle_std, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_level_is_met_over_healthy_records(plate: fmuid.System, sound: fmuid.Result) -> None:
     rng, level, count = np.random.default_rng(8), 0.1, 300
     fault = fmuid.Fault(plate, {"ea": fmuid.Parameter(0.0, min=0.0, nominal=0.01)})

@@ -272,6 +272,7 @@ def test_proposal_2_of_hardly_any_residual() -> None:
 # --- intervals --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "share"), [("soft_l1", 0.05), ("huber", 0.1), ("cauchy", 0.1), ("huber", 0.0)])
 def test_intervals_cover_as_often_as_they_say(name: str, share: float) -> None:
     """200 draws; 95 % of 200 is 190 ± 3. Plain least squares covers too, with intervals several times as wide."""

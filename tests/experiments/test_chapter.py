@@ -90,6 +90,7 @@ def check_both_are_nearest(errors: np.ndarray) -> None:
     assert (means.loc["both"] < means.loc["data alone"]).all()
 
 
+@pytest.mark.slow
 def test_prior_and_data_together_are_nearer_to_the_truth_than_either(
     clean: pd.DataFrame, pair: dict[str, fmuid.Result]
 ) -> None:

@@ -32,6 +32,7 @@ def test_induction_machine_comes_back_from_starts_50_percent_away(factors: tuple
     assert list(result.noise_variance.values()) == pytest.approx([make_table.NOISE_VARIANCE] * 2, rel=0.06)
 
 
+@pytest.mark.slow
 def test_intervals_of_the_induction_machine_cover_as_often_as_they_say(clean: pd.DataFrame) -> None:
     """100 draws of noise on the noise-free simulation of the three-phase equations; 95 % of 100 is 95 ± 2.2."""
     truth = np.array(list(make_table.TRUTH.values()))
