@@ -7,6 +7,7 @@ from .criterion_map import CriterionMap as CriterionMap
 from .criterion_map import map_criterion as map_criterion
 from .ends import EndKind as EndKind
 from .ends import Remark as Remark
+from .posterior import LARGEST_R_HAT as LARGEST_R_HAT
 from .posterior import Doubt as Doubt
 from .posterior import Posterior as Posterior
 from .posterior import Sampling as Sampling
@@ -27,7 +28,6 @@ from .residuals import Finding as Finding
 from .residuals import Stated as Stated
 from .residuals import Trait as Trait
 from .residuals import examine_residuals as examine_residuals
-from .sampler import LARGEST_R_HAT as LARGEST_R_HAT
 from .sampler import sample as sample
 from .series import coloured_gram as coloured_gram
 from .series import noise_model as noise_model

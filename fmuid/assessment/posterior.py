@@ -18,6 +18,8 @@ MAX_STEPS = 20_000
 EFFECTIVE_SIZE = 2000
 # The share of the chain, at its start, that is not used.
 BURN = 0.25
+# Largest R-hat of chains that agree (Vehtari et al., section 4).
+LARGEST_R_HAT = 1.01
 
 
 @dataclass(frozen=True)

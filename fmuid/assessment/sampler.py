@@ -34,7 +34,7 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.assessment.chains import effective_size, r_hat
 from fmuid.assessment.conditional import check_result
-from fmuid.assessment.posterior import Doubt, Posterior, Sampling
+from fmuid.assessment.posterior import LARGEST_R_HAT, Doubt, Posterior, Sampling
 from fmuid.assessment.profile import reach
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result
@@ -44,8 +44,6 @@ from fmuid.progress import Progress, SamplingStep
 LEAST_WALKERS, WALKERS_PER_PARAMETER = 16, 4
 # Steps before convergence is checked first, and the factor by which the chain grows between checks.
 FIRST_LOOK, LOOK_GROWTH = 100, 1.3
-# Largest R-hat of chains that agree (Vehtari et al., section 4).
-LARGEST_R_HAT = 1.01
 # Walkers with a smaller share of accepted moves are stuck.
 LEAST_ACCEPTANCE = 0.05
 # Share of proposals from the local approximation, a Student t of so many degrees of freedom, and share of the others

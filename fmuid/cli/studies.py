@@ -75,7 +75,7 @@ def identify(
         except SearchInterruptedError as error:
             if error.result is None:
                 raise
-            console.show_point(error.result)
+            console_result.show_point(error.result)
             console.show_files(error.files)
             return NOT_SUCCEEDED
         if found.uncertainty is not None:

@@ -8,4 +8,4 @@ from .findings import write_diagnosis as write_diagnosis
 from .run import Identified as Identified
 from .run import SearchInterruptedError as SearchInterruptedError
 from .run import run_study as run_study
-from .words import describe as describe
+from .words.describe import describe as describe

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from textwrap import shorten
+from typing import TYPE_CHECKING
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -14,9 +15,11 @@ from rich.table import Table
 from fmuid.fmi import Description, Variable
 from fmuid.models import Facts, Line, lines
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
-from fmuid.simulation import Validation
 from fmuid.studies import skeleton
 from fmuid.text import bounded
+
+if TYPE_CHECKING:
+    from fmuid.simulation import Validation
 
 # Inputs that are named where an output depends on them; how many there are besides is said.
 INPUTS_NAMED = 4

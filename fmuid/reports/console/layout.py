@@ -12,11 +12,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fmuid.reports.words.result import capitalised, ending
 from fmuid.text import has_unit, label, visible
 
 if TYPE_CHECKING:
-    from fmuid.estimation import Result
     from fmuid.simulation import Fit, Simulator
     from fmuid.studies import Draft
 
@@ -90,15 +88,6 @@ def show_draft(draft: Draft, output: Path) -> None:
         f"Written: [bold]{escape(str(output))}[/]. Next: free the parameters to identify in it, under \\[parameters].",
         soft_wrap=True,
     )
-
-
-# --- fmuid identify ---------------------------------------------------------------------
-
-
-def show_point(result: Result) -> None:
-    """Say where a search was interrupted, where nothing but the values is known."""
-    values = ", ".join(f"{name} = {result[name]:.6g}" for name in result.names)
-    console().print(f"{escape(values)}\n{escape(capitalised(ending(result)))}", soft_wrap=True)
 
 
 # --- fmuid simulate ---------------------------------------------------------------------

@@ -255,3 +255,9 @@ def _noise(result: Result, fits: Sequence[Fit]) -> str:
         of = f" (given: {math.sqrt(given):.4g})" if given is not None else ""
         words.append(f"{output} std {math.sqrt(variance):.4g} {unit_text(units[output])}".rstrip() + of)
     return ", ".join(words)
+
+
+def show_point(result: Result) -> None:
+    """Say where a search was interrupted, where nothing but the values is known."""
+    values = ", ".join(f"{name} = {result[name]:.6g}" for name in result.names)
+    console().print(f"{escape(values)}\n{escape(capitalised(ending(result)))}", soft_wrap=True)

@@ -1,0 +1,45 @@
+"""Any finding in words, by its kind."""
+
+from __future__ import annotations
+
+from fmuid.assessment import Diagnostics, Posterior, Reading, Uncertainty
+from fmuid.diagnosis import Diagnosis, Monitor
+from fmuid.estimation import Result
+from fmuid.reports.words.diagnosis import diagnosis_words
+from fmuid.reports.words.monitoring import monitoring_words
+from fmuid.reports.words.prior_and_data import reading_words
+from fmuid.reports.words.residuals import residual_words
+from fmuid.reports.words.result import capitalised, result_words
+from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
+
+Found = Result | Diagnostics | Reading | Uncertainty | Posterior | Diagnosis | Monitor
+
+
+def describe(found: Found) -> str:
+    """Say in words what was found, a sentence a line.
+
+    Parameters
+    ----------
+    found : Result, Diagnostics, Reading, Uncertainty, Posterior, Diagnosis or Monitor
+        Of `fmuid.identify`, `fmuid.examine_residuals`, `fmuid.read_result`, `fmuid.sample`, `fmuid.diagnose`, or a
+        `fmuid.Monitor`.
+    """
+    return "\n".join(map(capitalised, _sentences(found)))
+
+
+def _sentences(found: Found) -> tuple[str, ...]:
+    match found:
+        case Result():
+            return result_words(found)
+        case Diagnostics():
+            return residual_words(found)
+        case Reading():
+            return reading_words(found)
+        case Uncertainty():
+            return uncertainty_words(found)
+        case Posterior():
+            return (posterior_words(found),)
+        case Diagnosis():
+            return diagnosis_words(found)
+        case Monitor():
+            return (monitoring_words(found),)
