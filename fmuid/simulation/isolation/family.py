@@ -3,7 +3,8 @@
 On Linux that is their proportional set size (proc_pid_smaps(5)), in which a page that several processes share is
 counted once in all, be it a library, memory that was there before a fork, or memory that is shared on purpose; and what
 of them was swapped out. Reading it costs a walk over all pages, so that it is only done where the resident size, which
-is never smaller, does not settle the question. Elsewhere it is the resident size of the process itself.
+is never smaller, does not settle the question. Elsewhere it is the resident size of the process itself. Where the
+process has a control group that counts memory, and that count is larger, it is that.
 """
 
 from __future__ import annotations
@@ -12,8 +13,11 @@ import ctypes
 import os
 import sys
 import time
+from pathlib import Path
 
 import psutil
+
+from fmuid.simulation.isolation import cgroup
 
 SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
 SHARE = 0.1  # of the time that reading the proportional set size may take, at most
@@ -47,10 +51,12 @@ class Footprint:
     Parameters
     ----------
     pid : int
+    group : Path, optional
+        Its control group (`fmuid.simulation.isolation.cgroup`).
     """
 
-    def __init__(self, pid: int) -> None:
-        self._pid = pid
+    def __init__(self, pid: int, group: Path | None = None) -> None:
+        self._pid, self._group = pid, group
         self._resident, self._proportional = 0.0, 0.0  # when both were last read
         self._next = 0.0
 
@@ -59,6 +65,8 @@ class Footprint:
 
         Proportional set size does not grow by more than resident size, which is therefore read first.
         """
+        if cgroup.memory(self._group) > limit:
+            return True
         relatives = family(self._pid)
         resident = sum(map(_resident, relatives))
         if self._proportional + max(0.0, resident - self._resident) <= limit:
@@ -69,7 +77,7 @@ class Footprint:
     def read(self) -> float:
         """Return it, bytes."""
         relatives = family(self._pid)
-        return self._read(relatives, sum(map(_resident, relatives)))
+        return max(cgroup.memory(self._group), self._read(relatives, sum(map(_resident, relatives))))
 
     def _read(self, relatives: list[int], resident: float) -> float:
         began = time.monotonic()

@@ -20,6 +20,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 from fmuid.errors import FmuidError
 from fmuid.fmi import codes
 from fmuid.processes import Child
+from fmuid.simulation.isolation import cgroup
 from fmuid.simulation.isolation import server as far
 from fmuid.simulation.isolation.channel import Channel, GarbledError
 from fmuid.simulation.isolation.ends import CRASHED, EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, End
@@ -74,8 +76,8 @@ class ForkServer:
             other.close()
             return self._channel
 
-    def fork(self, modules: Sequence[str], descriptors: Sequence[int]) -> int:
-        """Return the process id of a new host that has loaded the modules and got the file descriptors."""
+    def fork(self, modules: Sequence[str], descriptors: Sequence[int]) -> tuple[int, Path | None]:
+        """Return process id and control group of a new host that has loaded the modules and got the descriptors."""
         for _ in range(MOST_STARTS):
             with self._lock:
                 try:
@@ -85,7 +87,8 @@ class ForkServer:
                 self._loaded = True
                 if isinstance(found, str):
                     raise FmuidError(f"no process can be made for the FMU: {found}")
-                return int(found)
+                pid, group = found
+                return pid, group
         raise FmuidError(
             f"{sys.executable} -m fmuid.simulation.isolation.server, which starts the processes of FMUs, ends again "
             "and again as soon as it begins: have FMUs run inside this process"
@@ -190,9 +193,9 @@ class Host:
             own, other = socket.socketpair()
             made.callback(own.close)
             with other:
-                self.pid = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
+                self.pid, self._group = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
             made.pop_all()
-        self._channel, self._footprint = Channel(own, LOOK_EVERY), Footprint(self.pid)
+        self._channel, self._footprint = Channel(own, LOOK_EVERY), Footprint(self.pid, self._group)
         self.records: dict[int, int] = {}
         self.sent = 0
 
@@ -320,8 +323,10 @@ class Host:
         for end in (os.kill, os.killpg):  # with whatever it has started itself
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 end(self.pid, signal.SIGKILL)
+        cgroup.kill(self._group)  # also what the server, if it was killed, can no longer end
         self._channel.close()
         SERVER.status(self.pid)
+        cgroup.remove(self._group)
         self._read_printed()
         os.close(self._file)
         os.close(self._printed)

@@ -19,11 +19,13 @@ import socket
 import sys
 import time
 import traceback
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from fmuid.fmi import REPORT
+from fmuid.simulation.isolation import cgroup
 from fmuid.simulation.isolation.channel import Channel
 from fmuid.simulation.isolation.family import adopt_orphans, children
 
@@ -185,7 +187,7 @@ class Host:
             self._messages.found.clear()
 
 
-def _become_host(descriptors: Sequence[int], parent: int) -> None:
+def _become_host(descriptors: Sequence[int], parent: int, group: Path | None) -> None:
     """Turn this fork of the server into a host, until its other side is gone."""
     import resource  # which Windows has not
 
@@ -194,6 +196,7 @@ def _become_host(descriptors: Sequence[int], parent: int) -> None:
         ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
         if os.getppid() != parent:
             return
+    cgroup.enter(group)
     adopt_orphans()
     os.setpgid(0, 0)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -204,11 +207,11 @@ def _become_host(descriptors: Sequence[int], parent: int) -> None:
     Host(Channel(socket.socket(fileno=channel)), memory).serve()
 
 
-def _live_as_host(descriptors: Sequence[int], parent: int) -> NoReturn:
+def _live_as_host(descriptors: Sequence[int], parent: int, group: Path | None) -> NoReturn:
     """Be a host and end as one, whatever happens: nothing of the server is carried on."""
     code = os.EX_OSERR
     try:
-        _become_host(descriptors, parent)
+        _become_host(descriptors, parent, group)
         code = os.EX_OK
     except BaseException:
         traceback.print_exc()  # among what the FMU prints
@@ -236,6 +239,8 @@ class Server:
     def __init__(self, channel: socket.socket) -> None:
         self._channel = channel
         self._hosts: set[int] = set()
+        self._group = cgroup.own()
+        cgroup.sweep(self._group)  # of servers that were killed
 
     def serve(self) -> None:
         """Carry out orders until the other side is gone; then no host is left."""
@@ -255,26 +260,28 @@ class Server:
                     with contextlib.suppress(OSError):
                         end(host, signal.SIGKILL)
             self._hosts.clear()
+            cgroup.sweep(self._group)
             self._end_orphans()
 
-    def _fork(self, descriptors: Sequence[int], modules: Sequence[str]) -> int | str:
-        """Return the process id of a new host, or why there cannot be one."""
+    def _fork(self, descriptors: Sequence[int], modules: Sequence[str]) -> tuple[int, Path | None] | str:
+        """Return process id and control group of a new host, or why there cannot be one."""
         for module in modules:
             with contextlib.suppress(ImportError):  # who needs it says so
                 importlib.import_module(module)
-        server = os.getpid()
+        server, group = os.getpid(), cgroup.make(self._group)
         try:
             pid = os.fork()
             if pid == 0:
                 self._channel.close()
-                _live_as_host(descriptors, server)
+                _live_as_host(descriptors, server, group)
         except OSError as error:
+            cgroup.remove(group)
             return str(error.strerror)
         finally:
             for descriptor in descriptors:
                 os.close(descriptor)
         self._hosts.add(pid)
-        return pid
+        return pid, group
 
     def _wait(self, pid: int, seconds: float) -> int | None:
         """Return the status of a host that has ended, as `os.waitpid` gives it; None if it has not, or is unknown."""
