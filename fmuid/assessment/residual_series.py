@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,9 @@ from scipy import special
 
 from fmuid.arrays import Floats, Indices
 from fmuid.assessment.series import (
+    CrossCorrelation,
+    LaggedSeries,
     autocorrelation,
-    cross_correlation,
     lag_sum,
     ljung_box,
     noise_model,
@@ -187,18 +189,23 @@ class ResidualSeries:
         }
 
 
-def examine_output(experiment: Measurements, column: int, simulated: Floats, rows: Indices) -> ResidualSeries:
-    """Examine the residual of one output of an experiment.
+def examine_outputs(experiment: Measurements, simulated: Floats, rows: Sequence[Indices]) -> list[ResidualSeries]:
+    """Examine the residuals of those outputs of an experiment that have samples that count.
 
     Parameters
     ----------
     experiment : Measurements
-    column : int
-        Which of its outputs.
-    simulated : (K,) array
-    rows : (n,) array of int
-        Which rows of the problem's residual are this output's counted samples.
+    simulated : (K, n_outputs) array
+    rows : sequence of (n,) arrays of int
+        For each output, which rows of the problem's residual are its counted samples.
     """
+    found = [_alone(experiment, column, simulated[:, column], its) for column, its in enumerate(rows) if its.size]
+    related = _related(experiment, [each for each in found if each.examined])
+    return [replace(each, inputs=related.get(each.output, ())) for each in found]
+
+
+def _alone(experiment: Measurements, column: int, simulated: Floats, rows: Indices) -> ResidualSeries:
+    """Examine the residual of one output, the inputs aside."""
     counted, measured = experiment.counted[:, column], experiment.output_values[:, column]
     residual = np.where(counted, measured - simulated, np.nan)
     values = residual[counted]
@@ -211,6 +218,7 @@ def examine_output(experiment: Measurements, column: int, simulated: Floats, row
         "samples": values.size,
         "mean": mean,
         "std": std,
+        "inputs": (),
         "rows": rows,
     }
     rounding = ROUNDING * float(np.sqrt(np.mean(measured[counted] ** 2)))
@@ -238,7 +246,6 @@ def examine_output(experiment: Measurements, column: int, simulated: Floats, row
         kurtosis=kurtosis,
         normality_probability=normal,
         outliers=int((np.abs(values - mean) > OUTLYING * std).sum()),
-        inputs=_inputs(experiment, values, experiment.times[counted], places, step * np.arange(lags + 1.0), noise),
         places=places,
     )
 
@@ -252,37 +259,50 @@ def _unknown(samples: int) -> dict[str, Any]:
         "autocorrelation": np.ones(1),
         "noise_correlation": np.ones(1),
         "outliers": 0,
-        "inputs": (),
         "places": np.arange(samples),
     }
 
 
-def _inputs(
-    experiment: Measurements, values: Floats, times: Floats, places: Indices, lags: Floats, noise: Floats
-) -> tuple[InputCorrelation, ...]:
-    """Correlate a residual (n,) at its times with each input that moves."""
+def _related(experiment: Measurements, series: Sequence[ResidualSeries]) -> dict[str, tuple[InputCorrelation, ...]]:
+    """Correlate residuals with each input that moves; return what was found by output.
+
+    Residuals that count at the same times, as most do, share what an input was then and before.
+    """
     if not isinstance(experiment, Experiment):
-        return ()
-    found = []
-    clock = experiment.times
-    grid_times = np.interp(np.arange(places[-1] + 1), places, times)
+        return {}
+    found: dict[str, list[InputCorrelation]] = {each.output: [] for each in series}
+    alike: dict[bytes, list[ResidualSeries]] = {}
+    for each in series:
+        alike.setdefault(np.isfinite(each.residual).tobytes(), []).append(each)
+    for group in alike.values():
+        lags = group[0].step * np.arange(group[0].tested_lags + 1.0)
+        for name, lagged in _lagged_inputs(experiment, group[0], lags):
+            for each in group:
+                values = each.residual[np.isfinite(each.residual)]
+                found[each.output].append(_correlated(name, lags, lagged.correlate(values, each.noise_correlation)))
+    return {name: tuple(some) for name, some in found.items()}
+
+
+def _lagged_inputs(experiment: Experiment, series: ResidualSeries, lags: Floats) -> Iterator[tuple[str, LaggedSeries]]:
+    """Give, one at a time, the inputs that move as they are at the samples of a residual and before."""
+    clock, times = experiment.times, series.times[np.isfinite(series.residual)]
+    grid_times = np.interp(np.arange(series.places[-1] + 1), series.places, times)
     before = times[:, None] - lags
     begun = before >= clock[0] - 1e-6 * (lags[1] if lags.size > 1 else 0.0)
     for name, column in zip(experiment.input_names, experiment.input_values.T, strict=True):
         grid = np.interp(grid_times, clock, column)
-        if np.ptp(grid) <= ROUNDING * np.abs(grid).max():
-            continue
-        others = np.where(begun, np.interp(before, clock, column), np.nan)
-        cross = cross_correlation(values, others, noise, grid)
-        found.append(
-            InputCorrelation(
-                name,
-                lags,
-                cross.values,
-                1.96 * cross.std,
-                float(lags[cross.strongest]),
-                float(cross.values[cross.strongest]),
-                cross.probability,
-            )
-        )
-    return tuple(found)
+        if np.ptp(grid) > ROUNDING * np.abs(grid).max():
+            yield name, LaggedSeries(np.where(begun, np.interp(before, clock, column), np.nan), grid)
+
+
+def _correlated(name: str, lags: Floats, cross: CrossCorrelation) -> InputCorrelation:
+    strongest = cross.strongest
+    return InputCorrelation(
+        name,
+        lags,
+        cross.values,
+        1.96 * cross.std,
+        float(lags[strongest]),
+        float(cross.values[strongest]),
+        cross.probability,
+    )

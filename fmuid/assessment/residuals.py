@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.arrays import Floats
-from fmuid.assessment.residual_series import InputCorrelation, ResidualSeries, examine_output
+from fmuid.assessment.residual_series import InputCorrelation, ResidualSeries, examine_outputs
 from fmuid.assessment.series import coloured_gram
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result
@@ -222,12 +222,10 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     series: list[ResidualSeries] = []
     first = 0
     for experiment, fit in zip(problem.experiments, result.fit, strict=True):
-        counted = np.flatnonzero(experiment.counted)
-        for column, output in enumerate(experiment.output_names):
-            rows = first + np.flatnonzero(counted % len(experiment.output_names) == column)
-            if rows.size:
-                simulated = fit[f"simulated.{output}"].to_numpy(np.float64)
-                series.append(examine_output(experiment, column, simulated, rows))
+        counted, outputs = np.flatnonzero(experiment.counted), experiment.output_names
+        rows = [first + np.flatnonzero(counted % len(outputs) == column) for column in range(len(outputs))]
+        simulated = fit[[f"simulated.{output}" for output in outputs]].to_numpy(np.float64)
+        series += examine_outputs(experiment, simulated, rows)
         first += counted.size
     white = Diagnostics(tuple(series), {})
     local = result.local

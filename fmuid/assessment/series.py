@@ -224,34 +224,44 @@ class CrossCorrelation:
     probability: float
 
 
-def cross_correlation(values: Floats, others: Floats, correlation: Floats, other_grid: Floats) -> CrossCorrelation:
-    """Correlate a series with lagged values of another.
-
-    The variance of each correlation of unrelated series is Σ ρ(k) ρ'(k)/n over all k (Bartlett; Brockwell and Davis,
-    theorem 11.2.2), 1/n where one of them is white. Over several lags the probability is Šidák's bound, which
-    holds however these correlations depend on each other.
+class LaggedSeries:
+    """A series at the samples of others and so many lags before, with which they are correlated one after the other.
 
     Parameters
     ----------
-    values : (n,) array
-    others : (n, lags + 1) array
-        The other series at each sample's time minus each lag, NaN where it has not begun.
-    correlation : (m,) array
-        Of the first series' noise, from `noise_model`.
-    other_grid : (g,) array
-        The other series on the grid of the first; not constant.
+    lagged : (n, lags + 1) array
+        The series at each sample's time minus each lag, NaN where it has not begun.
+    grid : (g,) array
+        The series on the grid of the others; not constant.
     """
-    centred = values - values.mean()
-    mean, spread = float(np.nanmean(other_grid)), float(np.nanstd(other_grid))
-    there = np.isfinite(others)
-    pairs = np.maximum(there.sum(axis=0), 1)
-    sums = centred @ np.where(there, others - mean, 0.0)
-    found = np.where(there.any(axis=0), sums / pairs / (values.std() * spread), np.nan)
-    reach = min(correlation.size, len(other_grid)) - 1
-    other, _ = autocorrelation(other_grid, reach)
-    taper = 1.0 - np.arange(reach + 1) / len(other_grid)
-    product = np.nan_to_num(other) * taper * correlation[: reach + 1]
-    std = math.sqrt(max(2.0 * product.sum() - product[0], 1.0 / values.size) / values.size)
-    strongest = int(np.nanargmax(np.abs(found)))
-    single = min(2.0 * special.ndtr(-abs(found[strongest]) / std), 1.0 - np.finfo(float).eps)
-    return CrossCorrelation(found, std, strongest, float(-np.expm1(np.isfinite(found).sum() * np.log1p(-single))))
+
+    def __init__(self, lagged: Floats, grid: Floats) -> None:
+        there = np.isfinite(lagged)
+        self._known, self._pairs = there.any(axis=0), np.maximum(there.sum(axis=0), 1)
+        self._centred = np.where(there, lagged - np.nanmean(grid), 0.0)
+        self._spread = float(np.nanstd(grid))
+        # tapered: the sums over n that belong to a positive spectrum
+        own = np.nan_to_num(autocorrelation(grid, len(grid) - 1)[0])
+        self._autocorrelation = own * (1.0 - np.arange(len(grid)) / len(grid))
+
+    def correlate(self, values: Floats, correlation: Floats) -> CrossCorrelation:
+        """Correlate a series with the lagged values of this one.
+
+        The variance of each correlation of unrelated series is Σ ρ(k) ρ'(k)/n over all k (Bartlett; Brockwell and
+        Davis, theorem 11.2.2), 1/n where one of them is white. Over several lags the probability is Šidák's bound,
+        which holds however these correlations depend on each other.
+
+        Parameters
+        ----------
+        values : (n,) array
+        correlation : (m,) array
+            Of this series' noise, from `noise_model`.
+        """
+        sums = (values - values.mean()) @ self._centred
+        found = np.where(self._known, sums / self._pairs / (values.std() * self._spread), np.nan)
+        reach = min(correlation.size, self._autocorrelation.size)
+        product = self._autocorrelation[:reach] * correlation[:reach]
+        std = math.sqrt(max(2.0 * product.sum() - product[0], 1.0 / values.size) / values.size)
+        strongest = int(np.nanargmax(np.abs(found)))
+        single = min(2.0 * special.ndtr(-abs(found[strongest]) / std), 1.0 - np.finfo(float).eps)
+        return CrossCorrelation(found, std, strongest, float(-np.expm1(self._known.sum() * np.log1p(-single))))

@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 
 from fmuid.arrays import Floats
-from fmuid.assessment.residual_series import ResidualSeries
+from fmuid.assessment.residual_series import ResidualSeries, examine_outputs
 from fmuid.assessment.residuals import Diagnostics, Stated, Trait, examine_residuals
+from fmuid.assessment.series import LaggedSeries
 from fmuid.data.experiment import Experiment
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
@@ -302,6 +303,52 @@ def test_rows_of_several_outputs_and_experiments() -> None:
     assert (
         "residuals of a in first, b in first, a in second and b in second look like white" in residual_words(found)[0]
     )
+
+
+def several_outputs() -> tuple[Experiment, Floats]:
+    """Return an experiment whose outputs y, z count alike and g has gaps, and what is simulated for them."""
+    rng = np.random.default_rng(21)
+    times = 0.01 * np.arange(300.0)
+    inputs = rng.standard_normal((300, 2)).cumsum(axis=0)
+    simulated = np.column_stack([np.sin(times), np.cos(times), times])
+    measured = simulated + rng.standard_normal((300, 3))
+    measured[2:, 1] += 0.3 * inputs[:-2, 0]
+    measured[40:60, 2] = np.nan
+    columns = dict(zip("tuvyzg", [times, *inputs.T, *measured.T], strict=True))
+    frame = pd.DataFrame(columns | {"c": 5.0})
+    return Experiment(frame, inputs=["u", "v", "c"], outputs=["y", "z", "g"], time="t", discard=0.5), simulated
+
+
+def test_correlations_with_inputs_are_those_of_the_definition() -> None:
+    """Mean of the products over the pairs there are, against both standard deviations, lag by lag."""
+    experiment, simulated = several_outputs()
+    rows = [np.arange(int(counted.sum())) for counted in experiment.counted.T]
+    series = examine_outputs(experiment, simulated, rows)
+    assert [each.output for each in series] == ["y", "z", "g"]
+    for column, each in enumerate(series):
+        there = np.flatnonzero(experiment.counted[:, column])
+        residual = (experiment.output_values - simulated)[there, column]
+        assert [one.input for one in each.inputs] == ["u", "v"]  # c does not move
+        for one, values in zip(each.inputs, experiment.input_values.T, strict=False):
+            on_grid = values[there[0] : there[-1] + 1]
+            for lag in range(len(one.values)):
+                product = (residual - residual.mean()) * (values[there - lag] - on_grid.mean())
+                assert one.values[lag] == pytest.approx(product.mean() / residual.std() / on_grid.std(), abs=1e-9)
+            assert one.lags == pytest.approx(0.01 * np.arange(len(one.values)))
+
+
+def test_outputs_that_count_alike_share_the_work_on_the_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    class Counted(LaggedSeries):
+        def __init__(self, lagged: Floats, grid: Floats) -> None:
+            made.append(grid)
+            super().__init__(lagged, grid)
+
+    monkeypatch.setattr("fmuid.assessment.residual_series.LaggedSeries", Counted)
+    experiment, simulated = several_outputs()
+    examine_outputs(experiment, simulated, [np.arange(int(counted.sum())) for counted in experiment.counted.T])
+    assert len(made) == 4  # two inputs that move, for y and z together and for g
 
 
 def test_an_output_that_one_experiment_lacks() -> None:

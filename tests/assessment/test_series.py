@@ -10,9 +10,9 @@ from scipy.signal import lfilter
 
 from fmuid.arrays import Floats
 from fmuid.assessment.series import (
+    LaggedSeries,
     autocorrelation,
     coloured_gram,
-    cross_correlation,
     lag_sum,
     ljung_box,
     noise_model,
@@ -168,7 +168,7 @@ def test_unrelated_series_are_related_by_chance_only(one: float, other: float) -
     single, any_lag = [], []
     for _ in range(300):
         x, u = ar1(rng, one, 1000), ar1(rng, other, 1000)
-        cross = cross_correlation(x, lagged(u, 10), noise_model(x), u)
+        cross = LaggedSeries(lagged(u, 10), u).correlate(x, noise_model(x))
         single.append(abs(cross.values[0]) > 1.96 * cross.std)
         any_lag.append(cross.probability < 0.05)
     assert 0.02 <= np.mean(single) <= 0.09
@@ -180,7 +180,20 @@ def test_a_lag_is_found() -> None:
     u = rng.standard_normal(600)
     x = rng.standard_normal(600)
     x[3:] += -0.4 * u[:-3]
-    cross = cross_correlation(x, lagged(u, 10), np.ones(1), u)
+    cross = LaggedSeries(lagged(u, 10), u).correlate(x, np.ones(1))
     assert cross.strongest == 3
     assert cross.values[3] == pytest.approx(-0.4 / math.sqrt(1.16), abs=0.1)
     assert cross.probability < 1e-10
+
+
+def test_the_band_is_bartletts_sum() -> None:
+    """Σ ρ(k) ρ'(k)/n over all k of both signs, by a loop over the definitions."""
+    rng = np.random.default_rng(15)
+    x, u = ar1(rng, 0.8, 400), ar1(rng, 0.9, 400)
+    noise = noise_model(x)
+    centred = u - u.mean()
+    own = [float(centred[: 400 - k] @ centred[k:]) / float(centred @ centred) for k in range(noise.size)]
+    total = noise[0] * own[0] + 2.0 * sum(noise[k] * own[k] for k in range(1, noise.size))
+    series = LaggedSeries(lagged(u, 10), u)
+    assert series.correlate(x, noise).std == pytest.approx(math.sqrt(total / 400), rel=1e-9)
+    assert series.correlate(x, np.ones(1)).std == pytest.approx(math.sqrt(1.0 / 400), rel=1e-9)
