@@ -58,6 +58,21 @@ class Determined(Enum):
 
 
 @dataclass(frozen=True)
+class AtBound:
+    """A parameter that lies on a bound, which the data would push it beyond.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+        The bound.
+    """
+
+    name: str
+    value: float
+
+
+@dataclass(frozen=True)
 class Direction:
     """A direction of the parameters that is not, or hardly, determined.
 

@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike
 
 from fmuid.arrays import Floats
 from fmuid.data import Loss
-from fmuid.estimation.covariance import LocalCovariance, local_covariance
+from fmuid.estimation.covariance import AtBound, LocalCovariance, local_covariance
 from fmuid.estimation.criterion import Criterion, prepare
 from fmuid.estimation.history import History
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.search import Iteration, Marquardt, State, search
-from fmuid.estimation.result import AtBound, Result
+from fmuid.estimation.result import Result
 from fmuid.progress import Progress, SearchStep
 from fmuid.version import __version__
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,13 +16,14 @@ from scipy import special
 from fmuid.arrays import Floats
 from fmuid.data import JointPrior, Normal
 from fmuid.errors import InputError
-from fmuid.estimation.covariance import Direction
+from fmuid.estimation import result_file
+from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
 
 if TYPE_CHECKING:
-    from fmuid.estimation.global_search import Optimum
+    from fmuid.estimation.global_search.optima import Optimum
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
@@ -39,21 +39,6 @@ def check_level(level: float, of: str = "an interval") -> None:
     """
     if not 0.0 < level < 1.0:
         raise InputError(f"the level of {of} must lie between 0 and 1, not {level!r}")
-
-
-@dataclass(frozen=True)
-class AtBound:
-    """A parameter that lies on a bound, which the data would push it beyond.
-
-    Attributes
-    ----------
-    name : str
-    value : float
-        The bound.
-    """
-
-    name: str
-    value: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,45 +258,7 @@ class Result:
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return the content of ``result.json``; what is not a finite number is None."""
-        parameters: dict[str, Any] = {}
-        std, pull = self.std, self.pull
-        for i, name in enumerate(self.names):
-            parameters[name] = {
-                "value": _plain(self.values[i]),
-                "std": _plain(std[i]),
-                "start": _plain(self.start[i]),
-            }
-            if not math.isnan(self.prior_mean[i]):
-                parameters[name] |= {
-                    "prior_mean": _plain(self.prior_mean[i]),
-                    "prior_std": _plain(self.prior_std[i]),
-                    "pull": _plain(pull[i]),
-                }
-        return {
-            "outcome": self.outcome.value,
-            "converged": self.converged,
-            "parameters": parameters,
-            "covariance": {
-                "names": list(self.names),
-                "matrix": [[_plain(value) for value in row] for row in self.covariance],
-            },
-            "noise_variance": {name: _plain(value) for name, value in self.noise_variance.items()},
-            "given_variance": {name: _plain(value) for name, value in self.given_variance.items()},
-            "criterion": _plain(self.criterion),
-            "log_likelihood": _plain(self.log_likelihood),
-            "degrees_of_freedom": _plain(self.degrees_of_freedom),
-            "iterations": self.iterations,
-            "simulations": self.simulations,
-            "elapsed_s": _plain(self.elapsed_s),
-            "undetermined": [each.to_json_dict() for each in self.undetermined],
-            "weak": [each.to_json_dict() for each in self.weak],
-            "prior_determined": [each.to_json_dict() for each in self.prior_determined],
-            "at_bounds": [asdict(each) for each in self.at_bounds],
-            "version": self.version,
-            "models": {component: dict(model) for component, model in self.models.items()},
-            "sensitivity": self.sensitivity,
-            "moved_start": list(self.moved_start),
-        }
+        return result_file.content(self)
 
     @classmethod
     def from_json(cls, path: str | Path) -> Result:
@@ -322,83 +269,9 @@ class Result:
         InputError
             If the file cannot be read or is not such a result.
         """
-        path = Path(path)
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path} is not JSON: {error}; give the result.json of an identification") from None
-        try:
-            return cls._of_json(data)
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
-            raise InputError(
-                f"{path} is not a result of fmuid: {what}; give the result.json of an identification"
-            ) from None
-
-    @classmethod
-    def _of_json(cls, data: Any) -> Result:
-        parameters = data["parameters"]
-        names = tuple(parameters)
-        if list(names) != data["covariance"]["names"]:
-            raise ValueError("the names of parameters and covariance differ")
-        covariance = _array(data["covariance"]["matrix"], np.nan).reshape(len(names), len(names))
-        lost = np.isnan(np.diag(covariance))
-        outcome = Outcome(data["outcome"])
-        covariance[lost, lost] = np.nan if outcome is Outcome.STALLED else np.inf
-        column = {
-            key: _array([parameters[name].get(key) for name in names], np.nan)
-            for key in ("value", "start", "prior_mean", "prior_std")
-        }
-        if any(found.shape != (len(names),) for found in column.values()):
-            raise ValueError("a value of a parameter is no number")
-        if (np.diag(covariance) < 0).any():
-            raise ValueError("a variance is negative")
-        freedom, likelihood = data.get("degrees_of_freedom"), data.get("log_likelihood")
-        return cls(
-            outcome=outcome,
-            names=names,
-            values=column["value"],
-            start=column["start"],
-            prior_mean=column["prior_mean"],
-            prior_std=column["prior_std"],
-            covariance=covariance,
-            noise_variance=_floats(data["noise_variance"]),
-            given_variance=_floats(data.get("given_variance", {})),
-            criterion=math.nan if data["criterion"] is None else float(data["criterion"]),
-            log_likelihood=math.nan if likelihood is None else float(likelihood),
-            degrees_of_freedom=math.inf if freedom is None else float(freedom),
-            iterations=int(data["iterations"]),
-            simulations=int(data["simulations"]),
-            elapsed_s=float(data["elapsed_s"]),
-            undetermined=tuple(map(Direction.of_json, data.get("undetermined", ()))),
-            weak=tuple(map(Direction.of_json, data.get("weak", ()))),
-            prior_determined=tuple(map(Direction.of_json, data.get("prior_determined", ()))),
-            at_bounds=tuple(AtBound(str(b["name"]), float(b["value"])) for b in data.get("at_bounds", ())),
-            version=str(data["version"]),
-            models={
-                str(c): {key: str(m.get(key, "")) for key in ("name", "digest", "run")}
-                for c, m in data.get("models", {}).items()
-            },
-            sensitivity=str(data.get("sensitivity", "")),
-            moved_start=tuple(map(str, data.get("moved_start", ()))),
-        )
+        return cls(**result_file.read(Path(path)))
 
     def _index(self, name: str) -> int:
         if name not in self.names:
             raise InputError(f"the result has no parameter {name!r}; it has {', '.join(self.names)}")
         return self.names.index(name)
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _floats(values: Any) -> dict[str, float]:
-    return {str(name): float(value) for name, value in values.items()}
-
-
-def _array(values: Any, missing: float) -> Floats:
-    filled = np.array(values, dtype=object)
-    return np.where(filled == None, missing, filled).astype(np.float64)  # noqa: E711

@@ -21,7 +21,7 @@ from fmuid.cli.app import run
 from fmuid.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
-from fmuid.estimation.global_search import GlobalSearch, search_globally
+from fmuid.estimation import GlobalSearch, search_globally
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.model_problem import Problem

@@ -13,9 +13,10 @@ from fmuid.arrays import Floats
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
-from fmuid.estimation import global_search
-from fmuid.estimation.box import Box
-from fmuid.estimation.global_search import GlobalResult, GlobalSearch, Strategy, search_globally
+from fmuid.estimation.global_search import search as global_search
+from fmuid.estimation.global_search.box import Box
+from fmuid.estimation.global_search.optima import GlobalResult
+from fmuid.estimation.global_search.search import GlobalSearch, Strategy, search_globally
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome

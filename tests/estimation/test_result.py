@@ -19,13 +19,13 @@ from fmuid.data.parameters import Normal, Parameter
 from fmuid.data.predictors import Table
 from fmuid.errors import InputError
 from fmuid.estimation import identification
-from fmuid.estimation.covariance import Determined
+from fmuid.estimation.covariance import AtBound, Determined
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.search import Marquardt
-from fmuid.estimation.result import AtBound, Result
+from fmuid.estimation.result import Result
 from fmuid.progress import Event, SearchStep
 from fmuid.reports.findings import at_minimum
 from fmuid.reports.words.directions import direction_words

@@ -14,11 +14,11 @@ from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.data.predictors import Table
 from fmuid.errors import InputError
-from fmuid.estimation.covariance import UNDETERMINED_STD, Determined, local_covariance
+from fmuid.estimation.covariance import UNDETERMINED_STD, AtBound, Determined, local_covariance
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.result import AtBound, Result
+from fmuid.estimation.result import Result
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.result import ending
 from tests.support.paths import FMUS

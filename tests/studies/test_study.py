@@ -13,7 +13,7 @@ from fmuid.assessment.uncertainty import UncertaintySettings
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.global_search import GlobalSearch
+from fmuid.estimation import GlobalSearch
 from fmuid.estimation.identification import Method
 from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.models.component import Numerics

@@ -1,0 +1,125 @@
+"""The optima that a global search met, each once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from fmuid.arrays import Floats
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.result import Result
+
+# Optima are one where no parameter differs by more than this share of its standard deviation, or of its magnitude, and
+# the criterion by no more than 0.3². Fits end nearer than that even where large residuals make them converge slowly.
+SAME_STDS, SAME_SHARE, SAME_CRITERION = 0.3, 1e-4, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """A point at which Marquardt's search ended.
+
+    Attributes
+    ----------
+    theta : (N,) array
+    criterion : float
+        J_C (1.37) there; where noise variances are estimated, with those of the best optimum.
+    hits : int
+        How many of the fits ended here.
+    outcome : Outcome
+        How the best of these fits ended.
+    """
+
+    theta: Floats
+    criterion: float
+    hits: int
+    outcome: Outcome
+
+    @property
+    def converged(self) -> bool:
+        """Whether it is a minimum with every parameter determined."""
+        return self.outcome.converged
+
+
+@dataclass(frozen=True, eq=False)
+class GlobalResult:
+    """What a global search found.
+
+    Attributes
+    ----------
+    result : Result
+        Of the best fit; its `simulations` and `elapsed_s` are those of the whole search. Where the search was
+        interrupted, of the best of all points tried; if no fit has led there, with nothing but its values.
+    names : tuple of str
+        The parameters.
+    fits : int
+        Searches by Marquardt that were made.
+    simulations : int
+    elapsed_s : float
+    interrupted : bool
+        Whether the keyboard ended the search before its time.
+    """
+
+    result: Result
+    names: tuple[str, ...]
+    fits: int
+    simulations: int
+    elapsed_s: float
+    interrupted: bool
+
+    @property
+    def optima(self) -> tuple[Optimum, ...]:
+        """All that were found, each once, the best first."""
+        return self.result.optima
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The optima, a row each (`optima_table`)."""
+        return optima_table(self.names, self.optima)
+
+
+def optima_table(names: Sequence[str], optima: Sequence[Optimum]) -> pd.DataFrame:
+    """Return the optima found, a row each: criterion, hits, converged, and each parameter."""
+    rows = [(o.criterion, o.hits, o.converged, *o.theta.tolist()) for o in optima]
+    return pd.DataFrame(rows, columns=["criterion", "hits", "converged", *names])
+
+
+def merged(problem: LeastSquares, results: Sequence[Result], criteria: Floats) -> list[tuple[Optimum, Result]]:
+    """Return the optima at which fits ended, the best first, each with the fit that stands for it.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    results : sequence of Result
+        Of the fits.
+    criteria : (n_fits,) array
+        J_C (1.37) where they ended.
+    """
+    groups: list[list[int]] = []  # of fits that ended at one optimum, the best of each first
+    for i in map(int, np.argsort(criteria)):
+        home = next((group for group in groups if _same(problem, results, criteria, i, group[0])), None)
+        if home is None:
+            groups.append([i])
+        else:
+            home.append(i)
+    found = []
+    for group in groups:
+        chosen = next((i for i in group if results[i].converged), group[0])
+        result = results[chosen]
+        found.append((Optimum(result.values, float(criteria[chosen]), len(group), result.outcome), result))
+    return sorted(found, key=lambda each: each[0].criterion)
+
+
+def _same(problem: LeastSquares, results: Sequence[Result], criteria: Floats, i: int, best: int) -> bool:
+    """Whether a fit ended at the same optimum as a better one."""
+    # away from the best optimum residuals are larger than their variances, and standard deviations too small
+    excess = max(1.0, criteria[best] / max(problem.measured.size - len(problem.parameters), 1))
+    there = results[best].values
+    stds = SAME_STDS * math.sqrt(excess) * np.nan_to_num(results[best].std, nan=0.0, posinf=np.inf)
+    reach = np.maximum(stds, SAME_SHARE * problem.parameters.magnitudes(there))
+    near = (np.abs(results[i].values - there) <= reach).all()
+    return bool(near and criteria[i] - criteria[best] <= SAME_CRITERION * excess)

@@ -1,0 +1,242 @@
+"""Search of a whole box: settings, and the fits from its most promising points."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmuid.arrays import Floats
+from fmuid.errors import FmuidError, InputError, SimulationError
+from fmuid.estimation.global_search.box import Box
+from fmuid.estimation.global_search.exploration import Exploration
+from fmuid.estimation.global_search.optima import GlobalResult, Optimum, merged
+from fmuid.estimation.identification import identify, point_result
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.misfit import Misfits, fitted, refuse_loss, variances
+from fmuid.estimation.result import Result
+from fmuid.progress import Progress
+from fmuid.text import nearest
+
+Strategy = Literal["evolution", "multistart"]
+
+STARTS = 50
+# A generation of 50 agrees after 30 to 50 generations on problems of four parameters.
+GENERATIONS = 300
+# Fewer are too few to cross (scipy refuses them).
+LEAST_POPULATION = 5
+# From the points of an evolution that are better than their neighbours, at most so many fits are made ...
+MAX_TOPOGRAPH_FITS = 10
+# ... and none from where the criterion rises at none of these points of the way to an optimum found before.
+WAY = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+# Fits from hopeless starts crawl; one that needs more steps than this is given up unless it is the best of all.
+FIT_ITERATIONS = 300
+
+
+@dataclass(frozen=True)
+class GlobalSearch:
+    """Settings of the search of the whole box.
+
+    Parameters
+    ----------
+    method : "evolution" or "multistart"
+    starts : int
+        Points spread over the box: the first generation, which keeps this size (about ten a parameter are usual), or
+        the starts of as many fits.
+    seed : int
+        Of the random numbers; the same seed gives the same result.
+    generations : int
+        Most generations of an evolution.
+    marquardt : Marquardt
+        Of the fits.
+
+    Raises
+    ------
+    InputError
+        If a setting is unknown or out of range.
+    """
+
+    method: Strategy = "evolution"
+    starts: int = STARTS
+    seed: int = 0
+    generations: int = GENERATIONS
+    marquardt: Marquardt = field(default_factory=Marquardt)
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(Strategy):
+            known = " or ".join(map(repr, get_args(Strategy)))
+            hint = nearest(str(self.method), get_args(Strategy))
+            raise InputError(f"the method of a global search must be {known}, not {self.method!r}{hint}")
+        least = {"starts": LEAST_POPULATION if self.method == "evolution" else 1, "seed": 0, "generations": 1}
+        for name, value in least.items():
+            given = getattr(self, name)
+            if isinstance(given, bool) or not isinstance(given, int) or given < value:
+                raise InputError(f"{name} of a global search must be a whole number from {value} on, not {given!r}")
+
+    @property
+    def whole_box(self) -> bool:
+        """True."""
+        return True
+
+    def check(self, problem: LeastSquares) -> None:
+        """Check that a problem has the plain square as its loss, and for every parameter bounds or a prior.
+
+        Raises
+        ------
+        InputError
+            If it has not.
+        """
+        refuse_loss(problem, "a global search")
+        Box(problem.parameters)
+
+    def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
+        """Search as `search_globally` does, and from a start (N,) as `fmuid.identify` does."""
+        if start is not None:
+            return self.marquardt.search(problem, progress, start)
+        return search_globally(problem, self, progress).result
+
+
+def search_globally(
+    problem: LeastSquares, settings: GlobalSearch | None = None, progress: Progress | None = None
+) -> GlobalResult:
+    """Search the box of the bounds for the best optimum, and list the others that were met.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+        Every parameter with finite bounds or a prior. Its own starts take part.
+    settings : GlobalSearch, optional
+    progress : callable, optional
+        Called with a `fmuid.progress.GlobalStep` after each batch of points, generation or fit.
+
+    Returns
+    -------
+    GlobalResult
+        Also where the search was interrupted from the keyboard after it had found something; nothing more is simulated
+        then.
+
+    Raises
+    ------
+    InputError
+        If a parameter has neither bounds nor a prior, all simulations in the box fail, or no fit is possible.
+    """
+    refuse_loss(problem, "a global search")
+    with np.errstate(over="ignore", invalid="ignore"):  # far from the truth models may explode
+        return _Search(problem, settings or GlobalSearch(), progress).run()
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A fit, the parts of the criterion where it ended, and the concentrated criterion there."""
+
+    result: Result
+    end: Misfits
+    reached: float
+
+
+class _Search:
+    """One global search and what it knows so far."""
+
+    def __init__(self, problem: LeastSquares, settings: GlobalSearch, progress: Progress | None) -> None:
+        self.problem, self.settings = problem, settings
+        self.clock = time.perf_counter()
+        self.explored = Exploration(problem, settings, progress)
+        self.fits: list[_Fit] = []
+
+    def run(self) -> GlobalResult:
+        interrupted = False
+        try:
+            self._fit(self.explored.evolve() if self.settings.method == "evolution" else self.explored.spread())
+            self._finish()
+        except KeyboardInterrupt:
+            if not self.explored.any_succeeded:
+                raise
+            interrupted = True
+        return self._conclude(interrupted)
+
+    def _fit(self, starts: Floats) -> None:
+        """Fit from every start.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If that ends a fit; how far it came is kept.
+        """
+        settings = self.settings.marquardt
+        short = dataclasses.replace(settings, max_iterations=min(FIT_ITERATIONS, settings.max_iterations))
+        error: FmuidError | None = None
+        for number, start in enumerate(starts, 1):
+            try:
+                if self.settings.method == "evolution" and self._known(start):
+                    continue
+                self._keep(identify(self.problem, short, start=start))
+            except (InputError, SimulationError) as caught:  # a start from which nothing moves, for instance
+                error = error or caught
+            self.explored.report("fits", number, len(starts))
+        if not self.fits and error is not None:
+            raise error
+
+    def _keep(self, result: Result) -> None:
+        """Keep the result of a fit and the criterion there, which is known from the fit itself."""
+        end = fitted(self.problem, result)
+        self.fits.append(_Fit(result, end, float(self.explored.remember(result.values[None], end)[0])))
+        if result.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+
+    def _known(self, start: Floats) -> bool:
+        """Whether no fit is needed from a point: it lies in the valley of an optimum, or enough are made."""
+        if not 0 < len(self.fits) < MAX_TOPOGRAPH_FITS:
+            return bool(self.fits)
+        box = self.explored.box
+        here, ends = box.units(start[None]), box.units(np.array([fit.result.values for fit in self.fits]))
+        way = here + WAY[:, None, None] * (ends - here)
+        values = self.explored.evaluate(box.thetas(way.reshape(-1, start.size))).reshape(WAY.size, -1)
+        return bool((values <= self.explored.evaluate(start[None])).all(axis=0).any())
+
+    def _finish(self) -> None:
+        """Go on with the best fit where only its few iterations ended it."""
+        best = self._best()
+        if best.result.outcome is Outcome.ITERATION_LIMIT:
+            self._keep(identify(self.problem, self.settings.marquardt, start=best.result.values))
+            self.fits.remove(best)
+
+    def _best(self) -> _Fit:
+        return min(self.fits, key=lambda fit: fit.reached)
+
+    def _conclude(self, interrupted: bool) -> GlobalResult:
+        """Put the fits in order, and merge those that ended at one optimum; nothing is simulated for it."""
+        optima: list[tuple[Optimum, Result]] = []
+        if self.fits:
+            squares, prior = (
+                np.concatenate([getattr(f.end, part) for f in self.fits]) for part in ("squares", "prior")
+            )
+            criteria = Misfits(squares, prior).compound(variances(self.problem, self._best().result))
+            optima = merged(self.problem, [fit.result for fit in self.fits], criteria)
+        result = dataclasses.replace(
+            self._best_so_far() if interrupted else optima[0][1],
+            simulations=self.explored.simulations,
+            elapsed_s=time.perf_counter() - self.clock,
+            optima=tuple(optimum for optimum, _ in optima),
+            fits=len(self.fits),
+        )
+        return GlobalResult(
+            result,
+            self.problem.parameters.names,
+            len(self.fits),
+            result.simulations,
+            result.elapsed_s,
+            interrupted,
+        )
+
+    def _best_so_far(self) -> Result:
+        """Return the best of all points tried: as its fit found it, or by itself where none has led there."""
+        tried = int(np.argmin(self.explored.values))
+        if self.fits and self._best().reached <= self.explored.values[tried]:
+            return dataclasses.replace(self._best().result, outcome=Outcome.INTERRUPTED)
+        return point_result(self.problem, self.explored.thetas[tried])

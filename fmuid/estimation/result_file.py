@@ -1,0 +1,146 @@
+"""Write a result as ``result.json``, and read it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fmuid.arrays import Floats
+from fmuid.errors import InputError
+from fmuid.estimation.covariance import AtBound, Direction
+from fmuid.estimation.marquardt.outcome import Outcome
+
+if TYPE_CHECKING:
+    from fmuid.estimation.result import Result
+
+
+def content(result: Result) -> dict[str, Any]:
+    """Return what ``result.json`` has of a result; what is not a finite number is None."""
+    parameters: dict[str, Any] = {}
+    std, pull = result.std, result.pull
+    for i, name in enumerate(result.names):
+        parameters[name] = {
+            "value": _plain(result.values[i]),
+            "std": _plain(std[i]),
+            "start": _plain(result.start[i]),
+        }
+        if not math.isnan(result.prior_mean[i]):
+            parameters[name] |= {
+                "prior_mean": _plain(result.prior_mean[i]),
+                "prior_std": _plain(result.prior_std[i]),
+                "pull": _plain(pull[i]),
+            }
+    return {
+        "outcome": result.outcome.value,
+        "converged": result.converged,
+        "parameters": parameters,
+        "covariance": {
+            "names": list(result.names),
+            "matrix": [[_plain(value) for value in row] for row in result.covariance],
+        },
+        "noise_variance": {name: _plain(value) for name, value in result.noise_variance.items()},
+        "given_variance": {name: _plain(value) for name, value in result.given_variance.items()},
+        "criterion": _plain(result.criterion),
+        "log_likelihood": _plain(result.log_likelihood),
+        "degrees_of_freedom": _plain(result.degrees_of_freedom),
+        "iterations": result.iterations,
+        "simulations": result.simulations,
+        "elapsed_s": _plain(result.elapsed_s),
+        "undetermined": [each.to_json_dict() for each in result.undetermined],
+        "weak": [each.to_json_dict() for each in result.weak],
+        "prior_determined": [each.to_json_dict() for each in result.prior_determined],
+        "at_bounds": [asdict(each) for each in result.at_bounds],
+        "version": result.version,
+        "models": {component: dict(model) for component, model in result.models.items()},
+        "sensitivity": result.sensitivity,
+        "moved_start": list(result.moved_start),
+    }
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return the fields of a `Result` that a ``result.json`` has.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is not such a result.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not JSON: {error}; give the result.json of an identification") from None
+    try:
+        return _fields(data)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(
+            f"{path} is not a result of fmuid: {what}; give the result.json of an identification"
+        ) from None
+
+
+def _fields(data: Any) -> dict[str, Any]:
+    parameters = data["parameters"]
+    names = tuple(parameters)
+    if list(names) != data["covariance"]["names"]:
+        raise ValueError("the names of parameters and covariance differ")
+    covariance = _array(data["covariance"]["matrix"], np.nan).reshape(len(names), len(names))
+    lost = np.isnan(np.diag(covariance))
+    outcome = Outcome(data["outcome"])
+    covariance[lost, lost] = np.nan if outcome is Outcome.STALLED else np.inf
+    column = {
+        key: _array([parameters[name].get(key) for name in names], np.nan)
+        for key in ("value", "start", "prior_mean", "prior_std")
+    }
+    if any(found.shape != (len(names),) for found in column.values()):
+        raise ValueError("a value of a parameter is no number")
+    if (np.diag(covariance) < 0).any():
+        raise ValueError("a variance is negative")
+    freedom, likelihood = data.get("degrees_of_freedom"), data.get("log_likelihood")
+    return {
+        "outcome": outcome,
+        "names": names,
+        "values": column["value"],
+        "start": column["start"],
+        "prior_mean": column["prior_mean"],
+        "prior_std": column["prior_std"],
+        "covariance": covariance,
+        "noise_variance": _floats(data["noise_variance"]),
+        "given_variance": _floats(data.get("given_variance", {})),
+        "criterion": math.nan if data["criterion"] is None else float(data["criterion"]),
+        "log_likelihood": math.nan if likelihood is None else float(likelihood),
+        "degrees_of_freedom": math.inf if freedom is None else float(freedom),
+        "iterations": int(data["iterations"]),
+        "simulations": int(data["simulations"]),
+        "elapsed_s": float(data["elapsed_s"]),
+        "undetermined": tuple(map(Direction.of_json, data.get("undetermined", ()))),
+        "weak": tuple(map(Direction.of_json, data.get("weak", ()))),
+        "prior_determined": tuple(map(Direction.of_json, data.get("prior_determined", ()))),
+        "at_bounds": tuple(AtBound(str(b["name"]), float(b["value"])) for b in data.get("at_bounds", ())),
+        "version": str(data["version"]),
+        "models": {
+            str(c): {key: str(m.get(key, "")) for key in ("name", "digest", "run")}
+            for c, m in data.get("models", {}).items()
+        },
+        "sensitivity": str(data.get("sensitivity", "")),
+        "moved_start": tuple(map(str, data.get("moved_start", ()))),
+    }
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _floats(values: Any) -> dict[str, float]:
+    return {str(name): float(value) for name, value in values.items()}
+
+
+def _array(values: Any, missing: float) -> Floats:
+    filled = np.array(values, dtype=object)
+    return np.where(filled == None, missing, filled).astype(np.float64)  # noqa: E711
