@@ -70,7 +70,7 @@ STATUSES = {
 
 @pytest.mark.parametrize("mode", CRASHES)
 def test_a_crash_costs_one_simulation(folder: Path, mode: Mode) -> None:
-    check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), CRASHES[mode], Isolation(time_limit=20.0))
+    check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), CRASHES[mode], Isolation(time_limit=600.0))
 
 
 @pytest.mark.parametrize("isolation", [None, Isolation(threads=1)], ids=["in-process", "isolated"])
@@ -93,7 +93,7 @@ def test_a_hang_costs_one_simulation(folder: Path, mode: Mode) -> None:
 @pytest.mark.parametrize(("mode", "amount"), [(Mode.RUNAWAY, 0), (Mode.LEAK, 60)])
 def test_runaway_memory_costs_one_simulation(folder: Path, mode: Mode, amount: float) -> None:
     words = "its process took more than 300 MB and was stopped"
-    isolation = Isolation(time_limit=20.0, memory=300.0)
+    isolation = Isolation(time_limit=600.0, memory=300.0)
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), words, isolation, amount=amount)
 
 
@@ -128,7 +128,7 @@ def test_a_hang_between_samples_of_model_exchange(folder: Path) -> None:
 def test_an_fmu_that_closes_all_files_of_its_process_costs_none(folder: Path) -> None:
     """Thetas and outputs are in memory that both sides share; what is left undone goes to a new process."""
     some = thetas(Mode.CLOSE)
-    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(time_limit=20.0))
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(time_limit=600.0))
     assert np.array_equal(simulator(some), expected(folder, some))
     assert np.array_equal(simulator(some), expected(folder, some))
 
@@ -158,6 +158,7 @@ def test_a_crash_before_there_is_an_instance_is_one_sentence(folder: Path, how: 
 def test_the_default_time_limit_follows_the_simulations_before(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An FMU that hangs after good simulations, of milliseconds, is stopped after seconds: here half of one."""
     monkeypatch.setattr("fmuid.simulation.isolation.keeper.LEAST_LIMIT", 0.5)
+    monkeypatch.setattr("fmuid.simulation.isolation.keeper.SLOWER", 1.0)
     monkeypatch.setattr("fmuid.simulation.isolation.keeper.FIRST_LIMIT", 1e6)
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
     simulator([1.0, 1.0, 0.0])

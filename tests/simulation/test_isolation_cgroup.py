@@ -122,7 +122,7 @@ def test_what_has_left_its_session_ends_though_the_server_was_killed(folder: Pat
         simulator.system.close()
     else:
         assert np.array_equal(simulator(some[:3]), expected(folder, some[:3]))
-    _, left = psutil.wait_procs([escaped], timeout=5)
+    _, left = psutil.wait_procs([escaped], timeout=600)
     assert not left
     assert not group.exists()
 
@@ -131,7 +131,7 @@ OWNER = """
 import os, subprocess, sys
 from fmuid.simulation.isolation import cgroup
 group = cgroup.make(cgroup.own())
-with subprocess.Popen(["sleep", "60"], preexec_fn=lambda: cgroup.enter(group), stdout=subprocess.DEVNULL) as sleeper:
+with subprocess.Popen(["sleep", "600"], preexec_fn=lambda: cgroup.enter(group), stdout=subprocess.DEVNULL) as sleeper:
     print(sleeper.pid, group, flush=True)
     sys.stdin.read()
     os._exit(0)
@@ -151,7 +151,7 @@ def test_groups_of_owners_that_were_killed_are_swept_and_no_others(parent: Path)
         owners[0].wait()
         assert gone.is_running()
         cgroup.sweep(parent)
-        psutil.wait_procs([gone], timeout=5)
+        psutil.wait_procs([gone], timeout=600)
         assert not gone.is_running()
         assert [group.exists() for group in groups] == [False, True]
         assert living.is_running()

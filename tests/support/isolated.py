@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from functools import cache
@@ -58,8 +59,18 @@ def processes() -> list[psutil.Process]:
     return psutil.Process().children(recursive=True)
 
 
-def wait_until(condition: Callable[[], Any], seconds: float = 20.0) -> None:
-    """Wait for something to become true, and fail where it does not."""
+def computing(command: int) -> list[psutil.Process]:
+    """Return the processes of FMUs below one, which are not its own children, that have computed for a while."""
+    found = []
+    for each in psutil.Process(command).children(recursive=True):
+        with contextlib.suppress(psutil.Error):  # it has ended
+            if each.ppid() != command and each.cpu_times().user > 0.3:
+                found.append(each)
+    return found
+
+
+def wait_until(condition: Callable[[], Any], seconds: float = 600.0) -> None:
+    """Wait for something to become true, and fail where it does not for far longer than any machine takes."""
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "it did not come true in time"

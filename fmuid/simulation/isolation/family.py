@@ -13,6 +13,7 @@ import ctypes
 import os
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
@@ -43,6 +44,32 @@ def family(pid: int) -> list[int]:
     for each in found:  # which grows meanwhile
         found += children(each)
     return found
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What the system says of a process: `pid`, its status as psutil names it, and the CPU time that it has had, s."""
+
+    pid: int
+    status: str
+    computed: float
+
+
+def condition_of(pid: int) -> Condition:
+    """Return the condition of a process, that of a zombie where there is none."""
+    try:
+        process = psutil.Process(pid)
+        with process.oneshot():
+            times = process.cpu_times()
+            return Condition(pid, str(process.status()), times.user + times.system)
+    except psutil.Error:
+        return Condition(pid, psutil.STATUS_ZOMBIE, 0.0)
+
+
+def wants_processor(pid: int) -> bool:
+    """Whether any thread of a process runs or would, if it had a processor; False where nobody knows."""
+    stats = (_text(f"/proc/{pid}/task/{task}/stat") for task in _listed(f"/proc/{pid}/task"))
+    return any(stat.rpartition(")")[2].split()[:1] == ["R"] for stat in stats)
 
 
 class Footprint:

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import fcntl
 import logging
+import math
 import mmap
 import os
 import pickle
@@ -34,7 +35,7 @@ from fmuid.simulation.isolation import cgroup
 from fmuid.simulation.isolation import server as far
 from fmuid.simulation.isolation.channel import Channel, GarbledError
 from fmuid.simulation.isolation.ends import CRASHED, EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, End
-from fmuid.simulation.isolation.family import Footprint, family
+from fmuid.simulation.isolation.family import Condition, Footprint, condition_of, family, wants_processor
 
 GROWTH = 256e6
 """Growth of a process beyond its size after its first simulations at which it is replaced, bytes."""
@@ -48,6 +49,8 @@ PRINTED_KEPT = 1 << 16  # bytes of what FMUs print that are kept until they are 
 PRINTED_LARGEST = 1 << 20  # bytes that may pile up in the file before it is cut
 MOST_RELATIVES = 100  # processes below it, also ended ones, for which nobody there waits
 MEASURE_EVERY = 0.25  # s, its memory while simulations come and go
+LONG_LOOK = 0.5  # s between looks at which this process has stood still, and the machine with it
+COMPUTED = 0.5  # of a time limit: what computes for less than that is not hung but waits for a processor
 
 
 class ForkServer:
@@ -137,25 +140,36 @@ atexit.register(SERVER.stop)
 
 @dataclass
 class _Progress:
-    """How long a host has done the same: `limit`, `idle_limit` and `reports` as `Host.order` has them."""
+    """How long a host has done the same: `limit`, `idle_limit` and `reports` as `Host.order` has them.
+
+    Time limits are by the clock, but a busy machine is not charged to a simulation: neither the time in which this
+    process stood still, nor that in which the host waited for a processor.
+    """
 
     limit: float
     idle_limit: float | None
     reports: NDArray[np.intp] | None
     since: float = field(default_factory=time.monotonic)
+    looked: float = math.inf
+    computed: float = 0.0
     state: tuple[bytes, int] | None = None
 
-    def limit_passed(self, doing: NDArray[np.intp], stopped: bool) -> float | None:
+    def limit_passed(self, doing: NDArray[np.intp], condition: Condition) -> float | None:
         """Return the limit that has passed, s, if one has."""
         undone = 0 if self.reports is None else int((self.reports[:, 2] == codes.UNDONE).sum())
         state, now = (doing.tobytes(), undone), time.monotonic()
+        self.since += max(0.0, now - self.looked - LONG_LOOK)
+        self.looked = now
         if state != self.state:
-            self.state, self.since = state, now
-        preparing = (doing[::2] == codes.PREPARING).any() and not stopped
+            self.state, self.since, self.computed = state, now, condition.computed
+        preparing = (doing[::2] == codes.PREPARING).any() and condition.status != psutil.STATUS_STOPPED
         allowed = max(self.limit, PREPARATION_LIMIT) if preparing else self.limit
         if self.idle_limit is not None and not doing[::2].any():
             allowed = self.idle_limit
-        return allowed if now - self.since > allowed else None
+        if now - self.since <= allowed:
+            return None
+        waits = condition.computed - self.computed < COMPUTED * allowed and wants_processor(condition.pid)
+        return None if waits else allowed
 
 
 class Host:
@@ -261,10 +275,10 @@ class Host:
 
     def _look(self, progress: _Progress) -> None:
         """See whether all is well while it works; what is not ends it."""
-        condition = self._condition()
-        if condition == psutil.STATUS_ZOMBIE:  # and somebody whom it forked keeps the socket open
+        condition = condition_of(self.pid)
+        if condition.status == psutil.STATUS_ZOMBIE:  # and somebody whom it forked keeps the socket open
             raise self._ended()
-        over = progress.limit_passed(self.doing, stopped=condition == psutil.STATUS_STOPPED)
+        over = progress.limit_passed(self.doing, condition)
         if over is not None:
             raise self._stopped(HUNG, round(1e3 * over))
         if self._footprint.exceeds(self._limit + self._given):
@@ -286,12 +300,6 @@ class Host:
         self._measured, size = now, max(1.0, self._footprint.read() - self._given)
         self.baseline = self.baseline or size
         return size > self.baseline + GROWTH or len(family(self.pid)) > MOST_RELATIVES
-
-    def _condition(self) -> str:
-        try:
-            return str(psutil.Process(self.pid).status())
-        except psutil.Error:
-            return psutil.STATUS_ZOMBIE
 
     def _stopped(self, kind: int, number: int) -> End:
         self.kill()
