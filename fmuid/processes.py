@@ -21,6 +21,12 @@ _BEGIN = (
     "from runpy import run_module; run_module({module!r}, run_name='__main__', alter_sys=True)"
 )
 
+# glibc gives memory back to the system and has it mapped anew, page by page, over and over: a twelfth of the time of an
+# identification, and a third where whoever started the process lowered the thresholds, as Dask does. These are the
+# highest that glibc itself comes to; other allocators do not read them.
+MEMORY_KEPT = {"MALLOC_MMAP_THRESHOLD_": str(32 << 20), "MALLOC_TRIM_THRESHOLD_": str(64 << 20)}
+"""Environment of processes that calculate."""
+
 
 def python_command(module: str, *arguments: str) -> list[str]:
     """Return the command that runs a module as ``python -m`` does, which starts every process of ours.

@@ -24,7 +24,7 @@ from fmuid.batches.parcel import Parcel
 from fmuid.batches.scratch import scratch_folder
 from fmuid.batches.worker import SINGLE_THREADED, GroupResult, difference, forget, run_group, versions
 from fmuid.errors import FmuidError, InputError
-from fmuid.processes import Child
+from fmuid.processes import MEMORY_KEPT, Child
 
 # How long a scheduler may take to answer, and to name its first worker, s.
 PATIENCE = 10.0
@@ -205,7 +205,7 @@ class _Host:
             self._process = Child(
                 "fmuid.batches.local_workers",
                 *(self._address, str(self._count), str(self._folder)),
-                environment=dict.fromkeys(SINGLE_THREADED, "1"),
+                environment=dict.fromkeys(SINGLE_THREADED, "1") | MEMORY_KEPT,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 pass_fds=self._locks,  # the folder is in use as long as this process or that one lives

@@ -22,9 +22,10 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import SimulationError
 from fmuid.models.component import Isolation
 from fmuid.models.system import System
+from fmuid.processes import MEMORY_KEPT
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.isolation.channel import Channel, Look
-from fmuid.simulation.isolation.process import SERVER, Host
+from fmuid.simulation.isolation.process import SERVER, ForkServer, Host
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
     NAMES,
@@ -170,6 +171,19 @@ def test_no_process_is_left_when_fmuid_ends(folder: Path, name: str, mode: Mode)
 def called_pid(host: Host) -> int:
     """Return the process id of a host as it says itself."""
     return int(host.order("call", "os", "getpid", (), limit=20.0))
+
+
+def test_memory_is_kept_whatever_the_starter_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask starts workers with a threshold at which each array is mapped anew."""
+    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
+    server = ForkServer()
+    monkeypatch.setattr("fmuid.simulation.isolation.process.SERVER", server)
+    host = Host([], 1e9)
+    found = {name: host.order("call", "os", "getenv", (name,), limit=20.0) for name in MEMORY_KEPT}
+    host.close()
+    server.stop()
+    assert found == MEMORY_KEPT
+    assert int(found["MALLOC_TRIM_THRESHOLD_"]) > int(found["MALLOC_MMAP_THRESHOLD_"]) > 10**7
 
 
 @pytest.mark.parametrize("question", ["fork", "wait"])

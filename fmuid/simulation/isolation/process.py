@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from fmuid.errors import FmuidError
 from fmuid.fmi import codes
-from fmuid.processes import Child
+from fmuid.processes import MEMORY_KEPT, Child
 from fmuid.simulation.isolation import cgroup
 from fmuid.simulation.isolation import server as far
 from fmuid.simulation.isolation.channel import Channel, GarbledError
@@ -74,7 +74,7 @@ class ForkServer:
                 str(other.fileno()),
                 stdin=subprocess.DEVNULL,  # its socket is its lifeline
                 pass_fds=[other.fileno()],
-                environment={"OPENBLAS_NUM_THREADS": "1"},
+                environment={"OPENBLAS_NUM_THREADS": "1", **MEMORY_KEPT},
             )
             other.close()
             return self._channel
