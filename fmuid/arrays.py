@@ -8,5 +8,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 """An array of double precision."""
 
+Complexes = NDArray[np.complex128]
+"""An array of complex numbers of double precision."""
+
 Indices = NDArray[np.intp]
 """An array of indices."""

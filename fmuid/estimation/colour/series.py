@@ -1,0 +1,140 @@
+"""The rows of a residual as series in time: each output of each experiment on the grid of its samples.
+
+Samples may be missing. Those of a slow sensor, every tenth row of a table say, have a grid of their own. Outputs of one
+experiment that share a grid may have innovations in common. Samples on no grid at all are counted one by one, as if
+they were equally spaced, and the series says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.arrays import Floats, Indices
+from fmuid.data import Measurements
+
+# Times count as equally spaced, with some missing, where so many steps are whole multiples of the usual one ...
+REGULAR_SHARE, REGULAR_TOLERANCE = 0.95, 0.2
+# ... and a longer gap than this is as good as endless.
+LONGEST_GAP = 1000
+# Experiments shorter than this share one noise model with others of the same output and step.
+POOLED = 100
+# Steps in time of two experiments are the same to this.
+SAME_STEP = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One output of one experiment.
+
+    Attributes
+    ----------
+    experiment, output : str
+    group : int
+        Which of the problem's outputs it is.
+    rows : (n,) array of int
+        Which rows of the residual it has.
+    places : (n,) array of int
+        Where they stand on the grid of its step.
+    step : float
+        s.
+    regular : bool
+        Whether the samples stand on a grid; else they are counted.
+    grid : int
+        Series of the same number share a grid, and may have innovations in common.
+    pool : int
+        Series of the same number share a noise model.
+    """
+
+    experiment: str
+    output: str
+    group: int
+    rows: Indices
+    places: Indices
+    step: float
+    regular: bool
+    grid: int
+    pool: int
+
+
+def series_of(experiments: Sequence[Measurements], outputs: Sequence[str]) -> tuple[Series, ...]:
+    """Return the series of all counted samples, experiment by experiment, output by output.
+
+    Parameters
+    ----------
+    experiments : sequence of Measurements
+    outputs : sequence of str
+        The problem's outputs.
+    """
+    found: list[Series] = []
+    pools: dict[tuple[str, int, int], int] = {}
+    first = grids = 0
+    for experiment in experiments:
+        counted = np.flatnonzero(experiment.counted)
+        places, step, regular = table_grid(experiment.times)
+        known: dict[tuple[int, int], int] = {}
+        for column, output in enumerate(experiment.output_names):
+            mine = counted % len(experiment.output_names) == column
+            if not mine.any():
+                continue
+            own, stride, offset = _thinned(places[counted[mine] // len(experiment.output_names)])
+            known.setdefault((stride, offset), grids + len(known))
+            alone = len(found) if own.size >= POOLED else -1
+            pool = pools.setdefault((output, _rounded(stride * step), alone), len(pools))
+            found.append(
+                Series(
+                    experiment.name,
+                    output,
+                    outputs.index(output),
+                    first + np.flatnonzero(mine),
+                    own,
+                    stride * step,
+                    regular,
+                    known[stride, offset],
+                    pool,
+                )
+            )
+        first, grids = first + counted.size, grids + len(known)
+    return tuple(found)
+
+
+def _rounded(step: float) -> int:
+    """Return a number that is the same for steps that are."""
+    return int(np.rint(np.log(max(step, np.finfo(float).tiny)) / SAME_STEP))
+
+
+def _thinned(places: Indices) -> tuple[Indices, int, int]:
+    """Return places (n,) on a grid with the coarsest step that has them all, that step, and where it begins.
+
+    Two samples at one time have no place each: all are counted then.
+    """
+    if (np.diff(places) == 0).any():
+        return np.arange(places.size), 1, 0
+    stride = int(np.gcd.reduce(places - places[0])) or 1
+    offset = int(places[0]) % stride
+    return (places - offset) // stride, stride, offset
+
+
+def table_grid(times: Floats) -> tuple[Indices, float, bool]:
+    """Return where the rows of a table stand on the grid of their usual step, that step in s, and whether they do.
+
+    Parameters
+    ----------
+    times : (K,) array
+        Never decreasing, s. Where they are not near a grid, the rows themselves are counted, and the step is the mean
+        one. A time given twice is one place.
+    """
+    steps = np.diff(times)
+    moving = steps > 0
+    if not moving.any():
+        return np.arange(times.size), 1.0, times.size < 2
+    usual = float(np.median(steps[moving]))
+    whole = np.rint(steps[moving] / usual)
+    near = np.abs(steps[moving] / usual - whole) <= REGULAR_TOLERANCE
+    if (whole >= 1).all() and near.mean() >= REGULAR_SHARE:
+        jumps = np.zeros(steps.size, dtype=np.intp)
+        jumps[moving] = np.minimum(whole, LONGEST_GAP)
+        return np.concatenate([[0], np.cumsum(jumps)]), usual, True
+    return np.arange(times.size), float(times[-1] - times[0]) / max(times.size - 1, 1), False
