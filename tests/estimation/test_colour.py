@@ -32,7 +32,9 @@ def series(rows: NDArray[Any], places: NDArray[Any], group: int = 0, grid: int =
     return Series("experiment", f"y{group}", group, rows, places, 1.0, True, grid, pool)
 
 
-def made(jacobian: NDArray[Any], noise: Floats, prior: Floats | None = None, given: bool = False, outputs: int = 1) -> Rows:
+def made(
+    jacobian: NDArray[Any], noise: Floats, prior: Floats | None = None, given: bool = False, outputs: int = 1
+) -> Rows:
     """Return the rows of a linear problem that has been fitted to noise."""
     whitening = np.zeros((0, jacobian.shape[1])) if prior is None else prior
     stacked = np.vstack([jacobian, whitening])
