@@ -42,7 +42,7 @@ def spoilt(tmp_path: Path) -> Path:
 )
 def test_modules_beside_the_study(spoilt: Path, words: tuple[str, ...]) -> None:
     line = [sys.executable, "-P", "-m", "fmuid", *words]
-    done = subprocess.run(line, cwd=spoilt, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(line, cwd=spoilt, capture_output=True, text=True, timeout=600, check=False)
     assert not (spoilt / "marker").exists()
     assert done.returncode == 0, done.stderr
 
@@ -55,7 +55,7 @@ def output_of(module: str, folder: Path, environment: dict[str, str]) -> str:
     )
     line = [sys.executable, "-P", "-c", code]
     done = subprocess.run(
-        line, cwd=folder, env=os.environ | environment, capture_output=True, text=True, timeout=60, check=False
+        line, cwd=folder, env=os.environ | environment, capture_output=True, text=True, timeout=600, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
@@ -84,7 +84,7 @@ def test_what_gets_in(tmp_path: Path) -> None:
         "    channel = context.Queue()\n"
         "    below = context.Process(target=seen, args=[channel])\n"
         "    below.start()\n"
-        "    print(channel.get(timeout=60))\n"
+        "    print(channel.get(timeout=600))\n"
         "    below.join()\n"
     )
     path = os.pathsep.join([str(tmp_path / "library"), "", "."])
@@ -93,13 +93,13 @@ def test_what_gets_in(tmp_path: Path) -> None:
 
 
 SLEEPER = "import subprocess, sys, time; "
-SLEEPER += "print(subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)']).pid, flush=True); "
-SLEEPER += "time.sleep(60)"
+SLEEPER += "print(subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(3600)']).pid, flush=True); "
+SLEEPER += "time.sleep(3600)"
 
 
 def gone(pid: int) -> bool:
     """Wait until a process has ended."""
-    until = time.monotonic() + 30.0
+    until = time.monotonic() + 600.0
     while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
         if time.monotonic() > until:
             return False
@@ -122,8 +122,8 @@ def test_a_child_ends_with_what_it_has_started(tmp_path: Path) -> None:
 def test_a_child_ends_with_who_started_it() -> None:
     code = "from fmuid.processes import Child\n"
     waits = "from fmuid.processes import watch_lifeline; import os, time; watch_lifeline(lambda: os._exit(0)); "
-    code += f"print(Child('timeit', '-n1', '-r1', {waits + 'time.sleep(60)'!r}).pid, flush=True)\n"
-    code += "import time; time.sleep(60)"
+    code += f"print(Child('timeit', '-n1', '-r1', {waits + 'time.sleep(3600)'!r}).pid, flush=True)\n"
+    code += "import time; time.sleep(3600)"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as parent:
         assert parent.stdout is not None
         pid = int(parent.stdout.readline())
@@ -134,7 +134,7 @@ def test_a_child_ends_with_who_started_it() -> None:
 
 def test_a_child_s_code() -> None:
     child = Child("timeit", "-n1", "-r1", "import os; os._exit(7)")
-    assert child.wait(60.0) == 7
+    assert child.wait(600.0) == 7
     child.end()
 
 

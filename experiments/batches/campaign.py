@@ -95,7 +95,7 @@ def family(process: int) -> list[psutil.Process]:
     return []
 
 
-def left_over(processes: Sequence[psutil.Process], patience: float = 10.0) -> list[psutil.Process]:
+def left_over(processes: Sequence[psutil.Process], patience: float = 600.0) -> list[psutil.Process]:
     """Return which processes are still there after some time, s."""
     until = time.monotonic() + patience
     while time.monotonic() < until:

@@ -38,6 +38,7 @@ from fmuid.progress import BatchStep, Event
 from fmuid.reports.console.progress import Display
 from fmuid.studies.study import Study
 from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_
+from tests.support.isolated import wait_until
 
 DRAWS = 30
 # Samples of a table whose identification takes long enough to be disturbed.
@@ -527,6 +528,7 @@ def test_progress(
     done, failed, rate, left, threads = step
     event = BatchStep(done=done, total=100, failed=failed, rate=rate, left=left, threads=threads)
     assert event.share == done / 100
+    monkeypatch.setattr(Display, "EVERY", 3600.0)
     with Display() as display:
         display(event)
         assert capsys.readouterr().out == ""  # lines are seldom
@@ -560,7 +562,7 @@ print(len(found.frame), found.interrupted)
 def test_a_script_without_a_guard(folder: Path) -> None:
     """Workers that import the script again would begin the batch again; from standard input there is none to import."""
     script = SCRIPT.format(study=str(folder / "study.toml"), output=str(folder / "out"))
-    done = subprocess.run([sys.executable, "-"], input=script, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-"], input=script, capture_output=True, text=True, timeout=600)
     assert (done.stdout, done.stderr) == (f"{DRAWS} False\n", "")
     same(pd.read_parquet(folder / "out" / "cases"), expected(folder))
 
@@ -574,7 +576,7 @@ def started(folder: Path, workers: int) -> subprocess.Popen[str]:
 
 def wait_for_part(process: subprocess.Popen[str], folder: Path, known: int = 0) -> None:
     """Wait until a batch has written a part more."""
-    until = time.monotonic() + 100
+    until = time.monotonic() + 600
     while time.monotonic() < until and process.poll() is None:
         if len(list((folder / "out" / "cases").glob("part-*.parquet"))) > known:
             return
@@ -609,7 +611,7 @@ def test_kills(folder: Path) -> None:
         wait_for_part(process, folder, len(list((folder / "out" / "cases").glob("part-*.parquet"))))
         everybody = family(process.pid)
         process.send_signal(number)
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=600)
         assert not left_over(everybody)
         assert not list((folder / "scratch").glob("fmuid-*"))
         assert process.returncode == 1
@@ -620,7 +622,7 @@ def test_kills(folder: Path) -> None:
         assert last == f"interrupted: {len(partial[-1])} of {draws} cases are finished; the same command goes on"
 
     process = started(folder, 1)
-    _, said = process.communicate(timeout=100)
+    _, said = process.communicate(timeout=600)
     assert (process.returncode, said) == (0, "")
     found = pd.read_parquet(folder / "out" / "cases")
     assert found["case"].tolist() == list(range(draws))
@@ -638,7 +640,8 @@ def test_workers_that_cannot_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     python.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(python))
     monkeypatch.setattr(cluster, "STARTS", 3)
-    host, until = cluster._Host("tcp://127.0.0.1:9", 1, tmp_path / "workers"), time.monotonic() + 60
+    monkeypatch.setattr(cluster, "PATIENCE", 600.0)
+    host, until = cluster._Host("tcp://127.0.0.1:9", 1, tmp_path / "workers"), time.monotonic() + 600
     with pytest.raises(FmuidError, match=r"^the workers end as soon as they begin: ImportError: no numpy$"):
         while time.monotonic() < until:
             host.look()
@@ -649,6 +652,15 @@ def test_workers_that_cannot_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 # --- on a cluster ------------------------------------------------------------------------
 
 
+def _json(path: Path) -> dict[str, Any]:
+    """Return what a file says, nothing before it is written to its end."""
+    try:
+        found: dict[str, Any] = json.loads(path.read_text())
+    except (FileNotFoundError, ValueError):
+        return {}
+    return found
+
+
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """A scheduler in a process of its own, without workers."""
@@ -657,11 +669,8 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     line += ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
     line += ["--scheduler-file", str(place / "file.json")]
     with subprocess.Popen(line, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        until = time.monotonic() + 60
-        while not (place / "file.json").exists() and time.monotonic() < until:
-            time.sleep(0.05)
-        time.sleep(0.1)
-        yield json.loads((place / "file.json").read_text())["address"], process
+        wait_until(lambda: _json(place / "file.json"))
+        yield _json(place / "file.json")["address"], process
         process.kill()
 
 
@@ -695,7 +704,7 @@ def test_a_cluster(
     monkeypatch.setattr(cluster, "PATIENCE", 2.0)
     words = (fleet / "study.toml", "-o", fleet / "out", "--scheduler", address)
     assert f"the scheduler at {address} has no workers" in refused(capsys, *words)
-    monkeypatch.setattr(cluster, "PATIENCE", 60.0)
+    monkeypatch.setattr(cluster, "PATIENCE", 600.0)
     with worker(address, fleet / "one"), worker(address, fleet / "two", "--nworkers", "1"):
         with monkeypatch.context() as older:
             older.setattr(cluster, "versions", lambda: versions() | {"fmuid": "0.0.9"})
@@ -706,10 +715,7 @@ def test_a_cluster(
         assert capsys.readouterr().err == ""
         same(pd.read_parquet(fleet / "out" / "cases"), expected(fleet))
 
-        until = time.monotonic() + 10
-        while shops(fleet) and time.monotonic() < until:
-            time.sleep(0.1)
-        assert not shops(fleet)
+        wait_until(lambda: not shops(fleet))
 
         write(fleet, NOISE.format(draws=3000))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import sys
 import threading
-import time
 import tracemalloc
 from typing import Any
 
@@ -24,13 +23,15 @@ def ends() -> Any:
         yield own, other
 
 
-def exchanged(ends: tuple[socket.socket, socket.socket], message: object, look: Any = None) -> tuple[Any, int]:
-    """Return a message as it comes out, its receiver late by several looks, and what travelled beside its pickle."""
+def exchanged(ends: tuple[socket.socket, socket.socket], message: object, looks: int = 0) -> tuple[Any, int]:
+    """Return a message as it comes out, its receiver late by some looks, and what travelled beside its pickle."""
     own, other = (Channel(each, 0.01) for each in ends)
     sent: list[int] = []
-    sender = threading.Thread(target=lambda: sent.append(own.send(message, look)))
+    looked = threading.Semaphore(0)
+    sender = threading.Thread(target=lambda: sent.append(own.send(message, looked.release)))
     sender.start()
-    time.sleep(0.1)
+    for _ in range(looks):
+        looked.acquire()
     received = other.receive()
     sender.join()
     return received, sent[0]
@@ -46,9 +47,7 @@ def test_what_is_larger_than_the_socket_takes_arrives(ends: Any) -> None:
         "text": "x" * 3_000_000,
         "strided": rng.normal(size=200_000)[::2],
     }
-    looks: list[None] = []
-    received, beside = exchanged(ends, message, lambda: looks.append(None))
-    assert looks
+    received, beside = exchanged(ends, message, looks=5)
     assert received["text"] == message["text"]
     for name in ("large", "turned", "small", "strided"):
         assert np.array_equal(received[name], message[name])

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
+import gc
 import sys
 import threading
-from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
 from fmuid.simulation.executor import executor_of
+from fmuid.simulation.isolation.process import Host
 from fmuid.simulation.sensitivities import derivatives_of
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
@@ -30,7 +30,6 @@ from tests.support.isolated import (
     RECORD_FRAME,
     check_costs_only_its_own,
     expected,
-    processes,
     thetas,
 )
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu
@@ -221,40 +220,28 @@ def test_a_library_that_prints_when_it_is_loaded(folder: Path) -> None:
 # --- memory
 
 
-def largest_process(others: Collection[int], work: Callable[[], object]) -> float:
-    """Do some work; return the largest resident size that any process but the others had meanwhile, MB."""
-    sizes, over = [0.0], threading.Event()
-
-    def watch() -> None:
-        while not over.wait(0.01):
-            for process in processes():
-                with contextlib.suppress(psutil.Error):  # it ended
-                    sizes.append(process.memory_info().rss / 1e6 if process.pid not in others else 0.0)
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    try:
-        work()
-    finally:
-        over.set()
-        watcher.join()
-    return max(sizes)
-
-
-def test_recycling_bounds_the_memory_of_an_fmu_that_leaks(folder: Path) -> None:
-    """8 MB a simulation, 120 simulations: a process that is replaced every ten never has much more than 80 MB of it."""
+def test_recycling_bounds_the_memory_of_an_fmu_that_leaks(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """8 MB a simulation, 60 simulations: a process that is replaced every ten has 80 MB of it before its end."""
     simulator, plain = (
         Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 8.0}, isolation=isolation)
         for isolation in (Isolation(recycle=10, threads=1), Isolation(threads=1))
     )
-    others = {process.pid for process in processes()}
-    some, found = np.tile([2.0, 0.5, Mode.LEAK_ONCE], (120, 1)), list[Floats]()
+    sizes, close = list[tuple[int, float]](), Host.close
+
+    def weighed(host: Host) -> None:
+        sizes.append((host.simulations, psutil.Process(host.pid).memory_info().rss / 1e6))
+        close(host)
+
+    monkeypatch.setattr(Host, "close", weighed)
+    some = np.tile([2.0, 0.5, Mode.LEAK_ONCE], (60, 1))
+    gc.collect()  # what other tests have left is not counted
+    sizes.clear()
     plain(some[:1] * [1.0, 1.0, 0.0])
-    without = max(process.memory_info().rss / 1e6 for process in processes() if process.pid not in others)
     plain.system.close()
-    largest = largest_process(others, lambda: found.append(simulator(some)))
-    assert np.array_equal(found[0], expected(folder, some))
-    assert 60 < largest - without < 160
+    assert np.array_equal(simulator(some), expected(folder, some))
+    (one, without), *leaked = sizes
+    assert [one, *(simulations for simulations, _ in leaked)] == [1] + 6 * [10]
+    assert all(9 * 8 <= size - without < 160 for _, size in leaked)
 
 
 def test_an_fmu_that_leaks_slowly_is_not_blamed(folder: Path) -> None:

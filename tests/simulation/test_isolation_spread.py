@@ -18,10 +18,11 @@ from fmuid.data.experiment import Experiment
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
 from fmuid.simulation.executor import executor_of
+from fmuid.simulation.isolation.family import condition_of
 from fmuid.simulation.isolation.isolated import IsolatedWorkers
 from fmuid.simulation.isolation.spread import SpreadWorkers
 from fmuid.simulation.simulator import Simulator
-from tests.support.isolated import NAMES, RECORD, closed_form, processes, thetas
+from tests.support.isolated import NAMES, RECORD, closed_form, processes, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
 from tests.support.paths import FMUS
 
@@ -84,11 +85,17 @@ def test_an_interruption_ends_all(tmp_path: Path) -> None:
     with System(fmu, isolation=Isolation(time_limit=600.0)) as system:
         simulator = Simulator(system, RECORD, NAMES)
         expected, there = simulator(some), hosts_of(system)
-        timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
-        timer.start()
+        before = {pid: condition_of(pid).computed for pid in there}
+
+        def interrupt() -> None:
+            wait_until(lambda: all(condition_of(pid).computed > before[pid] + 0.1 for pid in there))
+            os.kill(os.getpid(), signal.SIGINT)
+
+        interrupter = threading.Thread(target=interrupt)
         with pytest.raises(KeyboardInterrupt):
+            interrupter.start()
             simulator(some * [1, 1, 0] + [0, 0, Mode.LOOP])
-        timer.join()
+        interrupter.join()
         assert len(there) == 3
         assert not there & {process.pid for process in processes() if process.status() != psutil.STATUS_ZOMBIE}
         assert np.array_equal(simulator(some), expected)

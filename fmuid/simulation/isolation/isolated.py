@@ -74,8 +74,9 @@ class IsolatedWorkers:
         first, largest = 0, max(1, CHUNK // max(1, outputs[:1].nbytes))
         while first < len(thetas):
             # the first ones by themselves, so that what they need is known and not taken for growth
-            often = 1 if not self._host().simulations else max(1, int(MEASURE_EVERY / max(self._keeper.longest, 1e-6)))
-            most = min(largest, self._limit * often, self._settings.recycle or largest)
+            before, recycle = self._host().simulations, self._settings.recycle
+            often = 1 if not before else max(1, int(MEASURE_EVERY / max(self._keeper.longest, 1e-6)))
+            most = min(largest, self._limit * often, max(1, recycle - before) if recycle else largest)
             part = slice(first, first + most)
             self._run_part(run, thetas[part], outputs[part], reports[part])
             self._keeper.replace_outgrown()
