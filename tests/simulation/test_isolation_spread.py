@@ -64,14 +64,19 @@ def test_who_is_spread(tmp_path: Path, said: dict[str, Any], threads: int | None
     assert isinstance(executor_of(system), SpreadWorkers if spread else IsolatedWorkers)
 
 
-def test_what_one_finds_stiff_is_run_again_by_all() -> None:
-    """The last theta is stiff, the first ones are not; in-process all are integrated as stiff then."""
+@pytest.mark.parametrize("kind", ["spread", "one"])
+def test_what_one_finds_stiff_is_run_again_by_all(kind: str) -> None:
+    """The last theta is stiff, the first ones are not; in-process all are integrated as stiff then.
+
+    One process alone has the first theta by itself, and the others afterwards.
+    """
     times = np.linspace(0.0, 0.1, 11)
     record = Experiment(pd.DataFrame({"time": times, "u": 1.0, "i": 0.0}), ["u"], ["i"])
     some = np.array([[1.0, 0.1], [2.0, 0.1], [4.0, 0.1], [4e3, 1e-5]])
     coil = FMUS / "Coil" / "Coil.fmu"
     system, alone = (System(coil, numerics=Numerics("model-exchange")) for _ in range(2))
-    system.executor(lambda each: SpreadWorkers(each.components, 3, Isolation()))
+    made = SpreadWorkers if kind == "spread" else IsolatedWorkers
+    system.executor(lambda each: made(each.components, 3, Isolation()))
     found = Simulator(system, record, ["R", "L"])(some)
     plain = Simulator(alone, record, ["R", "L"])(some[:1])
     assert np.array_equal(found, Simulator(alone, record, ["R", "L"])(some))

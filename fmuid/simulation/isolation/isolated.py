@@ -61,6 +61,7 @@ class IsolatedWorkers:
         self._numbers: weakref.WeakKeyDictionary[Run, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()
         self._steps = 0  # of the simulation with most of them
+        self._found_stiff = 0  # models, in any run
         self.cancelled = False
         _living.add(self)
 
@@ -69,8 +70,16 @@ class IsolatedWorkers:
     def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
-        Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`).
+        Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`). Where one of
+        them finds a model stiff, all are run as such, also those that were through before, as in-process: how many go
+        at a time depends on how fast the machine is, and the outputs must not.
         """
+        found = -1
+        while found != self._found_stiff:
+            found = self._found_stiff
+            self._run_chunks(run, thetas, outputs, reports)
+
+    def _run_chunks(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         first, largest = 0, max(1, CHUNK // max(1, outputs[:1].nbytes))
         while first < len(thetas):
             # the first ones by themselves, so that what they need is known and not taken for growth
@@ -135,6 +144,7 @@ class IsolatedWorkers:
             self._steps = max(self._steps, _steps(run))
             for component in stiff:
                 run.integrate(component, STIFF_INTEGRATOR)
+                self._found_stiff += 1
         except End as ended:
             end = ended
         done = their_reports[:, 2] != codes.UNDONE
