@@ -149,7 +149,7 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
     InputError
         One sentence that names what does not fit.
     """
-    experiments = [_stand_in(given, 2 + len(flat_names(study))) for given in study.experiments]
+    experiments = [_unmeasured(given, 2 + len(flat_names(study))) for given in study.experiments]
     problem_of(study, experiments, tuple(study.parameters), {}, {})  # what is wrong without the batch, as the study's
     try:
         for free in subsets:
@@ -161,8 +161,8 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
         raise settings.error(f"does not fit: {error}") from None
 
 
-def _stand_in(given: ExperimentSettings, rows: int) -> Experiment:
-    """Return an experiment in which nothing happens, with the columns of the study's words."""
-    columns = [*given.inputs.values(), *given.outputs.values()]
-    frame = pd.DataFrame({given.time: np.arange(rows, dtype=np.float64)} | dict.fromkeys(columns, 0.0))
-    return given.model_copy(update={"discard": 0.0}).experiment(frame, str(given.table))
+def _unmeasured(given: ExperimentSettings, rows: int) -> Experiment:
+    """Return an experiment that is still to be made: inputs at rest, and the names of the outputs."""
+    columns = dict.fromkeys(given.inputs.values(), 0.0)
+    frame = pd.DataFrame({given.time: np.arange(rows, dtype=np.float64)} | columns)
+    return given.model_copy(update={"discard": 0.0}).experiment(frame, str(given.table), measured=False)

@@ -278,8 +278,10 @@ def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> Start:
     SimulationError
         If the simulation at the start fails.
     InputError
-        If theta lies outside the bounds, all simulations around it fail, or a parameter without prior has no effect.
+        If an output has not been measured, theta lies outside the bounds, all simulations around it fail, or a
+        parameter without prior has no effect.
     """
+    problem.check_measured()
     parameters = problem.parameters
     at = parameters.start if theta is None else np.array(theta, dtype=np.float64)
     _check_inside(problem, at)

@@ -56,7 +56,8 @@ class LeastSquares:
     output_names : tuple of str
         All measured outputs; those of the same name in several experiments share one noise variance.
     measured : (n,) array
-        All counted samples, experiment by experiment, sample by sample.
+        All counted samples, experiment by experiment, sample by sample; NaN of outputs that are names only
+        (`check_measured`).
     groups : (n,) array of int
         Which output each of them belongs to.
     counts : (n_outputs,) array of int
@@ -172,9 +173,7 @@ class LeastSquares:
                     "shorten discard or leave the output out"
                 )
             largest = float(np.max(np.abs(self.measured[self.groups == self.output_names.index(name)])))
-            if math.isnan(largest):
-                raise InputError(f"output {name!r} has not been measured: there is nothing to identify from it")
-            if not largest < HUGE:
+            if largest >= HUGE:
                 raise InputError(
                     f"a sample of output {name!r} is {largest:g} in magnitude; leave it empty or change the unit"
                 )
@@ -184,6 +183,19 @@ class LeastSquares:
                 f"{self.measured.size} counted samples are too few for {len(self.parameters)} parameters; "
                 "measure more, estimate fewer, or give priors"
             )
+
+    def check_measured(self) -> None:
+        """Check that all outputs have been measured; without that a problem can be checked and simulated only.
+
+        Raises
+        ------
+        InputError
+            If one has not.
+        """
+        missing = self.groups[np.isnan(self.measured)]
+        if missing.size:
+            name = self.output_names[missing[0]]
+            raise InputError(f"output {name!r} has not been measured: there is nothing to identify from it")
 
     def predict(self, thetas: Floats) -> Floats:
         """Simulate thetas (m, N) and return all counted samples (m, n), NaN rows where a simulation failed.

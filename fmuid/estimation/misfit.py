@@ -54,6 +54,7 @@ def misfits(problem: LeastSquares, thetas: Floats) -> Misfits:
 
     The criterion itself needs no residual afterwards, so that maps and generations of any size fit into memory.
     """
+    problem.check_measured()
     members = np.eye(problem.counts.size)[problem.groups]
     at_a_time = max(LEAST_BATCH, CHUNK // problem.measured.size)
     squares = np.empty((len(thetas), problem.counts.size))

@@ -315,6 +315,21 @@ def test_noise_needs_no_measurements_and_leaves_missing_ones_out(folder: Path) -
     assert runner.problem(runner.cases[0]).measured.size == TIMES.size - 41
 
 
+def test_no_measurements_are_made_up_to_check_a_model_with(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    checked: list[Problem] = []
+
+    def watched(*arguments: Any) -> Problem:
+        checked.append(problem_of(*arguments))
+        return checked[-1]
+
+    monkeypatch.setattr("fmuid.batches.case_problem.problem_of", watched)
+    Cases.of(study_of(folder, {"subsets": [["R"], ["R", "L"]]}))
+    assert len(checked) == 3
+    for problem in checked:
+        assert problem.measured.size > len(problem.parameters)
+        assert np.isnan(problem.measured).all()
+
+
 def test_rows_are_the_same_bit_for_bit_in_any_order(folder: Path) -> None:
     batch = {
         "noise": {"draws": 3, "std": STD, "truth": {"R": R, "L": L}},

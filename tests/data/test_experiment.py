@@ -12,6 +12,8 @@ from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
 from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
+from fmuid.estimation.global_search.search import search_globally
+from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 
 NAN = float("nan")
@@ -78,8 +80,10 @@ def test_outputs_that_are_not_measured_are_names() -> None:
         Experiment(table(), ["u"], ["y", "z"])
     with pytest.raises(InputError, match="'v'"):
         Experiment(table(), ["v"], ["z"], measured=False)
-    with pytest.raises(InputError, match="output 'z' has not been measured: there is nothing to identify"):
-        LeastSquares([FunctionPredictor(lambda theta: theta, (5, 2))], [run], {"a": Parameter(1.0)})
+    problem = LeastSquares([FunctionPredictor(lambda theta: theta, (5, 2))], [run], {"a": Parameter(1.0, 0.0, 2.0)})
+    for search in (identify, search_globally):
+        with pytest.raises(InputError, match="output 'z' has not been measured: there is nothing to identify"):
+            search(problem)
     found = run.with_outputs(np.column_stack([run.times, run.times]))
     assert found.measured
     np.testing.assert_array_equal(found.frame["z"], run.times)
