@@ -240,3 +240,23 @@ def test_the_default_is_in_process(folder: Path) -> None:
     there = {process.pid for process in processes()}
     fmuid.Simulator(misbehaving_fmu(folder), RECORD, ["gain"])([2.0])
     assert {process.pid for process in processes()} <= there
+
+
+@pytest.mark.parametrize("how", ["closed", "killed", "struck"])
+def test_who_has_the_number_of_a_host_by_now_is_left_alone(how: str) -> None:
+    """A host that went with its server, which nobody asks about for long; process numbers come round."""
+    host = Host([], 1e9)
+    gone = psutil.Process(host.pid)
+    server = SERVER._process
+    assert server is not None
+    psutil.Process(server.pid).kill()
+    wait_until(lambda: not gone.is_running())
+    with subprocess.Popen(["sleep", "600"], start_new_session=True) as stranger:
+        try:
+            host.pid = stranger.pid
+            {"closed": host.close, "killed": host.kill, "struck": host.strike}[how]()
+            assert psutil.Process(stranger.pid).status() == psutil.STATUS_SLEEPING
+            assert stranger.poll() is None
+        finally:
+            stranger.kill()
+    host.kill()

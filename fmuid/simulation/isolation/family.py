@@ -55,6 +55,14 @@ class Condition:
     computed: float
 
 
+def numbered(pid: int) -> psutil.Process | None:
+    """Return who has a number: equal only if it is the same process, since numbers are given anew; None: nobody."""
+    try:
+        return psutil.Process(pid)
+    except psutil.Error:
+        return None
+
+
 def condition_of(pid: int) -> Condition:
     """Return the condition of a process, that of a zombie where there is none."""
     try:

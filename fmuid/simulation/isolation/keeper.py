@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import signal
 import weakref
 from collections.abc import Callable, Sequence
 
@@ -99,8 +97,7 @@ class Keeper:
         """End the process while another thread waits for it, which finds it killed and cleans up."""
         for host in self._hosts[:]:
             if host.alive:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(host.pid, signal.SIGKILL)
+                host.strike()
 
     def replace(self) -> None:
         """End the process if it has simulated anything; what comes next has a new one."""

@@ -35,7 +35,7 @@ from fmuid.simulation.isolation import cgroup
 from fmuid.simulation.isolation import server as far
 from fmuid.simulation.isolation.channel import Channel, GarbledError
 from fmuid.simulation.isolation.ends import CRASHED, EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, End
-from fmuid.simulation.isolation.family import Condition, Footprint, condition_of, family, wants_processor
+from fmuid.simulation.isolation.family import Condition, Footprint, condition_of, family, numbered, wants_processor
 
 GROWTH = 256e6
 """Growth of a process beyond its size after its first simulations at which it is replaced, bytes."""
@@ -209,6 +209,7 @@ class Host:
             with other:
                 self.pid, self._group = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
             made.pop_all()
+        self._numbered = numbered(self.pid)
         self._channel, self._footprint = Channel(own, LOOK_EVERY), Footprint(self.pid, self._group)
         self.records: dict[int, int] = {}
         self.sent = 0
@@ -324,13 +325,22 @@ class Host:
                 self.order("close", limit=CLOSING_LIMIT)
             self.kill()
 
+    def strike(self) -> None:
+        """Kill it with whatever it has started itself, but nobody else who has its number by now.
+
+        That can be where the server was killed and the host with it: nobody keeps its number then.
+        """
+        if numbered(self.pid) not in (self._numbered, None):
+            return
+        for end in (os.kill, os.killpg):
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                end(self.pid, signal.SIGKILL)
+
     def kill(self) -> None:
         """End it at once; what was printed can be read still."""
         if not self.alive:
             return
-        for end in (os.kill, os.killpg):  # with whatever it has started itself
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                end(self.pid, signal.SIGKILL)
+        self.strike()
         cgroup.kill(self._group)  # also what the server, if it was killed, can no longer end
         self._channel.close()
         SERVER.status(self.pid)
