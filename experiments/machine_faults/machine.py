@@ -19,15 +19,23 @@ experiments/induction_machine, here in continuous time; all is integrated togeth
 
 from __future__ import annotations
 
+import ctypes
+import subprocess
+import tempfile
 from dataclasses import dataclass
+from functools import cache
 from math import cos, pi, sin, sqrt
+from pathlib import Path
 from typing import NamedTuple
 
-import numba
 import numpy as np
+from scipy import linalg
 
 from fmuid.arrays import Floats
 from fmuid.data.transforms import T23
+from fmuid.fmi.native.build import FLAGS, WARNINGS, compiler_here
+
+SOURCE = Path(__file__).with_suffix(".c")
 
 POLE_PAIRS = 2
 TURNS, BARS = 464, 28
@@ -42,24 +50,18 @@ RINGS = 0.2  # share of the end rings in resistance and leakage of the cage
 
 
 class Windings(NamedTuple):
-    """The equations after constraints: nz currents of the stator, nr loops of the cage."""
+    """The equations after constraints: currents of the two stator axes and of the shorted turns, modes of the cage."""
 
     inductance: Floats
-    """Of the stator (nz, nz), H."""
+    """Of the stator (3, 3), H."""
     resistance: Floats
     """Likewise, ohm."""
     axes: Floats
-    """Turns of the stator along two fixed axes (nz, 2)."""
-    loops: Floats
-    """The same of the cage, along axes linked to it, times the mutual inductance (2, nr), H."""
-    admittance: Floats
-    """Inverse of the inductance of the cage (nr, nr), 1/H."""
-    answer: Floats
-    """`admittance` times `loops` transposed (nr, 2): what the cage's currents do against the stator's."""
-    reduction: Floats
-    """`loops` times `answer` (2, 2): what that takes from the stator's inductance, H."""
-    loop_resistance: Floats
-    """Of the cage (nr, nr), ohm."""
+    """Turns of the stator along two fixed axes (3, 2)."""
+    coupling: Floats
+    """What links the stator's turns along axes linked to the rotor with the modes of the cage (2, BARS), sqrt(H)."""
+    decay: Floats
+    """Rates at which these modes die away by themselves (BARS,), 1/s."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +77,8 @@ class Condition:
 
 def windings(condition: Condition) -> Windings:
     """Return the matrices of a machine in a condition."""
-    total = TRUTH["Lf"] + TRUTH["Lm"]
-    gap = total - STATOR_LEAKAGE
-    return Windings(*_stator(condition, gap), *_cage(condition, gap))
+    gap = TRUTH["Lf"] + TRUTH["Lm"] - STATOR_LEAKAGE
+    return Windings(*_stator(condition, gap), *_modes(*_cage(condition, gap)))
 
 
 def _stator(condition: Condition, gap: float) -> tuple[Floats, Floats, Floats]:
@@ -90,15 +91,17 @@ def _stator(condition: Condition, gap: float) -> tuple[Floats, Floats, Floats]:
     leakage[2:, 2:] = STATOR_LEAKAGE * np.eye(2)
     own = COILS * ratio**2  # of the shorted turns; the whole phase has 1
     leakage[:2, :2] += SLOTS * STATOR_LEAKAGE * np.array([[1 - 2 * ratio + own, ratio - own], [ratio - own, own]])
-    free = np.column_stack([directions, [0, -1, 0, 0]])[:, : 3 if condition.turns else 2]
+    free = np.column_stack([directions, [0, -1, 0, 0]])
     inductance = free.T @ (gap * axes @ axes.T + leakage) @ free
     resistance = condition.warmth * TRUTH["Rs"] * free.T @ np.diag(turns) @ free
-    if condition.turns:
-        resistance[2, 2] += CONTACT
+    resistance[2, 2] += CONTACT
+    if not condition.turns:
+        inductance[2, 2] = 1.0  # no turns, no flux: whatever the inductance, no current
     return inductance, np.asarray(resistance, dtype=np.float64), free.T @ axes
 
 
-def _cage(condition: Condition, gap: float) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+def _cage(condition: Condition, gap: float) -> tuple[Floats, Floats, Floats]:
+    """Return inductance (nr, nr), resistance (nr, nr) and mutual inductance (2, nr) of the loops that are left."""
     angles = 2 * pi * POLE_PAIRS / BARS * np.arange(BARS)
     loops = sqrt(2 / BARS) * np.array([np.cos(angles), np.sin(angles)])
     half = pi * POLE_PAIRS / BARS
@@ -112,10 +115,14 @@ def _cage(condition: Condition, gap: float) -> tuple[Floats, Floats, Floats, Flo
     resistance = condition.warmth * TRUTH["Rr"] * (whole / gap) ** 2 * mesh
     joined = np.eye(BARS)[:, condition.bars :].copy()
     joined[: condition.bars, 0] = 1.0
-    admittance = np.asarray(np.linalg.inv(joined.T @ inductance @ joined), dtype=np.float64)
-    coupled = gap * loops @ joined
-    answer = admittance @ coupled.T
-    return coupled, admittance, answer, coupled @ answer, joined.T @ resistance @ joined
+    return joined.T @ inductance @ joined, joined.T @ resistance @ joined, gap * loops @ joined
+
+
+def _modes(inductance: Floats, resistance: Floats, mutual: Floats) -> tuple[Floats, Floats]:
+    """Return coupling and decay of the modes: combinations of loops that have 1 H and no resistance in common."""
+    decay, loops = linalg.eigh(resistance, inductance)
+    missing = BARS - decay.size  # broken bars leave fewer loops: the others are coupled with nothing
+    return np.pad(mutual @ loops, ((0, 0), (0, missing))), np.pad(decay, (0, missing))
 
 
 def bar_angle(bars: int) -> float:
@@ -137,85 +144,41 @@ GAIN, INTEGRAL_TIME, SMOOTHING, TORQUE_MAX = 0.67, 0.12, 0.01, 14.0  # of the sp
 KNOWN_RS, KNOWN_RR, KNOWN_LM, KNOWN_LF = 9.5, 4.0, 0.44, 0.075  # what the control takes the machine for
 FLUX, FLUX_GAIN, CURRENT_MAX, VOLTAGE_MAX = 1.15, 20.0, 6.0, 380.0  # Wb, A/Wb, A, V
 CURRENT_TIME, MAGNETISING_TIME, INVERTER_TIME = 0.003, 0.01, 0.002  # s
-CONTROL_STATES = 12
+FLUXES = 3 + BARS  # of the stator and of the cage's modes: the first states
+STATES = FLUXES + 12
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def control(x: Floats, ids: float, iqs: float, reference: float, rates: Floats) -> None:
-    """Rates of speed control (halfway, smooth, integral), current control (flux, wanted, integrals) and inverter.
-
-    x: angle and mechanical speed of the rotor, then these states; voltages and currents in axes linked to the rotor.
-    """
-    speed, halfway, smooth, integral, fluxd, fluxq, wanted, vf, vt, ud, uq = x[1:]
-    unlimited = GAIN * (smooth - speed) + integral
-    torque = max(-TORQUE_MAX, min(TORQUE_MAX, unlimited))
-    rates[2] = (reference - halfway) / SMOOTHING
-    rates[3] = (halfway - smooth) / SMOOTHING
-    rates[4] = (GAIN * (smooth - speed) + torque - unlimited) / INTEGRAL_TIME
-    rates[5] = KNOWN_RR * (ids - fluxd / KNOWN_LM)
-    rates[6] = KNOWN_RR * (iqs - fluxq / KNOWN_LM)
-    flux = sqrt(fluxd * fluxd + fluxq * fluxq)
-    c, s = fluxd / flux, fluxq / flux
-    along, across = c * ids + s * iqs, c * iqs - s * ids
-    rates[7] = (min(CURRENT_MAX, FLUX / KNOWN_LM + FLUX_GAIN * (FLUX - flux)) - wanted) / MAGNETISING_TIME
-    ef, et = wanted - along, torque / (POLE_PAIRS * FLUX) - across
-    turning = POLE_PAIRS * speed + KNOWN_RR * across / max(flux, FLUX / 2)
-    uf = KNOWN_LF / CURRENT_TIME * ef + vf - turning * KNOWN_LF * across
-    ut = KNOWN_LF / CURRENT_TIME * et + vt + turning * (KNOWN_LF * along + flux)
-    share = VOLTAGE_MAX / max(VOLTAGE_MAX, sqrt(uf * uf + ut * ut))
-    rates[8] = ((KNOWN_RS + KNOWN_RR) * ef + (share - 1) * uf) / CURRENT_TIME
-    rates[9] = ((KNOWN_RS + KNOWN_RR) * et + (share - 1) * ut) / CURRENT_TIME
-    rates[10] = (share * (c * uf - s * ut) - ud) / INVERTER_TIME
-    rates[11] = (share * (s * uf + c * ut) - uq) / INVERTER_TIME
+@cache
+def _compiled() -> ctypes.CDLL:
+    """Compile machine.c, once a process, with this module's constants."""
+    constants = {name: value for name, value in globals().items() if name.isupper() and isinstance(value, int | float)}
+    macros = [f"-D{name}=({value!r})" for name, value in constants.items()]
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        library = Path(folder) / "machine.so"
+        flags = [*FLAGS, *WARNINGS, "-fPIC", *macros]
+        subprocess.run([*compiler_here(), *flags, str(SOURCE), "-lm", "-o", str(library)], check=True)
+        return ctypes.CDLL(str(library))
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def slope(x: Floats, reference: float, w: Windings, rates: Floats) -> tuple[float, float]:
-    """Rates of all states: stator fluxes, fluxes of the cage's loops, `control`'s; returns the currents ids, iqs."""
-    nz, nr = w.axes.shape[0], w.admittance.shape[0]
-    rest = x[nz + nr :]
-    c, s = cos(rest[0]), sin(rest[0])
-    turned = np.empty((nz, 2))  # the stator's turns along axes linked to the rotor
-    turned[:, 0] = c * w.axes[:, 0] + s * w.axes[:, 1]
-    turned[:, 1] = c * w.axes[:, 1] - s * w.axes[:, 0]
-    still = w.admittance @ x[nz : nz + nr]  # currents of the cage, were there none in the stator
-    reduced = w.inductance - turned @ w.reduction @ turned.T
-    currents = np.linalg.solve(reduced, x[:nz] - turned @ (w.loops @ still))
-    along = turned.T @ currents
-    loops = still - w.answer @ along
-    field = w.loops @ loops
-    ud, uq = rest[10], rest[11]
-    rates[:nz] = -(w.resistance @ currents)
-    rates[0] += c * ud - s * uq
-    rates[1] += s * ud + c * uq
-    rates[nz : nz + nr] = -(w.loop_resistance @ loops)
-    torque = POLE_PAIRS * (field[0] * along[1] - field[1] * along[0])
-    ids, iqs = c * currents[0] + s * currents[1], c * currents[1] - s * currents[0]
-    others = rates[nz + nr :]
-    others[0] = POLE_PAIRS * rest[1]
-    others[1] = (torque - LOAD * rest[1]) / INERTIA
-    control(rest, ids, iqs, reference, others)
-    return ids, iqs
+class _Pointers(ctypes.Structure):
+    """`Windings`, as machine.c has them."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in Windings._fields]
+
+    def __init__(self, windings: Windings) -> None:
+        self.arrays = Windings(*(np.ascontiguousarray(each, dtype=np.float64) for each in windings))
+        super().__init__(*(each.ctypes.data for each in self.arrays))
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def integrate(start: Floats, references: Floats, h: float, substeps: int, w: Windings) -> Floats:
-    """Return voltages, electrical speed, angle and currents at every sample (K, 6) under references (K,) held."""
-    found = np.empty((references.size, 6))
-    x = start.copy()
-    before = x.size - CONTROL_STATES
-    one, two, three, four = np.empty_like(x), np.empty_like(x), np.empty_like(x), np.empty_like(x)
-    for k in range(references.size):
-        ids, iqs = slope(x, references[k], w, one)
-        rest = x[before:]
-        found[k] = rest[10], rest[11], POLE_PAIRS * rest[1], rest[0], ids, iqs
-        for _ in range(substeps):
-            slope(x, references[k], w, one)
-            slope(x + h / 2 * one, references[k], w, two)
-            slope(x + h / 2 * two, references[k], w, three)
-            slope(x + h * three, references[k], w, four)
-            x = x + h / 6 * (one + 2 * two + 2 * three + four)
-    return found
+def _data(array: Floats) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def slope(x: Floats, reference: float, w: Windings) -> tuple[Floats, Floats]:
+    """Return the rates of all states (STATES,), listed in machine.c, and the currents ids, iqs (2,)."""
+    x, rates, currents = np.ascontiguousarray(x, dtype=np.float64), np.empty(STATES), np.empty(2)
+    _compiled().slope(_data(x), ctypes.c_double(reference), ctypes.byref(_Pointers(w)), _data(rates), _data(currents))
+    return rates, currents
 
 
 def run(condition: Condition, references: Floats, sample_time: float, substeps: int) -> Floats:
@@ -236,7 +199,10 @@ def run(condition: Condition, references: Floats, sample_time: float, substeps: 
     (K, 6) array
         ``uds``, ``uqs`` (V), electrical speed ``w`` (rad/s), ``theta`` (rad), ``ids``, ``iqs`` (A).
     """
-    matrices = Windings(*(np.ascontiguousarray(each, dtype=np.float64) for each in windings(condition)))
-    start = np.zeros(matrices.axes.shape[0] + matrices.admittance.shape[0] + CONTROL_STATES)
-    start[-CONTROL_STATES:][1:6] = SPEED, SPEED, SPEED, LOAD * SPEED, 0.01  # the flux of the control must not be zero
-    return np.asarray(integrate(start, references, sample_time / substeps, substeps, matrices))
+    references, found = np.ascontiguousarray(references, dtype=np.float64), np.empty((references.size, 6))
+    x = np.zeros(STATES)
+    x[FLUXES + 1 : FLUXES + 6] = SPEED, SPEED, SPEED, LOAD * SPEED, 0.01  # the flux of the control must not be zero
+    h, w = ctypes.c_double(sample_time / substeps), _Pointers(windings(condition))
+    count = ctypes.c_int(references.size)
+    _compiled().integrate(_data(x), _data(references), count, h, ctypes.c_int(substeps), ctypes.byref(w), _data(found))
+    return found

@@ -1,4 +1,4 @@
-"""The models that are fitted to a faulty machine, as today's `fmuid.Problem`: common mode with prior, fault free."""
+"""What a record is compared with: the healthy machine, as a record of it shows it, and the models of its faults."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from functools import cache
 from math import pi
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 import fmuid
@@ -18,7 +17,7 @@ RATIOS = ("fault.eta_a", "fault.eta_b", "fault.eta_c")
 INFLATION = {"Rs": 60.0, "Rr": 150.0, "Lm": 3.0, "Lf": 3.0}
 """By how much standard deviations of the healthy estimate grow: the temperature moves resistances, by 30 %."""
 
-INPUTS = ("uds", "uqs", "w")
+INPUTS, OUTPUTS = ("uds", "uqs", "w"), ("ids", "iqs")
 
 
 def path(model: str) -> Path:
@@ -46,64 +45,26 @@ def healthy_machine() -> fmuid.System:
 
 
 @cache
-def rotor() -> fmuid.System:
-    """Return the machine with broken bars."""
-    return fmuid.System(path("InductionMachineRotorFault"))
-
-
-def healthy(record: pd.DataFrame) -> fmuid.Result:
-    """Identify a healthy machine from the data alone."""
-    experiment = fmuid.Experiment(record, INPUTS, ("ids", "iqs"))
-    parameters = {name: fmuid.Parameter(value) for name, value in NOMINAL.items()}
-    return fmuid.identify(fmuid.Problem(healthy_machine(), experiment, parameters))
-
-
-def common(known: fmuid.Result) -> dict[str, fmuid.Parameter]:
-    """Return the nominal parameters with the inflated prior of the healthy estimate (1.66, 1.67)."""
-    found = zip(known.names, known.values.tolist(), known.std.tolist(), strict=True)
+def faults() -> dict[str, fmuid.Fault]:
+    """Return what may be wrong: short circuits, a ratio a phase, free also to be negative; broken bars."""
+    ratios = {name: fmuid.Parameter(0.0, nominal=0.01) for name in RATIOS}
+    own = {name: f"machine.{name} + fault.{name}" for name in OUTPUTS}
+    rotor = fmuid.System(path("InductionMachineRotorFault"))
+    size = fmuid.Parameter(0.0, min=0.0, max=1.4, nominal=0.1)
+    angle = fmuid.Parameter(0.0, min=0.0, max=pi, nominal=1.0)
     return {
-        name: fmuid.Parameter(value, prior=fmuid.Normal(value, INFLATION[name] * std)) for name, value, std in found
+        "stator": fmuid.Fault(stator(), ratios, own, inputs={"theta": "theta"}),
+        "rotor": fmuid.Fault(rotor, {"eta0": size, "theta0": angle}, angles=["theta0"]),
     }
 
 
-def noise(known: fmuid.Result) -> fmuid.Noise:
-    """Return the noise variances of the healthy identification."""
-    return fmuid.Noise(float(np.mean(list(known.noise_variance.values()))))
+def healthy(record: pd.DataFrame) -> fmuid.Baseline:
+    """Identify a healthy machine from the data alone; return what it says, with room for other temperatures."""
+    parameters = {name: fmuid.Parameter(value) for name, value in NOMINAL.items()}
+    experiment = fmuid.Experiment(record, INPUTS, OUTPUTS)
+    return fmuid.Baseline(fmuid.identify(fmuid.Problem(healthy_machine(), experiment, parameters)), INFLATION)
 
 
-def nominal_fit(record: pd.DataFrame, known: fmuid.Result) -> fmuid.Result:
-    """Identify the common mode alone: no fault."""
-    experiment = fmuid.Experiment(record, INPUTS, ("ids", "iqs"))
-    return fmuid.identify(fmuid.Problem(healthy_machine(), experiment, common(known), noise=noise(known)))
-
-
-def stator_fit(record: pd.DataFrame, known: fmuid.Result, plain: fmuid.Result) -> fmuid.Result:
-    """Identify the ratios of shorted turns of all three phases, free also to be negative, beside the common mode.
-
-    Starts at the estimate without fault.
-    """
-    outputs = {f"machine.{name} + fault.{name}": name for name in ("ids", "iqs")}
-    experiment = fmuid.Experiment(record, (*INPUTS, "theta"), outputs)
-    parameters = common(known) | {name: fmuid.Parameter(0.0, nominal=0.01) for name in RATIOS}
-    problem = fmuid.Problem(stator(), experiment, parameters, noise=noise(known))
-    return fmuid.identify(problem, start=[*plain.values, 0.0, 0.0, 0.0])
-
-
-def rotor_fit(record: pd.DataFrame, known: fmuid.Result, plain: fmuid.Result) -> fmuid.Result | None:
-    """Identify size and angle of broken bars beside the common mode.
-
-    Starts at the estimate without fault, off zero, where the angle means nothing, and from two angles at right angles;
-    the better one counts. None where neither converges: the size ended at its bound 0.
-    """
-    experiment = fmuid.Experiment(record, INPUTS, ("ids", "iqs"))
-    found = []
-    for angle in (pi / 4, 3 * pi / 4):
-        fault = {
-            "eta0": fmuid.Parameter(0.03, min=0.0, max=1.4, nominal=0.1),
-            "theta0": fmuid.Parameter(angle, nominal=1.0),
-        }
-        problem = fmuid.Problem(rotor(), experiment, common(known) | fault, noise=noise(known))
-        result = fmuid.identify(problem, start=[*plain.values, 0.03, angle])
-        if result.converged:
-            found.append(result)
-    return min(found, key=lambda result: result.criterion, default=None)
+def diagnose(record: pd.DataFrame, known: fmuid.Baseline) -> fmuid.Diagnosis:
+    """Look for both faults in a record."""
+    return fmuid.diagnose(fmuid.Experiment(record, INPUTS, OUTPUTS), known, faults(), healthy_machine())

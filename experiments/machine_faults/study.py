@@ -5,107 +5,52 @@
 Run from the project's folder; it rewrites draws.csv and sizes.png beside it and the tables in README.md.
 
 Each draw has a healthy record of its own, from which the nominal parameters, their prior and the noise variance come. A
-record in question is then fitted three times: common mode alone, with short circuits of the stator, with broken bars.
+record in question is then diagnosed with short circuits of the stator and with broken bars as hypotheses.
 """
 
 from __future__ import annotations
 
 import re
 import time
-from dataclasses import dataclass
-from math import pi
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import chi2
 
 import fmuid
 from experiments.machine_faults import models
 from experiments.machine_faults.machine import BARS, TURNS, bar_angle
 from experiments.machine_faults.make_tables import CASES, add_noise, simulate
-from fmuid.arrays import Floats
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, INK, WIDTH, style
 
 HERE = Path(__file__).parent
 
 DRAWS = 10
 HEALTHY_DRAWS = 50  # of each case without a fault: they show false alarms
-FALSE_ALARM = 0.01  # both hypotheses together, half of it each (Bonferroni)
 
 
-@dataclass(frozen=True)
-class Finding:
-    """The three fits of a record, and what they say; `rotor` is None where broken bars do not explain anything."""
-
-    plain: fmuid.Result
-    stator: fmuid.Result
-    rotor: fmuid.Result | None
-
-    @property
-    def gains(self) -> tuple[float, float]:
-        """By how much a fault of the stator and one of the rotor lower the compound criterion (1.68)."""
-        rotor = self.rotor.criterion if self.rotor else self.plain.criterion
-        return self.plain.criterion - self.stator.criterion, self.plain.criterion - rotor
-
-    @property
-    def turns(self) -> tuple[Floats, Floats]:
-        """Shorted turns of the phases a, b, c (3,), and their standard deviations."""
-        places = [self.stator.names.index(name) for name in models.RATIOS]
-        return TURNS * self.stator.values[places], TURNS * self.stator.std[places]
-
-    @property
-    def bars(self) -> dict[str, float]:
-        """``eta0`` and ``theta0`` in [0, pi) of the broken bars, and ``std_eta0``; no angle where there is no size."""
-        if self.rotor is None:
-            return {"eta0": 0.0, "std_eta0": np.nan, "theta0": np.nan}
-        size, angle = (self.rotor.names.index(name) for name in ("eta0", "theta0"))
-        values = self.rotor.values
-        return {"eta0": values[size], "std_eta0": self.rotor.std[size], "theta0": values[angle] % pi}
-
-    @property
-    def verdict(self) -> str:
-        """``none``, ``stator a`` to ``stator c``, or ``rotor``."""
-        return verdict(*self.gains, self.turns[0])
-
-    @property
-    def best(self) -> fmuid.Result:
-        """The fit that the verdict is for."""
-        if self.rotor is not None and self.verdict == "rotor":
-            return self.rotor
-        return self.plain if self.verdict == "none" else self.stator
+def verdict(found: fmuid.Diagnosis) -> str:
+    """Return ``none``, ``rotor``, ``stator a`` to ``stator c`` by the largest ratio, or what else it may be."""
+    if found.kind in ("fault", "ambiguous"):
+        phase = "abc"[int(np.argmax([size.value for size in found["stator"].sizes]))]
+        return " or ".join(f"stator {phase}" if name == "stator" else name for name in found.named)
+    return "none" if found.kind == "healthy" else found.kind
 
 
-def verdict(stator_gain: float, rotor_gain: float, turns: Floats) -> str:
-    """Return ``none``, ``stator a`` to ``stator c``, or ``rotor``.
-
-    Twice the logarithm of the likelihood ratio of a fault that is not there follows chi square, with as many degrees of
-    freedom as the fault has parameters. Of two faults above their thresholds the one further above is named, of the
-    phases that with the largest ratio.
-    """
-    level = 1 - FALSE_ALARM / 2
-    stator, rotor = stator_gain - chi2.ppf(level, 3), rotor_gain - chi2.ppf(level, 2)
-    if max(stator, rotor) <= 0:
-        return "none"
-    return f"stator {'abc'[int(np.argmax(turns))]}" if stator > rotor else "rotor"
-
-
-def examine(record: pd.DataFrame, known: fmuid.Result) -> Finding:
-    """Fit a record without fault and with either fault.
-
-    Raises
-    ------
-    RuntimeError
-        If a search does not converge; that for broken bars may end at size 0.
-    """
-    plain = models.nominal_fit(record, known)
-    found = Finding(plain, models.stator_fit(record, known, plain), models.rotor_fit(record, known, plain))
-    for result in (found.plain, found.stator):
-        if not result.converged:
-            raise RuntimeError(f"the search did not converge: {fmuid.describe(result)}")
-    return found
+def row(found: fmuid.Diagnosis) -> dict[str, str | float]:
+    """Return what draws.csv has of a diagnosis."""
+    sizes, bars = found["stator"].sizes, found["rotor"]["eta0"]
+    common = found[found.named[0]].common if found.named else found.nominal
+    return {
+        "verdict": verdict(found),
+        **{f"{each.name}_D": each.statistic for each in found.hypotheses},
+        **{f"turns_{phase}": TURNS * size.value for phase, size in zip("abc", sizes, strict=True)},
+        **{f"std_{phase}": TURNS * size.std for phase, size in zip("abc", sizes, strict=True)},
+        **{"eta0": bars.value, "std_eta0": bars.std, "theta0": bars.angle_value},
+        **{name: common[name][0] for name in ("Rs", "Rr")},
+    }
 
 
 def draws() -> pd.DataFrame:
@@ -117,20 +62,8 @@ def draws() -> pd.DataFrame:
         for number, (case, condition) in enumerate(CASES.items()):
             if seed >= DRAWS and (condition.turns or condition.bars):
                 continue
-            found = examine(add_noise(clean[case], np.random.default_rng([seed, number])), known)
-            (turns, turns_std), best = found.turns, found.best
-            rows.append(
-                {
-                    "case": case,
-                    "seed": seed,
-                    "verdict": found.verdict,
-                    **dict(zip(("stator_gain", "rotor_gain"), found.gains, strict=True)),
-                    **dict(zip(("turns_a", "turns_b", "turns_c"), turns.tolist(), strict=True)),
-                    **dict(zip(("std_a", "std_b", "std_c"), turns_std.tolist(), strict=True)),
-                    **found.bars,
-                    **{name: best.values[best.names.index(name)] for name in ("Rs", "Rr")},
-                }
-            )
+            found = models.diagnose(add_noise(clean[case], np.random.default_rng([seed, number])), known)
+            rows.append({"case": case, "seed": seed, **row(found)})
         print(f"draw {seed}", flush=True)
     return pd.DataFrame(rows)
 
@@ -156,17 +89,17 @@ def spread(values: pd.Series) -> str:
 
 
 def summary(found: pd.DataFrame) -> str:
-    """Return the verdicts and the gains of all cases as Markdown."""
+    """Return verdicts, statistics and resistances of all cases as Markdown."""
     lines = [
-        "| case | draws | verdicts | gain, stator | gain, rotor | Rs (Ω) | Rr (Ω) |",
+        "| case | draws | verdicts | D, stator | D, rotor | Rs (Ω) | Rr (Ω) |",
         "|---|---|---|---|---|---|---|",
     ]
     for case, part in found.groupby("case", sort=False):
         counts = part["verdict"].value_counts()
         verdicts = ", ".join(f"{name}: {count}" for name, count in counts.items())
-        gains = [f"{part[f'{fault}_gain'].mean():.0f}" for fault in ("stator", "rotor")]
+        statistics = [f"{part[f'{fault}_D'].mean():.0f}" for fault in ("stator", "rotor")]
         means = [f"{part[name].mean():.2f}" for name in ("Rs", "Rr")]
-        lines.append("| " + " | ".join([words(str(case)), str(len(part)), verdicts, *gains, *means]) + " |")
+        lines.append("| " + " | ".join([words(str(case)), str(len(part)), verdicts, *statistics, *means]) + " |")
     return "\n".join(lines)
 
 
