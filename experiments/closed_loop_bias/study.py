@@ -12,7 +12,6 @@ identified as a whole, from its reference.
 
 from __future__ import annotations
 
-import re
 import time
 from functools import cache
 from pathlib import Path
@@ -26,6 +25,7 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter, max_len_seq
 
 import fmuid
+from experiments import pages
 from fmuid.arrays import Floats
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
 
@@ -263,12 +263,6 @@ def table(found: pd.DataFrame) -> str:
     return "\n".join(lines)
 
 
-def insert(page: str, biases: str) -> str:
-    """Return a page with the table between the comments ``<!-- bias -->`` and ``<!-- end of bias -->``."""
-    begin, end = "<!-- bias -->", "<!-- end of bias -->"
-    return re.sub(f"{begin}.*{end}", lambda _: f"{begin}\n{biases}\n{end}", page, flags=re.DOTALL)
-
-
 def figure(found: pd.DataFrame) -> Figure:
     """Draw the bias against the signal-to-noise ratio: per cent above, in standard deviations of an estimate below."""
     with style():
@@ -314,8 +308,7 @@ def main() -> None:
     drawn = figure(found)
     with style():  # ticks take theirs when they are drawn
         drawn.savefig(HERE / "bias.png", dpi=DPI)
-    readme = HERE / "README.md"
-    readme.write_text(insert(readme.read_text(encoding="utf-8"), table(found)), encoding="utf-8")
+    pages.rewrite(HERE, {"bias": table(found)})
     print(table(found))
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import time
 from functools import cache
 from pathlib import Path
@@ -23,6 +22,7 @@ from scipy import special
 from scipy.signal import lfilter, max_len_seq
 
 import fmuid
+from experiments import pages
 from fmuid.arrays import Floats
 from fmuid.diagnosis.decision import Reference
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
@@ -279,20 +279,6 @@ def alarms_table(found: pd.DataFrame) -> str:
     return "\n".join(lines)
 
 
-def insert(page: str, name: str, table: str) -> str:
-    """Return a page with a table between the comments ``<!-- name -->`` and ``<!-- end of name -->``.
-
-    Raises
-    ------
-    ValueError
-        If the page has no such place.
-    """
-    begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-    if begin not in page or end not in page:
-        raise ValueError(f"the page has no place for the table {name}")
-    return re.sub(f"{begin}.*{end}", lambda _: f"{begin}\n{table}\n{end}", page, flags=re.DOTALL)
-
-
 def figure(found: pd.DataFrame) -> Figure:
     """Draw the estimates of ΔR over the draws of each test, the truth, the chapter's, and the theory's density."""
     with style():
@@ -344,14 +330,8 @@ def main() -> None:
     drawn = figure(found)
     with style():  # ticks take theirs when they are drawn
         drawn.savefig(HERE / "draws.png", dpi=DPI)
-    page = (HERE / "README.md").read_text(encoding="utf-8")
-    for name, rows in (
-        ("single", single_table(single)),
-        ("draws", draws_table(found)),
-        ("alarms", alarms_table(alarms)),
-    ):
-        page = insert(page, name, rows)
-    (HERE / "README.md").write_text(page, encoding="utf-8")
+    written = {"single": single_table(single), "draws": draws_table(found), "alarms": alarms_table(alarms)}
+    pages.rewrite(HERE, written)
 
 
 if __name__ == "__main__":

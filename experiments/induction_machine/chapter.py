@@ -11,7 +11,6 @@ Run from the project's folder; it rewrites the tables (.csv) and figures (.png) 
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Mapping
 from functools import cache
@@ -26,6 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 import fmuid
+from experiments import pages
 from experiments.induction_machine import make_table
 from fmuid.arrays import Floats
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
@@ -340,16 +340,6 @@ def markdown(rows: list[list[str]]) -> str:
     return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
 
 
-def insert(page: str, tables: Mapping[str, str]) -> str:
-    """Return a page with the tables put between the comments ``<!-- name -->`` and ``<!-- end of name -->``."""
-    for name, table in tables.items():
-        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        page, count = re.subn(f"{begin}.*?{end}", lambda _: f"{begin}\n{table}\n{end}", page, flags=re.DOTALL)  # noqa: B023
-        if count != 1:
-            raise ValueError(f"the page needs one place for the table {name}, not {count}")
-    return page
-
-
 def main() -> None:
     """Rewrite tables, figures and the tables in README.md."""
     clean = make_table.simulate()
@@ -378,8 +368,7 @@ def main() -> None:
         "variance": variance_table(variances, drawn),
         "draws": draws_table(errors),
     }
-    readme = HERE / "README.md"
-    readme.write_text(insert(readme.read_text(encoding="utf-8"), tables), encoding="utf-8")
+    pages.rewrite(HERE, tables)
     print("\n\n".join(tables.values()))
 
 

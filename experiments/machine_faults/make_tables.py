@@ -10,6 +10,7 @@ in Park axes linked to the rotor.
 from __future__ import annotations
 
 import sys
+from functools import cache
 from math import sqrt
 from pathlib import Path
 
@@ -37,6 +38,7 @@ CASES = {
 """Name of a case to what the machine is like."""
 
 
+@cache
 def simulate(condition: Condition) -> pd.DataFrame:
     """Return what noise-free sensors would show of a machine, with the columns of the tables."""
     bits = 2.0 * max_len_seq(5)[0] - 1.0

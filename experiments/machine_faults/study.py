@@ -10,7 +10,6 @@ record in question is then diagnosed with short circuits of the stator and with 
 
 from __future__ import annotations
 
-import re
 import time
 from pathlib import Path
 
@@ -20,9 +19,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import fmuid
+from experiments import pages
 from experiments.machine_faults import models
 from experiments.machine_faults.machine import BARS, TURNS, bar_angle
-from experiments.machine_faults.make_tables import CASES, add_noise, simulate
+from experiments.machine_faults.make_tables import CASES, add_noise, simulate, table
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, INK, WIDTH, style
 
 HERE = Path(__file__).parent
@@ -53,17 +53,19 @@ def row(found: fmuid.Diagnosis) -> dict[str, str | float]:
     }
 
 
+def baseline(seed: int) -> fmuid.Baseline:
+    """Return what a draw's healthy record says of the machine."""
+    return models.healthy(add_noise(simulate(CASES["healthy"]), np.random.default_rng([seed, 1000])))
+
+
 def draws() -> pd.DataFrame:
     """Return a row for each draw of each case."""
-    clean = {case: simulate(condition) for case, condition in CASES.items()}
     rows = []
     for seed in range(HEALTHY_DRAWS):
-        known = models.healthy(add_noise(clean["healthy"], np.random.default_rng([seed, 1000])))
-        for number, (case, condition) in enumerate(CASES.items()):
-            if seed >= DRAWS and (condition.turns or condition.bars):
-                continue
-            found = models.diagnose(add_noise(clean[case], np.random.default_rng([seed, number])), known)
-            rows.append({"case": case, "seed": seed, **row(found)})
+        known = baseline(seed)
+        for case, condition in CASES.items():
+            if seed < DRAWS or not (condition.turns or condition.bars):
+                rows.append({"case": case, "seed": seed, **row(models.diagnose(table(case, seed), known))})
         print(f"draw {seed}", flush=True)
     return pd.DataFrame(rows)
 
@@ -127,12 +129,9 @@ def rotor_table(found: pd.DataFrame) -> str:
     return "\n".join(lines)
 
 
-def insert(page: str, tables: dict[str, str]) -> str:
-    """Return a page with each table between its comments, ``<!-- name -->`` and ``<!-- end of name -->``."""
-    for name, table in tables.items():
-        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        page = re.sub(f"(?<={begin}\n).*(?={end})", table + "\n", page, flags=re.DOTALL)
-    return page
+def tables(found: pd.DataFrame) -> dict[str, str]:
+    """Return the tables of the page."""
+    return {"verdicts": summary(found), "turns": stator_table(found), "bars": rotor_table(found)}
 
 
 def figure(found: pd.DataFrame) -> Figure:
@@ -181,9 +180,7 @@ def main() -> None:
     drawn = figure(found)
     with style():
         drawn.savefig(HERE / "sizes.png", dpi=DPI)
-    readme = HERE / "README.md"
-    tables = {"verdicts": summary(found), "turns": stator_table(found), "bars": rotor_table(found)}
-    readme.write_text(insert(readme.read_text(encoding="utf-8"), tables), encoding="utf-8")
+    pages.rewrite(HERE, tables(found))
 
 
 if __name__ == "__main__":

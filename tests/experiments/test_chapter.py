@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import fmuid
+from experiments import pages
 from experiments.induction_machine import chapter, make_table
 
 README = (chapter.HERE / "README.md").read_text(encoding="utf-8")
@@ -120,12 +121,12 @@ def test_the_page_shows_what_comes_out(
         "iterations": chapter.iterations_table(pd.read_csv(chapter.HERE / "iterations.csv")),
         "draws": chapter.draws_table(committed),
     }
-    assert chapter.insert(README, tables) == README, "run python -m experiments.induction_machine.chapter"
+    assert pages.insert(README, tables) == README, "run python -m experiments.induction_machine.chapter"
 
 
 def test_a_page_without_place_for_a_table_is_refused() -> None:
     with pytest.raises(ValueError, match="the table other"):
-        chapter.insert(README, {"other": "| a |"})
+        pages.insert(README, {"other": "| a |"})
 
 
 def test_figures_show_every_search(

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import fmuid
+from experiments import pages
 from experiments.closed_loop_bias import study
 
 OPEN, WHITE, COLOURED, WHOLE = study.KINDS
@@ -110,7 +111,7 @@ def test_the_committed_numbers_are_these(weak: pd.DataFrame, committed: pd.DataF
 def test_the_page_shows_them(committed: pd.DataFrame) -> None:
     page = (study.HERE / "README.md").read_text(encoding="utf-8")
     assert study.table(committed) in page, "run python -m experiments.closed_loop_bias.study"
-    assert study.insert(page, study.table(committed)) == page
+    assert pages.insert(page, {"bias": study.table(committed)}) == page
 
 
 def test_the_figure_shows_every_case(committed: pd.DataFrame) -> None:

@@ -11,6 +11,7 @@ import pytest
 from scipy.linalg import expm
 
 import fmuid
+from experiments import pages
 from experiments.coil import study
 from fmuid.reports.words.diagnosis import hypothesis_notes, verdict
 
@@ -124,16 +125,12 @@ def test_warm_and_cold_coils_alarm_at_the_level() -> None:
 
 
 def test_the_page_shows_what_comes_out(single: dict[int, fmuid.Diagnosis], committed: pd.DataFrame) -> None:
-    page = README
-    for name, table in (
-        ("single", study.single_table(single)),
-        ("draws", study.draws_table(committed)),
-        ("alarms", study.alarms_table(pd.read_csv(study.HERE / "alarms.csv"))),
-    ):
-        page = study.insert(page, name, table)
-    assert page == README, "run python -m experiments.coil.study"
-    with pytest.raises(ValueError, match="no place for the table other"):
-        study.insert(README, "other", "")
+    tables = {
+        "single": study.single_table(single),
+        "draws": study.draws_table(committed),
+        "alarms": study.alarms_table(pd.read_csv(study.HERE / "alarms.csv")),
+    }
+    assert pages.insert(README, tables) == README, "run python -m experiments.coil.study"
 
 
 def test_the_healthy_result_is_of_the_committed_model() -> None:
