@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 import fmuid
 from experiments.induction_machine import chapter, make_table
 from fmuid.data.transforms import T23, park
+from tests.support.closed_forms import park_rates
 
 Array = npt.NDArray[np.floating]
 
@@ -107,19 +108,11 @@ def test_the_inverter_gives_the_mean_of_its_voltage(steps: pd.DataFrame) -> None
 
 def test_the_park_machine_under_the_table_s_straight_lines(frame: pd.DataFrame) -> None:
     """Park's equations (docs/method.md section 8) with voltages and speed linear between samples: some mA are left."""
-    Rs, Rr, Lm, Lf = TRUTH.values()
     times, inputs = frame["time"].to_numpy(), frame[["uds", "uqs", "w"]].to_numpy()
 
     def park_slope(t: float, x: Array, k: int) -> list[float]:
         share = (t - times[k]) / (times[k + 1] - times[k])
-        ud, uq, w = inputs[k] + share * (inputs[k + 1] - inputs[k])
-        id_, iq, fd, fq = x
-        return [
-            (ud - (Rs + Rr) * id_ + w * Lf * iq + Rr / Lm * fd + w * fq) / Lf,
-            (uq - (Rs + Rr) * iq - w * Lf * id_ + Rr / Lm * fq - w * fd) / Lf,
-            Rr * id_ - Rr / Lm * fd,
-            Rr * iq - Rr / Lm * fq,
-        ]
+        return park_rates(x, inputs[k] + share * (inputs[k + 1] - inputs[k]), list(TRUTH.values()))
 
     states = np.zeros((SAMPLES, 4))
     for k in range(SAMPLES - 1):

@@ -13,20 +13,11 @@ from fmpy.validation import validate_fmu
 
 from fmuid.errors import ModelicaError
 from fmuid.export import export_fmu
-from tests.support.exported import Running, export_text, running
+from tests.support.exported import Running, both_versions, export_text, running
+from tests.support.modelica import model
 
 solve_ivp: Any = scipy.integrate.solve_ivp  # its types do not allow for what events take
 ACCURATE = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
-both_versions = pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-
-
-def model(equations: str, declarations: str = "", interval: str = "0.1") -> str:
-    """Return a model that integrates y to x."""
-    return (
-        f"model Test input Real u; parameter Real a = 1; {declarations}\n"
-        f"output Real y; output Real x(start=0, fixed=true);\nequation der(x) = y;\n{equations}\n"
-        f"annotation(experiment(StopTime=1, Interval={interval})); end Test;"
-    )
 
 
 @both_versions

@@ -12,9 +12,7 @@ import scipy.linalg
 from scipy.integrate import solve_ivp
 
 from fmuid.export.loops import first_loop, solve_linear
-from tests.support.exported import Running, export_text, running
-
-both_versions = pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+from tests.support.exported import Running, both_versions, export_text, running
 
 # ---- powers
 

@@ -27,7 +27,7 @@ from fmuid.fmi.integrator import Integrator, function_table
 from fmuid.fmi.native import core
 from fmuid.fmi.native.build import compiler_here
 from fmuid.simulation.simulator import Simulator
-from tests.support.closed_forms import ball, coil_response
+from tests.support.closed_forms import ball, coil_response, park_rates
 from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS, HERE
 
@@ -267,19 +267,12 @@ def test_induction_machine_against_dop853(settings: dict[str, Any], tmp_path: Pa
     )
     for function in (core().integrator_begin, core().integrator_leave_events):
         assert function(memory.handle, 0.0) == 0
-    Rs, Rr, Lm, Lf = fmu.getReal([references[name] for name in ("Rs", "Rr", "Lm", "Lf")])
+    theta = fmu.getReal([references[name] for name in ("Rs", "Rr", "Lm", "Lf")])
     times = np.arange(40) * 7e-4
     inputs = np.column_stack([100 + 20 * rng.normal(size=(40, 2)).cumsum(axis=0), 157 + rng.normal(size=40)])
 
     def slope(t: float, x: NDArray[np.float64]) -> list[float]:
-        ud, uq, w = (np.interp(t, times, inputs[:, j]) for j in range(3))
-        d, q, fd, fq = x
-        return [
-            (ud - (Rs + Rr) * d + w * Lf * q + Rr / Lm * fd + w * fq) / Lf,
-            (uq - (Rs + Rr) * q - w * Lf * d + Rr / Lm * fq - w * fd) / Lf,
-            Rr * d - Rr / Lm * fd,
-            Rr * q - Rr / Lm * fq,
-        ]
+        return park_rates(x, [np.interp(t, times, inputs[:, j]) for j in range(3)], theta)
 
     x = np.zeros(4)
     for k in range(39):

@@ -23,6 +23,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from fmuid.data.transforms import T23, park
+from tests.support.closed_forms import park_rates
 from tests.support.paths import FMUS
 
 Array = npt.NDArray[Any]
@@ -80,17 +81,7 @@ def coil(x: Any, u: Any, p: Any) -> Any:
 
 def park_machine(x: Any, u: Any, p: Any) -> Any:
     """docs/method.md section 8, the state equations in Park axes linked to the rotor."""
-    ids, iqs, phidr, phiqr = x
-    uds, uqs, w = u
-    Rs, Rr, Lm, Lf = p["Rs"], p["Rr"], p["Lm"], p["Lf"]
-    return np.array(
-        [
-            (uds - (Rs + Rr) * ids + w * Lf * iqs + Rr / Lm * phidr + w * phiqr) / Lf,
-            (uqs - (Rs + Rr) * iqs - w * Lf * ids + Rr / Lm * phiqr - w * phidr) / Lf,
-            Rr * ids - Rr / Lm * phidr,
-            Rr * iqs - Rr / Lm * phiqr,
-        ]
-    )
+    return np.array(park_rates(x, u, [p[name] for name in ("Rs", "Rr", "Lm", "Lf")]))
 
 
 def faulty_coil(x: Any, u: Any, p: Any) -> Any:

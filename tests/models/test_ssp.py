@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,21 +34,12 @@ from tests.support.ssp_texts import (
     element,
     in_ssv,
     linear,
-    pack,
     parameter,
     table,
     units,
 )
 
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("platformdirs.user_cache_dir", lambda name: str(tmp_path / "cache" / name))
-
-
-@pytest.fixture
-def package(tmp_path: Path) -> Maker:
-    return partial(pack, tmp_path)
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 # --- what is read

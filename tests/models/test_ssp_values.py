@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -25,22 +24,13 @@ from tests.support.ssp_texts import (
     in_ssv,
     linear,
     mapping,
-    pack,
     parameter,
     parameter_set,
     table,
     units,
 )
 
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("platformdirs.user_cache_dir", lambda name: str(tmp_path / "cache" / name))
-
-
-@pytest.fixture
-def package(tmp_path: Path) -> Maker:
-    return partial(pack, tmp_path)
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 # --- parameter bindings

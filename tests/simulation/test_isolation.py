@@ -26,6 +26,7 @@ from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
     BAD,
     NAMES,
+    PROCESSES,
     RECORD,
     RECORD_FRAME,
     check_costs_only_its_own,
@@ -35,15 +36,7 @@ from tests.support.isolated import (
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu
 from tests.support.paths import FMUS
 
-pytestmark = [
-    pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
-    pytest.mark.usefixtures("nothing_said"),
-]
-
-
-@pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("misbehaving")
+pytestmark = PROCESSES
 
 
 CRASHES = {

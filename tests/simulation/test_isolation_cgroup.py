@@ -27,11 +27,6 @@ pytestmark = [
 HYBRID = "31 23 0:28 / /sys/fs/cgroup rw - tmpfs tmpfs rw\n32 31 0:29 / /sys/fs/cgroup/cpu rw - cgroup cgroup rw,cpu\n"
 
 
-@pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("misbehaving")
-
-
 @pytest.fixture
 def parent() -> Path:
     """The group of this process, below which it can make some."""

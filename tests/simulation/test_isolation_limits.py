@@ -23,18 +23,18 @@ from fmuid.simulation.executor import executor_of
 from fmuid.simulation.isolation.ends import REFUSED, End
 from fmuid.simulation.isolation.family import Footprint, family
 from fmuid.simulation.simulator import Simulator
-from tests.support.isolated import NAMES, RECORD, check_costs_only_its_own, expected, processes, thetas
+from tests.support.isolated import (
+    NAMES,
+    PROCESSES,
+    RECORD,
+    check_costs_only_its_own,
+    expected,
+    left_behind,
+    thetas,
+)
 from tests.support.misbehaving import Mode, misbehaving_fmu
 
-pytestmark = [
-    pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
-    pytest.mark.usefixtures("nothing_said"),
-]
-
-
-@pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("misbehaving")
+pytestmark = PROCESSES
 
 
 def test_a_million_rows_are_those_in_process(folder: Path) -> None:
@@ -165,12 +165,7 @@ def test_what_fmuid_itself_gives_a_process_does_not_count(folder: Path) -> None:
 @pytest.mark.parametrize("how", ["closed", "crashed"])
 def test_what_has_left_its_session_ends_too(folder: Path, how: str) -> None:
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
-    some = thetas(Mode.SOUND)
-    simulator(some)
-    there = {process.pid for process in processes()}
-    some[5, 2] = Mode.ESCAPE
-    assert np.array_equal(simulator(some), expected(folder, some))
-    escaped = [process for process in processes() if process.pid not in there]
+    escaped = left_behind(simulator, folder, Mode.ESCAPE)
     assert [os.getsid(process.pid) == os.getsid(process.ppid()) for process in escaped] == [False]
     if how == "closed":
         simulator.system.close()

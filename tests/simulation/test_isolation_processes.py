@@ -29,27 +29,21 @@ from fmuid.simulation.isolation.process import SERVER, ForkServer, Host
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
     NAMES,
+    PROCESSES,
     RECORD,
     RECORD_FRAME,
     TIMES,
     U,
     computing,
     expected,
+    left_behind,
     processes,
     thetas,
     wait_until,
 )
 from tests.support.misbehaving import Mode, lag, misbehaving_fmu
 
-pytestmark = [
-    pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
-    pytest.mark.usefixtures("nothing_said"),
-]
-
-
-@pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("misbehaving")
+pytestmark = PROCESSES
 
 
 def test_nothing_is_left_of_closed_systems(folder: Path) -> None:
@@ -123,12 +117,7 @@ def test_a_crash_is_seen_although_the_fmu_has_forked(folder: Path) -> None:
 
 def test_what_the_fmu_has_forked_ends_with_its_process(folder: Path) -> None:
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
-    some = thetas(Mode.SOUND)
-    simulator(some)
-    there = {process.pid for process in processes()}
-    some[5, 2] = Mode.SPAWN
-    assert np.array_equal(simulator(some), expected(folder, some))
-    spawned = [process for process in processes() if process.pid not in there]
+    spawned = left_behind(simulator, folder, Mode.SPAWN)
     assert spawned
     simulator.system.close()
     _, left = psutil.wait_procs(spawned, timeout=600)

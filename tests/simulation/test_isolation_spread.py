@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -22,14 +21,11 @@ from fmuid.simulation.isolation.family import condition_of
 from fmuid.simulation.isolation.isolated import IsolatedWorkers
 from fmuid.simulation.isolation.spread import SpreadWorkers
 from fmuid.simulation.simulator import Simulator
-from tests.support.isolated import NAMES, RECORD, closed_form, processes, thetas, wait_until
+from tests.support.isolated import NAMES, PROCESSES, RECORD, closed_form, processes, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
 from tests.support.paths import FMUS
 
-pytestmark = [
-    pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
-    pytest.mark.usefixtures("nothing_said"),
-]
+pytestmark = PROCESSES
 OPEN_MODELICA: dict[str, Any] = {"tool": "OpenModelica Compiler", "canBeInstantiatedOnlyOncePerProcess": "false"}
 
 

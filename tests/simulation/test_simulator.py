@@ -19,7 +19,7 @@ from fmuid.models.component import Numerics
 from fmuid.models.system import System
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.worker import Worker
-from tests.support.closed_forms import coil_response
+from tests.support.closed_forms import coil_response, park_rates
 from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
@@ -49,17 +49,10 @@ def test_induction_machine_equals_its_equations_integrated_by_scipy() -> None:
     times = np.arange(300) * 7e-4
     rng = np.random.default_rng(4)
     inputs = np.column_stack([100 + 20 * rng.normal(size=(300, 2)).cumsum(axis=0), 157 + rng.normal(size=300)])
-    Rs, Rr, Lm, Lf = theta = [9.0, 4.0, 0.4, 0.08]
+    theta = [9.0, 4.0, 0.4, 0.08]
 
     def slope(t: float, x: NDArray[np.float64]) -> list[float]:
-        ud, uq, w = (np.interp(t, times, inputs[:, j]) for j in range(3))
-        d, q, fd, fq = x
-        return [
-            (ud - (Rs + Rr) * d + w * Lf * q + Rr / Lm * fd + w * fq) / Lf,
-            (uq - (Rs + Rr) * q - w * Lf * d + Rr / Lm * fq - w * fd) / Lf,
-            Rr * d - Rr / Lm * fd,
-            Rr * q - Rr / Lm * fq,
-        ]
+        return park_rates(x, [np.interp(t, times, inputs[:, j]) for j in range(3)], theta)
 
     x, expected = np.zeros(4), [[0.0, 0.0]]
     for k in range(299):  # interval by interval: the inputs have kinks at the samples

@@ -1,6 +1,8 @@
-"""Closed forms that several tests compare with."""
+"""Closed forms and equations that several tests compare with."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,3 +31,18 @@ def coil_response(
         ramp = (h - L / R * (1 - a)) / (R * h) if linear and h else 0.0  # response to a rise of 1 within h
         i.append(a * i[-1] + held * u[k] + ramp * (u[k + 1] - u[k]))
     return np.array(i)
+
+
+def park_rates(
+    x: Iterable[float] | NDArray[np.float64], inputs: Sequence[float] | NDArray[np.float64], theta: Sequence[float]
+) -> list[float]:
+    """Rates of ids, iqs and the rotor fluxes of Park's machine under uds, uqs and w; theta is Rs, Rr, Lm, Lf."""
+    d, q, fd, fq = x  # docs/method.md section 8
+    ud, uq, w = inputs
+    Rs, Rr, Lm, Lf = theta
+    return [
+        (ud - (Rs + Rr) * d + w * Lf * q + Rr / Lm * fd + w * fq) / Lf,
+        (uq - (Rs + Rr) * q - w * Lf * d + Rr / Lm * fq - w * fd) / Lf,
+        Rr * d - Rr / Lm * fd,
+        Rr * q - Rr / Lm * fq,
+    ]

@@ -17,6 +17,7 @@ import pytest
 from fmuid.errors import ModelicaWarning
 from fmuid.export import build, export_fmu
 
+both_versions = pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 HERE = {"2.0": fmpy.platform, "3.0": fmpy.platform_tuple}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import time
 from collections.abc import Callable
 from functools import cache
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import psutil
+import pytest
 
 from fmuid.arrays import Floats
 from fmuid.data.experiment import Experiment
@@ -26,6 +28,11 @@ TIMES: Floats = np.linspace(0.0, 3.9, 40)
 U: Floats = np.sign(np.sin(3 * TIMES + 0.1))
 RECORD_FRAME = pd.DataFrame({"time": TIMES, "u": U, "x": 0.0 * TIMES})
 RECORD = Experiment(RECORD_FRAME, ["u"], ["x"], interpolation="hold", name="record")
+PROCESSES = [
+    pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
+    pytest.mark.usefixtures("nothing_said"),
+]
+"""Marks of tests of FMUs in processes of their own."""
 BAD = (3, 8)
 """The simulations of `thetas` in which the FMU misbehaves."""
 
@@ -67,6 +74,16 @@ def computing(command: int) -> list[psutil.Process]:
             if each.ppid() != command and each.cpu_times().user > 0.3:
                 found.append(each)
     return found
+
+
+def left_behind(simulator: Simulator, folder: Path, mode: Mode) -> list[psutil.Process]:
+    """Return the processes that an FMU starts and leaves behind; the simulations are what they are without."""
+    some = thetas(Mode.SOUND)
+    simulator(some)
+    there = {process.pid for process in processes()}
+    some[5, 2] = mode
+    assert np.array_equal(simulator(some), expected(folder, some))
+    return [process for process in processes() if process.pid not in there]
 
 
 def wait_until(condition: Callable[[], Any], seconds: float = 600.0) -> None:

@@ -45,3 +45,12 @@ equation
   annotation(experiment(StopTime=1, Interval=0.01));
 end Drive;
 """
+
+
+def model(equations: str, declarations: str = "", interval: str = "0.1") -> str:
+    """Return a model that integrates y to x."""
+    return (
+        f"model Test input Real u; input Real w; parameter Real a = 1; {declarations}\n"
+        f"output Real y; output Real x(start=0, fixed=true);\nequation der(x) = y;\n{equations}\n"
+        f"annotation(experiment(StopTime=1, Interval={interval})); end Test;"
+    )
