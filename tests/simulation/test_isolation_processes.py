@@ -244,7 +244,7 @@ def test_who_has_the_number_of_a_host_by_now_is_left_alone(how: str) -> None:
         try:
             host.pid = stranger.pid
             {"closed": host.close, "killed": host.kill, "struck": host.strike}[how]()
-            assert psutil.Process(stranger.pid).status() == psutil.STATUS_SLEEPING
+            wait_until(lambda: psutil.Process(stranger.pid).status() == psutil.STATUS_SLEEPING)  # not stopped
             assert stranger.poll() is None
         finally:
             stranger.kill()
