@@ -35,10 +35,10 @@ from .estimation import GlobalSearch as GlobalSearch
 from .estimation import LeastSquares as LeastSquares
 from .estimation import Marquardt as Marquardt
 from .estimation import Result as Result
-from .estimation import identify as identify
-from .estimation import search_globally as search_globally
 from .fmi import FMU as FMU
 from .model_problem import Problem as Problem
+from .model_problem import identify as identify
+from .model_problem import search_globally as search_globally
 from .models import Component as Component
 from .models import Isolation as Isolation
 from .models import Numerics as Numerics

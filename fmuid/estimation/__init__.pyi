@@ -1,3 +1,14 @@
+from .accuracy.check import checked as checked
+from .accuracy.check import fits_worse as fits_worse
+from .accuracy.check import misfit_of as misfit_of
+from .accuracy.check import simulated as simulated
+from .accuracy.check import with_shift as with_shift
+from .accuracy.outcome import SHIFT_LIMIT as SHIFT_LIMIT
+from .accuracy.outcome import Accuracy as Accuracy
+from .accuracy.outcome import AccuracyOutcome as AccuracyOutcome
+from .accuracy.outcome import Cause as Cause
+from .accuracy.outcome import Kept as Kept
+from .accuracy.outcome import Switch as Switch
 from .covariance import AtBound as AtBound
 from .covariance import Determined as Determined
 from .covariance import Direction as Direction
@@ -9,6 +20,7 @@ from .global_search.box import Box as Box
 from .global_search.box import spans_decades as spans_decades
 from .global_search.optima import GlobalResult as GlobalResult
 from .global_search.optima import Optimum as Optimum
+from .global_search.optima import merged as merged
 from .global_search.optima import optima_table as optima_table
 from .global_search.search import GlobalSearch as GlobalSearch
 from .global_search.search import search_globally as search_globally

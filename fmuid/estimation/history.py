@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -35,6 +35,13 @@ class History:
     rounds: tuple[Mapping[str, float], ...]
     experiments: tuple[Measurements, ...]
     simulated: tuple[Floats, ...]
+
+    def after(self, earlier: History) -> History:
+        """Return this history as what followed an earlier one."""
+        last, steps = len(earlier.rounds), max((step.number for _, step in earlier.iterations), default=0)
+        iterations = tuple((last + n, replace(step, number=steps + step.number)) for n, step in self.iterations)
+        rounds = tuple({**each, "round": last + each["round"]} for each in self.rounds)
+        return replace(self, iterations=earlier.iterations + iterations, rounds=earlier.rounds + rounds)
 
     def trace_frame(self) -> pd.DataFrame:
         """Return one row an iteration."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from fmuid.arrays import Floats
 from fmuid.data import JointPrior, Normal
 from fmuid.errors import InputError
 from fmuid.estimation import result_file
+from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
@@ -97,6 +98,9 @@ class Result:
         Where the whole box was searched: all that were found, each once, the best first. Not kept in a file.
     fits : int or None
         Of a search of the whole box: how many searches were made from points of it. Not kept in a file.
+    accuracy : Accuracy or None
+        What the error of the simulation does to the estimates; where it shifts them, that is part of `covariance`. None
+        where the simulation was not checked.
     """
 
     outcome: Outcome
@@ -126,6 +130,7 @@ class Result:
     history: History | None = None
     optima: tuple[Optimum, ...] = ()
     fits: int | None = None
+    accuracy: Accuracy | None = None
 
     @cached_property
     def trace(self) -> pd.DataFrame:
@@ -164,6 +169,11 @@ class Result:
     def pull(self) -> Floats:
         """How far each estimate lies from its prior mean, in prior standard deviations (N,); NaN without prior."""
         return (self.values - self.prior_mean) / self.prior_std
+
+    @property
+    def numerical_shift(self) -> Floats:
+        """What a finer simulation would move each estimate by, in its standard deviations (N,); NaN: not known."""
+        return np.full(len(self.names), np.nan) if self.accuracy is None else self.accuracy.shift
 
     @property
     def variance(self) -> dict[str, float]:
@@ -220,11 +230,23 @@ class Result:
                 "parameter": list(self.names),
                 "value": self.values,
                 "std": self.std,
+                "numerical_shift": self.numerical_shift,
                 "start": self.start,
                 "prior_mean": self.prior_mean,
                 "prior_std": self.prior_std,
                 "pull": self.pull,
             }
+        )
+
+    def after(self, earlier: Result) -> Result:
+        """Return this result as one of a search that began with an earlier one, from where this one set out."""
+        history = self.history and (self.history if earlier.history is None else self.history.after(earlier.history))
+        return replace(
+            self,
+            start=earlier.start,
+            moved_start=earlier.moved_start,
+            iterations=earlier.iterations + self.iterations,
+            history=history,
         )
 
     def prior(self, names: Sequence[str] | None = None, *, inflate: float = 1.0) -> JointPrior:

@@ -12,6 +12,7 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
+from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
 
@@ -28,6 +29,7 @@ def content(result: Result) -> dict[str, Any]:
             "value": _plain(result.values[i]),
             "std": _plain(std[i]),
             "start": _plain(result.start[i]),
+            "numerical_shift": _plain(result.numerical_shift[i]),
         }
         if not math.isnan(result.prior_mean[i]):
             parameters[name] |= {
@@ -59,6 +61,7 @@ def content(result: Result) -> dict[str, Any]:
         "models": {component: dict(model) for component, model in result.models.items()},
         "sensitivity": result.sensitivity,
         "moved_start": list(result.moved_start),
+        "accuracy": None if result.accuracy is None else result.accuracy.to_json_dict(),
     }
 
 
@@ -96,12 +99,13 @@ def _fields(data: Any) -> dict[str, Any]:
     covariance[lost, lost] = np.nan if outcome is Outcome.STALLED else np.inf
     column = {
         key: _array([parameters[name].get(key) for name in names], np.nan)
-        for key in ("value", "start", "prior_mean", "prior_std")
+        for key in ("value", "start", "prior_mean", "prior_std", "numerical_shift")
     }
     if any(found.shape != (len(names),) for found in column.values()):
         raise ValueError("a value of a parameter is no number")
     if (np.diag(covariance) < 0).any():
         raise ValueError("a variance is negative")
+    accuracy = data.get("accuracy")
     freedom, likelihood = data.get("degrees_of_freedom"), data.get("log_likelihood")
     return {
         "outcome": outcome,
@@ -130,6 +134,7 @@ def _fields(data: Any) -> dict[str, Any]:
         },
         "sensitivity": str(data.get("sensitivity", "")),
         "moved_start": tuple(map(str, data.get("moved_start", ()))),
+        "accuracy": None if accuracy is None else Accuracy.of_json(accuracy, column["numerical_shift"]),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -174,6 +175,41 @@ class System(Owner):
         if numerics != AS_OFFERED or isolation is not None:
             raise InputError("a System says interface, integrator, tolerance and isolation itself: give them to it")
         return model
+
+    def integrates(self, component: str) -> bool:
+        """Return whether a component has continuous states, as far as it tells.
+
+        What has none acts once a step, and would be another device if it did so more often. An FMU for co-simulation
+        alone need not say what states it has: one that is not coupled has some if an output is continuous.
+        """
+        described = self.components[component].fmu.description
+        untold = len(self.components) == 1 and "model-exchange" not in described.interfaces
+        return bool(described.states) or (untold and any(v.continuous for v in described.with_causality("output")))
+
+    def run_by(self, numerics: Mapping[str, Numerics]) -> System:
+        """Return this system with some of its components run in another way; it is closed with this one.
+
+        Parameters
+        ----------
+        numerics : mapping of str to Numerics
+            By component.
+
+        Raises
+        ------
+        InputError
+            If an FMU has no such interface, or the integrator does not go with the interface.
+        """
+
+        def make() -> System:
+            other = copy.copy(self)
+            Owner.__init__(other)
+            other.components = {
+                name: Component(model.fmu, numerics[name]) if name in numerics else model
+                for name, model in self.components.items()
+            }
+            return other
+
+        return self.variant(("run by", *sorted(numerics.items())), make) if numerics else self
 
     def __repr__(self) -> str:
         return f"System({', '.join(self.components)})" if self.name_prefixed else f"System({self.label})"

@@ -113,7 +113,7 @@ class _Run:
             start = resumed_start(self.folder / "result.json", problem.parameters) if resume else None
             files.make_folder(self.folder)
         try:
-            result = self.study.estimator.search(problem, self.progress, start)
+            result = self.study.search(problem, self.progress, start)
         except KeyboardInterrupt:
             raise SearchInterruptedError(None, ()) from None
         if result.local is None:

@@ -1,3 +1,11 @@
+from .accuracy import AS_ASKED as AS_ASKED
+from .accuracy import Refinement as Refinement
+from .accuracy import is_free as is_free
+from .accuracy import next_refinement as next_refinement
+from .accuracy import refined as refined
+from .accuracy import refined_system as refined_system
+from .accuracy import replaces_interface as replaces_interface
+from .accuracy import run_words as run_words
 from .executor import executor_of as executor_of
 from .fit import Fit as Fit
 from .fit import fit_of as fit_of

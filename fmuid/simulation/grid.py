@@ -42,7 +42,8 @@ def grid_of(task: Task) -> Grid:
             for name, mode in task.modes.items()
         )
         substeps = np.full(intervals.shape, LINEAR_SUBSTEPS if coarse else 1)
-    substeps = np.maximum(substeps, 1).astype(np.intp)
+    substeps = np.maximum(substeps, 1).astype(np.intp) * task.divisor
+    strides *= [1 if task.system.integrates(component) else task.divisor for component in task.steps]
     _check_steps(task, intervals / substeps)
     inputs, slopes = _converted_inputs(task)
     return Grid(np.array(task.experiment.times), substeps, strides, inputs, slopes if curved else None)

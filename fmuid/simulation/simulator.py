@@ -54,6 +54,8 @@ class Simulator:
     step_size : float, optional
         Largest communication step, s, of all components, and largest step of an integrator; default: what the system
         says, else from sample to sample.
+    divisor : int
+        What each step of components that integrate is divided by (`fmuid.simulation.accuracy`).
     isolation : Isolation, optional
         Runs an FMU in a process of its own; default: in this one, which an FMU that crashes takes with it.
 
@@ -80,6 +82,7 @@ class Simulator:
         integrator: str | None = None,
         tolerance: float | None = None,
         step_size: float | None = None,
+        divisor: int = 1,
         isolation: Isolation | None = None,
     ) -> None:
         self.system = System.of(model, Numerics(interface, integrator, tolerance), isolation)
@@ -88,14 +91,14 @@ class Simulator:
         repeated = {name for name in self.parameters if self.parameters.count(name) > 1}
         if repeated:
             raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
-        self._given = dict(values or {}), step_size
+        self._given, self._divisor = (dict(values or {}), step_size), divisor
         self._targets = [
             (name, column, factor, offset)
             for column, parameter in enumerate(self.parameters)
             for name, factor, offset in self.system.targets(parameter)
         ]
         names = [name for name, *_ in self._targets]
-        self._run = run_of(task_of(self.system, experiment, names, self._target_values(), step_size))
+        self._run = run_of(task_of(self.system, experiment, names, self._target_values(), step_size, divisor))
         self._executor = executor_of(self.system)
         self._conversions = self._output_conversions()
         fed = {*names, *self._target_values(), *self.system.connected_inputs, *self.system.connectors}
@@ -201,8 +204,15 @@ class Simulator:
 
     def over(self, experiment: Experiment) -> Simulator:
         """Return the simulator of another experiment with the same model, parameters and values."""
+        return self._like(self.system, experiment, self._divisor)
+
+    def by(self, system: System, divisor: int) -> Simulator:
+        """Return the simulator of the same experiment by another way to run the system (`fmuid.System.run_by`)."""
+        return self._like(system, self.experiment, divisor)
+
+    def _like(self, system: System, experiment: Experiment, divisor: int) -> Simulator:
         values, step_size = self._given
-        return Simulator(self.system, experiment, self.parameters, values=values, step_size=step_size)
+        return Simulator(system, experiment, self.parameters, values=values, step_size=step_size, divisor=divisor)
 
     @property
     def output_factors(self) -> NDArray[np.float64]:

@@ -40,6 +40,8 @@ class Task:
         How each of them varies between the samples (`codes.HELD` and so on).
     steps : dict of str to float or None
         The largest communication step of each component, s; None where the samples decide.
+    divisor : int
+        What the steps of components that integrate are divided by.
     """
 
     system: System
@@ -50,6 +52,7 @@ class Task:
     targets: dict[str, Target]
     modes: dict[str, int]
     steps: dict[str, float | None]
+    divisor: int = 1
 
     def start(self, name: str) -> float:
         """Return the start value of a variable, 0 where it has no number."""
@@ -83,7 +86,9 @@ class Task:
         model = self.system.components[component]
         description = model.fmu.description
         steps = [step for step in self.steps.values() if step is not None]
-        latched = codes.LATCHED if steps and (self.steps[component] or 0.0) > min(steps) else codes.ALWAYS
+        slower = bool(steps) and (self.steps[component] or 0.0) > min(steps)
+        slower |= self.divisor > 1 and not self.system.integrates(component)
+        latched = codes.LATCHED if slower else codes.ALWAYS
         exchanging = model.kind == "model-exchange"
         if not exchanging and not description.interfaces[model.kind].event_mode:
             return latched
@@ -102,6 +107,7 @@ def task_of(
     parameters: Sequence[str],
     values: Mapping[str, Value],
     step_size: float | None,
+    divisor: int = 1,
 ) -> Task:
     """Return the task of a system and an experiment.
 
@@ -115,6 +121,8 @@ def task_of(
         Variables held at a value.
     step_size : float, optional
         Largest communication step, s, in place of the system's; default: from sample to sample.
+    divisor : int
+        What the steps of components that integrate are divided by: what samples acts no more often for it.
 
     Raises
     ------
@@ -128,7 +136,7 @@ def task_of(
     modes = {name: _mode(system, name, bool(experiment.held[each.column])) for name, each in targets.items()}
     known = _known_values(system, {*parameters, *targets, *system.connected_inputs}) | dict(values)
     steps = _component_steps(system, step_size)
-    return Task(system, experiment, tuple(parameters), known, step_size, targets, modes, steps)
+    return Task(system, experiment, tuple(parameters), known, step_size, targets, modes, steps, divisor)
 
 
 def _targets(system: System, experiment: Experiment) -> dict[str, Target]:

@@ -11,6 +11,7 @@ from fmuid.assessment import LEVEL, UncertaintySettings
 from fmuid.data import LOSSES, Noise
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
+from fmuid.model_problem import ACCURACIES
 from fmuid.models import (
     Isolation,
 )
@@ -102,6 +103,12 @@ class EstimatorWords(Words):
     )
     sensitivity: Annotated[str, one_of(SENSITIVITIES)] = word(
         "finite-difference", "how derivatives by the parameters are found", "finite-difference"
+    )
+    accuracy: Annotated[str, one_of(ACCURACIES)] = word(
+        "switch",
+        "of the simulation: go on by a finer one where its error moves an estimate by more than 0.1 standard "
+        'deviations, just say so ("check"), or do not look ("off")',
+        "switch",
     )
     max_iterations: Count = word(SEARCH.max_iterations, "steps tried, accepted or not")
     tolerance: Positive = word(SEARCH.tolerance, "the largest change left for any parameter, relative")

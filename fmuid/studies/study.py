@@ -17,10 +17,10 @@ from fmuid.assessment import Uncertainty, UncertaintySettings, explore
 from fmuid.data import Experiment, JointPrior, Noise, Parameter, read_table
 from fmuid.errors import InputError
 from fmuid.estimation import Method, Result
-from fmuid.model_problem import Problem
+from fmuid.model_problem import Problem, identify
 from fmuid.models import System
 from fmuid.progress import Progress
-from fmuid.simulation import Fit, Simulator, fit_of
+from fmuid.simulation import Fit, Refinement, Simulator, fit_of
 from fmuid.studies.diagnosis import FaultSearch, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelSettings, named
 from fmuid.studies.overrides import override
@@ -31,6 +31,7 @@ from fmuid.studies.words import Place
 
 if TYPE_CHECKING:
     import pandas as pd
+    from numpy.typing import ArrayLike
 
     from fmuid.diagnosis import Diagnosis
     from fmuid.studies.batch import BatchSettings
@@ -63,6 +64,8 @@ class Study:
         What is asked beyond the local covariance.
     sensitivity : "finite-difference", "forward" or "fmu"
         How the derivatives of the outputs by the parameters are found.
+    accuracy : "switch", "check" or "off"
+        What is done about the error of the simulation (`fmuid.identify`).
     diagnosis : FaultSearch or None
         The faults to look for, and what is known of the healthy machine.
     monitoring : MonitoringWords
@@ -85,6 +88,7 @@ class Study:
     sources: tuple[Source, ...] = ()
     uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
     sensitivity: str = "finite-difference"
+    accuracy: str = "switch"
     diagnosis: FaultSearch | None = None
     monitoring: MonitoringWords = field(default_factory=MonitoringWords)
     batch: BatchSettings | None = None
@@ -160,6 +164,7 @@ class Study:
             known.sources,
             asked,
             estimator.sensitivity,
+            estimator.accuracy,
             None if diagnosis is None else diagnosis.settings(model, estimator.loss, known),
             words.monitoring,
             None if batch is None else batch.of(known.parameters, experiments, noise),
@@ -283,7 +288,20 @@ class Study:
         SimulationError
             If the simulation at the start fails.
         """
-        return self.estimator.search(self.problem(), progress)
+        return self.search(self.problem(), progress)
+
+    def search(self, problem: Problem, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
+        """Search by the method that the study names, and check the simulation as it says (`fmuid.identify`).
+
+        Parameters
+        ----------
+        problem : Problem
+            Of this study.
+        progress : callable, optional
+        start : (N,) array, optional
+            An earlier result, which makes a search of the whole box needless.
+        """
+        return identify(problem, self.estimator, progress, start, accuracy=self.accuracy)
 
     def diagnose(self, progress: Progress | None = None) -> Diagnosis:
         """Look for the faults that ``[diagnosis]`` names.
@@ -332,7 +350,10 @@ class Study:
         SimulationError
             If the simulation fails at the result.
         """
-        return explore(self.problem(), result, self.uncertainty_settings, progress, box=self.estimator.whole_box)
+        problem = self.problem()
+        if result.accuracy is not None:
+            problem.simulate_by(Refinement(result.accuracy.tolerance, result.accuracy.divisor))
+        return explore(problem, result, self.uncertainty_settings, progress, box=self.estimator.whole_box)
 
     def simulators(self) -> tuple[Simulator, ...]:
         """Return the simulator of each experiment, as a function of the study's parameters in their order."""

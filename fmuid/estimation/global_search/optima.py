@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
@@ -12,6 +12,7 @@ import pandas as pd
 from fmuid.arrays import Floats
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.misfit import Misfits, fitted, variances
 from fmuid.estimation.result import Result
 
 # Optima are one where no parameter differs by more than this share of its standard deviation, or of its magnitude, and
@@ -32,12 +33,15 @@ class Optimum:
         How many of the fits ended here.
     outcome : Outcome
         How the best of these fits ended.
+    fit : Result
+        That fit.
     """
 
     theta: Floats
     criterion: float
     hits: int
     outcome: Outcome
+    fit: Result = field(repr=False)
 
     @property
     def converged(self) -> bool:
@@ -88,17 +92,14 @@ def optima_table(names: Sequence[str], optima: Sequence[Optimum]) -> pd.DataFram
     return pd.DataFrame(rows, columns=["criterion", "hits", "converged", *names])
 
 
-def merged(problem: LeastSquares, results: Sequence[Result], criteria: Floats) -> list[tuple[Optimum, Result]]:
-    """Return the optima at which fits ended, the best first, each with the fit that stands for it.
-
-    Parameters
-    ----------
-    problem : LeastSquares
-    results : sequence of Result
-        Of the fits.
-    criteria : (n_fits,) array
-        J_C (1.37) where they ended.
-    """
+def merged(problem: LeastSquares, results: Sequence[Result]) -> tuple[Optimum, ...]:
+    """Return the optima at which fits of a problem ended, the best first; nothing is simulated for it."""
+    if not results:
+        return ()
+    ends = [fitted(problem, result) for result in results]
+    squares, prior = (np.concatenate([getattr(end, part) for end in ends]) for part in ("squares", "prior"))
+    every = Misfits(squares, prior)
+    criteria = every.compound(variances(problem, results[int(np.argmin(every.concentrated(problem)))]))
     groups: list[list[int]] = []  # of fits that ended at one optimum, the best of each first
     for i in map(int, np.argsort(criteria)):
         home = next((group for group in groups if _same(problem, results, criteria, i, group[0])), None)
@@ -109,9 +110,9 @@ def merged(problem: LeastSquares, results: Sequence[Result], criteria: Floats) -
     found = []
     for group in groups:
         chosen = next((i for i in group if results[i].converged), group[0])
-        result = results[chosen]
-        found.append((Optimum(result.values, float(criteria[chosen]), len(group), result.outcome), result))
-    return sorted(found, key=lambda each: each[0].criterion)
+        fit = results[chosen]
+        found.append(Optimum(fit.values, float(criteria[chosen]), len(group), fit.outcome, fit))
+    return tuple(sorted(found, key=lambda each: each.criterion))
 
 
 def _same(problem: LeastSquares, results: Sequence[Result], criteria: Floats, i: int, best: int) -> bool:

@@ -14,12 +14,12 @@ from fmuid.arrays import Floats
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.exploration import Exploration
-from fmuid.estimation.global_search.optima import GlobalResult, Optimum, merged
+from fmuid.estimation.global_search.optima import GlobalResult, merged
 from fmuid.estimation.identification import identify, point_result
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.search import Marquardt
-from fmuid.estimation.misfit import Misfits, fitted, refuse_loss, variances
+from fmuid.estimation.misfit import fitted, refuse_loss
 from fmuid.estimation.result import Result
 from fmuid.progress import Progress
 from fmuid.text import nearest
@@ -133,10 +133,9 @@ def search_globally(
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A fit, the parts of the criterion where it ended, and the concentrated criterion there."""
+    """A fit, and the concentrated criterion where it ended."""
 
     result: Result
-    end: Misfits
     reached: float
 
 
@@ -185,7 +184,7 @@ class _Search:
     def _keep(self, result: Result) -> None:
         """Keep the result of a fit and the criterion there, which is known from the fit itself."""
         end = fitted(self.problem, result)
-        self.fits.append(_Fit(result, end, float(self.explored.remember(result.values[None], end)[0])))
+        self.fits.append(_Fit(result, float(self.explored.remember(result.values[None], end)[0])))
         if result.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
 
@@ -211,18 +210,12 @@ class _Search:
 
     def _conclude(self, interrupted: bool) -> GlobalResult:
         """Put the fits in order, and merge those that ended at one optimum; nothing is simulated for it."""
-        optima: list[tuple[Optimum, Result]] = []
-        if self.fits:
-            squares, prior = (
-                np.concatenate([getattr(f.end, part) for f in self.fits]) for part in ("squares", "prior")
-            )
-            criteria = Misfits(squares, prior).compound(variances(self.problem, self._best().result))
-            optima = merged(self.problem, [fit.result for fit in self.fits], criteria)
+        optima = merged(self.problem, [fit.result for fit in self.fits])
         result = dataclasses.replace(
-            self._best_so_far() if interrupted else optima[0][1],
+            self._best_so_far() if interrupted else optima[0].fit,
             simulations=self.explored.simulations,
             elapsed_s=time.perf_counter() - self.clock,
-            optima=tuple(optimum for optimum, _ in optima),
+            optima=optima,
             fits=len(self.fits),
         )
         return GlobalResult(

@@ -14,6 +14,7 @@ from rich.table import Table
 from fmuid.assessment import WRONG_STD
 from fmuid.estimation import Outcome
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.reports.words.accuracy import passed_words, shift_text
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
 from fmuid.reports.words.result import capitalised, ending, remarks
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 # Criteria that differ by less are as good as each other: χ² of one degree of freedom is larger in 5 % of all cases.
 RIVAL = 3.84
+SHIFT = "numerical shift"
+"""The column of what the error of the simulation moves each estimate by, in its standard deviations."""
 # To ask how wide a table would be.
 UNLIMITED = 10_000
 
@@ -55,6 +58,8 @@ def show_result(found: Findings) -> None:
     out.print(f"[bold {color}]{escape(capitalised(ending(result)))}[/]", soft_wrap=True)
     for component, model in result.models.items():
         out.print(f"[dim]{escape(component or model['name'])} run as {escape(model['run'])}[/]", soft_wrap=True)
+    if result.accuracy is not None and (passed := passed_words(result.accuracy)):
+        out.print(f"[dim]{escape(passed)}[/]", soft_wrap=True)
     if result.sensitivity:
         out.print(f"[dim]sensitivities by {escape(result.sensitivity)}[/]", soft_wrap=True)
     likelihood = f", log-likelihood {result.log_likelihood:.7g}" if math.isfinite(result.log_likelihood) else ""
@@ -96,7 +101,7 @@ def _rivals(result: Result) -> list[str]:
 
 def _estimates(out: Console, found: Findings) -> Table:
     """Return the table of estimates; on a narrow console with fewer columns."""
-    return _filled(_narrowed(out, _columns(found), ("start", "rel. std", "note")))
+    return _filled(_narrowed(out, _columns(found), ("start", "rel. std", SHIFT, "note")))
 
 
 def _reading(out: Console, found: Findings) -> Table:
@@ -137,7 +142,9 @@ def _narrowed(out: Console, columns: dict[str, list[str]], droppable: Iterable[s
 
 
 def _filled(
-    columns: Mapping[str, Sequence[str]], right: Sequence[str] = ("rel. std", "start", "pull"), title: str = ""
+    columns: Mapping[str, Sequence[str]],
+    right: Sequence[str] = ("rel. std", "numerical shift", "start", "pull"),
+    title: str = "",
 ) -> Table:
     table = table_of(title, columns, right)
     for cells in zip(*columns.values(), strict=True):
@@ -166,6 +173,8 @@ def _columns(found: Findings) -> dict[str, list[str]]:
             f"{rounded(lower, std)} to {rounded(upper, std)}" if sure else "not determined"
             for (lower, upper), (_, std), sure in zip(limits, rows, known, strict=True)
         ]
+    if result.accuracy is not None:
+        cells[SHIFT] = list(map(shift_text, result.numerical_shift.tolist()))
     cells["unit"] = [unit_text(unit) for unit in found.units]
     cells["start"] = [f"{start:.6g}" for start in result.start]
     notes = [_note(found, name) for name in result.names]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fmuid.estimation import Outcome
+from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def remarks(result: Result) -> tuple[str, ...]:
         if name in result.moved_start
     ]
     prior = [f"without the prior, {direction_words(each)}" for each in result.prior_determined]
-    return *moved, *pairs, *map(direction_words, result.weak), *prior
+    return *moved, *accuracy_words(result), *pairs, *map(direction_words, result.weak), *prior
 
 
 def capitalised(words: str) -> str:

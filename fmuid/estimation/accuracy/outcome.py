@@ -1,0 +1,180 @@
+"""What the check of a simulation found, and what was done about it, as values; `fmuid.reports` has the words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from fmuid.arrays import Floats
+
+SHIFT_LIMIT = 0.1
+"""Standard deviations that estimates may be moved by: 95 % intervals then hold the truth in 94.9 % of all cases."""
+
+
+class AccuracyOutcome(Enum):
+    """What became of the check of a simulation; the values are what ``result.json`` has as ``accuracy.outcome``."""
+
+    PASSED = "passed"
+    """Its error moves no estimate by more than `SHIFT_LIMIT`."""
+    SHIFTED = "shifted"
+    """It does, and what it moves them by is part of their standard deviations."""
+    UNKNOWN = "unknown"
+    """A standard deviation is infinite or not known, and with it what the error moves the estimates by."""
+    UNCHECKABLE = "uncheckable"
+    """Nothing finer is offered, or what should be finer gives the same outputs to the last bit."""
+    FAILED = "failed"
+    """The finer simulation fails."""
+    INTERRUPTED = "interrupted"
+    """By the keyboard."""
+
+
+class Kept(Enum):
+    """Why a simulation that shifts the estimates serves all the same."""
+
+    ASKED = "asked"
+    """It is the one asked for."""
+    FITS_BETTER = "fits_better"
+    """The finer one fits the data clearly worse."""
+    NO_SEARCH = "no_search"
+    """A search by the finer one does not come to an end."""
+    FINEST = "finest"
+    """It is the finest that there is."""
+
+
+class Cause(Enum):
+    """Why the search went by a finer simulation."""
+
+    START_FAILED = "start_failed"
+    """The simulation failed at the start, and the finer one does not."""
+    START_DIFFERED = "start_differed"
+    """At the start the outputs differed by more than a share of their spread."""
+    SHIFT = "shift"
+    """The estimates were moved by more than `SHIFT_LIMIT`, or perhaps so."""
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A step to a finer simulation.
+
+    Attributes
+    ----------
+    cause : Cause
+    size : float
+        The largest difference of an output at the start, as a share of its spread, or the largest shift of an estimate,
+        standard deviations; NaN where that is not known.
+    before, after : str
+        How the model was run, and then was, in words.
+    simulations : int
+        What the search that followed took.
+    """
+
+    cause: Cause
+    size: float
+    before: str
+    after: str
+    simulations: int = 0
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return what ``result.json`` has of it; a size that is not known is None."""
+        return {
+            "cause": self.cause.value,
+            "size": self.size if math.isfinite(self.size) else None,
+            "before": self.before,
+            "after": self.after,
+            "simulations": self.simulations,
+        }
+
+    @classmethod
+    def of_json(cls, data: Mapping[str, Any]) -> Switch:
+        """Return it as `to_json_dict` has written it."""
+        size = math.nan if data["size"] is None else float(data["size"])
+        words = str(data["before"]), str(data["after"])
+        return cls(Cause(data["cause"]), size, *words, int(data["simulations"]))
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """What the error of the simulation does to the estimates, and what was done about it.
+
+    Attributes
+    ----------
+    outcome : AccuracyOutcome
+    shift : (N,) array
+        What each estimate would move by if the finer simulation took the place of the one used, in its standard
+        deviations; NaN where it is not known.
+    used, finer : str
+        How the model is run, and how it is in the check, in words; empty where there is none.
+    change : float
+        Norm of the difference of all outputs in standard deviations of their noise, which bounds what any estimate can
+        be moved by; NaN without a check.
+    kept : Kept or None
+        Why nothing finer serves where the estimates are shifted.
+    switches : tuple of Switch
+    refused : int
+        Optima of a search of the whole box that a finer simulation does not bear out.
+    simulations : int
+        What all of this took.
+    tolerance, divisor : float or None, int
+        How much finer than asked for the model is run (`fmuid.simulation.Refinement`).
+    """
+
+    outcome: AccuracyOutcome
+    shift: Floats
+    used: str = ""
+    finer: str = ""
+    change: float = math.nan
+    kept: Kept | None = None
+    switches: tuple[Switch, ...] = ()
+    refused: int = 0
+    simulations: int = 0
+    tolerance: float | None = None
+    divisor: int = 1
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether an estimate is moved by more than `SHIFT_LIMIT`, or may be where its shift is not known."""
+        unknown = bool(np.isnan(self.shift).any()) and self.change > SHIFT_LIMIT
+        return self.largest > SHIFT_LIMIT or unknown
+
+    @property
+    def largest(self) -> float:
+        """The largest shift that is known, standard deviations; NaN where none is."""
+        known = np.abs(self.shift[np.isfinite(self.shift)])
+        return float(known.max()) if known.size else math.nan
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return what ``result.json`` has of it beside each parameter's shift; what is not known is None."""
+        return {
+            "outcome": self.outcome.value,
+            "used": self.used,
+            "finer": self.finer,
+            "change": self.change if math.isfinite(self.change) else None,
+            "kept": self.kept and self.kept.value,
+            "switches": [each.to_json_dict() for each in self.switches],
+            "refused": self.refused,
+            "simulations": self.simulations,
+            "tolerance": self.tolerance,
+            "divisor": self.divisor,
+        }
+
+    @classmethod
+    def of_json(cls, data: Mapping[str, Any], shift: Floats) -> Accuracy:
+        """Return it as `to_json_dict` has written it, and the shift of each parameter."""
+        return cls(
+            AccuracyOutcome(data["outcome"]),
+            shift,
+            str(data["used"]),
+            str(data["finer"]),
+            math.nan if data["change"] is None else float(data["change"]),
+            None if data["kept"] is None else Kept(data["kept"]),
+            tuple(map(Switch.of_json, data["switches"])),
+            int(data["refused"]),
+            int(data["simulations"]),
+            None if data["tolerance"] is None else float(data["tolerance"]),
+            int(data["divisor"]),
+        )

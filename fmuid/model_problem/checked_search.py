@@ -1,0 +1,318 @@
+"""Searches whose simulation is checked, and goes on by a finer one where its error moves the estimates.
+
+One simulation that is finer tells at the optimum what the error does to each estimate (`fmuid.estimation.accuracy`).
+Before the search co-simulation and model exchange are compared: where the former fails, or is far off, nothing that
+the search meets would be worth its time. Which way is finer says `fmuid.simulation.accuracy`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmuid.arrays import Floats
+from fmuid.errors import InputError, SimulationError
+from fmuid.estimation import (
+    Accuracy,
+    AccuracyOutcome,
+    Cause,
+    GlobalResult,
+    GlobalSearch,
+    Kept,
+    LeastSquares,
+    Marquardt,
+    Method,
+    Optimum,
+    Outcome,
+    Result,
+    Switch,
+    checked,
+    fits_worse,
+    merged,
+    simulated,
+    with_shift,
+)
+from fmuid.model_problem.problem import Problem
+from fmuid.progress import Progress
+from fmuid.simulation import Refinement, is_free, replaces_interface
+from fmuid.text import nearest
+
+ACCURACIES = ("switch", "check", "off")
+"""What may be done about the error of the simulation."""
+# The search goes by model exchange where the outputs at the start differ by more than this share of their spread.
+START_LIMIT = 0.01
+# Optima whose criterion is higher by less are as good as the best: χ² of one parameter is larger in 5 % of all cases.
+RIVAL = 3.84
+# By a finer simulation the search goes on from so many of the best optima of a box at most.
+MOST_OPTIMA = 10
+
+
+def identify(
+    problem: LeastSquares,
+    settings: Method | None = None,
+    progress: Progress | None = None,
+    start: ArrayLike | None = None,
+    *,
+    accuracy: str = "switch",
+) -> Result:
+    """Identify the parameters of a problem, and check what the error of the simulation does to them.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+        Only a `Problem`, whose predictors run FMUs, has a simulation to check. It is simulated in a finer way from then
+        on where the search has to go on by one.
+    settings : Marquardt or GlobalSearch, optional
+        Default: Marquardt's search from the parameters' starts.
+    progress : callable, optional
+        Called with every `fmuid.progress.SearchStep`.
+    start : (N,) array, optional
+        Start elsewhere than the parameters say.
+    accuracy : "switch", "check" or "off"
+        Go on by a finer simulation where the error moves an estimate by more than `SHIFT_LIMIT` of its standard
+        deviation, if that goes against nothing that was asked for; just say what it does; or do not look.
+
+    Returns
+    -------
+    Result
+        With `Result.accuracy`. Also where the search did not converge or was interrupted from the keyboard: its
+        `outcome` says so. Then nothing more is simulated, and samples that do not count are NaN in `Result.fit`.
+
+    Raises
+    ------
+    SimulationError
+        If the simulation at the start fails.
+    InputError
+        If a parameter without prior acts on no output, neither at the start nor at some points of its box, or a search
+        of the box lacks bounds.
+    KeyboardInterrupt
+        If that comes before the first step: there is no better point than the start then.
+    """
+    if accuracy not in ACCURACIES:
+        raise InputError(
+            f"accuracy {accuracy!r} is not known{nearest(str(accuracy), ACCURACIES)}: give {' or '.join(ACCURACIES)}"
+        )
+    method = settings or Marquardt()
+    if accuracy == "off" or not isinstance(problem, Problem):
+        return method.search(problem, progress, start)
+    return _CheckedSearch(problem, method, progress, switching=accuracy == "switch").run(start)
+
+
+def search_globally(
+    problem: LeastSquares,
+    settings: GlobalSearch | None = None,
+    progress: Progress | None = None,
+    *,
+    accuracy: str = "switch",
+) -> GlobalResult:
+    """Search the box of the bounds for the best optimum, and list the others that were met.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+        Every parameter with finite bounds or a prior. Its own starts take part.
+    settings : GlobalSearch, optional
+    progress : callable, optional
+        Called with a `fmuid.progress.GlobalStep` after each batch of points, generation or fit.
+    accuracy : "switch", "check" or "off"
+        As for `identify`. Optima as good as the best that a finer simulation does not bear out are no optima.
+
+    Returns
+    -------
+    GlobalResult
+        Also where the search was interrupted from the keyboard after it had found something; nothing more is simulated
+        then.
+
+    Raises
+    ------
+    InputError
+        If a parameter has neither bounds nor a prior, all simulations in the box fail, or no fit is possible.
+    """
+    result = identify(problem, settings or GlobalSearch(), progress, accuracy=accuracy)
+    interrupted = result.outcome is Outcome.INTERRUPTED
+    return GlobalResult(
+        result, problem.parameters.names, result.fits or 0, result.simulations, result.elapsed_s, interrupted
+    )
+
+
+class _CheckedSearch:
+    """One search, what it found so far, and what was done about its simulation."""
+
+    def __init__(self, problem: Problem, method: Method, progress: Progress | None, *, switching: bool) -> None:
+        self.problem, self.method, self.progress = problem, method, progress
+        self.switching = switching
+        self.clock, self.before = time.perf_counter(), problem.simulations
+        self.switches: list[Switch] = []
+        self.refused = self.foreseen = 0
+
+    def run(self, start: ArrayLike | None) -> Result:
+        """Compare at the start, search, check."""
+        problem = self.problem
+        if self.switching:
+            self._compare_start(problem.parameters.start if start is None else np.array(start, dtype=np.float64))
+        first = self.method.search(problem, self.progress, start)
+        self.optima = first.optima or (Optimum(first.values, first.criterion, 1, first.outcome, first),)
+        self.found = Accuracy(AccuracyOutcome.INTERRUPTED, np.full(len(first.names), np.nan))
+        if first.local is not None and first.outcome is not Outcome.INTERRUPTED:
+            try:
+                self._settle()
+            except KeyboardInterrupt:
+                self.found = replace(self.found, outcome=AccuracyOutcome.INTERRUPTED)
+        return self._concluded(first)
+
+    # --- at the start
+
+    def _compare_start(self, at: Floats) -> None:
+        """Go by model exchange where co-simulation fails at a start (N,), or is far off there."""
+        problem, finer = self.problem, self.problem.next_refinement
+        if finer is None or not replaces_interface(problem.system, finer) or not is_free(problem.system):
+            return
+        if at.shape != (len(problem.parameters),):
+            return  # which the search will say
+        predicted = problem.predict(at[None])[0]
+        exact = self._simulated(finer, at)
+        if not np.isfinite(exact).all():
+            self._remember(at, predicted)
+        elif not np.isfinite(predicted).all():
+            self._switch(finer, Cause.START_FAILED, math.nan)
+        elif (size := self._difference(predicted, exact)) > START_LIMIT:
+            self._switch(finer, Cause.START_DIFFERED, size)
+        else:
+            self._remember(at, predicted)
+
+    def _remember(self, at: Floats, predicted: Floats) -> None:
+        """Spare the search its simulation of the start."""
+        self.problem.remember(at, predicted)
+        self.foreseen = 1
+
+    def _difference(self, one: Floats, other: Floats) -> float:
+        """Return the largest difference of an output between two simulations (n,), as a share of its spread."""
+        problem, shares = self.problem, []
+        for j in range(problem.counts.size):
+            there = problem.groups == j
+            spread = max(float(np.std(problem.measured[there])), float(np.std(other[there])))
+            with np.errstate(over="ignore"):  # of what explodes without failing
+                gap = math.sqrt(float(np.mean((one[there] - other[there]) ** 2)))
+            shares.append(gap / spread if spread > 0 else 0.0)
+        return max(shares)
+
+    # --- at the optimum
+
+    def _settle(self) -> None:
+        """Check the optima that are as good as the best, and go on by finer simulations until one passes."""
+        while True:
+            best = self.optima[0]
+            rivals = [each for each in self.optima if each is best or each.criterion - best.criterion < RIVAL]
+            checks = [self._check(each.fit) for each in rivals]
+            sound = [found for found in checks if not found.doubtful]
+            if sound and len(sound) < len(checks):
+                moved = [each for each, found in zip(rivals, checks, strict=True) if found.doubtful]
+                self.refused += len(moved)
+                self.optima = tuple(each for each in self.optima if each not in moved)
+            self.found = (sound or checks)[0]
+            if sound or self.found.outcome not in (AccuracyOutcome.SHIFTED, AccuracyOutcome.UNKNOWN):
+                return
+            kept = self._go_on()
+            if kept is not None:
+                self.found = replace(self.found, kept=kept)
+                return
+
+    def _check(self, fit: Result) -> Accuracy:
+        """Return what the error of the simulation does to the estimates of a fit."""
+        problem, finer = self.problem, self.problem.next_refinement
+        if finer is None:
+            exact = not any(map(problem.system.integrates, problem.system.components))
+            exact &= all(model.kind == "model-exchange" for model in problem.system.components.values())
+            outcome = AccuracyOutcome.PASSED if exact else AccuracyOutcome.UNCHECKABLE
+            return Accuracy(outcome, np.full(fit.values.size, 0.0 if exact else np.nan))
+        # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
+        predicted = simulated(fit) if finer.tolerance else problem.predict(fit.values[None])[0]
+        found = checked(problem, fit, self._simulated(finer, fit.values) - predicted)
+        return replace(found, finer=_joined(problem.run_words(finer)))
+
+    def _simulated(self, finer: Refinement, theta: Floats) -> Floats:
+        """Return the counted samples (n,) of a finer simulation at theta, NaN where it fails."""
+        try:
+            other = self.problem.refined(finer)
+        except InputError:  # an FMU that takes no such steps
+            return np.full(self.problem.measured.size, np.nan)
+        exact: Floats = other.predict(theta[None])[0]
+        self.problem.count(other)
+        return exact
+
+    def _go_on(self) -> Kept | None:
+        """Search on from the optima by the next finer simulation; return why nothing came of it, if so."""
+        problem, finer = self.problem, self.problem.next_refinement
+        if not self.switching or not is_free(problem.system):
+            return Kept.ASKED
+        if finer is None or problem.refined(finer).next_refinement is None:
+            return Kept.FINEST
+        other = problem.refined(finer)
+        fits = [fit for each in self.optima[:MOST_OPTIMA] if (fit := self._searched(other, each.fit)) is not None]
+        problem.count(other)
+        better = merged(other, fits) if problem.loss is None else _single(fits)
+        if not better:
+            return Kept.NO_SEARCH
+        if fits_worse(problem, better[0].fit, self.optima[0].fit):
+            return Kept.FITS_BETTER
+        self.optima = better
+        self._switch(finer, Cause.SHIFT, self.found.largest, sum(fit.simulations for fit in fits))
+        return None
+
+    def _searched(self, other: Problem, fit: Result) -> Result | None:
+        """Go on from a fit by a finer simulation; None where that comes to no better end."""
+        try:
+            found = self.method.marquardt.search(other, self.progress, fit.values)
+        except (InputError, SimulationError):
+            return None
+        if found.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        if fit.converged and not found.converged:
+            return None
+        return found.after(fit)
+
+    def _switch(self, finer: Refinement, cause: Cause, size: float, simulations: int = 0) -> None:
+        """Simulate in a finer way from now on, and note why."""
+        problem = self.problem
+        before, after = (_joined(problem.run_words(each)) for each in (problem.refinement, finer))
+        self.switches.append(Switch(cause, size, before, after, simulations))
+        problem.simulate_by(finer)
+
+    # --- the result
+
+    def _concluded(self, first: Result) -> Result:
+        """Return the best fit with all that was found out about its simulation."""
+        problem, best = self.problem, self.optima[0].fit if self.switches or self.refused else first
+        spent = problem.simulations - self.before
+        found = replace(
+            self.found,
+            used=_joined(problem.run_words(problem.refinement)),
+            switches=tuple(self.switches),
+            refused=self.refused,
+            simulations=spent - first.simulations - self.foreseen,
+            tolerance=problem.refinement.tolerance,
+            divisor=problem.refinement.divisor,
+        )
+        result = replace(
+            best,
+            simulations=spent,
+            elapsed_s=time.perf_counter() - self.clock,
+            optima=self.optima if first.optima else (),
+            fits=first.fits,
+            accuracy=found,
+        )
+        return with_shift(result, found) if found.outcome is AccuracyOutcome.SHIFTED else result
+
+
+def _joined(words: dict[str, str]) -> str:
+    return "; ".join(f"{name}: {how}" if name else how for name, how in words.items())
+
+
+def _single(fits: Sequence[Result]) -> tuple[Optimum, ...]:
+    """Return the one fit of a problem whose loss no search of the whole box knows."""
+    return tuple(Optimum(fit.values, fit.criterion, 1, fit.outcome, fit) for fit in fits)

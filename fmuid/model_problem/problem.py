@@ -1,0 +1,170 @@
+"""The problem of an identification whose predictors run FMUs: where models and estimation meet."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fmuid.arrays import Floats
+from fmuid.data import Experiment, JointPrior, Noise, Parameter
+from fmuid.errors import InputError
+from fmuid.estimation import SENSITIVITIES, LeastSquares
+from fmuid.fmi import FMU
+from fmuid.models import System
+from fmuid.simulation import (
+    AS_ASKED,
+    Refinement,
+    Simulator,
+    derivatives_of,
+    next_refinement,
+    refined,
+    run_words,
+)
+from fmuid.text import nearest
+
+
+class Problem(LeastSquares):
+    """A model, experiments and parameters: everything that the estimators need, as functions of theta.
+
+    Parameters
+    ----------
+    model : System, FMU or path
+    experiments : Experiment or sequence of Experiment
+    parameters : mapping of str to Parameter
+        By FMU variable.
+    noise : Noise
+    values : mapping of str to float, int, bool or str, optional
+        FMU variables held at a value.
+    step_size : float, optional
+        Largest step of the simulation, s.
+    joint_prior : JointPrior, optional
+        Beside the priors of single parameters.
+    loss : "linear", "soft_l1", "huber" or "cauchy"
+        How the criterion grows with a sample's residual in standard deviations of the noise: all but "linear", the
+        plain square, keep outliers from pulling (`fmuid.data.losses`). Priors always count by their squares.
+    sensitivity : "finite-difference", "forward" or "fmu"
+        How the derivatives of the outputs by the parameters are found
+        (`fmuid.estimation.model_derivatives.SENSITIVITIES`).
+
+    Attributes
+    ----------
+    system : System
+        As it was asked for.
+    refinement : Refinement
+        How much finer than that it is simulated: a search whose simulation turns out too coarse goes on by a finer one
+        (`fmuid.identify`), and so does all that is done with the problem from then on.
+
+    Raises
+    ------
+    InputError
+        If there are no experiments, parameters, outputs or counted samples, too few for the parameters, or if there is
+        no such loss or sensitivity.
+    """
+
+    def __init__(
+        self,
+        model: System | FMU | str | Path,
+        experiments: Experiment | Sequence[Experiment],
+        parameters: Mapping[str, Parameter],
+        *,
+        noise: Noise | None = None,
+        values: Mapping[str, float | int | bool | str] | None = None,
+        step_size: float | None = None,
+        joint_prior: JointPrior | None = None,
+        loss: str = "linear",
+        sensitivity: str = "finite-difference",
+    ) -> None:
+        if sensitivity not in SENSITIVITIES:
+            near = nearest(sensitivity, SENSITIVITIES)
+            raise InputError(f"sensitivity {sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
+        self.system = System.of(model)
+        listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
+        simulators = self._simulators = [
+            Simulator(self.system, experiment, tuple(parameters), values=values or {}, step_size=step_size)
+            for experiment in listed
+        ]
+        self.refinement = AS_ASKED
+        self._finer: dict[Refinement, Problem] = {}
+        self._known: tuple[Floats, Floats] | None = None
+        super().__init__(
+            simulators,
+            listed,
+            parameters,
+            noise=noise,
+            joint_prior=joint_prior,
+            loss=loss,
+            sensitivity=sensitivity,
+            derivatives=_derivatives(simulators, sensitivity),
+        )
+
+    @property
+    def models(self) -> dict[str, dict[str, str]]:
+        """``name``, ``digest`` and ``run`` (how it is run, in words) of each FMU by its component."""
+        words = self.run_words(self.refinement)
+        return {
+            name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": words[name]}
+            for name, model in self.system.components.items()
+        }
+
+    def run_words(self, refinement: Refinement) -> dict[str, str]:
+        """Return in words how each component is run with a refinement, as far as it is known which are stiff."""
+        known = self if refinement == self.refinement else self._finer.get(refinement)
+        simulators = known._simulators if known is not None else []
+        return run_words(self.system, refinement, frozenset[str]().union(*(each.stiff for each in simulators)))
+
+    # --- finer simulations
+
+    @property
+    def next_refinement(self) -> Refinement | None:
+        """The next finer way to simulate the model, None where there is none."""
+        return next_refinement(self.system, self.refinement)
+
+    def refined(self, refinement: Refinement) -> Problem:
+        """Return this problem with finer simulations, which are counted by themselves.
+
+        Raises
+        ------
+        InputError
+            If an FMU cannot step that way.
+        """
+        if refinement not in self._finer:
+            other = copy.copy(self)
+            other._simulators = [refined(each, self.system, refinement) for each in self._simulators]
+            other._predictors = tuple(other._simulators)
+            other._derivatives = tuple(_derivatives(other._simulators, self.sensitivity))
+            other.refinement, other._finer, other._known = refinement, {}, None
+            other.simulations, other.failures, other._reasons = 0, 0, {}
+            self._finer[refinement] = other
+        return self._finer[refinement]
+
+    def simulate_by(self, refinement: Refinement) -> None:
+        """Simulate in a finer way from now on."""
+        if refinement == self.refinement:
+            return
+        other = self.refined(refinement)
+        self._simulators, self._predictors, self._derivatives = other._simulators, other._predictors, other._derivatives
+        self.refinement, self._finer, self._known, self._reasons = refinement, {}, None, {}
+
+    def count(self, other: Problem) -> None:
+        """Count what was simulated with another problem as simulated with this one."""
+        self.simulations += other.simulations
+        self.failures += other.failures
+        other.simulations = other.failures = 0
+
+    def remember(self, theta: Floats, predicted: Floats) -> None:
+        """Take a simulation (n,) at theta (N,) for the next one that is asked for there."""
+        self._known = theta.copy(), predicted
+
+    def predict(self, thetas: Floats) -> Floats:
+        """Simulate as `LeastSquares.predict` does, but for what is known."""
+        known, self._known = self._known, None
+        if known is not None and np.array_equal(thetas, known[0][None]):
+            return known[1][None].copy()
+        return super().predict(thetas)
+
+
+def _derivatives(simulators: Sequence[Simulator], sensitivity: str) -> list[Callable[[Floats], Floats]]:
+    return [] if sensitivity == "finite-difference" else [derivatives_of(each, sensitivity) for each in simulators]

@@ -1,0 +1,99 @@
+"""What is to be said of the error of the simulation: what it does to the estimates, and what was done about it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Cause, Kept
+
+if TYPE_CHECKING:
+    from fmuid.estimation import Accuracy, Result, Switch
+
+KEPT = {
+    Kept.ASKED: "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search",
+    Kept.FITS_BETTER: "the finer simulation fits clearly worse, as if the table came from this very solver",
+    Kept.NO_SEARCH: "a search by the finer simulation comes to no end",
+    Kept.FINEST: "there is no finer simulation to go on by",
+}
+"""Why a simulation that shifts the estimates serves all the same."""
+
+
+def accuracy_words(result: Result) -> tuple[str, ...]:
+    """Return the sentences on a simulation that cannot be taken for exact, or was not to begin with."""
+    found = result.accuracy
+    if found is None:
+        return ()
+    refused = (
+        f"{_optima(found.refused)} fitted as well, and the finer simulation ({found.finer}) moves away from "
+        f"{'it' if found.refused == 1 else 'them'}: refused"
+    )
+    words = [*map(_switch, found.switches), *([refused] if found.refused else []), _outcome(result, found)]
+    return tuple(filter(None, words))
+
+
+def passed_words(found: Accuracy) -> str:
+    """Return the sentence on a simulation that has passed its check, nothing for others."""
+    if found.outcome is not AccuracyOutcome.PASSED or not found.finer:
+        return ""
+    return f"simulation checked by {found.finer}: it moves the estimates by {found.largest:.1g} std at most"
+
+
+def _optima(count: int) -> str:
+    return "another optimum" if count == 1 else f"{count} other optima"
+
+
+def _switch(switch: Switch) -> str:
+    if switch.cause is Cause.START_FAILED:
+        return f"simulated by {switch.before} the start fails: the search went by {switch.after}"
+    if switch.cause is Cause.START_DIFFERED:
+        return (
+            f"at the start {switch.before} is off by {100 * switch.size:.2g} % of an output's spread: the search went "
+            f"by {switch.after}"
+        )
+    moved = (
+        f"moves an estimate by {switch.size:.2g} standard deviations"
+        if switch.size > SHIFT_LIMIT
+        else "may move an estimate whose standard deviation is not known"
+    )
+    return (
+        f"the error of {switch.before} {moved}: the search went on by {switch.after}, in {switch.simulations} "
+        "simulations"
+    )
+
+
+def _outcome(result: Result, found: Accuracy) -> str:
+    match found.outcome:
+        case AccuracyOutcome.PASSED:
+            return ""
+        case AccuracyOutcome.SHIFTED:
+            pairs = zip(result.names, found.shift.tolist(), strict=True)
+            shifts = ", ".join(f"{name} by {shift:+.2g}" for name, shift in pairs if abs(shift) > SHIFT_LIMIT)
+            why = KEPT.get(found.kept, "") if found.kept else ""
+            return (
+                f"the error of the simulation moves estimates, in the standard deviations of noise: {shifts} "
+                f"({found.finer} against {found.used}); that is added to the standard deviations; {why}"
+            )
+        case AccuracyOutcome.UNKNOWN:
+            return (
+                "what the error of the simulation moves the estimates by is not known, as not all have a standard "
+                f"deviation; {found.finer} changes the outputs by {found.change:.2g} standard deviations in all"
+            )
+        case AccuracyOutcome.UNCHECKABLE:
+            why = (
+                "in shorter steps the FMU gives the same outputs to the last bit, as it steps inside at its own length"
+                if found.finer
+                else "nothing finer is offered"
+            )
+            return f"the error of the simulation cannot be checked: {why}"
+        case AccuracyOutcome.FAILED:
+            return f"the error of the simulation is not known: {found.finer} fails at the estimates"
+        case AccuracyOutcome.INTERRUPTED:
+            return "the error of the simulation was not checked: interrupted"
+
+
+def shift_text(shift: float) -> str:
+    """Return a shift in standard deviations for a table, a question mark where it is not known."""
+    if math.isnan(shift):
+        return "?"
+    return f"{shift:+.2f}" if abs(shift) >= 0.005 else "0"

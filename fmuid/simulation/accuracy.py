@@ -1,0 +1,154 @@
+"""Finer ways to simulate a system, to see what the error of the one in use does to the outputs.
+
+Model exchange with a controlled error is finer than what co-simulation has inside, wherever an FMU offers it. Without
+it each communication step is divided by four, and by four again: half the steps see nothing of some FMUs that an eighth
+would show. Where several FMUs are coupled, what they exchange between is divided too. What has no continuous states
+keeps its steps: a sampled controller that acts four times as often is another plant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fmuid.models import DEFAULT_TOLERANCE, Component, Numerics, System
+from fmuid.simulation.simulator import Simulator
+
+FINE_TOLERANCE = 1e-9
+"""Of model exchange in place of co-simulation: searches by looser ones take many times the simulations."""
+# What is run with a controlled error is checked by a simulation with so much less of it ...
+FINER = 1e-2
+# ... down to here, where rounding begins.
+FINEST_TOLERANCE = 1e-13
+# What communication steps are divided by from one way to the next, and at most.
+DIVISION, FINEST_DIVISOR = 4, 1024
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How much finer than asked for a system is simulated.
+
+    Parameters
+    ----------
+    tolerance : float, optional
+        Components with continuous states that offer model exchange are run by it, with this relative tolerance.
+    divisor : int
+        What the communication steps of components with continuous states are divided by.
+    """
+
+    tolerance: float | None = None
+    divisor: int = 1
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is finer than asked for."""
+        return self.tolerance is not None or self.divisor > 1
+
+
+AS_ASKED = Refinement()
+"""Nothing is finer."""
+
+
+def next_refinement(system: System, than: Refinement = AS_ASKED) -> Refinement | None:
+    """Return the next finer way to simulate a system, None where there is none.
+
+    Parameters
+    ----------
+    system : System
+        As asked for.
+    than : Refinement
+        How it is simulated.
+    """
+    exchanged = _exchanged(system)
+    tolerance, divisor = than.tolerance, than.divisor
+    if exchanged:
+        now = tolerance or min(map(_tolerance, exchanged.values()))
+        tolerance = min(FINE_TOLERANCE, FINER * now) if tolerance is None else FINER * now
+    if (len(system.components) > 1 or not exchanged) and any(map(system.integrates, system.components)):
+        divisor *= DIVISION
+    exhausted = (tolerance is not None and tolerance < FINEST_TOLERANCE) or divisor > FINEST_DIVISOR
+    found = Refinement(tolerance, divisor)
+    return None if exhausted or found == than else found
+
+
+def replaces_interface(system: System, refinement: Refinement) -> bool:
+    """Return whether a refinement runs by model exchange what runs by co-simulation."""
+    return refinement.tolerance is not None and any(m.kind == "co-simulation" for m in _exchanged(system).values())
+
+
+def is_free(system: System) -> bool:
+    """Return whether a finer way goes against nothing that was asked for: interface, tolerance, fixed steps."""
+    return not any(
+        model.numerics.interface is not None
+        if model.kind == "co-simulation"
+        else model.numerics.tolerance is not None or model.numerics.integrator == "rk4"
+        for model in _exchanged(system).values()
+    )
+
+
+def refined_system(system: System, refinement: Refinement) -> System:
+    """Return the system whose components are run as a refinement says; it is closed with the given one."""
+    if refinement.tolerance is None:
+        return system
+    return system.run_by(
+        {
+            name: Numerics("model-exchange", _controlled(model), refinement.tolerance, model.numerics.step_size)
+            for name, model in _exchanged(system).items()
+        }
+    )
+
+
+def refined(simulator: Simulator, system: System, refinement: Refinement) -> Simulator:
+    """Return what simulates the same experiment in a finer way.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    system : System
+        As asked for.
+    refinement : Refinement
+
+    Raises
+    ------
+    InputError
+        If an FMU cannot step that way.
+    """
+    return simulator.by(refined_system(system, refinement), refinement.divisor)
+
+
+def run_words(system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()) -> dict[str, str]:
+    """Return in words how each component is run.
+
+    Parameters
+    ----------
+    system : System
+        As asked for.
+    refinement : Refinement
+    stiff : frozenset of str
+        The components that were found stiff (`Simulator.stiff`).
+    """
+    share = f", each step divided by {refinement.divisor}" if refinement.divisor > 1 else ""
+    return {
+        name: model.words(stiff=name in stiff) + (share if system.integrates(name) else "")
+        for name, model in refined_system(system, refinement).components.items()
+    }
+
+
+def _exchanged(system: System) -> dict[str, Component]:
+    """Return the components whose continuous states model exchange can integrate."""
+    return {
+        name: model
+        for name, model in system.components.items()
+        if model.fmu.description.states and "model-exchange" in model.fmu.description.interfaces
+    }
+
+
+def _controlled(model: Component) -> str | None:
+    """Return the integrator asked for, if its error is controlled."""
+    return None if model.numerics.integrator == "rk4" else model.numerics.integrator
+
+
+def _tolerance(model: Component) -> float:
+    """Return the tolerance of a component by model exchange, infinite where its error is not controlled."""
+    if model.kind != "model-exchange" or model.numerics.integrator == "rk4":
+        return float("inf")
+    return model.numerics.tolerance or DEFAULT_TOLERANCE

@@ -1,0 +1,134 @@
+"""What an error of the simulation does to estimates: against fits to data from which it is taken away."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid.arrays import Floats
+from fmuid.data import Normal, Parameter
+from fmuid.estimation import (
+    Accuracy,
+    AccuracyOutcome,
+    Cause,
+    Kept,
+    LeastSquares,
+    Result,
+    Switch,
+    checked,
+    identify,
+    with_shift,
+)
+from fmuid.estimation.result_file import content
+
+TIMES = np.linspace(0.0, 1.0, 60)
+BASIS = np.column_stack([np.ones(60), TIMES, TIMES**2])
+NAMES = ("a", "b", "c")
+ERROR = 0.02 * np.sin(5.0 * TIMES)
+
+
+def problem(noise: float = 0.05, loss: str = "linear", prior: bool = False, columns: Floats = BASIS) -> LeastSquares:
+    rng = np.random.default_rng(5)
+    measured = BASIS @ [1.0, -2.0, 0.5] + noise * rng.standard_normal(60)
+    given = Normal(-2.0, 0.05) if prior else None
+    parameters = {name: Parameter(1.0, prior=given if name == "b" else None) for name in NAMES}
+    return LeastSquares.from_function(lambda theta: columns @ theta, measured, parameters, loss=loss)
+
+
+@pytest.mark.parametrize("prior", [False, True])
+def test_the_shift_of_a_linear_model(prior: bool) -> None:
+    """A finer simulation that gives ERROR more has its optimum where the data less ERROR have theirs."""
+    one = problem(prior=prior)
+    result = identify(one)
+    sigma = math.sqrt(result.noise_variance["y"])
+    rows, values = BASIS / sigma, (one.measured - ERROR) / sigma
+    if prior:
+        rows, values = np.vstack([rows, [0.0, 1.0 / 0.05, 0.0]]), np.append(values, -2.0 / 0.05)
+    moved = np.linalg.lstsq(rows, values)[0] - result.values
+    found = checked(one, result, ERROR)
+    assert found.shift * result.std == pytest.approx(moved, rel=2e-3)
+    assert found.outcome is AccuracyOutcome.SHIFTED
+    assert (np.abs(found.shift) <= found.change).all()
+
+
+def test_the_shift_with_a_robust_loss() -> None:
+    one = problem(loss="huber")
+    result = identify(one)
+    finer = problem(loss="huber")
+    finer.measured = finer.measured - ERROR
+    moved = identify(finer).values - result.values
+    assert checked(one, result, ERROR).shift * result.std == pytest.approx(moved, rel=0.2)
+
+
+def test_a_small_error_passes() -> None:
+    one = problem()
+    found = checked(one, identify(one), 1e-3 * ERROR)
+    assert found.outcome is AccuracyOutcome.PASSED
+    assert 0.0 < found.largest < 0.1
+
+
+def test_where_a_standard_deviation_is_infinite() -> None:
+    """Two parameters that act alike: their shift is not known, and not 0; that of the third is."""
+    one = problem(columns=BASIS[:, [0, 0, 1]])
+    result = identify(one)
+    found = checked(one, result, ERROR)
+    assert np.isnan(found.shift).tolist() == [True, True, False]
+    assert checked(one, result, 1e-9 * ERROR).outcome is AccuracyOutcome.PASSED
+    orthogonal = ERROR - BASIS[:, :2] @ np.linalg.lstsq(BASIS[:, :2], ERROR)[0]
+    assert checked(one, result, orthogonal).outcome is AccuracyOutcome.UNKNOWN
+
+
+def test_what_cannot_be_checked_is_not_well() -> None:
+    one = problem()
+    result = identify(one)
+    assert checked(one, result, np.zeros(60)).outcome is AccuracyOutcome.UNCHECKABLE
+    failed = checked(one, result, np.where(TIMES > 0.5, np.nan, ERROR))
+    assert failed.outcome is AccuracyOutcome.FAILED
+    assert np.isnan(failed.shift).all()
+
+
+def test_tables_without_noise_raise_no_alarm() -> None:
+    """An error of 1e-7 is thousands of standard deviations of a fit to rounding, and as good as none for any table."""
+    one = problem(noise=1e-12)
+    assert checked(one, identify(one), 1e-7 * np.ones(60)).outcome is AccuracyOutcome.PASSED
+
+
+def test_the_shift_is_part_of_the_covariance() -> None:
+    one = problem()
+    result = identify(one)
+    found = checked(one, result, ERROR)
+    whole = with_shift(result, found)
+    assert whole.std == pytest.approx(result.std * np.hypot(1.0, found.shift))
+    assert np.linalg.matrix_rank(whole.covariance - result.covariance, tol=1e-10) == 1
+
+
+def test_written_and_read(tmp_path: Path) -> None:
+    one = problem()
+    switches = (Switch(Cause.START_FAILED, math.nan, "a", "b"), Switch(Cause.SHIFT, 3.0, "b", "c", 17))
+    shift = np.array([0.5, np.nan, -2.0])
+    words = "b", "c", 12.5, Kept.FITS_BETTER, switches, 2, 40, 1e-9, 4
+    result = replace(identify(one), accuracy=Accuracy(AccuracyOutcome.SHIFTED, shift, *words))
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(content(result)), encoding="utf-8")
+    written = json.loads(path.read_text(encoding="utf-8"))
+    assert [each["numerical_shift"] for each in written["parameters"].values()] == [0.5, None, -2.0]
+    read = Result.from_json(path).accuracy
+    assert read is not None
+    assert np.array_equal(read.shift, shift, equal_nan=True)
+    assert read.to_json_dict() == written["accuracy"]
+    assert (read.outcome, read.kept, read.switches[1]) == (AccuracyOutcome.SHIFTED, Kept.FITS_BETTER, switches[1])
+
+
+def test_results_without_a_check_are_read(tmp_path: Path) -> None:
+    data = content(identify(problem()))
+    for each in data["parameters"].values():
+        del each["numerical_shift"]
+    del data["accuracy"]
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    assert Result.from_json(path).accuracy is None

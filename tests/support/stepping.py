@@ -1,0 +1,74 @@
+"""The models of probe/stepping.c as FMUs, whose co-simulation integrates in a plain way."""
+
+from __future__ import annotations
+
+import subprocess
+import zipfile
+from functools import cache
+from pathlib import Path
+
+import fmpy
+
+from fmuid.fmi.native.build import compiler_here
+from tests.support.paths import HERE
+
+LAG, MOTOR = ("lag", ("x",), ("k",)), ("motor", ("i", "w"), ("R", "L", "K", "J", "F"))
+"""x' = u − k x, and L i' = u − R i − K w, J w' = K i − F w: name, states, parameters."""
+Model = tuple[str, tuple[str, ...], tuple[str, ...]]
+# Value references, as in probe/stepping.c.
+X, DX, U, P = 0, 2, 4, 5
+
+
+@cache
+def _library(folder: Path, model: str, order: int, internal: float) -> bytes:
+    path = folder / f"{model}{order}-{internal:g}{fmpy.sharedLibraryExtension}"
+    defines = [f"-DMODEL={model.upper()}", f"-DORDER={order}", f"-DINTERNAL={internal!r}"]
+    headers = Path(fmpy.__file__).parent / "c-code"
+    command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}", *defines]
+    subprocess.run([*command, "-o", str(path), str(HERE / "probe" / "stepping.c")], check=True, capture_output=True)
+    return path.read_bytes()
+
+
+def stepping_fmu(
+    folder: Path, model: Model, *, order: int = 1, internal: float = 0.0, exchange: bool = False, told: bool = True
+) -> Path:
+    """Return an FMU of a model.
+
+    Parameters
+    ----------
+    folder : Path
+    model : LAG or MOTOR
+    order : 1 or 4
+        Of co-simulation: explicit Euler, or Runge–Kutta.
+    internal : float
+        Length of its own steps, s; 0: one step a communication step.
+    exchange : bool
+        Whether it offers model exchange, too.
+    told : bool
+        Whether its description names the states.
+    """
+    name, states, parameters = model
+    path = folder / f"{name}{order}-{internal:g}-{exchange}-{told}.fmu"
+    lines = [_real(x, X + i, 'causality="output" initial="exact"', 'start="0"') for i, x in enumerate(states)]
+    lines += [_real(f"der({x})", DX + i, "", f'derivative="{i + 1}"' if told else "") for i, x in enumerate(states)]
+    lines.append(_real("u", U, 'causality="input"', 'start="0"'))
+    fixed = 'causality="parameter" variability="fixed"'
+    lines += [_real(p, P + i, fixed, 'start="1"') for i, p in enumerate(parameters)]
+    unknowns = [f'<Unknown index="{i + 1}"/>' for i in range(2 * len(states))]
+    derivatives = f"<Derivatives>{''.join(unknowns[len(states) :])}</Derivatives>" if told else ""
+    interfaces = ['<CoSimulation modelIdentifier="stepping" canHandleVariableCommunicationStepSize="true"/>']
+    interfaces = ['<ModelExchange modelIdentifier="stepping"/>'] * exchange + interfaces
+    text = (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{name}">'
+        f"{''.join(interfaces)}<ModelVariables>{''.join(lines)}</ModelVariables><ModelStructure><Outputs>"
+        f"{''.join(unknowns[: len(states)])}</Outputs>{derivatives}</ModelStructure></fmiModelDescription>"
+    )
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        library = f"binaries/{fmpy.platform}/stepping{fmpy.sharedLibraryExtension}"
+        archive.writestr(library, _library(folder, name, order, internal))
+    return path
+
+
+def _real(name: str, reference: int, said: str, more: str) -> str:
+    return f'<ScalarVariable name="{name}" valueReference="{reference}" {said}><Real {more}/></ScalarVariable>'
