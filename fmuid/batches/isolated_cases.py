@@ -8,7 +8,9 @@ numbers, bit for bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +18,12 @@ from typing import Any
 from fmuid.batches.parcel import Copies
 from fmuid.batches.run_case import CaseOutcome, CaseRunner
 from fmuid.models import Isolation
-from fmuid.simulation import FIRST_LIMIT, End, Host, Keeper, executor_of
+from fmuid.simulation import FIRST_LIMIT, PRINTED_KEPT, End, Host, Keeper, executor_of
 from fmuid.studies import Study
+
+# An order, which costs a third of a millisecond, is of as many cases as take so long, s. Where the process ends over
+# them, they are run again one by one.
+ORDER_SECONDS = 0.2
 
 _runner: list[CaseRunner] = []  # of a process that runs cases
 
@@ -27,10 +33,23 @@ def open_cases(data: Mapping[str, Any], path: Path, copies: Copies | None) -> No
     _runner[:] = [CaseRunner(Study.of(data, path), copies)]
 
 
-def run_case(index: int) -> tuple[CaseOutcome, float]:
-    """Run a case; return also how long the longest simulation took so far, s."""
-    outcome = _runner[0](index)
-    return outcome, getattr(executor_of(_runner[0].study.system), "longest", 0.0)
+def run_cases(indices: Sequence[int]) -> tuple[list[CaseOutcome], float]:
+    """Run cases, each with what was printed meanwhile; return also how long the longest simulation took so far, s."""
+    outcomes, position = [], 0
+    for index in indices:
+        outcome = _runner[0](index)
+        printed, position = _printed_since(position)
+        outcomes.append(replace(outcome, log="\n".join(filter(None, [outcome.log, printed]))))
+    return outcomes, getattr(executor_of(_runner[0].study.system), "longest", 0.0)
+
+
+def _printed_since(position: int) -> tuple[str, int]:
+    """Return what this process has printed since a position in the file that it prints to, and the position now."""
+    size = os.fstat(1).st_size
+    if size == position:
+        return "", size
+    position = position if position < size else 0  # the other side has emptied the file
+    return os.pread(1, min(size - position, PRINTED_KEPT), position).decode("utf-8", errors="replace"), size
 
 
 class IsolatedCases:
@@ -54,27 +73,44 @@ class IsolatedCases:
         self._opened = study.data, study.path, copies
         self._careful = CaseRunner(replace(study, model=replace(study.model, isolation=settings)), copies)
         self._keeper = Keeper(settings, [__name__])
+        self._alone = settings.recycle is not None  # how many simulations a case takes is known afterwards
+        self._size = 1  # of the next order
 
     @property
     def columns(self) -> dict[str, str]:
         """All columns of a row in order, and their types (`CaseRunner.columns`)."""
         return self._careful.columns
 
-    def __call__(self, index: int) -> CaseOutcome:
-        """Run a case; one that fails has a row that says why."""
-        outcome: CaseOutcome
-        keeper = self._keeper
+    def run(self, indices: Sequence[int]) -> list[CaseOutcome]:
+        """Run cases one after the other; one that fails has a row that says why."""
+        found: list[CaseOutcome] = []
+        while len(found) < len(indices):
+            found += self._ordered(indices[len(found) : len(found) + self._size])
+        return found
+
+    def _ordered(self, indices: Sequence[int]) -> list[CaseOutcome]:
+        """Run cases in one order to the process."""
+        keeper, began = self._keeper, time.perf_counter()
+        outcomes: list[CaseOutcome]
         try:
             host = keeper.host(self._begin)
-            outcome, keeper.longest = host.order(
-                "call", __name__, "run_case", (index,), limit=keeper.time_limit, idle_limit=math.inf
+            outcomes, keeper.longest = host.order(
+                "call", __name__, "run_cases", (indices,), limit=keeper.time_limit, idle_limit=math.inf
             )
-            host.simulations += int(str(outcome.row["simulations"]))
+            host.simulations += sum(int(str(outcome.row["simulations"])) for outcome in outcomes)
             keeper.replace_outgrown()
         except End:
             keeper.bury()
-            outcome = self._careful(index)
-        return replace(outcome, log="\n".join(filter(None, [outcome.log, keeper.printed()])))
+            self._size = 1
+            if len(indices) > 1:
+                keeper.printed()  # they print it again
+                return [outcome for index in indices for outcome in self._ordered([index])]
+            outcome = self._careful(indices[0])
+            return [replace(outcome, log="\n".join(filter(None, [outcome.log, keeper.printed()])))]
+        keeper.printed()  # is in the logs
+        fitting = int(ORDER_SECONDS * len(indices) / max(time.perf_counter() - began, 1e-6))
+        self._size = 1 if self._alone else max(1, min(fitting, 2 * len(indices)))
+        return outcomes
 
     def _begin(self, host: Host) -> None:
         host.order("watch", limit=FIRST_LIMIT)

@@ -91,7 +91,7 @@ def run_group(parcel: Parcel, cases: Sequence[int], records: Mapping[str, bytes]
         for name, content in records.items():
             bench.put(name, content)
         began = time.perf_counter()
-        outcomes = [bench.runner(case) for case in cases]
+        outcomes = bench.run(cases)
         seconds = time.perf_counter() - began
     except OSError as error:
         raise FmuidError(f"the worker {_address()} cannot write below {bench.folder}: {error.strerror}") from None
@@ -115,12 +115,13 @@ def _check_worker(parcel: Parcel) -> None:
         raise InputError(f"the worker {_address()} {said}")
 
 
-def _runner_of(study: Study, copies: Copies, isolated: bool) -> Callable[[int], CaseOutcome]:
+def _runner_of(study: Study, copies: Copies, isolated: bool) -> Callable[[Sequence[int]], list[CaseOutcome]]:
     if not (isolated and AVAILABLE):
-        return CaseRunner(study, copies)
+        runner = CaseRunner(study, copies)
+        return lambda cases: [runner(case) for case in cases]
     from fmuid.batches.isolated_cases import IsolatedCases  # for Linux and macOS only
 
-    return IsolatedCases(study, copies)
+    return IsolatedCases(study, copies).run
 
 
 class _Bench:
@@ -128,7 +129,7 @@ class _Bench:
 
     def __init__(self, parcel: Parcel, folder: Path) -> None:
         self.folder = folder
-        self.runner = _runner_of(parcel.unpack(folder), parcel.copies(folder), parcel.isolated)
+        self.run = _runner_of(parcel.unpack(folder), parcel.copies(folder), parcel.isolated)
 
     def put(self, name: str, content: bytes) -> None:
         path = self.folder / name

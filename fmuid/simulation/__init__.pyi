@@ -14,6 +14,7 @@ from .isolation.ends import End as End
 from .isolation.isolated import printed as printed
 from .isolation.keeper import FIRST_LIMIT as FIRST_LIMIT
 from .isolation.keeper import Keeper as Keeper
+from .isolation.process import PRINTED_KEPT as PRINTED_KEPT
 from .isolation.process import SERVER as SERVER
 from .isolation.process import Host as Host
 from .isolation.server import AVAILABLE as AVAILABLE

@@ -298,9 +298,11 @@ class Host:
         now = time.monotonic()
         if self.baseline and now - self._measured < MEASURE_EVERY:
             return False
-        self._measured, size = now, max(1.0, self._footprint.read() - self._given)
-        self.baseline = self.baseline or size
-        return size > self.baseline + GROWTH or len(family(self.pid)) > MOST_RELATIVES
+        self._measured = now
+        if not self.baseline:
+            self.baseline = max(1.0, self._footprint.read() - self._given)
+        grown = self._footprint.exceeds(self.baseline + GROWTH + self._given)
+        return grown or len(family(self.pid)) > MOST_RELATIVES
 
     def _stopped(self, kind: int, number: int) -> End:
         self.kill()
