@@ -79,8 +79,7 @@ def test_what_a_face_names_is_there(face: str) -> None:
 def test_the_listing_shows_the_plan() -> None:
     assert len(list(PACKAGE.glob("*.py"))) <= 12
     for folder in {path.parent for path in modules().values()} - {PACKAGE}:
-        most = 15 if folder.name == "fmi" else 14
-        assert len([path for path in folder.glob("*.py") if path.stem != "__init__"]) <= most, folder
+        assert len([path for path in folder.glob("*.py") if path.stem != "__init__"]) <= 14, folder
 
 
 @pytest.mark.parametrize("module", [name for name in modules() if not name.startswith("export") and name != "__main__"])

@@ -23,7 +23,7 @@ import fmuid
 from experiments.fmu_survey import plain
 from experiments.fmu_survey.equations import KNOWN
 from fmuid.arrays import Floats
-from fmuid.fmi.description import Variable
+from fmuid.fmi.files.description import Variable
 
 TOLERANCE, TIGHT = 1e-8, 1e-11
 """What is asked of rk45 and cvode, and what is asked where that does not suffice."""

@@ -7,9 +7,10 @@ from pathlib import Path, PurePosixPath
 
 from fmuid.errors import InputError
 from fmuid.files import is_file
-from fmuid.fmi.archive import Zipped
-from fmuid.fmi.description import Description, read_description
-from fmuid.fmi.unpacking import file_digest, unpacked
+from fmuid.fmi.files.archive import Zipped
+from fmuid.fmi.files.description import Description
+from fmuid.fmi.files.reading import read_description
+from fmuid.fmi.files.unpacking import file_digest, unpacked
 
 
 class FMU:

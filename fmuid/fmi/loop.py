@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fmuid.fmi import codes as k
 from fmuid.fmi import native
 from fmuid.fmi.checks import check_arrays, check_plan
-from fmuid.fmi.description import Description
 from fmuid.fmi.failures import function_name
+from fmuid.fmi.files.description import Description
 from fmuid.fmi.instance import Instance
 from fmuid.fmi.integrator import NAMES, Integrator, address, function_table
 from fmuid.fmi.layout import Grid, Operation, Plan

@@ -19,7 +19,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Protocol
 
 from fmuid.errors import InputError
-from fmuid.fmi.description import Description
+from fmuid.fmi.files.description import Description
 from fmuid.fmi.fmu import FMU
 
 SAFE_TOOLS = ("fmuid", "Reference FMUs")

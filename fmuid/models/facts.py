@@ -7,9 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from math import prod
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
-from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Variable, read_text, safe_xml
+from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Variable, read_text, started_elements
 from fmuid.models.component import Component
 
 # Most elements of an array that are listed one by one; more of them share a line.
@@ -155,7 +156,7 @@ def _group(variable: Variable) -> str | None:
 def _capabilities(fmu: FMU) -> dict[str, tuple[str, ...]]:
     """Return what each interface can do, from the attributes of its element; these stand before the variables."""
     found: dict[str, tuple[str, ...]] = {}
-    for element in safe_xml.started(read_text(fmu.path), f"{fmu.path}: its {DESCRIPTION_FILE}"):
+    for element in started_elements(read_text(fmu.path), f"{fmu.path}: its {DESCRIPTION_FILE}"):
         if element.tag == "ModelVariables":
             break
         if element.tag in _TAGS:
@@ -195,8 +196,7 @@ def other_units(described: Description, unit: str) -> tuple[str, ...]:
     return tuple(name for name in dict.fromkeys([*own.display_units, *same]) if name != unit)
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """One line of a list of variables: one variable, or many elements of an array.
 
     Attributes

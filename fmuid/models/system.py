@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -228,12 +227,12 @@ class System(Owner):
     def variables(self) -> dict[str, Variable]:
         """All variables under their names in the system; a connector has the properties of its first variable."""
         found = {
-            self.full_name(component, name): replace(variable, name=self.full_name(component, name))
+            self.full_name(component, name): variable._replace(name=self.full_name(component, name))
             for component, model in self.components.items()
             for name, variable in model.fmu.description.variables.items()
         }
         ports = {name: found[some[0][0]] for name, some in self.connectors.items() if some[0][0] in found}
-        return found | {name: replace(variable, name=name) for name, variable in ports.items()}
+        return found | {name: variable._replace(name=name) for name, variable in ports.items()}
 
     @cached_property
     def connected_inputs(self) -> frozenset[str]:

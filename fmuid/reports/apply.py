@@ -92,7 +92,7 @@ def apply_result(result: Path, fmu: Path, output: Path, component: str | None = 
     """Write a copy of an FMU whose start values are the estimates of a result.
 
     Only the modelDescription.xml differs, and in it the start values and the annotation that names them
-    (`fmuid.fmi.start_values`): the binary has its own start values, and a simulator must set those of the XML.
+    (`fmuid.fmi.files.start_values`): the binary has its own start values, and a simulator must set those of the XML.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fmuid.errors import InputError
-from fmuid.fmi import DESCRIPTION_FILE, FMU, Zipped, archive_of, safe_xml
+from fmuid.fmi import DESCRIPTION_FILE, FMU, Zipped, archive_of, parse_xml
 from fmuid.processes import Child
 from fmuid.simulation.smoke import Report
 
@@ -96,7 +96,7 @@ def _description(fmu: FMU) -> Check:
     with Zipped(fmu.path) as archive:
         texts = {name: archive.read(name) for name in (DESCRIPTION_FILE, BUILD_FILE) if name in archive.names}
     for name, text in texts.items():
-        safe_xml.parse(text, f"{fmu.path}: its {name}")
+        parse_xml(text, f"{fmu.path}: its {name}")
     problems = validate_fmu(archive_of(texts))
     said = tuple(" ".join(problem.split()) for problem in problems)
     return Check("model description", "failed" if said else "ok", said or ("keeps the standard, as FMPy checks it",))

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BeforeValidator, Tag
 
-from fmuid.data import Experiment
 from fmuid.fmi import KINDS
 from fmuid.models import (
     DEFAULT_INTEGRATOR,
@@ -45,6 +44,8 @@ from fmuid.studies.words import (
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from fmuid.data import Experiment
 
 
 @dataclass(frozen=True)
@@ -235,6 +236,8 @@ class ExperimentSettings(Words):
         InputError
             If the table has not what the words say.
         """
+        from fmuid.data import Experiment
+
         words = {name: getattr(self, name) for name in ("time", "interpolation", "discard", "units", "name")}
         return Experiment(frame, self.inputs, self.outputs, **words, measured=measured, source=source)
 

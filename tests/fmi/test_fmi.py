@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.fmi.description import Variable
+from fmuid.fmi.files.description import Variable
+from fmuid.fmi.files.unpacking import file_digest, unpacked
 from fmuid.fmi.fmu import FMU
 from fmuid.fmi.instance import Instance
-from fmuid.fmi.unpacking import file_digest, unpacked
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
 

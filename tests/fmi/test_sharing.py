@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.fmi.description import KINDS
+from fmuid.fmi.files.description import KINDS
 from fmuid.fmi.fmu import FMU
 from fmuid.fmi.sharing import in_threads
 from fmuid.models.component import Component, Numerics

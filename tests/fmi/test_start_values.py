@@ -11,7 +11,7 @@ from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
 from fmuid.errors import InputError
-from fmuid.fmi.start_values import applied_values, with_starts
+from fmuid.fmi.files.start_values import applied_values, with_starts
 from tests.support.fmu_texts import FMI_3
 from tests.support.paths import FMUS
 

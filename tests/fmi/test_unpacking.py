@@ -17,12 +17,13 @@ from pathlib import Path
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.fmi import archive as zipped
-from fmuid.fmi import safe_xml
-from fmuid.fmi.archive import Zipped
+from fmuid.fmi.files import archive as zipped
+from fmuid.fmi.files import safe_xml
+from fmuid.fmi.files.archive import Zipped
+from fmuid.fmi.files.start_values import with_starts
+from fmuid.fmi.files.unpacking import file_digest, unpacked
 from fmuid.fmi.fmu import FMU
-from fmuid.fmi.start_values import with_starts
-from fmuid.fmi.unpacking import file_digest, unpacked
+from fmuid.models.ssp import parameter_values
 from fmuid.models.ssp.package import read_ssp
 from fmuid.models.ssp.parameter_values import read_ssv
 from fmuid.reports.apply import apply_result
@@ -268,7 +269,7 @@ def test_large_xml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Zipped.read, "__defaults__", (100,))
     with pytest.raises(InputError, match=r"'modelDescription\.xml' is larger than"):
         FMU(write_fmu(tmp_path / "a.fmu", FMI2))
-    monkeypatch.setattr(safe_xml, "LARGEST_XML", 100)
+    monkeypatch.setattr(parameter_values, "LARGEST_XML", 100)
     (tmp_path / "a.ssv").write_bytes(bytes(101))
     with pytest.raises(InputError, match="larger than the 100 bytes"):
         read_ssv(tmp_path / "a.ssv")
@@ -423,10 +424,10 @@ def test_deep_nesting(tmp_path: Path) -> None:
     for depth, fits in ((safe_xml.DEEPEST_NESTING, True), (safe_xml.DEEPEST_NESTING + 1, False), (100_000, False)):
         text = b"<a>" * depth + b"</a>" * depth
         if fits:
-            assert safe_xml.parse(text, "it").tag == "a"
+            assert safe_xml.parse_xml(text, "it").tag == "a"
         else:
             with pytest.raises(InputError, match="it has more than 200 elements inside each other"):
-                safe_xml.parse(text, "it")
+                safe_xml.parse_xml(text, "it")
     system = "<System name='s'><Elements>" * 5000 + "</Elements></System>" * 5000
     text = f"<SystemStructureDescription version='1.0'>{system}</SystemStructureDescription>".encode()
     with pytest.raises(InputError, match="inside each other"):
@@ -435,7 +436,7 @@ def test_deep_nesting(tmp_path: Path) -> None:
 
 def test_xml_and_archives_are_read_in_one_place() -> None:
     """So that no reader is left open; archives are written and asked whether they are archives elsewhere."""
-    package, readers = Path(safe_xml.__file__).parents[1], set[str]()
+    package, readers = Path(safe_xml.__file__).parents[2], set[str]()
     reads = re.compile(r"ElementTree\.(parse|fromstring|iterparse|XML)|ParserCreate|etree\.parse|ZipFile\([^\"]*\)")
     for path in package.rglob("*.py"):
         if reads.search(path.read_text(encoding="utf-8")):
@@ -457,10 +458,19 @@ def test_xml_and_archives_are_read_in_one_place() -> None:
         ('modelIdentifier="linear" has', 'modelIdentifier="../../evil" has', "no name of a binary"),
         ('modelIdentifier="linear" has', 'modelIdentifier="..\\evil" has', "no name of a binary"),
         ('modelIdentifier="linear" has', "has", "no name of a binary"),
-        ('start="0.5"', 'start="half"', "could not convert string to float"),
+        ('start="0.5"', 'start="half"', "gives 'length' a value that is none: could not convert"),
         (' instantiationToken="linear"', "", "has no guid or instantiationToken"),
         (' modelName="Linear"', "", "has a fmiModelDescription without its name"),
-        ('<Float64 name="length"', '<Float65 name="length"', "cannot be read"),
+        (
+            '<Float64 name="length"',
+            '<Float65 name="length"',
+            "'length' as Float65, which is no type of FMI 3.0",
+        ),
+        (' dependencies="4"', ' dependencies="4 u"', "has what refers to a variable = u"),
+        ('<Dimension start="5"/>', "<Dimension/>", "has what refers to a variable = None"),
+        ('<Dimension start="5"/>', '<Dimension start="-5"/>', "the size of an array = -5"),
+        ('causality="input"', 'causality="input" declaredType="V"', "'u' of type 'V', which it does not define"),
+        ('causality="input" variability="continuous"', 'causality="input" variability="fixed"', "FMI does not allow"),
     ],
 )
 def test_descriptions_that_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:

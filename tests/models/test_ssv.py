@@ -10,7 +10,7 @@ import pytest
 from fmpy.ssp import ssd as fmpy_ssd
 
 from fmuid.errors import InputError
-from fmuid.fmi.description import Unit, unit_conversion
+from fmuid.fmi.files.description import Unit, unit_conversion
 from fmuid.models.ssp.parameter_values import (
     Quantity,
     mapping_entries,

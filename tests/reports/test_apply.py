@@ -18,8 +18,8 @@ from fmuid.cli.options import DONE, WRONG_INPUT
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
 from fmuid.estimation.result import Result
-from fmuid.fmi.description import Unit
-from fmuid.fmi.start_values import applied_values, with_starts
+from fmuid.fmi.files.description import Unit
+from fmuid.fmi.files.start_values import applied_values, with_starts
 from fmuid.models.ssp.parameter_values import Quantity, read_ssv, write_ssv
 from fmuid.models.system import System
 from fmuid.reports.apply import AppliedValue, apply_result, write_estimates

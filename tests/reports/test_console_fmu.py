@@ -16,7 +16,7 @@ import fmuid
 from fmuid.cli.app import run
 from fmuid.cli.options import DONE, WRONG_INPUT
 from fmuid.errors import InputError
-from fmuid.fmi.description import Variable
+from fmuid.fmi.files.description import Variable
 from fmuid.models.facts import Facts, facts, lines
 from fmuid.reports.console import fmu as console_fmu
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of
@@ -254,12 +254,14 @@ def test_bounded_texts() -> None:
 
 def test_plain_tables_are_those_of_rich() -> None:
     """Of large models they are written by lines of our own, which are the same to the letter."""
-    heads, right = ["name", "start", "description"], [False, True, False]
+    heads, right = ["name", "start", "description"], ["start"]
     rows = [["R", "1.5", "resistance"], ["温度", "273.15", "äöü [b]x[/b]"], ["a_longer_name", "", "é"]]
     out = io.StringIO()
-    table = table_of("", heads, ["start"])
+    table = table_of("", heads, right)
     for row in rows:
         table.add_row(*map(escape, row))
     Console(file=out, width=200).print(table)
     expected = [line.rstrip() for line in out.getvalue().splitlines()]
-    assert [line.rstrip("\n") for line in console_fmu._plain_table([heads, *rows], right)] == expected
+    assert [
+        line.rstrip("\n") for line in console_fmu._plain_table(heads, [*zip(*rows, strict=True)], right)
+    ] == expected

@@ -17,7 +17,7 @@ from fmuid.fmi import (
     Variable,
     read_description,
     read_text,
-    safe_xml,
+    started_elements,
     unit_conversion,
 )
 from fmuid.models.ssp.parameter_values import Element, enumerations_of, units_of
@@ -113,7 +113,7 @@ class Package:
         what = f"component {name!r}"
         file = self.file_in_archive(source, what)
         try:
-            first = next(safe_xml.started(read_text(file), DESCRIPTION_FILE))
+            first = next(started_elements(read_text(file), DESCRIPTION_FILE))
         except (InputError, StopIteration) as error:
             said = str(error).replace(str(file), source) or "it is empty"
             raise self.error(f"{what}: {source} is not an FMU with a readable modelDescription.xml: {said}") from None

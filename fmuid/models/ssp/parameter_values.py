@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 from fmuid.errors import InputError
-from fmuid.fmi import SI_BASE_UNITS, Unit, Value, safe_xml
+from fmuid.fmi import LARGEST_XML, SI_BASE_UNITS, Unit, Value, parse_xml
 from fmuid.version import __version__
 
 Element = ElementTree.Element
@@ -168,12 +168,12 @@ def read_xml(path: Path, root: str, what: str) -> Element:
     """
     try:
         with path.open("rb") as file:
-            text = file.read(safe_xml.LARGEST_XML + 1)
+            text = file.read(LARGEST_XML + 1)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}; check the path") from None
-    if len(text) > safe_xml.LARGEST_XML:
-        raise InputError(f"{path} is larger than the {safe_xml.LARGEST_XML} bytes of XML that are read")
-    element = safe_xml.parse(text, str(path))
+    if len(text) > LARGEST_XML:
+        raise InputError(f"{path} is larger than the {LARGEST_XML} bytes of XML that are read")
+    element = parse_xml(text, str(path))
     if local(element) != root:
         raise InputError(f"{path} is not {what}: its root element is {local(element)}, not {root}")
     version = element.get("version", "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from textwrap import shorten
 from typing import TYPE_CHECKING
@@ -118,58 +118,52 @@ def _show_variables(out: Console, title: str, variables: Sequence[Variable], mor
     columns |= {head: column for head, column in more.items() if any(column(v) for v in shown)}
     columns["description"] = _remark
     heads = ["name", *columns]
-    texts = [[_cell(line, column) for line in rows] for column in columns.values()]
-    shorter = {text: _text(text) for text in set(chain.from_iterable(texts))}
-    cells = [
-        [_name(line.name), *map(shorter.__getitem__, row)]
-        for line, row in zip(rows, zip(*texts, strict=True), strict=True)
-    ]
+    cells = [[_name(line.name) for line in rows], *(_cells(rows, column) for column in columns.values())]
     right = ("start", "min", "max")
     if out.is_terminal:
-        taken = sum(max(len(text) for text in some) + GAP for some in zip(heads, *cells, strict=True)) - GAP
-        room = out.width - taken + max(len(row[-1]) for row in (heads, *cells))
-        for row in cells:
-            row[-1] = shorten(row[-1], max(room, SHORT_DESCRIPTION), placeholder="…")
+        widths = [max(map(len, [head, *texts])) for head, texts in zip(heads, cells, strict=True)]
+        room = max(out.width - sum(widths[:-1]) - GAP * (len(widths) - 1), SHORT_DESCRIPTION)
+        cells[-1] = [shorten(text, room, placeholder="…") for text in cells[-1]]
         table = table_of("", heads, right)
-        for row in cells:
-            table.add_row(*(escape(text) for text in row))
+        for row in zip(*cells, strict=True):
+            table.add_row(*map(escape, row))
         _print_titled(out, title, table)
     else:
         out.print(f"\n[bold]{title}[/]")
-        out.file.writelines(_plain_table([heads, *cells], [head in right for head in heads]))
+        out.file.writelines(_plain_table(heads, cells, right))
     if len(rows) < len(every):
         out.print(f"and {len(every) - len(rows)} more; all of them: fmuid info FMU | less")
 
 
-def _plain_table(rows: Sequence[Sequence[str]], right: Sequence[bool]) -> Iterator[str]:
-    """Yield the lines of a table whose first row has the heads: of a hundred thousand, Rich takes a minute for them."""
-    widths = [max(map(_width, column)) for column in zip(*rows, strict=True)]
-    template = (" " * GAP).join(
-        f"{{:{'>' if flush else '<'}{width}}}" for width, flush in zip(widths, right, strict=True)
-    )
-    for number, row in enumerate(rows):
-        if all(map(str.isascii, row)):
-            line = template.format(*row)
-        else:  # some letters take two columns, some none
-            line = (" " * GAP).join(_filled(*each) for each in zip(row, widths, right, strict=True))
+def _plain_table(heads: Sequence[str], columns: Sequence[Sequence[str]], right: Collection[str]) -> Iterator[str]:
+    """Yield the lines of a table: of a hundred thousand, Rich takes a minute for them."""
+    filled = [_filled([head, *texts], flush_right=head in right) for head, texts in zip(heads, columns, strict=True)]
+    for number, row in enumerate(zip(*filled, strict=True)):
+        line = (" " * GAP).join(row)
         yield line.rstrip() + "\n"
         if number == 0:
-            yield "─" * (sum(widths) + GAP * (len(widths) - 1)) + "\n"
+            yield "─" * cell_len(line) + "\n"
 
 
-def _width(text: str) -> int:
-    return len(text) if text.isascii() else cell_len(text)
+def _filled(texts: Sequence[str], *, flush_right: bool) -> list[str]:
+    """Return texts filled up to one width with blanks; some letters take two columns, some none."""
+    plain = "".join(texts).isascii()
+    widths = [(len if plain or text.isascii() else cell_len)(text) for text in texts]
+    widest = max(widths)
+    if plain:
+        return [text.rjust(widest) if flush_right else text.ljust(widest) for text in texts]
+    blanks = [" " * (widest - width) for width in widths]
+    return [blank + text if flush_right else text + blank for text, blank in zip(texts, blanks, strict=True)]
 
 
-def _filled(text: str, width: int, flush_right: bool) -> str:
-    blank = " " * (width - _width(text))
-    return blank + text if flush_right else text + blank
+def _cells(rows: Sequence[Line], column: Column) -> list[str]:
+    """Return what the lines say in a column."""
+    said = [column(line.variables[0]) if len(line.variables) == 1 else _cell(line, column) for line in rows]
+    return [text if len(text) <= TEXT_LENGTH and text.isprintable() else _text(text) for text in said]
 
 
 def _cell(line: Line, column: Column) -> str:
-    """Return what the variables of a line say in a column: all the same, a range of numbers, or the first and last."""
-    if len(line.variables) == 1:
-        return column(line.variables[0])
+    """Return what several variables say in a column: all the same, a range of numbers, or the first and last."""
     said = list(dict.fromkeys(column(v) for v in line.variables))
     if len(said) == 1:
         return said[0]

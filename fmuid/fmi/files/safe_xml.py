@@ -21,7 +21,7 @@ DEEPEST_NESTING = 200
 """Elements inside each other: FMI needs 5, SSP 2 for each level of nested systems; readers are recursive."""
 
 
-def parse(text: bytes, what: str) -> ElementTree.Element:
+def parse_xml(text: bytes, what: str) -> ElementTree.Element:
     """Return the root element of an XML text.
 
     Parameters
@@ -49,13 +49,13 @@ def parse(text: bytes, what: str) -> ElementTree.Element:
     raise InputError(f"{what} has more than {DEEPEST_NESTING} elements inside each other; nest it less deeply")
 
 
-def started(text: bytes, what: str) -> Iterator[ElementTree.Element]:
+def started_elements(text: bytes, what: str) -> Iterator[ElementTree.Element]:
     """Yield the elements of an XML text at their start tags, with their attributes; the caller may stop early.
 
     Raises
     ------
     InputError
-        As `parse`, as far as the text is read.
+        As `parse_xml`, as far as the text is read.
     """
     _check_head(text, what)
     try:
@@ -65,7 +65,7 @@ def started(text: bytes, what: str) -> Iterator[ElementTree.Element]:
         raise InputError(f"{what} is not well-formed XML: {error}") from None
 
 
-def parser(what: str) -> expat.XMLParserType:
+def xml_parser(what: str) -> expat.XMLParserType:
     """Return a parser that tells positions in the text and refuses a document type."""
 
     def refuse(*_: object) -> None:
@@ -99,7 +99,7 @@ def _check_head(text: bytes, what: str) -> None:
     def stop(*_: object) -> None:
         raise _RootReached
 
-    head = parser(what)
+    head = xml_parser(what)
     head.StartElementHandler = stop
     try:
         head.Parse(text, True)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Self
 
 from fmuid.errors import InputError
-from fmuid.fmi.safe_xml import LARGEST_XML
+from fmuid.fmi.files.safe_xml import LARGEST_XML
 
 LARGEST_TOTAL_GB = 4.0
 """GB (2³⁰ bytes) that an archive may unpack to: FMUs reach some hundred MB, those with an interpreter in them 2 GB."""

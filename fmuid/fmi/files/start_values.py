@@ -15,7 +15,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from fmuid.errors import InputError
-from fmuid.fmi import safe_xml
+from fmuid.fmi.files.safe_xml import xml_parser
 
 Value = float | int | bool | str
 
@@ -111,7 +111,7 @@ class _Scan:
         self.places: dict[str, int] = {}
         self._stack: list[str] = []
         self._current = _Declared("", None)
-        self._parser = parser = safe_xml.parser("modelDescription.xml")
+        self._parser = parser = xml_parser("modelDescription.xml")
         parser.XmlDeclHandler = self._declaration
         parser.StartElementHandler, parser.EndElementHandler = self._begin, self._end
         try:

@@ -17,7 +17,7 @@ from pathlib import Path
 import platformdirs
 
 from fmuid.errors import InputError
-from fmuid.fmi.archive import Zipped, parts_of
+from fmuid.fmi.files.archive import Zipped, parts_of
 
 _PRIVATE, _PRIVATE_FILE = 0o700, 0o600
 _BINARY = getattr(os, "O_BINARY", 0)  # of Windows
