@@ -152,6 +152,9 @@ def test_weak_and_undetermined() -> None:
     assert (direction.determined, direction.names) == (Determined.HARDLY, ("bend",))
     assert direction.std == pytest.approx(9.0, rel=1e-5)
     assert direction_words(direction) == "bend is hardly determined: its standard deviation is 900% of its magnitude"
+    (direction,) = bend(3.0, truth=1e-4).weak  # which happens to lie near zero
+    said = "bend is hardly determined: its standard deviation, 3, is far more than its value"
+    assert (direction.determined, direction_words(direction)) == (Determined.HARDLY, said)
     lost = bend(11.0)
     assert not lost.converged
     assert lost.weak == ()

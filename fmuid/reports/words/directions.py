@@ -8,6 +8,8 @@ from fmuid.text import listed
 # Steps along a direction are told in percent of values, but of magnitudes where values are below this share of them.
 # The largest is 1 %, which is small enough for the linear model: that of the first parameter within this share of it.
 NEAR_ZERO, AS_LARGE = 0.5, 0.99
+# Beyond so many magnitudes a standard deviation is told in its unit: a percentage of next to nothing says nothing.
+FAR = 10.0
 # Of all coefficients, so many digits are shown.
 DIGITS = 3
 
@@ -61,6 +63,9 @@ def _open(direction: Direction) -> str:
 
 def _weak(direction: Direction) -> str:
     who, std = listed(direction.names), f"{direction.std:.0%}"
+    if len(direction.names) == 1 and direction.std > FAR:  # it happens to lie near zero, as at a bound
+        own = direction.std * abs(direction.coefficients[0])
+        return f"{who} is hardly determined: its standard deviation, {own:.{DIGITS}g}, is far more than its value"
     if len(direction.names) == 1:
         return f"{who} is hardly determined: its standard deviation is {std} of its magnitude"
     return (
