@@ -56,7 +56,7 @@ def batch(
         resume=resume,
         isolated=not in_process,
     )
-    console.show_notes(read.notes)
+    console.note_sources(read)
     with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):
         with Display() as display:
             found = job.run(display)

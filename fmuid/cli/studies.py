@@ -66,7 +66,7 @@ def identify(
         from fmuid.reports.console import result as console_result
         from fmuid.reports.console.progress import Display
 
-        console.show_notes(read.notes)
+        console.note_sources(read)
         console.warn_unfed(read.simulators())
         try:
             with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
@@ -126,7 +126,7 @@ def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in
         from fmuid.reports.figures import style as plots
 
         if read.diagnosis is not None:
-            console.show_notes(read.notes)
+            console.note_sources(read)
             console.warn_unfed(read.simulators())
         files.make_folder(folder)
         with Display() as display:
@@ -165,7 +165,7 @@ def monitor(
         found = monitor_of(read, rule_of(read))
         if append:
             found.resume(folder)
-        console.show_notes(read.notes)
+        console.note_sources(read)
         files.make_folder(folder)
         saving = "saving the records examined so far, with which --append goes on"
         with answering(saving), Display() as display:

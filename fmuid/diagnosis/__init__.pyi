@@ -10,6 +10,7 @@ from .hypothesis import Size as Size
 from .hypothesis import Strain as Strain
 from .monitoring.alarms import SOMETHING_ELSE as SOMETHING_ELSE
 from .monitoring.alarms import Rule as Rule
+from .monitoring.monitor import Gap as Gap
 from .monitoring.monitor import Monitor as Monitor
 from .monitoring.window_fit import Extended as Extended
 from .procedure import LEVEL as LEVEL

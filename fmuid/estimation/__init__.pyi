@@ -38,5 +38,6 @@ from .misfit import misfits as misfits
 from .misfit import refuse_loss as refuse_loss
 from .misfit import variances as variances
 from .model_derivatives import SENSITIVITIES as SENSITIVITIES
+from .model_derivatives import Sensitivity as Sensitivity
 from .result import Result as Result
 from .result import check_level as check_level

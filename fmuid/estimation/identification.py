@@ -136,7 +136,7 @@ def point_result(problem: LeastSquares, theta: Floats) -> Result:
         at_bounds=(),
         version=__version__,
         models=problem.models,
-        sensitivity=problem.sensitivity_words,
+        sensitivity=problem.used_sensitivity,
     )
 
 
@@ -342,7 +342,7 @@ class _Identification:
             at_bounds=at_bounds,
             version=__version__,
             models=problem.models,
-            sensitivity=problem.sensitivity_words,
+            sensitivity=problem.used_sensitivity,
             moved_start=self.moved_start,
             local=model,
             history=history,

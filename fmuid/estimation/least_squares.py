@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,7 @@ from fmuid.data import (
 )
 from fmuid.data import Noise as Noise
 from fmuid.errors import InputError
+from fmuid.estimation.model_derivatives import Sensitivity
 from fmuid.estimation.numerical_noise import HUGE
 
 
@@ -161,8 +163,8 @@ class LeastSquares:
         return LeastSquares([predictor], [table], parameters, noise=noise, joint_prior=joint_prior, loss=loss)
 
     @property
-    def models(self) -> dict[str, dict[str, str]]:
-        """``name``, ``digest`` and ``run`` (how it is run, in words) of each FMU by its component; none here."""
+    def models(self) -> dict[str, dict[str, Any]]:
+        """``name``, ``digest`` and ``run`` (how it is run) of each FMU by its component; none here."""
         return {}
 
     def _check_counts(self) -> None:
@@ -237,17 +239,10 @@ class LeastSquares:
         self._refusal = reason
 
     @property
-    def sensitivity_words(self) -> str:
-        """How the derivatives were found, in words."""
-        if self._refusal:
-            return f"finite differences ({self.sensitivity} sensitivities are refused: {self._refusal})"
-        by_twins = any(getattr(each, "by_differences", False) for each in self._derivatives)
-        return {
-            "finite-difference": "finite differences of whole simulations",
-            "forward": "the sensitivity system, integrated with the model: "
-            + ("differences of its right-hand side" if by_twins else "directional derivatives"),
-            "fmu": "outputs of the FMU",
-        }[self.sensitivity]
+    def used_sensitivity(self) -> Sensitivity:
+        """How the derivatives were found."""
+        by_differences = any(getattr(each, "by_differences", False) for each in self._derivatives)
+        return Sensitivity(self.sensitivity, by_differences, self._refusal)
 
     def outputs(self, theta: ArrayLike, predicted: Floats | None = None, *, simulate: bool = True) -> list[Floats]:
         """Simulate one theta (N,) and return every experiment's outputs (K, n_outputs), NaN where failed.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +22,27 @@ from fmuid.estimation.finite_differences import INFLUENCE, LARGEST_STEP, FiniteD
 SENSITIVITIES = ("finite-difference", "forward", "fmu")
 """How the derivatives of the outputs by the parameters are found: by differences of whole simulations, by integrating
 the sensitivity system (1.26) with the model, or as outputs of the FMU."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How the derivatives by the parameters were found.
+
+    Attributes
+    ----------
+    method : str
+        The one of `SENSITIVITIES` that was asked for.
+    by_differences : bool
+        Of "forward": whether the right-hand side of the sensitivity system is made of differences, not of directional
+        derivatives.
+    refusal : str
+        Why the model has refused them somewhere; differences of whole simulations have served from there on.
+    """
+
+    method: str
+    by_differences: bool = False
+    refusal: str = ""
+
 
 # Share of a derivative that its error is taken to be: what an integrator with the default tolerance leaves.
 RELATIVE_ERROR = 1e-6

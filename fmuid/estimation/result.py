@@ -22,6 +22,7 @@ from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.model_derivatives import Sensitivity
 
 if TYPE_CHECKING:
     from fmuid.estimation.global_search.optima import Optimum
@@ -82,10 +83,10 @@ class Result:
     version : str
         Of fmuid.
     models : mapping of str to mapping
-        ``name``, ``digest`` and ``run`` (interface, integrator and tolerance in words) of each FMU by its component; a
-        single one is the component ``""``. Empty for problems that are not made of FMUs.
-    sensitivity : str
-        How the derivatives by the parameters were found, in words.
+        ``name``, ``digest`` and ``run`` (the fields of a `fmuid.models.HowRun`) of each FMU by its component; a single
+        one is the component ``""``. Empty for problems that are not made of FMUs.
+    sensitivity : Sensitivity or None
+        How the derivatives by the parameters were found.
     moved_start : tuple of str
         Parameters that change no output at the start that was given; `start` is another one, where they do.
     local : LocalModel or None
@@ -123,8 +124,8 @@ class Result:
     prior_determined: tuple[Direction, ...]
     at_bounds: tuple[AtBound, ...]
     version: str
-    models: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    sensitivity: str = ""
+    models: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    sensitivity: Sensitivity | None = None
     moved_start: tuple[str, ...] = ()
     local: LocalModel | None = None
     history: History | None = None

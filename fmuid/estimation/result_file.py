@@ -15,6 +15,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.model_derivatives import Sensitivity
 
 if TYPE_CHECKING:
     from fmuid.estimation.result import Result
@@ -59,7 +60,7 @@ def content(result: Result) -> dict[str, Any]:
         "at_bounds": [asdict(each) for each in result.at_bounds],
         "version": result.version,
         "models": {component: dict(model) for component, model in result.models.items()},
-        "sensitivity": result.sensitivity,
+        "sensitivity": None if result.sensitivity is None else asdict(result.sensitivity),
         "moved_start": list(result.moved_start),
         "accuracy": None if result.accuracy is None else result.accuracy.to_json_dict(),
     }
@@ -129,10 +130,10 @@ def _fields(data: Any) -> dict[str, Any]:
         "at_bounds": tuple(AtBound(str(b["name"]), float(b["value"])) for b in data.get("at_bounds", ())),
         "version": str(data["version"]),
         "models": {
-            str(c): {key: str(m.get(key, "")) for key in ("name", "digest", "run")}
+            str(c): {"name": str(m.get("name", "")), "digest": str(m.get("digest", "")), "run": dict(m.get("run", {}))}
             for c, m in data.get("models", {}).items()
         },
-        "sensitivity": str(data.get("sensitivity", "")),
+        "sensitivity": Sensitivity(**data["sensitivity"]) if data.get("sensitivity") else None,
         "moved_start": tuple(map(str, data.get("moved_start", ()))),
         "accuracy": None if accuracy is None else Accuracy.of_json(accuracy, column["numerical_shift"]),
     }

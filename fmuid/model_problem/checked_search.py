@@ -233,7 +233,7 @@ class _CheckedSearch:
         # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
         predicted = simulated(fit) if finer.tolerance else problem.predict(fit.values[None])[0]
         found = checked(problem, fit, self._simulated(finer, fit.values) - predicted)
-        return replace(found, finer=_joined(problem.run_words(finer)))
+        return replace(found, finer=problem.how_run(finer))
 
     def _simulated(self, finer: Refinement, theta: Floats) -> Floats:
         """Return the counted samples (n,) of a finer simulation at theta, NaN where it fails."""
@@ -279,7 +279,7 @@ class _CheckedSearch:
     def _switch(self, finer: Refinement, cause: Cause, size: float, simulations: int = 0) -> None:
         """Simulate in a finer way from now on, and note why."""
         problem = self.problem
-        before, after = (_joined(problem.run_words(each)) for each in (problem.refinement, finer))
+        before, after = (problem.how_run(each) for each in (problem.refinement, finer))
         self.switches.append(Switch(cause, size, before, after, simulations))
         problem.simulate_by(finer)
 
@@ -291,7 +291,7 @@ class _CheckedSearch:
         spent = problem.simulations - self.before
         found = replace(
             self.found,
-            used=_joined(problem.run_words(problem.refinement)),
+            used=problem.how_run(problem.refinement),
             switches=tuple(self.switches),
             refused=self.refused,
             simulations=spent - first.simulations - self.foreseen,
@@ -307,10 +307,6 @@ class _CheckedSearch:
             accuracy=found,
         )
         return with_shift(result, found) if found.outcome is AccuracyOutcome.SHIFTED else result
-
-
-def _joined(words: dict[str, str]) -> str:
-    return "; ".join(f"{name}: {how}" if name else how for name, how in words.items())
 
 
 def _single(fits: Sequence[Result]) -> tuple[Optimum, ...]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +21,9 @@ from fmuid.simulation import (
     Refinement,
     Simulator,
     derivatives_of,
+    how_run,
     next_refinement,
     refined,
-    run_words,
 )
 from fmuid.text import nearest
 
@@ -101,19 +103,22 @@ class Problem(LeastSquares):
         )
 
     @property
-    def models(self) -> dict[str, dict[str, str]]:
-        """``name``, ``digest`` and ``run`` (how it is run, in words) of each FMU by its component."""
-        words = self.run_words(self.refinement)
+    def models(self) -> dict[str, dict[str, Any]]:
+        """``name``, ``digest`` and ``run`` (the fields of its `fmuid.models.HowRun`) of each FMU by its component."""
+        run = self.how_run(self.refinement)
         return {
-            name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": words[name]}
+            name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": run[name]}
             for name, model in self.system.components.items()
         }
 
-    def run_words(self, refinement: Refinement) -> dict[str, str]:
-        """Return in words how each component is run with a refinement, as far as it is known which are stiff."""
+    def how_run(self, refinement: Refinement) -> dict[str, dict[str, Any]]:
+        """Return how each component is run with a refinement, as far as it is known which are stiff.
+
+        The fields of a `fmuid.models.HowRun` for each.
+        """
         known = self if refinement == self.refinement else self._finer.get(refinement)
-        simulators = known._simulators if known is not None else []
-        return run_words(self.system, refinement, frozenset[str]().union(*(each.stiff for each in simulators)))
+        stiff = frozenset[str]().union(*(each.stiff for each in (known._simulators if known is not None else ())))
+        return {name: asdict(run) for name, run in how_run(self.system, refinement, stiff).items()}
 
     # --- finer simulations
 

@@ -3,6 +3,7 @@ from .component import DEFAULT_TOLERANCE as DEFAULT_TOLERANCE
 from .component import INTEGRATORS as INTEGRATORS
 from .component import STIFF_INTEGRATOR as STIFF_INTEGRATOR
 from .component import Component as Component
+from .component import HowRun as HowRun
 from .component import Isolation as Isolation
 from .component import Numerics as Numerics
 from .executor import Executor as Executor

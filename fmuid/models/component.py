@@ -135,21 +135,48 @@ class Component:
         """The integrator that model exchange begins with: the one asked for, else "rk45"."""
         return self.numerics.integrator or DEFAULT_INTEGRATOR
 
-    def words(self, *, stiff: bool = False) -> str:
-        """Return in words how the FMU is run.
+    def how_run(self, *, stiff: bool = False) -> HowRun:
+        """Return how the FMU is run.
 
         Parameters
         ----------
         stiff : bool
             Whether "rk45" has found the model stiff, so that "cvode" took its place (`fmuid.Simulator.stiff`).
         """
-        given, version = self.numerics, f"FMI {self.fmu.description.fmi_version} {self.kind}"
-        step = f", steps of at most {given.step_size:g} s" if given.step_size else ""
+        given, version = self.numerics, self.fmu.description.fmi_version
         if self.kind == "co-simulation":
-            return version + (f", tolerance {given.tolerance:g}" if given.tolerance else "") + step
-        integrator = f"{STIFF_INTEGRATOR} ({self.integrator} found the model stiff)" if stiff else self.integrator
-        accuracy = "" if self.integrator == "rk4" else f", tolerance {given.tolerance or DEFAULT_TOLERANCE:g}"
-        return f"{version}, integrator {integrator}{accuracy}{step}"
+            return HowRun(version, self.kind, None, False, given.tolerance, given.step_size)
+        tolerance = None if self.integrator == "rk4" else given.tolerance or DEFAULT_TOLERANCE
+        integrator = STIFF_INTEGRATOR if stiff else self.integrator
+        return HowRun(version, self.kind, integrator, stiff, tolerance, given.step_size)
+
+
+@dataclass(frozen=True)
+class HowRun:
+    """How an FMU was run, its defaults resolved.
+
+    Attributes
+    ----------
+    fmi_version, interface : str
+    integrator : str or None
+        None for co-simulation, where it is inside the FMU.
+    stiff : bool
+        Whether `integrator` took the place of one that found the model stiff.
+    tolerance : float or None
+        Relative; None where there is none, or the FMU's own.
+    step_size : float or None
+        Largest step, s; None from sample to sample.
+    divisor : int
+        Into how many each step is divided beyond that.
+    """
+
+    fmi_version: str
+    interface: str
+    integrator: str | None
+    stiff: bool
+    tolerance: float | None
+    step_size: float | None
+    divisor: int = 1
 
 
 DEFAULT_INTEGRATOR = "rk45"  # no start-up phase after each step of the inputs, and detects stiffness

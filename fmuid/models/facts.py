@@ -11,7 +11,7 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Variable, read_text, started_elements
-from fmuid.models.component import Component
+from fmuid.models.component import Component, HowRun
 
 # Most elements of an array that are listed one by one; more of them share a line.
 SINGLE_ELEMENTS = 4
@@ -19,26 +19,6 @@ SINGLE_ELEMENTS = 4
 # A number between brackets, alone or beside others.
 _SUBSCRIPT = re.compile(r"(?<=[\[,])\s*\d+(?=\s*[\],])")
 
-# Attributes of <CoSimulation>, <ModelExchange> and <ScheduledExecution> in words (FMI 2.0.4, sections 3.3.1 and 4.3.1;
-# FMI 3.0.2, section 2.4.8). The versions of the standard spell some names differently.
-_CAPABILITIES = {
-    "canHandleVariableCommunicationStepSize": "variable communication steps",
-    "canInterpolateInputs": "interpolates inputs",
-    "hasEventMode": "event mode",
-    "canReturnEarlyAfterIntermediateUpdate": "early return on demand",
-    "mightReturnEarlyFromDoStep": "may return early from a step",
-    "providesIntermediateUpdate": "intermediate update",
-    "needsCompletedIntegratorStep": "is told completed steps",
-    "canGetAndSetFMUstate": "gets and sets its state",
-    "canGetAndSetFMUState": "gets and sets its state",
-    "canSerializeFMUstate": "serialises its state",
-    "canSerializeFMUState": "serialises its state",
-    "providesDirectionalDerivative": "directional derivatives",
-    "providesDirectionalDerivatives": "directional derivatives",
-    "providesAdjointDerivatives": "adjoint derivatives",
-    "canBeInstantiatedOnlyOncePerProcess": "once per process",
-    "needsExecutionTool": "needs its tool",
-}
 _TAGS = {
     "CoSimulation": "co-simulation",
     "ModelExchange": "model-exchange",
@@ -53,13 +33,13 @@ class Facts:
     Attributes
     ----------
     fmu : FMU
-    capabilities : mapping of str to tuple of str
-        For each interface its optional capabilities, in words.
+    capabilities : mapping of str to mapping of str to str
+        For each interface what it declares, by the names of FMI, "needsCompletedIntegratorStep" by that of FMI 3.0.
     here : str or None
         The folder of binaries for this machine; None if there is none.
     machine : str
         FMI's name of this machine's platform.
-    run_as : str
+    run_as : HowRun
         How fmuid runs the FMU by default.
     tunable, fixed, calculated, structural : tuple of Variable
         Parameters: that may change at any time, that are set before the initialisation, that the FMU computes from
@@ -74,10 +54,10 @@ class Facts:
     """
 
     fmu: FMU
-    capabilities: Mapping[str, tuple[str, ...]]
+    capabilities: Mapping[str, Mapping[str, str]]
     here: str | None
     machine: str
-    run_as: str
+    run_as: HowRun
     tunable: tuple[Variable, ...]
     fixed: tuple[Variable, ...]
     calculated: tuple[Variable, ...]
@@ -120,7 +100,7 @@ def facts(fmu: FMU) -> Facts:
         capabilities=_capabilities(fmu),
         here=next((name for name in (fmpy.platform, fmpy.platform_tuple) if name in fmu.platforms), None),
         machine=fmpy.platform if described.major_version == 2 else fmpy.platform_tuple,
-        run_as=Component(fmu).words(),
+        run_as=Component(fmu).how_run(),
         states=tuple(v for v in variables if v.is_state),
         direct={v.name: _direct(described, v.name, inputs) for v in groups["outputs"]},
         units={
@@ -153,31 +133,23 @@ def _group(variable: Variable) -> str | None:
     return "calculated" if variable.causality == "local" and variable.variability in ("fixed", "tunable") else None
 
 
-def _capabilities(fmu: FMU) -> dict[str, tuple[str, ...]]:
-    """Return what each interface can do, from the attributes of its element; these stand before the variables."""
-    found: dict[str, tuple[str, ...]] = {}
+def _capabilities(fmu: FMU) -> dict[str, dict[str, str]]:
+    """Return what each interface declares, the attributes of its element; these stand before the variables."""
+    found: dict[str, dict[str, str]] = {}
     for element in started_elements(read_text(fmu.path), f"{fmu.path}: its {DESCRIPTION_FILE}"):
         if element.tag == "ModelVariables":
             break
         if element.tag in _TAGS:
-            found[_TAGS[element.tag]] = _words(element, fmu.description.major_version)
+            found[_TAGS[element.tag]] = _declared(element, fmu.description.major_version)
     return dict(sorted(found.items()))
 
 
-def _words(element: Element, version: int) -> tuple[str, ...]:
-    true = ("true", "1")
-    given = {name: value.strip() in true for name, value in element.attrib.items()}
+def _declared(element: Element, version: int) -> dict[str, str]:
+    given = dict(element.attrib)
     if element.tag == "ModelExchange" and version == 2:  # FMI 2.0 states the opposite
-        given["needsCompletedIntegratorStep"] = not given.get("completedIntegratorStepNotNeeded", False)
-    words = [word for name, word in _CAPABILITIES.items() if given.get(name, False)]
-    if element.tag == "CoSimulation":
-        if not given.get("canHandleVariableCommunicationStepSize", False):
-            words.insert(0, "communication steps of one length")
-        if element.get("fixedInternalStepSize"):
-            words.append(f"internal steps of {element.get('fixedInternalStepSize')} s")
-        if element.get("maxOutputDerivativeOrder", "0") != "0":
-            words.append(f"derivatives of outputs to order {element.get('maxOutputDerivativeOrder')}")
-    return tuple(dict.fromkeys(words))
+        told = given.pop("completedIntegratorStepNotNeeded", "false").strip() in ("true", "1")
+        given["needsCompletedIntegratorStep"] = "false" if told else "true"
+    return given
 
 
 def _direct(described: Description, output: str, inputs: frozenset[str]) -> tuple[str, ...] | None:

@@ -1,11 +1,11 @@
 from .accuracy import AS_ASKED as AS_ASKED
 from .accuracy import Refinement as Refinement
+from .accuracy import how_run as how_run
 from .accuracy import is_free as is_free
 from .accuracy import next_refinement as next_refinement
 from .accuracy import refined as refined
 from .accuracy import refined_system as refined_system
 from .accuracy import replaces_interface as replaces_interface
-from .accuracy import run_words as run_words
 from .executor import executor_of as executor_of
 from .fit import Fit as Fit
 from .fit import fit_of as fit_of
@@ -20,6 +20,12 @@ from .isolation.process import Host as Host
 from .isolation.server import AVAILABLE as AVAILABLE
 from .sensitivities import derivatives_of as derivatives_of
 from .simulator import Simulator as Simulator
+from .smoke import Stage as Stage
 from .validation import TIME_LIMIT as TIME_LIMIT
+from .validation import Binary as Binary
+from .validation import Check as Check
+from .validation import Subject as Subject
+from .validation import Tool as Tool
+from .validation import Trial as Trial
 from .validation import Validation as Validation
 from .validation import validate as validate

@@ -8,9 +8,9 @@ keeps its steps: a sampled controller that acts four times as often is another p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from fmuid.models import DEFAULT_TOLERANCE, Component, Numerics, System
+from fmuid.models import DEFAULT_TOLERANCE, Component, HowRun, Numerics, System
 from fmuid.simulation.simulator import Simulator
 
 FINE_TOLERANCE = 1e-9
@@ -115,8 +115,8 @@ def refined(simulator: Simulator, system: System, refinement: Refinement) -> Sim
     return simulator.by(refined_system(system, refinement), refinement.divisor)
 
 
-def run_words(system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()) -> dict[str, str]:
-    """Return in words how each component is run.
+def how_run(system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()) -> dict[str, HowRun]:
+    """Return how each component is run.
 
     Parameters
     ----------
@@ -126,9 +126,8 @@ def run_words(system: System, refinement: Refinement, stiff: frozenset[str] = fr
     stiff : frozenset of str
         The components that were found stiff (`Simulator.stiff`).
     """
-    share = f", each step divided by {refinement.divisor}" if refinement.divisor > 1 else ""
     return {
-        name: model.words(stiff=name in stiff) + (share if system.integrates(name) else "")
+        name: replace(model.how_run(stiff=name in stiff), divisor=refinement.divisor if system.integrates(name) else 1)
         for name, model in refined_system(system, refinement).components.items()
     }
 

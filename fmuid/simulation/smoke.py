@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 
@@ -22,6 +23,7 @@ import pandas as pd
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmi import FMU, Description, Instance
+from fmuid.models import HowRun
 from fmuid.processes import watch_lifeline
 from fmuid.simulation.simulator import Simulator
 
@@ -32,20 +34,29 @@ OBSERVED = 200  # outputs that are looked at: what an FMU has beyond them is of 
 REPEAT_TOLERANCE = 1e-6
 
 
+class Stage(StrEnum):
+    """What a try was doing."""
+
+    START = "start"
+    INSTANTIATION = "instantiation"
+    SIMULATION = "simulation"
+    REPETITION = "repetition"
+    END = "end"
+
+
 @dataclass
 class Report:
     """How far a try came.
 
     Attributes
     ----------
-    doing : str
-        What the process was doing last, to be read after "while it".
+    doing : Stage
+        What the process was doing last.
     instantiated, simulated, repeated : bool
         Whether that was done.
     differs : bool
         Whether the second simulation gave other outputs than the first.
-    run : str
-        How fmuid ran the FMU, in words.
+    run : HowRun or None
     start, stop : float
         What was simulated, s.
     samples, outputs : int
@@ -53,19 +64,19 @@ class Report:
     seconds : float
         How long a simulation took, s: the second one.
     error : str
-        The sentence that ended it.
+        The error that ended it.
     warnings : list of str
         What the FMU, or fmuid, warned of.
     no_reset : list of str
         What was warned of where a reset does not bring the FMU back to its beginning.
     """
 
-    doing: str = "was starting"
+    doing: Stage = Stage.START
     instantiated: bool = False
     simulated: bool = False
     repeated: bool = False
     differs: bool = False
-    run: str = ""
+    run: HowRun | None = None
     start: float = 0.0
     stop: float = 0.0
     samples: int = 0
@@ -82,7 +93,11 @@ class Report:
     @classmethod
     def read(cls, path: Path) -> Report:
         """Read it again; a process that did not come to write anything was starting."""
-        return cls(**json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else cls()
+        if not path.is_file():
+            return cls()
+        found = json.loads(path.read_text(encoding="utf-8"))
+        run = None if found["run"] is None else HowRun(**found["run"])
+        return cls(**found | {"doing": Stage(found["doing"]), "run": run})
 
 
 def default_times(description: Description, kind: str, share: float = 1.0) -> tuple[np.ndarray, float | None]:
@@ -141,32 +156,32 @@ def attempt(path: Path, kind: str, share: float, target: Path) -> Report:
 
 
 def _run(report: Report, fmu: FMU, kind: str, share: float, target: Path) -> None:
-    def begin(doing: str) -> None:
+    def begin(doing: Stage) -> None:
         report.doing = doing
         report.write(target)
 
-    begin("was being loaded and instantiated")
+    begin(Stage.INSTANTIATION)
     if not fmu.description.interfaces[kind].once_per_process:
         instance = Instance(fmu, kind, "fmuid")
         report.instantiated = True
-        begin("was being freed")
+        begin(Stage.END)
         instance.close()
     times, step_size = default_times(fmu.description, kind, share)
     names = observed(fmu.description)
     frame = pd.DataFrame({"time": times})
     experiment = Experiment(frame, outputs=names, measured=False, source="the default experiment")
     report.start, report.stop, report.samples, report.outputs = times[0], times[-1], len(times), len(names)
-    begin("was being simulated")
+    begin(Stage.SIMULATION)
     simulator = Simulator(fmu, experiment, interface=kind, step_size=step_size)
     first = simulator([])
-    report.run = simulator.system.components[""].words(stiff="" in simulator.stiff)
+    report.run = simulator.system.components[""].how_run(stiff="" in simulator.stiff)
     report.instantiated = report.simulated = True
-    begin("was being simulated a second time")
+    begin(Stage.REPETITION)
     began = time.perf_counter()
     second = simulator([])
     report.seconds, report.repeated = time.perf_counter() - began, True
     report.differs = not np.allclose(first, second, rtol=0.0, atol=REPEAT_TOLERANCE * np.abs(first).max(initial=0.0))
-    begin("was being freed")
+    begin(Stage.END)
     simulator.system.close()
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
-import signal
 import subprocess
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 
 from fmuid.errors import InputError
@@ -25,21 +23,94 @@ TIME_LIMIT = 60.0
 SHARES = (1.0, 0.01)
 
 
+class Subject(Enum):
+    """What is checked; all but the first two of each interface."""
+
+    DESCRIPTION = "model description"
+    TOOL = "stands alone"
+    BINARY = "binary"
+    INSTANTIATION = "instantiation"
+    SIMULATION = "simulation"
+    RESET = "reset"
+    MESSAGES = "messages"
+
+
+@dataclass(frozen=True)
+class Tool:
+    """The tool without which an FMU does not run.
+
+    Attributes
+    ----------
+    name : str
+        Empty where the FMU does not say.
+    interfaces : tuple of str
+    """
+
+    name: str
+    interfaces: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Binary:
+    """The library of an interface for this machine, as ``platform/file``, and the other platforms that have one."""
+
+    library: str
+    others: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One try of an interface in a process of its own.
+
+    Attributes
+    ----------
+    share : float
+        How much of the default experiment was asked for.
+    report : Report
+        How far it came.
+    code : int or None
+        With which the process ended, negative by a signal; None where it was ended after `limit`.
+    last_words : str
+        The last line that was printed.
+    limit : float
+        How long it might take, s.
+    """
+
+    share: float
+    report: Report
+    code: int | None = 0
+    last_words: str = ""
+    limit: float = TIME_LIMIT
+
+    @property
+    def troubled(self) -> bool:
+        """Whether an error, a crash or the limit has ended it."""
+        return self.code != 0 or bool(self.report.error)
+
+
 @dataclass(frozen=True)
 class Check:
     """One check of an FMU.
 
     Attributes
     ----------
-    name : str
+    subject : Subject
+    interface : str or None
+        Of which, if of one.
     result : "ok", "warning", "failed" or "left out"
-    remarks : tuple of str
-        What there is to say, one sentence or figure each.
+    evidence : tuple
+        What the result rests on: `Tool`, `Binary`, each `Trial`, or what FMPy or the FMU says.
     """
 
-    name: str
+    subject: Subject
+    interface: str | None
     result: str
-    remarks: tuple[str, ...] = ()
+    evidence: tuple[Tool | Binary | Trial | str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Interface and subject."""
+        return f"{self.interface}: {self.subject.value}" if self.interface else self.subject.value
 
 
 @dataclass(frozen=True)
@@ -85,8 +156,8 @@ def validate(fmu: FMU | str | Path) -> Validation:
     checks = [_description(fmu), *_tool(fmu)]
     for kind, interface in fmu.description.interfaces.items():
         binary = _binary(fmu, kind, interface.identifier)
-        checks.append(binary)
-        checks += _interface(fmu, kind) if binary.result != "failed" else [Check(f"{kind}: simulation", "left out")]
+        sound = binary.result != "failed"
+        checks += [binary, *(_interface(fmu, kind) if sound else [Check(Subject.SIMULATION, kind, "left out")])]
     return Validation(fmu.path, tuple(checks))
 
 
@@ -99,102 +170,53 @@ def _description(fmu: FMU) -> Check:
         parse_xml(text, f"{fmu.path}: its {name}")
     problems = validate_fmu(archive_of(texts))
     said = tuple(" ".join(problem.split()) for problem in problems)
-    return Check("model description", "failed" if said else "ok", said or ("keeps the standard, as FMPy checks it",))
+    return Check(Subject.DESCRIPTION, None, "failed" if said else "ok", said)
 
 
 def _tool(fmu: FMU) -> list[Check]:
     kinds = [kind for kind, interface in fmu.description.interfaces.items() if interface.needs_execution_tool]
-    if not kinds:
-        return []
-    tool = fmu.description.generation_tool or "the tool that made it"
-    return [Check("stands alone", "warning", (f"runs only with {tool} on this machine ({', '.join(kinds)})",))]
+    tool = Tool(fmu.description.generation_tool or "", tuple(kinds))
+    return [Check(Subject.TOOL, None, "warning", (tool,))] if kinds else []
 
 
 def _binary(fmu: FMU, kind: str, identifier: str) -> Check:
     try:
         library = fmu.library(identifier)
     except InputError as error:
-        return Check(f"{kind}: binary", "failed", (str(error),))
-    others = [name for name in fmu.platforms if name != library.parent.name]
-    here = f"{library.parent.name}/{library.name}"
-    return Check(f"{kind}: binary", "ok", (here + (f"; also for {', '.join(others)}" if others else ""),))
-
-
-@dataclass(frozen=True)
-class _Try:
-    """One try: the report of its process, and what ended the process early, if anything did."""
-
-    share: float
-    report: Report
-    crash: str = ""
-    late: bool = False
-
-    @property
-    def words(self) -> str:
-        """What was tried, as a message begins."""
-        part = f" ({100 * self.share:g} % of the default experiment)" if self.share < 1 else ""
-        return f"{self.report.start:g} to {self.report.stop:g} s{part}"
-
-    @property
-    def trouble(self) -> str:
-        """What ended it, as a sentence; nothing where nothing did."""
-        if self.late:
-            return f"did not end within {TIME_LIMIT:g} s while it {self.report.doing}"
-        return f"{self.crash} while it {self.report.doing}" if self.crash else self.report.error
+        return Check(Subject.BINARY, kind, "failed", (str(error),))
+    others = tuple(name for name in fmu.platforms if name != library.parent.name)
+    return Check(Subject.BINARY, kind, "ok", (Binary(f"{library.parent.name}/{library.name}", others),))
 
 
 def _interface(fmu: FMU, kind: str) -> list[Check]:
-    tries: list[_Try] = []
+    tries: list[Trial] = []
     for share in SHARES:
         tries.append(_try(fmu, kind, share))
-        if tries[-1].report.simulated or not (tries[-1].report.instantiated and tries[-1].late):
+        report = tries[-1].report
+        if report.simulated or not (report.instantiated and tries[-1].code is None):
             break
     last = tries[-1]
-    if not last.report.instantiated:
-        return [Check(f"{kind}: instantiation", "failed", (_with_licence(last.trouble),))]
-    checks = [Check(f"{kind}: instantiation", "ok"), _simulation(kind, tries)]
-    if last.report.simulated:
+    if not report.instantiated:
+        return [Check(Subject.INSTANTIATION, kind, "failed", (last,))]
+    result = "failed" if not report.simulated else "warning" if len(tries) > 1 else "ok"
+    checks = [Check(Subject.INSTANTIATION, kind, "ok"), Check(Subject.SIMULATION, kind, result, tuple(tries))]
+    if report.simulated:
         checks.append(_reset(kind, last))
-    said = tuple(last.report.warnings)
-    return [*checks, Check(f"{kind}: messages", "warning", said)] if said else checks
+    said = tuple(report.warnings)
+    return [*checks, Check(Subject.MESSAGES, kind, "warning", said)] if said else checks
 
 
-def _simulation(kind: str, tries: Sequence[_Try]) -> Check:
-    name = f"{kind}: simulation"
-    remarks = [f"{each.words}: {each.trouble}" for each in tries if not each.report.simulated]
-    last = tries[-1]
-    if not last.report.simulated:
-        return Check(name, "failed", tuple(remarks))
-    seen = f"outputs finite ({last.report.outputs})" if last.report.outputs else "no outputs to look at"
-    figures = f"{last.report.run}, {last.words}: {last.report.samples} samples, {seen}"
-    if last.report.repeated:
-        figures += f", in {_duration(last.report.seconds)}"
-    return Check(name, "warning" if remarks else "ok", (*remarks, figures))
-
-
-def _reset(kind: str, last: _Try) -> Check:
+def _reset(kind: str, last: Trial) -> Check:
     """Judge the second simulation, and whether it could be made with the same instance."""
-    name, report = f"{kind}: reset", last.report
-    if last.trouble:
-        return Check(name, "warning" if last.late else "failed", (last.trouble,))
-    if report.differs:
-        return Check(name, "failed", ("a second simulation gives other outputs than the first",))
-    lost = tuple(report.no_reset)
-    return Check(name, "warning" if lost else "ok", lost or ("a second simulation gives the same outputs",))
+    if last.troubled:
+        return Check(Subject.RESET, kind, "warning" if last.code is None else "failed", (last,))
+    if last.report.differs:
+        return Check(Subject.RESET, kind, "failed")
+    lost = tuple(last.report.no_reset)
+    return Check(Subject.RESET, kind, "warning" if lost else "ok", lost)
 
 
-def _duration(seconds: float) -> str:
-    return f"{seconds:.2g} s" if seconds >= 0.1 else f"{1e3 * seconds:.2g} ms"
-
-
-def _with_licence(sentence: str) -> str:
-    """Return what an FMU that cannot be instantiated says, with the remedy where it is about a licence."""
-    if re.search(r"licen[cs]", sentence, re.IGNORECASE):
-        sentence += "; get a licence of the tool that made it, or export it with one that needs none to run"
-    return sentence
-
-
-def _try(fmu: FMU, kind: str, share: float) -> _Try:
+def _try(fmu: FMU, kind: str, share: float) -> Trial:
     """Simulate one interface in a process of its own."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         report, printed = Path(folder) / "report.json", Path(folder) / "printed.txt"
@@ -205,19 +227,6 @@ def _try(fmu: FMU, kind: str, share: float) -> _Try:
                 code = child.wait(TIME_LIMIT)
             finally:
                 child.end()
-        if code is None:
-            return _Try(share, Report.read(report), late=True)
-        return _Try(share, Report.read(report), _crash(code, printed))
-
-
-def _crash(code: int, printed: Path) -> str:
-    """Return how a process ended that did not end well, with the last line that it printed."""
-    if not code:
-        return ""
-    try:
-        how = f"crashed with {signal.Signals(-code).name}"
-    except ValueError:
-        how = f"ended its process with code {code}"
-    lines = printed.read_text(encoding="utf-8", errors="replace").split("\n")
-    last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-    return how + (f' (its last words: "{last}")' if last else "")
+        lines = printed.read_text(encoding="utf-8", errors="replace").split("\n")
+        last_words = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        return Trial(share, Report.read(report), code, last_words, TIME_LIMIT)

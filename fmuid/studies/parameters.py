@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
+from functools import partial
 from pathlib import Path
 
 from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
-from fmuid.estimation import Result
+from fmuid.estimation import Outcome, Result
+from fmuid.fmi import FMU
 from fmuid.models import System
 from fmuid.studies.toml import show
 from fmuid.studies.words import File, Finite, Flag, Matrix, Names, Number, Numbers, Place, Positive, Words, word
@@ -73,6 +76,37 @@ class ParameterWords(Words):
     prior: PriorWords | None = word(None, "what is known of it")
 
 
+class Doubt(Enum):
+    """Why an earlier result is to be taken with care."""
+
+    DID_NOT_SUCCEED = "did_not_succeed"
+    NO_MODEL = "no_model"
+    """It does not say of which model it is."""
+    OTHER_BUILD = "other_build"
+    """It was made with another build of the FMU."""
+
+
+@dataclass(frozen=True)
+class SourceNote:
+    """What is to be known of an earlier result that priors are taken from.
+
+    Attributes
+    ----------
+    path : Path
+        The ``result.json``.
+    doubt : Doubt
+    outcome : Outcome
+        Of the result.
+    fmu : FMU or None
+        That of the study of which the result has another build.
+    """
+
+    path: Path
+    doubt: Doubt
+    outcome: Outcome
+    fmu: FMU | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Source:
     """An earlier result from which a study takes priors.
@@ -93,24 +127,23 @@ class Source:
     result: Result
     names: tuple[str, ...]
 
-    def compare(self, system: System) -> list[str]:
+    def compare(self, system: System) -> list[SourceNote]:
         """Compare the models that the parameters belong to with those of a study.
 
         Returns
         -------
-        list of str
-            What differs without being wrong, in words.
+        list of SourceNote
+            What differs without being wrong.
 
         Raises
         ------
         InputError
             If the result is one of another model.
         """
-        notes = []
-        if not self.result.converged:
-            notes.append(f"{self.path}, which priors are taken from, did not succeed: {self.result.outcome.value}")
+        note = partial(SourceNote, self.path, outcome=self.result.outcome)
+        notes = [] if self.result.converged else [note(Doubt.DID_NOT_SUCCEED)]
         if not self.result.models:
-            return [*notes, f"{self.path} does not say of which model it is a result"]
+            return [*notes, note(Doubt.NO_MODEL)]
         for component in dict.fromkeys(system.split(name)[0] for name in self.names):
             fmu = system.components[component].fmu
             earlier = self.result.models.get(component)
@@ -122,7 +155,7 @@ class Source:
                     f"{fmu.name}{as_}: give the result of an identification of {fmu.name}"
                 )
             if earlier["digest"] != fmu.digest:
-                notes.append(f"{self.path} was made with another build of {fmu.name} than {fmu.path}")
+                notes.append(note(Doubt.OTHER_BUILD, fmu=fmu))
         return notes
 
 

@@ -24,7 +24,7 @@ from fmuid.simulation import Fit, Refinement, Simulator, fit_of
 from fmuid.studies.diagnosis import FaultSearch, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelSettings, named
 from fmuid.studies.overrides import override
-from fmuid.studies.parameters import Reader, Source
+from fmuid.studies.parameters import Reader, Source, SourceNote
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import read_toml
 from fmuid.studies.words import Place
@@ -239,8 +239,8 @@ class Study:
         )
 
     @cached_property
-    def notes(self) -> tuple[str, ...]:
-        """What is to be known of the results that priors are taken from, in words.
+    def notes(self) -> tuple[SourceNote, ...]:
+        """What is to be known of the results that priors are taken from.
 
         Raises
         ------

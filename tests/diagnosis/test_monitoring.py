@@ -18,7 +18,7 @@ from experiments.coil import study as coil
 from fmuid.cli.app import run
 from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Rule, alarm_rate, alarms
 from fmuid.diagnosis.monitoring.monitor import Monitor
-from fmuid.reports.words.monitoring import monitoring_words
+from fmuid.reports.words.monitoring import gap_words, monitoring_words
 from fmuid.studies.monitoring import design_of, monitor_of, rule_of
 from tests.support.exported import export_text
 from tests.support.interrupting import SIGNALS, command, killing
@@ -130,7 +130,8 @@ def test_a_gap_is_passed_over(healthy: fmuid.Result) -> None:
     found.add(coil.experiment(table))
     assert found.table["start"].tolist() == pytest.approx([0.0, 2.0, 3.0])
     assert found.table["samples"].tolist() == [700, 899, 1000]
-    assert len(found.notes) == 1 and "no sample counts from 1 s on" in found.notes[0]
+    assert [gap.time for gap in found.gaps] == pytest.approx([1.0])
+    assert "no sample counts from 1 s on" in gap_words(found.gaps[0])
 
 
 def test_coloured_noise_is_no_fault(healthy: fmuid.Result) -> None:

@@ -109,9 +109,10 @@ def test_the_shift_is_part_of_the_covariance() -> None:
 
 def test_written_and_read(tmp_path: Path) -> None:
     one = problem()
-    switches = (Switch(Cause.START_FAILED, math.nan, "a", "b"), Switch(Cause.SHIFT, 3.0, "b", "c", 17))
+    a, b, c = ({"": {"tolerance": each}} for each in (1e-5, 1e-7, 1e-9))
+    switches = (Switch(Cause.START_FAILED, math.nan, a, b), Switch(Cause.SHIFT, 3.0, b, c, 17))
     shift = np.array([0.5, np.nan, -2.0])
-    words = "b", "c", 12.5, Kept.FITS_BETTER, switches, 2, 40, 1e-9, 4
+    words = b, c, 12.5, Kept.FITS_BETTER, switches, 2, 40, 1e-9, 4
     result = replace(identify(one), accuracy=Accuracy(AccuracyOutcome.SHIFTED, shift, *words))
     path = tmp_path / "result.json"
     path.write_text(json.dumps(content(result)), encoding="utf-8")

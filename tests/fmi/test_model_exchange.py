@@ -15,6 +15,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
 from fmuid.models.component import Component, Numerics
 from fmuid.models.system import System
+from fmuid.reports.words.models import run_words
 from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import coil_response
 from tests.support.paths import FMUS
@@ -245,11 +246,11 @@ def test_discarded_steps_are_shortened(probe: ProbeMaker, way: str) -> None:
 
 
 def test_what_was_used_is_said() -> None:
-    assert System(COIL).components[""].words() == "FMI 2.0 co-simulation"
+    assert run_words(System(COIL).components[""].how_run()) == "FMI 2.0 co-simulation"
     exchanged = System(COIL, numerics=Numerics("model-exchange", tolerance=1e-5)).components[""]
-    assert exchanged.words() == "FMI 2.0 model-exchange, integrator rk45, tolerance 1e-05"
+    assert run_words(exchanged.how_run()) == "FMI 2.0 model-exchange, integrator rk45, tolerance 1e-05"
     stepped = System(COIL, numerics=Numerics("model-exchange", "rk4", step_size=1e-3)).components[""]
-    assert stepped.words() == "FMI 2.0 model-exchange, integrator rk4, steps of at most 0.001 s"
+    assert run_words(stepped.how_run()) == "FMI 2.0 model-exchange, integrator rk4, steps of at most 0.001 s"
 
 
 def test_a_stiff_model_is_integrated_as_such() -> None:
@@ -259,7 +260,7 @@ def test_a_stiff_model_is_integrated_as_such() -> None:
     simulator = Simulator(COIL, experiment, values={"L": 1e-8}, interface="model-exchange")
     assert simulator([])[1:, 0] == pytest.approx(np.cos(times[1:]) / 4.0, rel=1e-5)
     assert simulator.stiff == {""}
-    assert "cvode (rk45 found the model stiff)" in simulator.system.components[""].words(stiff=True)
+    assert "cvode (rk45 found the model stiff)" in run_words(simulator.system.components[""].how_run(stiff=True))
     mild = Simulator(simulator.system, experiment, values={"L": 0.1})
     mild([])
     assert not mild.stiff

@@ -13,6 +13,7 @@ from scipy.linalg import expm
 import fmuid
 from fmuid.arrays import Floats
 from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Cause, Kept
+from fmuid.reports.words.models import runs_words
 from fmuid.simulation import Refinement
 from tests.support.paths import FMUS, ROOT
 from tests.support.stepping import LAG, MOTOR, stepping_fmu
@@ -83,8 +84,9 @@ def test_the_start_shows_it(folder: Path) -> None:
     assert off(result) < 3.0
     assert found.outcome is AccuracyOutcome.PASSED
     assert [switch.cause for switch in found.switches] == [Cause.START_DIFFERED]
-    assert "rk45, tolerance 1e-09" in result.models[""]["run"]
-    assert "rk45, tolerance 1e-11" in found.finer
+    used, finer = result.models[""]["run"], found.finer[""]
+    assert [(run["integrator"], run["tolerance"]) for run in (used, finer)] == [("rk45", 1e-9), ("rk45", 1e-11)]
+    assert "integrator rk45, tolerance 1e-11" in runs_words(found.finer)
     assert problem.refinement == Refinement(1e-9)
 
 
@@ -121,7 +123,8 @@ def test_shorter_steps_where_there_is_no_model_exchange(folder: Path, told: bool
     assert found is not None
     assert found.outcome is AccuracyOutcome.PASSED
     assert problem.refinement == Refinement(None, 4) == Refinement(found.tolerance, found.divisor)
-    assert "each step divided by 4" in result.models[""]["run"]
+    assert result.models[""]["run"]["divisor"] == 4
+    assert "each step divided by 4" in runs_words(found.used)
     assert off(result) < 3.0
 
 

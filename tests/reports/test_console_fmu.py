@@ -20,6 +20,7 @@ from fmuid.fmi.files.description import Variable
 from fmuid.models.facts import Facts, facts, lines
 from fmuid.reports.console import fmu as console_fmu
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of
+from fmuid.reports.words.models import capability_words, run_words
 from fmuid.studies.draft import skeleton
 from fmuid.text import bounded
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
@@ -51,9 +52,14 @@ def test_groups(motor: Facts) -> None:
     assert motor.others == 2  # der(angle) and heat
 
 
+def said(found: Facts) -> dict[str, list[str]]:
+    return {kind: capability_words(kind, declared) for kind, declared in found.capabilities.items()}
+
+
 def test_how_it_runs(motor: Facts) -> None:
-    assert motor.capabilities == {"model-exchange": ("is told completed steps", "directional derivatives")}
-    assert motor.run_as.startswith("FMI 2.0 model-exchange, integrator rk45")
+    assert said(motor) == {"model-exchange": ["is told completed steps", "directional derivatives"]}
+    assert (motor.run_as.interface, motor.run_as.integrator) == ("model-exchange", "rk45")
+    assert run_words(motor.run_as).startswith("FMI 2.0 model-exchange, integrator rk45")
     assert motor.here is None
 
 
@@ -81,16 +87,16 @@ def test_arrays_and_capabilities_of_fmi3(linear: Facts) -> None:
     assert names(linear.fixed) == ["b[1]", "b[2]"]
     assert [(line.name, len(line.variables)) for line in lines(linear.tunable)] == [("A[1..2,1..3]", 6)]
     assert linear.direct["y[3]"] == ("u[1]", "u[2]")
-    assert linear.capabilities == {
-        "co-simulation": (
+    assert said(linear) == {
+        "co-simulation": [
             "communication steps of one length",
             "event mode",
             "early return on demand",
             "internal steps of 0.01 s",
             "derivatives of outputs to order 2",
-        ),
-        "model-exchange": ("is told completed steps", "adjoint derivatives"),
-        "scheduled-execution": (),
+        ],
+        "model-exchange": ["is told completed steps", "adjoint derivatives"],
+        "scheduled-execution": [],
     }
 
 

@@ -17,9 +17,11 @@ from fmuid.arrays import Floats
 from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError, RefusedError
+from fmuid.estimation import Sensitivity
 from fmuid.model_problem import Problem
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
+from fmuid.reports.words.models import sensitivity_words
 from fmuid.simulation.sensitivities import ForwardSensitivities, derivatives_of
 from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import ball, coil_response
@@ -344,5 +346,10 @@ def test_identification_is_that_by_differences_and_says_what_served(noisy: Exper
         other = found["finite-difference"]
         assert found["forward"].values[j] == pytest.approx(other.values[j], rel=1e-6)
         assert found["forward"].std[j] == pytest.approx(other.std[j], rel=1e-4)
-    assert found["forward"].sensitivity == "the sensitivity system, integrated with the model: directional derivatives"
-    assert found["finite-difference"].sensitivity == "finite differences of whole simulations"
+    for word, words in (
+        ("forward", "the sensitivity system, integrated with the model: directional derivatives"),
+        ("finite-difference", "finite differences of whole simulations"),
+    ):
+        used = found[word].sensitivity
+        assert used == Sensitivity(word)
+        assert sensitivity_words(used) == words

@@ -16,9 +16,10 @@ import fmuid
 from fmuid.cli.app import run
 from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.fmi.native.build import compiler_here
+from fmuid.reports.words.validation import check_words
 from fmuid.simulation import smoke, validation
-from fmuid.simulation.smoke import Report
-from fmuid.simulation.validation import Check, Validation, validate
+from fmuid.simulation.smoke import Report, Stage
+from fmuid.simulation.validation import Check, Trial, Validation, validate
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS, HERE
 from tests.support.probe_fmu import ProbeMaker
@@ -32,7 +33,7 @@ def found(checks: Validation) -> dict[str, str]:
 
 def remark(checks: Validation, name: str) -> str:
     (check,) = (check for check in checks.checks if check.name == name)
-    return "\n".join(check.remarks)
+    return "\n".join(check_words(check))
 
 
 def test_a_sound_fmu(capsys: pytest.CaptureFixture[str]) -> None:
@@ -175,7 +176,7 @@ def test_a_hang_is_ended(troubled: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(validation, "SHARES", (1.0,))
     checks = validate(troubled)
     assert not checks.passed
-    assert any("did not end within 2 s" in text for check in checks.checks for text in check.remarks)
+    assert any("did not end within 2 s" in text for check in checks.checks for text in check_words(check))
 
 
 def test_an_instance_that_cannot_be_reset(probe: ProbeMaker) -> None:
@@ -192,11 +193,11 @@ def test_a_tool_that_is_needed(probe: ProbeMaker) -> None:
 
 
 @pytest.fixture
-def scripted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[validation._Try]]:
+def scripted(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Trial]]:
     """The tries of an interface in turn, in place of processes; what is left over was not tried."""
-    tries: list[validation._Try] = []
+    tries: list[Trial] = []
 
-    def next_try(_fmu: fmuid.FMU, _kind: str, share: float) -> validation._Try:
+    def next_try(_fmu: fmuid.FMU, _kind: str, share: float) -> Trial:
         assert tries[0].share == share
         return tries.pop(0)
 
@@ -209,18 +210,18 @@ def interface(kind: str) -> Sequence[Check]:
     return validation._interface(fmuid.FMU(COIL), kind)
 
 
-def test_a_slow_model_is_tried_for_a_shorter_time(scripted: list[validation._Try]) -> None:
-    slow = Report("was being simulated", instantiated=True)
-    done = Report("was being simulated a second time", instantiated=True, simulated=True)
-    scripted += [validation._Try(1.0, slow, late=True), validation._Try(0.01, done, late=True)]
+def test_a_slow_model_is_tried_for_a_shorter_time(scripted: list[Trial]) -> None:
+    slow = Report(Stage.SIMULATION, instantiated=True)
+    done = Report(Stage.REPETITION, instantiated=True, simulated=True)
+    scripted += [Trial(1.0, slow, code=None), Trial(0.01, done, code=None)]
     _, simulation, reset = interface("co-simulation")
     assert (simulation.result, reset.result) == ("warning", "warning")
-    assert "did not end within 60 s" in simulation.remarks[0]
-    assert "1 % of the default experiment" in simulation.remarks[1]
+    assert "did not end within 60 s" in check_words(simulation)[0]
+    assert "1 % of the default experiment" in check_words(simulation)[1]
 
 
-def test_a_fault_is_not_tried_for_a_shorter_time(scripted: list[validation._Try]) -> None:
-    scripted.append(validation._Try(1.0, Report(instantiated=True, error="failed at t = 0 s")))
+def test_a_fault_is_not_tried_for_a_shorter_time(scripted: list[Trial]) -> None:
+    scripted.append(Trial(1.0, Report(instantiated=True, error="failed at t = 0 s")))
     assert [check.result for check in interface("co-simulation")] == ["ok", "failed"]
 
 

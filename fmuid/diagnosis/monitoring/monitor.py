@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,22 @@ STANDS_OUT = 3.0
 OVER = 0.2
 
 
+@dataclass(frozen=True)
+class Gap:
+    """A window of a record in which no sample of some output counts.
+
+    Attributes
+    ----------
+    source : str
+        Of the record.
+    time : float
+        Where the window begins, s.
+    """
+
+    source: str
+    time: float
+
+
 class Monitor:
     """Watches records for faults, window by window.
 
@@ -63,8 +79,8 @@ class Monitor:
     rule : Rule
     models : tuple of Extended
         One a fault.
-    notes : tuple of str
-        What is to be known of the records, in words.
+    gaps : tuple of Gap
+        Windows that are left out.
 
     Raises
     ------
@@ -81,7 +97,7 @@ class Monitor:
             Extended(name, fault, healthy.common, healthy.variances, self._freedom)
             for name, fault in hypotheses.items()
         )
-        self.notes: tuple[str, ...] = ()
+        self.gaps: tuple[Gap, ...] = ()
         self._rows: list[dict[str, Any]] = []
         self._beliefs = {model.name: model.prior for model in self.models}
         self._points = {model.name: model.prior.mean for model in self.models}
@@ -140,7 +156,7 @@ class Monitor:
                 span = float(record.times[start]), end_of(record.times, stop)
                 self._rows.append(self._row(record.name, number, span, fits))
                 continue
-            self.notes += (f"{record.source}: no sample counts from {record.times[start]:.9g} s on for a window",)
+            self.gaps += (Gap(record.source, float(record.times[start])),)
         if len(self._rows) == first:
             raise InputError(
                 f"{record.source} leaves no window in which every output has a sample that counts: make the transient "

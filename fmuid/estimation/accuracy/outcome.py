@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from fmuid.arrays import Floats
+
+Runs = Mapping[str, Mapping[str, Any]]
+"""How each component of a model is run."""
 
 SHIFT_LIMIT = 0.1
 """Standard deviations that estimates may be moved by: 95 % intervals then hold the truth in 94.9 % of all cases."""
@@ -67,16 +70,16 @@ class Switch:
     size : float
         The largest difference of an output at the start, as a share of its spread, or the largest shift of an estimate,
         standard deviations; NaN where that is not known.
-    before, after : str
-        How the model was run, and then was, in words.
+    before, after : mapping of str to mapping
+        How each component was run, and then was: the fields of a `fmuid.models.HowRun`.
     simulations : int
         What the search that followed took.
     """
 
     cause: Cause
     size: float
-    before: str
-    after: str
+    before: Runs
+    after: Runs
     simulations: int = 0
 
     def to_json_dict(self) -> dict[str, Any]:
@@ -93,8 +96,7 @@ class Switch:
     def of_json(cls, data: Mapping[str, Any]) -> Switch:
         """Return it as `to_json_dict` has written it."""
         size = math.nan if data["size"] is None else float(data["size"])
-        words = str(data["before"]), str(data["after"])
-        return cls(Cause(data["cause"]), size, *words, int(data["simulations"]))
+        return cls(Cause(data["cause"]), size, _runs(data["before"]), _runs(data["after"]), int(data["simulations"]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +109,8 @@ class Accuracy:
     shift : (N,) array
         What each estimate would move by if the finer simulation took the place of the one used, in its standard
         deviations; NaN where it is not known.
-    used, finer : str
-        How the model is run, and how it is in the check, in words; empty where there is none.
+    used, finer : mapping of str to mapping
+        How each component is run, and how it is in the check, as for `Switch`; empty where there is none.
     change : float
         Norm of the difference of all outputs in standard deviations of their noise, which bounds what any estimate can
         be moved by; NaN without a check.
@@ -125,8 +127,8 @@ class Accuracy:
 
     outcome: AccuracyOutcome
     shift: Floats
-    used: str = ""
-    finer: str = ""
+    used: Runs = field(default_factory=dict)
+    finer: Runs = field(default_factory=dict)
     change: float = math.nan
     kept: Kept | None = None
     switches: tuple[Switch, ...] = ()
@@ -168,8 +170,8 @@ class Accuracy:
         return cls(
             AccuracyOutcome(data["outcome"]),
             shift,
-            str(data["used"]),
-            str(data["finer"]),
+            _runs(data["used"]),
+            _runs(data["finer"]),
             math.nan if data["change"] is None else float(data["change"]),
             None if data["kept"] is None else Kept(data["kept"]),
             tuple(map(Switch.of_json, data["switches"])),
@@ -178,3 +180,7 @@ class Accuracy:
             None if data["tolerance"] is None else float(data["tolerance"]),
             int(data["divisor"]),
         )
+
+
+def _runs(data: Any) -> Runs:
+    return {str(component): dict(run) for component, run in data.items()}

@@ -15,6 +15,7 @@ from rich.table import Table
 from fmuid.fmi import Description, Variable
 from fmuid.models import Facts, Line, lines
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.reports.words.models import capability_words, run_words
 from fmuid.studies import skeleton
 from fmuid.text import bounded
 
@@ -80,10 +81,12 @@ def _head(found: Facts) -> Table:
     described, platforms = found.fmu.description, found.fmu.platforms
     rows = Table.grid(padding=(0, 2))
     rows.add_row("FMI version", described.fmi_version)
-    for kind, words in found.capabilities.items():
+    for kind, declared in found.capabilities.items():
         unused = "" if kind in described.interfaces else " (fmuid does not use it)"
-        rows.add_row(kind, escape(_text(", ".join(words)) or "no optional capabilities") + unused)
-    rows.add_row("fmuid runs it as", escape(_text(found.run_as)))
+        rows.add_row(
+            kind, escape(_text(", ".join(capability_words(kind, declared))) or "no optional capabilities") + unused
+        )
+    rows.add_row("fmuid runs it as", escape(run_words(found.run_as)))
     there = ", ".join(f"{name} (this machine)" if name == found.here else _name(name) for name in platforms)
     if found.here is None:
         there = f"{there or 'no binaries at all'}; none for this machine ({found.machine})"
@@ -232,14 +235,17 @@ def _print_titled(out: Console, title: str, table: Table) -> None:
 
 def show_validation(found: Validation) -> None:
     """Print the checks of an FMU, and a sentence that sums them up."""
+    from fmuid.reports.words.validation import check_words  # and with it all that simulates
+
     out = console()
     table = table_of(str(found.path.name), ["check", "result", "remark"])
     styles = {"ok": "green", "warning": "yellow", "failed": "bold red"}
     for check in found.checks:
-        remarks: Sequence[str] = check.remarks
+        said = check_words(check)
+        remarks = said
         if out.is_terminal:
-            remarks = [shorten(text, REMARK_LENGTH, placeholder=" …") for text in remarks[:TERMINAL_REMARKS]]
-        more = len(check.remarks) - len(remarks)
+            remarks = [shorten(text, REMARK_LENGTH, placeholder=" …") for text in said[:TERMINAL_REMARKS]]
+        more = len(said) - len(remarks)
         text = "\n".join([*remarks, *([f"and {more} more; all of them: fmuid validate FMU | less"] if more else [])])
         style = styles.get(check.result, "dim")
         table.add_row(escape(check.name), f"[{style}]{check.result}[/]", escape(text))

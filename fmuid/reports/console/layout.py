@@ -16,7 +16,7 @@ from fmuid.text import has_unit, label, visible
 
 if TYPE_CHECKING:
     from fmuid.simulation import Fit, Simulator
-    from fmuid.studies import Draft
+    from fmuid.studies import Draft, Study
 
 # Into a file or a pipe, where nobody can widen the window: what a README shows without scrolling.
 PLAIN_WIDTH = 110
@@ -112,6 +112,13 @@ def warn_unfed(simulators: Iterable[Simulator]) -> None:
         if simulator.unfed_inputs:
             names = ", ".join(simulator.unfed_inputs)
             show_notes([f"{simulator.experiment.source} feeds no {names}: kept at the start value"])
+
+
+def note_sources(study: Study) -> None:
+    """Print what is to be known of the results that a study takes priors from."""
+    from fmuid.reports.words.study import source_words
+
+    show_notes(map(source_words, study.notes))
 
 
 def show_notes(notes: Iterable[str]) -> None:

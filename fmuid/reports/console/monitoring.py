@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
-from fmuid.reports.words.monitoring import monitoring_words
+from fmuid.reports.words.monitoring import gap_words, monitoring_words
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ def show_monitoring(found: Monitor) -> None:
         f"is in alarm with a probability of {said}",
         soft_wrap=True,
     )
-    for note in found.notes:
-        out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
+    for gap in found.gaps:
+        out.print(f"[yellow]note:[/] {escape(gap_words(gap))}", soft_wrap=True)
 
 
 def _show_alarms(found: Monitor) -> None:

@@ -13,8 +13,10 @@ from rich.table import Table
 
 from fmuid.assessment import WRONG_STD
 from fmuid.estimation import Outcome
+from fmuid.models import HowRun
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
 from fmuid.reports.words.accuracy import passed_words, shift_text
+from fmuid.reports.words.models import run_words, sensitivity_words
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
 from fmuid.reports.words.result import capitalised, ending, remarks
@@ -57,11 +59,12 @@ def show_result(found: Findings) -> None:
     color = "green" if result.converged else "red"
     out.print(f"[bold {color}]{escape(capitalised(ending(result)))}[/]", soft_wrap=True)
     for component, model in result.models.items():
-        out.print(f"[dim]{escape(component or model['name'])} run as {escape(model['run'])}[/]", soft_wrap=True)
+        run = run_words(HowRun(**model["run"]))
+        out.print(f"[dim]{escape(component or model['name'])} run as {escape(run)}[/]", soft_wrap=True)
     if result.accuracy is not None and (passed := passed_words(result.accuracy)):
         out.print(f"[dim]{escape(passed)}[/]", soft_wrap=True)
-    if result.sensitivity:
-        out.print(f"[dim]sensitivities by {escape(result.sensitivity)}[/]", soft_wrap=True)
+    if result.sensitivity is not None:
+        out.print(f"[dim]sensitivities by {escape(sensitivity_words(result.sensitivity))}[/]", soft_wrap=True)
     likelihood = f", log-likelihood {result.log_likelihood:.7g}" if math.isfinite(result.log_likelihood) else ""
     out.print(
         f"[dim]{result.iterations} iterations, {result.simulations} simulations, {result.elapsed_s:.2f} s; "

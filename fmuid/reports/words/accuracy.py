@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Cause, Kept
+from fmuid.reports.words.models import runs_words
 
 if TYPE_CHECKING:
     from fmuid.estimation import Accuracy, Result, Switch
@@ -24,8 +25,9 @@ def accuracy_words(result: Result) -> tuple[str, ...]:
     found = result.accuracy
     if found is None:
         return ()
+    finer = runs_words(found.finer)
     refused = (
-        f"{_optima(found.refused)} fitted as well, and the finer simulation ({found.finer}) moves away from "
+        f"{_optima(found.refused)} fitted as well, and the finer simulation ({finer}) moves away from "
         f"{'it' if found.refused == 1 else 'them'}: refused"
     )
     words = [*map(_switch, found.switches), *([refused] if found.refused else []), _outcome(result, found)]
@@ -36,7 +38,7 @@ def passed_words(found: Accuracy) -> str:
     """Return the sentence on a simulation that has passed its check, nothing for others."""
     if found.outcome is not AccuracyOutcome.PASSED or not found.finer:
         return ""
-    return f"simulation checked by {found.finer}: it moves the estimates by {found.largest:.1g} std at most"
+    return f"simulation checked by {runs_words(found.finer)}: it moves the estimates by {found.largest:.1g} std at most"
 
 
 def _optima(count: int) -> str:
@@ -44,25 +46,24 @@ def _optima(count: int) -> str:
 
 
 def _switch(switch: Switch) -> str:
+    before, after = runs_words(switch.before), runs_words(switch.after)
     if switch.cause is Cause.START_FAILED:
-        return f"simulated by {switch.before} the start fails: the search went by {switch.after}"
+        return f"simulated by {before} the start fails: the search went by {after}"
     if switch.cause is Cause.START_DIFFERED:
         return (
-            f"at the start {switch.before} is off by {100 * switch.size:.2g} % of an output's spread: the search went "
-            f"by {switch.after}"
+            f"at the start {before} is off by {100 * switch.size:.2g} % of an output's spread: the search went "
+            f"by {after}"
         )
     moved = (
         f"moves an estimate by {switch.size:.2g} standard deviations"
         if switch.size > SHIFT_LIMIT
         else "may move an estimate whose standard deviation is not known"
     )
-    return (
-        f"the error of {switch.before} {moved}: the search went on by {switch.after}, in {switch.simulations} "
-        "simulations"
-    )
+    return f"the error of {before} {moved}: the search went on by {after}, in {switch.simulations} simulations"
 
 
 def _outcome(result: Result, found: Accuracy) -> str:
+    used, finer = runs_words(found.used), runs_words(found.finer)
     match found.outcome:
         case AccuracyOutcome.PASSED:
             return ""
@@ -72,12 +73,12 @@ def _outcome(result: Result, found: Accuracy) -> str:
             why = KEPT.get(found.kept, "") if found.kept else ""
             return (
                 f"the error of the simulation moves estimates, in the standard deviations of noise: {shifts} "
-                f"({found.finer} against {found.used}); that is added to the standard deviations; {why}"
+                f"({finer} against {used}); that is added to the standard deviations; {why}"
             )
         case AccuracyOutcome.UNKNOWN:
             return (
                 "what the error of the simulation moves the estimates by is not known, as not all have a standard "
-                f"deviation; {found.finer} changes the outputs by {found.change:.2g} standard deviations in all"
+                f"deviation; {finer} changes the outputs by {found.change:.2g} standard deviations in all"
             )
         case AccuracyOutcome.UNCHECKABLE:
             why = (
@@ -87,7 +88,7 @@ def _outcome(result: Result, found: Accuracy) -> str:
             )
             return f"the error of the simulation cannot be checked: {why}"
         case AccuracyOutcome.FAILED:
-            return f"the error of the simulation is not known: {found.finer} fails at the estimates"
+            return f"the error of the simulation is not known: {finer} fails at the estimates"
         case AccuracyOutcome.INTERRUPTED:
             return "the error of the simulation was not checked: interrupted"
 

@@ -9,7 +9,7 @@ from fmuid.reports.words.diagnosis import size_words
 from fmuid.text import listed
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Monitor
+    from fmuid.diagnosis import Gap, Monitor
 
 
 def monitoring_words(found: Monitor) -> str:
@@ -29,3 +29,8 @@ def monitoring_words(found: Monitor) -> str:
         return f"Something else is wrong, {at}: the residual is larger than the noise; {counted}."
     sizes = listed([size_words(each, located=False) for each in found.standing_out(first)])
     return f"Fault: {first.fault}, {at}, {sizes} in the last window of it; {counted}."
+
+
+def gap_words(gap: Gap) -> str:
+    """Return which window is left out."""
+    return f"{gap.source}: no sample counts from {gap.time:.9g} s on for a window"
