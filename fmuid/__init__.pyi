@@ -45,6 +45,8 @@ from .models import Numerics as Numerics
 from .models import System as System
 from .reports import Findings as Findings
 from .reports import describe as describe
+from .reports import run_diagnosis as run_diagnosis
+from .reports import run_monitoring as run_monitoring
 from .reports import run_study as run_study
 from .simulation import Simulator as Simulator
 from .simulation import validate as validate

@@ -117,25 +117,17 @@ def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in
     """Look for the faults that a study names, and write verdict, table and figures; exit code 1 for a fault."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
-        from fmuid import files
-        from fmuid.reports import write_diagnosis
+        from fmuid.reports import run_diagnosis
         from fmuid.reports.console import layout as console
-        from fmuid.reports.console.diagnosis import show_diagnosis
         from fmuid.reports.console.progress import Display
-        from fmuid.reports.figures import diagnosis as figures_diagnosis
-        from fmuid.reports.figures import style as plots
 
         if read.diagnosis is not None:
             console.note_sources(read)
             console.warn_unfed(read.simulators())
-        files.make_folder(folder)
         with Display() as display:
-            found = read.diagnose(display)
-        show_diagnosis(found)
-        written = write_diagnosis(folder, found)
-        written += plots.save(figures_diagnosis.draw(found), folder / "figures")
-        console.show_files(written)
-        return DONE if found.kind == "healthy" else NOT_SUCCEEDED
+            found = run_diagnosis(read, folder, figures=True, progress=partial(_show_judged, display))
+        console.show_files(found.files)
+        return DONE if found.healthy else NOT_SUCCEEDED
 
 
 def monitor(
@@ -154,30 +146,34 @@ def monitor(
     """Look for the faults that a study names in records, window by window; exit code 1 for an alarm."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
-        from fmuid import files
+        from fmuid.reports import run_monitoring
         from fmuid.reports.console import layout as console
-        from fmuid.reports.console.monitoring import show_monitoring
         from fmuid.reports.console.progress import Display
-        from fmuid.reports.figures import monitoring as figures_monitoring
-        from fmuid.reports.figures import style as plots
-        from fmuid.studies import monitor_of, records_of, rule_of
 
-        found = monitor_of(read, rule_of(read))
-        if append:
-            found.resume(folder)
-        console.note_sources(read)
-        files.make_folder(folder)
+        if read.diagnosis is not None:
+            console.note_sources(read)
         saving = "saving the records examined so far, with which --append goes on"
         with answering(saving), Display() as display:
-            try:
-                for record in records_of(read, tables, found.records):
-                    found.add(record, display)
-            finally:  # what was found before a record that is wrong is kept, and can be appended to
-                written = found.write(folder) if found.records else []
-        show_monitoring(found)
-        written += plots.save(figures_monitoring.draw(found), folder / "figures")
-        console.show_files(written)
-        return NOT_SUCCEEDED if found.alarms or found.undetermined else DONE
+            shown = partial(_show_judged, display)
+            found = run_monitoring(read, tables, folder, figures=True, append=append, progress=shown)
+        console.show_files(found.files)
+        return DONE if found.healthy else NOT_SUCCEEDED
+
+
+def _show_judged(display: Display, event: Event, /) -> None:
+    """Show how far a search for faults is, and what it has found once it is there."""
+    from fmuid.reports import DiagnosisFindings, Judged
+    from fmuid.reports.console.diagnosis import show_diagnosis
+    from fmuid.reports.console.monitoring import show_monitoring
+
+    if not isinstance(event, Judged):
+        display(event)
+        return
+    display.pause()
+    if isinstance(event.findings, DiagnosisFindings):
+        show_diagnosis(event.findings.diagnosis)
+    else:
+        show_monitoring(event.findings.monitor)
 
 
 @contextmanager

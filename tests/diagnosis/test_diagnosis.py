@@ -15,6 +15,8 @@ from scipy import optimize, stats
 import fmuid
 from fmuid.cli.app import run
 from fmuid.diagnosis.faults import common_mode
+from fmuid.progress import Event
+from fmuid.reports import Judged
 from fmuid.reports.words.diagnosis import hypothesis_notes, strain_words, verdict
 from tests.support.plate import (
     COLUMNS,
@@ -335,6 +337,29 @@ def test_the_command_says_what_it_found(study: Path, look: Look, capsys: pytest.
     assert figures == {"diagnosis-sizes", "diagnosis-decision", "diagnosis-residual"}
     table = pd.read_csv(study.parent / "results" / "diagnosis.csv")
     assert list(table["fault"]) == ["stator"] * 3 + ["rotor"]
+
+
+def test_from_python_it_is_what_the_command_does(study: Path) -> None:
+    """The same files and verdict; without a folder the verdict alone, told before it is returned."""
+    assert run(["diagnose", str(study), "--in-process", "-o", str(study.parent / "theirs")]) == 1
+    mine = study.parent / "mine"
+    found = fmuid.run_diagnosis(study, mine, figures=True)
+    assert not found.healthy
+    assert {path.relative_to(mine) for path in found.files} == files_in(study.parent / "theirs") == files_in(mine)
+    for name in ("diagnosis.json", "diagnosis.csv"):
+        assert (mine / name).read_bytes() == (study.parent / "theirs" / name).read_bytes()
+    before, events = files_in(study.parent), list[Event]()
+    again = fmuid.run_diagnosis(fmuid.Study.read(study), progress=events.append)
+    assert (again.files, files_in(study.parent)) == ((), before)
+    assert isinstance(events[-1], Judged)
+    assert events[-1].findings.healthy is again.healthy is False
+    assert {event.task for event in events} == {"diagnosis", "judged"}
+    with pytest.raises(fmuid.InputError, match="in a folder"):
+        fmuid.run_diagnosis(study, figures=True)
+
+
+def files_in(folder: Path) -> set[Path]:
+    return {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
 
 
 def test_the_command_finds_nothing_in_a_sound_machine(study: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -336,6 +336,26 @@ def test_appending_gives_what_one_run_gives(
     assert "another rule" in capsys.readouterr().err
 
 
+def test_from_python_it_is_what_the_command_does(folder: Path) -> None:
+    """The same files and verdict; what comes before a record that is wrong is written, and can be gone on with."""
+    study, records, mine = folder / "study.toml", folder / "records", folder / "mine"
+    words = ["monitoring.window=1", "monitoring.transient=0.2"]
+    assert run(["monitor", str(study), str(records), *told(window=1, transient=0.2), "-o", str(folder / "theirs")]) == 1
+    read = fmuid.Study.read(study, words)
+    (folder / "wrong.csv").write_text("time,nothing\n0,1\n1,1\n", encoding="utf-8")
+    with pytest.raises(fmuid.InputError, match="wrong"):
+        fmuid.run_monitoring(read, [records / "day0.csv", folder / "wrong.csv"], mine)
+    found = fmuid.run_monitoring(read, [records], mine, figures=True, append=True)
+    assert not found.healthy
+    assert {path.name for path in found.files} == {"monitoring.csv", "monitoring.json", "monitoring-turns.png"}
+    for name in ("monitoring.csv", "monitoring.json"):
+        assert (mine / name).read_bytes() == (folder / "theirs" / name).read_bytes()
+    alone = fmuid.run_monitoring(read, [records / "day0.csv"])
+    assert (alone.healthy, alone.files) == (True, ())
+    with pytest.raises(fmuid.InputError, match="in a folder"):
+        fmuid.run_monitoring(read, [records], append=True)
+
+
 @pytest.mark.parametrize("number", SIGNALS)
 def test_interrupted_inside_a_record(
     folder: Path, number: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -1,0 +1,172 @@
+"""One path for a search for faults: a diagnosis or a monitoring, its files and its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fmuid import files
+from fmuid.diagnosis import Diagnosis, Monitor
+from fmuid.errors import InputError
+from fmuid.progress import Event, Progress
+from fmuid.reports.findings import write_diagnosis
+from fmuid.studies import Study, monitor_of, records_of, rule_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisFindings:
+    """What a diagnosis has found, and the files that were written."""
+
+    diagnosis: Diagnosis
+    files: tuple[Path, ...] = ()
+
+    @property
+    def healthy(self) -> bool:
+        """Whether nothing is wrong."""
+        return self.diagnosis.kind == "healthy"
+
+
+@dataclass(frozen=True, eq=False)
+class MonitoringFindings:
+    """What monitoring has found, and the files that were written."""
+
+    monitor: Monitor
+    files: tuple[Path, ...] = ()
+
+    @property
+    def healthy(self) -> bool:
+        """Whether there is no alarm, and no fault stays open."""
+        return not self.monitor.alarms and not self.monitor.undetermined
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged(Event):
+    """A search for faults has ended; figures come next.
+
+    Attributes
+    ----------
+    findings : DiagnosisFindings or MonitoringFindings
+    """
+
+    task: str = "judged"
+    findings: DiagnosisFindings | MonitoringFindings
+
+
+def run_diagnosis(
+    study: Study | str | Path,
+    folder: str | Path | None = None,
+    *,
+    figures: bool = False,
+    progress: Progress | None = None,
+) -> DiagnosisFindings:
+    """Look for the faults that the ``[diagnosis]`` of a study names, and write what is found.
+
+    ``fmuid diagnose`` is this, with a folder and figures.
+
+    Parameters
+    ----------
+    study : Study or path
+    folder : path, optional
+        Where ``diagnosis.json`` and ``diagnosis.csv`` go, made where needed. Nothing is written without one.
+    figures : bool
+        Whether to draw, into ``figures/`` of the folder.
+    progress : callable, optional
+        Called before each fit, and with `Judged`.
+
+    Raises
+    ------
+    InputError
+        As `Study.diagnose`, or if there are figures without a folder, or nothing can be written there.
+    SimulationError
+        If the simulation fails at the healthy estimate.
+    """
+    study, target = _prepared(study, folder, figures)
+    if target is not None:
+        files.make_folder(target)
+    found = DiagnosisFindings(study.diagnose(progress))
+    if target is not None:
+        found = replace(found, files=tuple(write_diagnosis(target, found.diagnosis)))
+    _tell(progress, found)
+    if target is not None and figures:
+        from fmuid.reports.figures import diagnosis
+
+        found = replace(found, files=(*found.files, *_drawn(diagnosis.draw(found.diagnosis), target)))
+    return found
+
+
+def run_monitoring(
+    study: Study | str | Path,
+    tables: Sequence[str | Path],
+    folder: str | Path | None = None,
+    *,
+    figures: bool = False,
+    append: bool = False,
+    progress: Progress | None = None,
+) -> MonitoringFindings:
+    """Look for the faults that a study names in records, window by window, and write what is found.
+
+    ``fmuid monitor`` is this, with a folder and figures.
+
+    Parameters
+    ----------
+    study : Study or path
+    tables : sequence of path
+        Records, and folders of records, in their order.
+    folder : path, optional
+        Where ``monitoring.csv`` and ``monitoring.json`` go, made where needed. Nothing is written without one.
+    figures : bool
+        Whether to draw, into ``figures/`` of the folder.
+    append : bool
+        Whether to go on with the run in the folder, whose records are left out.
+    progress : callable, optional
+        Called before each window, and with `Judged`.
+
+    Raises
+    ------
+    InputError
+        If study, models and records do not fit together, there are figures or a run to go on with without a folder, or
+        nothing can be written there. What was found before a record that is wrong is written.
+    """
+    study, target = _prepared(study, folder, figures or append)
+    monitor = monitor_of(study, rule_of(study))
+    written: list[Path] = []
+    if target is not None:
+        if append:
+            monitor.resume(target)
+        files.make_folder(target)
+    try:
+        for record in records_of(study, [Path(table) for table in tables], monitor.records):
+            monitor.add(record, progress)
+    finally:  # what was found before a record that is wrong is kept, and can be appended to
+        if target is not None and monitor.records:
+            written += monitor.write(target)
+    found = MonitoringFindings(monitor, tuple(written))
+    _tell(progress, found)
+    if target is not None and figures:
+        from fmuid.reports.figures import monitoring
+
+        found = replace(found, files=(*found.files, *_drawn(monitoring.draw(monitor), target)))
+    return found
+
+
+def _prepared(study: Study | str | Path, folder: str | Path | None, needed: bool) -> tuple[Study, Path | None]:
+    """Return the study read, and the folder."""
+    if folder is None and needed:
+        raise InputError("figures and an earlier run are in a folder: say in which one")
+    return study if isinstance(study, Study) else Study.read(study), None if folder is None else Path(folder)
+
+
+def _tell(progress: Progress | None, found: DiagnosisFindings | MonitoringFindings) -> None:
+    if progress is not None:
+        progress(Judged(findings=found))
+
+
+def _drawn(figures: dict[str, Figure], folder: Path) -> list[Path]:
+    from fmuid.reports.figures import style
+
+    return style.save(figures, folder / "figures")
