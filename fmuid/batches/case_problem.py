@@ -164,5 +164,5 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
 def _unmeasured(given: ExperimentSettings, rows: int) -> Experiment:
     """Return an experiment that is still to be made: inputs at rest, and the names of the outputs."""
     columns = dict.fromkeys(given.inputs.values(), 0.0)
-    frame = pd.DataFrame({given.time: np.arange(rows, dtype=np.float64)} | columns)
+    frame = pd.DataFrame({given.time_name: np.arange(rows, dtype=np.float64)} | columns)
     return given.model_copy(update={"discard": 0.0}).experiment(frame, str(given.table), measured=False)

@@ -23,7 +23,7 @@ from fmuid.batches.case_problem import problem_of, truth_simulators, truth_value
 from fmuid.batches.cases import Case, Cases
 from fmuid.batches.draws import noise
 from fmuid.batches.parcel import Copies
-from fmuid.data import Experiment, read_table
+from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.estimation import Outcome, Result
 from fmuid.model_problem import Problem
@@ -154,9 +154,7 @@ class CaseRunner:
 
     def _experiment(self, given: ExperimentSettings, table: Path) -> Experiment:
         """Read a table; the outputs need not be in it where they are simulated."""
-        source = str(self._copies.original(table))
-        frame = read_table(table, given.time, source=source)
-        return given.experiment(frame, source, measured=self._drawn is None)
+        return given.read_experiment(table, str(self._copies.original(table)), measured=self._drawn is None)
 
     def _disturbed(
         self, case: Case, draw: int, drawn: NoiseDraws, experiments: tuple[Experiment, ...]

@@ -14,7 +14,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmuid.arrays import Floats
-from fmuid.data.tables import missing_column, numeric_column, read_table
+from fmuid.data.tables import UNITS, numeric_column, read_table
+from fmuid.data.times import column_of, missing_column
 from fmuid.errors import InputError
 from fmuid.text import nearest
 
@@ -48,7 +49,8 @@ class Experiment:
     discard : float
         Duration from the first time on that is simulated but not counted, s (1.32).
     units : mapping of str to str
-        FMU variable to the unit of its column, where that is not the unit of the FMU.
+        FMU variable to the unit of its column, where that is neither the unit of the FMU nor the one that the table
+        says (`fmuid.read_table`).
     measured : bool
         Whether the outputs are there. If not, as for an experiment that is still to be made, they are names only: one
         without a column counts at every time after `discard`, and its values are NaN.
@@ -112,6 +114,7 @@ class Experiment:
             if variable in outputs:
                 raise InputError(f"{source}: {variable!r} is both an input and an output: give it one role")
         frame = _frame(source, self.frame, self.time)
+        inputs, outputs = _resolved(frame, inputs), _resolved(frame, outputs)
         there = outputs if self.measured else {name: c for name, c in outputs.items() if c in frame.columns}
         _check_columns(source, frame, {"time": [self.time], "input": inputs.values(), "output": there.values()})
         times = _times(source, frame, self.time)
@@ -123,7 +126,7 @@ class Experiment:
             "frame": frame,
             "inputs": inputs,
             "outputs": outputs,
-            "units": _units(source, self.units, (*inputs, *outputs)),
+            "units": _units(source, self.units, inputs | outputs, frame.attrs.get(UNITS, {})),
             "columns": inputs | outputs,
             "input_names": tuple(inputs),
             "output_names": tuple(outputs),
@@ -145,12 +148,14 @@ class Experiment:
         outputs: Sequence[str] | Mapping[str, str] = (),
         *,
         time: str = "time",
+        time_unit: str | None = None,
+        sample_rate: float | None = None,
         interpolation: str | Mapping[str, str] = "linear",
         discard: float = 0.0,
         units: Mapping[str, str] | None = None,
         name: str | None = None,
     ) -> Self:
-        """Read the table from a file (`fmuid.read_table`); the words are those of the class.
+        """Read the table from a file; the words are those of the class and of `fmuid.read_table`.
 
         Parameters
         ----------
@@ -164,7 +169,7 @@ class Experiment:
         """
         path = Path(path)
         return cls(
-            read_table(path, time),
+            read_table(path, time, time_unit=time_unit, sample_rate=sample_rate),
             inputs,
             outputs,
             time=time,
@@ -239,6 +244,12 @@ def _frame(source: str, given: pd.DataFrame, time: str) -> pd.DataFrame:
     if len(twice):
         raise InputError(f"{source}: the column {twice[0]!r} is there twice: rename or remove one of the two")
     return frame
+
+
+def _resolved(frame: pd.DataFrame, roles: Mapping[str, str]) -> dict[str, str]:
+    """Return the roles with the columns as the frame has them, which may be named with the units of their headers."""
+    names = [str(name) for name in frame.columns]
+    return {variable: column_of(names, column) or column for variable, column in roles.items()}
 
 
 def _check_columns(source: str, frame: pd.DataFrame, roles: Mapping[str, Iterable[str]]) -> None:
@@ -361,14 +372,16 @@ def _slopes(source: str, times: Floats, values: Floats, curved: npt.NDArray[np.b
     return slopes
 
 
-def _units(source: str, given: Mapping[str, str], variables: Sequence[str]) -> dict[str, str]:
-    """Return the units, each of a variable that has a role."""
+def _units(
+    source: str, given: Mapping[str, str], columns: Mapping[str, str], said: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the units, each of a variable that has a role: those given, else those that the table says."""
     for variable, unit in given.items():
-        if variable not in variables:
+        if variable not in columns:
             raise InputError(
-                f"{source}: units names {variable!r}, which is no input or output{nearest(str(variable), variables)}: "
+                f"{source}: units names {variable!r}, which is no input or output{nearest(str(variable), columns)}: "
                 f"name inputs and outputs only"
             )
         if not isinstance(unit, str):
             raise InputError(f'{source}: the unit of {variable!r} is {unit!r}: write it as a text, such as "rad/s"')
-    return dict(given)
+    return {variable: said[column] for variable, column in columns.items() if column in said} | dict(given)

@@ -13,7 +13,8 @@ import numpy as np
 import pandas as pd
 
 from fmuid.arrays import Floats
-from fmuid.data.tables import missing_column, numeric_column
+from fmuid.data.tables import numeric_column
+from fmuid.data.times import missing_column
 from fmuid.errors import InputError
 
 T23: Floats = np.sqrt(2 / 3) * np.array([[1, -1 / 2, -1 / 2], [0, np.sqrt(3) / 2, -np.sqrt(3) / 2]])

@@ -36,11 +36,13 @@ from fmuid.studies.words import (
     Share,
     Text,
     Texts,
+    TimeColumn,
     Words,
     as_list,
     one_of,
     word,
 )
+from fmuid.units import SECONDS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -217,14 +219,28 @@ class ExperimentSettings(Words):
 
     table: File = word(..., "the file of measurements")
     name: Text = word("", "what messages and figures call it; default: the table's name without suffix")
-    time: Text = word("time", "the column of time, s")
+    time: TimeColumn = word("time", "the column of time, by its name or its place from 1")
+    time_unit: Annotated[str, one_of(tuple(SECONDS))] | None = word(
+        None, "unit of the time column, s, ms, us, min, h ...; default: what the table says, else s"
+    )
+    sample_rate: Positive | None = word(None, "samples per second, of a table without times")
     inputs: Columns = word({}, "variables of the FMU that columns drive")
     outputs: Columns = word(..., "the measured outputs, a list of names")
     interpolation: Annotated[
         Annotated[Interpolation, Tag(VALUE_TAG)] | Annotated[Interpolations, Tag(TABLE_TAG)], BY_SHAPE
     ] = word("linear", 'between samples; "hold" for commands of a digital controller', "linear")
     discard: NotNegative = word(0.0, "s of transient at the beginning, simulated but not counted", 0.0)
-    units: Texts = word({}, "of columns that are not in the FMU's unit: { variable = unit }")
+    units: Texts = word(
+        {}, "of columns whose unit the table does not say and that are not in the FMU's: { variable = unit }"
+    )
+
+    def read_experiment(self, table: Path, source: str | None = None, *, measured: bool = True) -> Experiment:
+        """Read a table and return the experiment that it is; arguments and errors as those of `experiment`."""
+        from fmuid.data import read_table
+
+        source = source or str(table)
+        frame = read_table(table, self.time, time_unit=self.time_unit, sample_rate=self.sample_rate, source=source)
+        return self.experiment(frame, source, measured=measured)
 
     def experiment(self, frame: pd.DataFrame, source: str, *, measured: bool = True) -> Experiment:
         """Return the experiment that a table is with these words; messages call the table `source`.
@@ -238,8 +254,13 @@ class ExperimentSettings(Words):
         """
         from fmuid.data import Experiment
 
-        words = {name: getattr(self, name) for name in ("time", "interpolation", "discard", "units", "name")}
-        return Experiment(frame, self.inputs, self.outputs, **words, measured=measured, source=source)
+        words = {name: getattr(self, name) for name in ("interpolation", "discard", "units", "name")}
+        return Experiment(frame, self.inputs, self.outputs, self.time_name, **words, measured=measured, source=source)
+
+    @property
+    def time_name(self) -> str:
+        """Name of the time column once the table is read."""
+        return self.time if isinstance(self.time, str) else "time"
 
 
 def named(experiments: Sequence[ExperimentSettings], top: Place) -> tuple[ExperimentSettings, ...]:

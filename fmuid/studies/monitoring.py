@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from fmuid.data import Experiment, read_table
+from fmuid.data import TABLE_SUFFIXES, Experiment
 from fmuid.diagnosis import FALSE_ALARM, MISS, Design, Monitor, Rule
 from fmuid.errors import InputError
 from fmuid.studies.diagnosis import FaultSearch
 from fmuid.studies.study import Study
 
-KINDS = (".csv", ".parquet", ".mat")
 """The tables that are taken from a folder."""
 
 
@@ -80,7 +79,7 @@ def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -
         if path.stem in known:
             continue
         try:
-            record = given.model_copy(update={"name": path.stem}).experiment(read_table(path, given.time), str(path))
+            record = given.model_copy(update={"name": path.stem}).read_experiment(path)
         except InputError as error:
             raise InputError(f"{error} (inputs and outputs are those of {study.path})") from None
         yield record
@@ -89,9 +88,13 @@ def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -
 def _files(paths: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for path in paths:
-        inside = sorted(each for each in path.iterdir() if each.suffix.lower() in KINDS) if path.is_dir() else [path]
+        inside = (
+            sorted(each for each in path.iterdir() if each.suffix.lower() in TABLE_SUFFIXES)
+            if path.is_dir()
+            else [path]
+        )
         if not inside:
-            raise InputError(f"{path} has no table: give a folder with files of the kinds {', '.join(KINDS)}")
+            raise InputError(f"{path} has no table: give a folder with files of the kinds {', '.join(TABLE_SUFFIXES)}")
         found += inside
     names: dict[str, Path] = {}
     for path in found:

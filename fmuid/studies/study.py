@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fmuid.assessment import Uncertainty, UncertaintySettings, explore
-from fmuid.data import Experiment, JointPrior, Noise, Parameter, read_table
+from fmuid.data import Experiment, JointPrior, Noise, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Method, Result
 from fmuid.model_problem import Problem, identify
@@ -209,7 +209,7 @@ class Study:
         InputError
             If a table cannot be read or has not what the study says.
         """
-        return tuple(each.experiment(read_table(each.table, each.time), str(each.table)) for each in self.experiments)
+        return tuple(each.read_experiment(each.table) for each in self.experiments)
 
     def problem(self) -> Problem:
         """Return the least-squares problem of the study.

@@ -319,6 +319,12 @@ def _columns(value: Any) -> Any:
     return value
 
 
+def _column(value: str | int) -> str | int:
+    if isinstance(value, bool) or not value or (isinstance(value, int) and value < 1):
+        raise must_be("the name of a column, or its place from 1")
+    return value
+
+
 def as_list(value: Any) -> Any:
     """Return one text as a list of it, and what else is there as it is."""
     return [value] if isinstance(value, str) else value
@@ -364,6 +370,7 @@ Columns = Annotated[
     BeforeValidator(_columns, json_schema_input_type=list[str] | dict[str, str]),
     Kind('a list of names, ["u", "w"], or a table { fmu_variable = "column" }'),
 ]
+TimeColumn = Annotated[str | int, AfterValidator(_column), Kind("the name of a column, or its place from 1")]
 Texts = Annotated[dict[str, Text], Entries("a table { name = text }")]
 Scalars = Annotated[dict[str, Scalar], Entries("a table { name = value }")]
 Finites = Annotated[dict[str, Finite], Entries("a table { name = number }")]

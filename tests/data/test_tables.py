@@ -50,29 +50,29 @@ def test_a_time_column_of_another_name(tmp_path: Path) -> None:
         ("", "the table is empty: give a header"),
         ("\n\n", "the table is empty: give a header"),
         ("time,u\n", "has a header but no rows: give measured samples"),
-        ("time;u\n0;1\n", "separated by semicolons: separate it by commas and write decimal points"),
-        ("time\tu\n0\t1\n", "separated by tabs: separate it by commas"),
-        ("time,u\n0,0,1,5\n0,1,2,5\n", "the header has 2 names but row 1 has 4 cells: .* write decimal points"),
+        ("time,u\n0,0,1,5\n0,1,2,5\n", "the header has 2 names but row 1 has 4 cells: .* as the header"),
         (
             "time,x[1,2]\n0,1\n1,1\n",
             r"the header has 3 names but row 1 has 2 cells: .* in quotes, such as \"x\[1,2\]\"",
         ),
-        ("time,u\n0,1\n1,2,3\n", "no CSV table .*: give every row as many cells as the header"),
+        ("time,u\n0,1\n1,2,3\n", "the file is no table .*: give every row as many cells as the header"),
         (
             "time,u,y\n0,1,2\n\n1,2,\n2,3\n",
             "the header has 3 names but row 3 has 2 cells: .* empty ones where samples are missing",
         ),
         ("time,u,y\n0,1,2\n1", "the header has 3 names but row 2 has 1 cell: give every row"),
         ('time,u,text\n0,1,"a\nb,"\n1,2\n', "the header has 3 names but row 2 has 2 cells"),
-        ("0,1\n1,2\n", "the first line holds numbers: put the names there, 'time' among them"),
-        ("Time,u\n0,1\n", r"the time column 'time' is missing \(did you mean 'Time'\?\)"),
+        ("0,1\n1,2\n", "the first line holds numbers: put the names there, that of the time among them"),
+        ("Times,u\n0,1\n", r"the time column 'time' is missing \(did you mean 'Times'\?\)"),
+        ("t,T,u\n0,1,2\n", r"the time column 'time' is missing \(there is t, T, u\)"),
         ("This is\nno table\n", r"the time column 'time' is missing \(did you mean 'This is'|there is This is\)"),
         ("time,u,u\n0,1,2\n", "the column 'u' is there twice: rename or remove one"),
-        ("time,u\ns,V\n0,1\n", "column 'time' holds 's' in row 1, which is no real number: give numbers only"),
-        ('time,u\n"0,1",1\n', "column 'time' holds '0,1' in row 1, .*: write numbers with decimal points"),
-        ("time,u\n2026-01-01T00:00,1\n", "column 'time' holds '2026-01-01T00:00' in row 1"),
-        (b"time,gr\xfc\xdfe\n0,1\n", "no UTF-8 text: save it as a UTF-8 CSV file"),
-        (b"PK\x03\x04\x00\x00\xff\xfe\x00", "no UTF-8 text: save it"),
+        ("time,u\nstart,V\n0,1\n", r"the time column 'time' is missing \(there is start, V\)"),
+        ('time,u\n"0,1",1.5\n', "column 'time' holds '0,1' in row 1, .*: write numbers with decimal points"),
+        ("time,u\n2026-01-01T00:00,1\nsoon,2\n", "column 'time' holds 'soon' in row 2|2026-01-01T00:00' in row 1"),
+        ("time,u\n01.02.2026 10:00,1\n01.02.2026 10:01,2\n", "day and month may be either way round: write dates as"),
+        (b"time,gr\x81\xfce\n0,1\n", "no text in UTF-8, UTF-16 or cp1252: save it as UTF-8"),
+        (b"PK\x03\x04\x00\x00\xff\xfe\x00", "the file is no text: give a table"),
     ],
 )
 def test_csv_that_is_none(tmp_path: Path, text: str | bytes, sentence: str) -> None:
@@ -105,9 +105,9 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"folder\.csv: this is a folder"):
         read_table(tmp_path / "folder.csv")
     with pytest.raises(
-        InputError, match=r"run\.xlsx: tables of the kind '\.xlsx' are not read: save it as one of \.csv"
+        InputError, match=r"run\.docx: tables of the kind '\.docx' are not read: save it as one of \.csv"
     ):
-        read_table(written(tmp_path, "", "run.xlsx"))
+        read_table(written(tmp_path, "", "run.docx"))
     with pytest.raises(InputError, match="'without suffix'"):
         read_table(written(tmp_path, "", "run"))
 
@@ -131,10 +131,6 @@ def test_parquet_that_is_none(tmp_path: Path) -> None:
     pd.DataFrame({"time": [], "u": []}).to_parquet(tmp_path / "empty.parquet")
     with pytest.raises(InputError, match="a header but no rows"):
         read_table(tmp_path / "empty.parquet")
-    dates = pd.date_range("2026-01-01", periods=2, freq="s")
-    pd.DataFrame({"time": dates}).to_parquet(tmp_path / "dates.parquet")
-    with pytest.raises(InputError, match=r"column 'time' holds dates or durations .*: convert it to numbers"):
-        read_table(tmp_path / "dates.parquet")
 
 
 # --- MAT of MATLAB ---
@@ -153,16 +149,14 @@ def test_mat_vectors_of_the_common_length(tmp_path: Path, version: Any) -> None:
 
 
 def test_mat_without_the_time_lists_what_there_is(tmp_path: Path) -> None:
-    savemat(tmp_path / "run.mat", {"t": TIMES, "vir": SPEED, "data": {"time": TIMES}, "A": np.eye(5)})
-    with pytest.raises(InputError, match=r"run\.mat: the time column 'time' is missing \(there is t, vir\)"):
+    savemat(tmp_path / "run.mat", {"tt": TIMES, "vir": SPEED, "data": {"clock": TIMES}, "A": np.eye(5)})
+    with pytest.raises(InputError, match=r"run\.mat: the time column 'time' is missing \(there is tt, vir, data.clock"):
         read_table(tmp_path / "run.mat")
 
 
 def test_mat_that_is_none(tmp_path: Path) -> None:
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
-    with pytest.raises(
-        InputError, match=r"run\.mat: MAT files of version 7\.3 are not read: save it by save\(…, '-v7'\)"
-    ):
+    with pytest.raises(InputError, match=r"run\.mat: the file is no readable HDF5 file: write it again"):
         read_table(written(tmp_path, header.ljust(600, b"\0"), "run.mat"))
     savemat(tmp_path / "whole.mat", {"time": TIMES})
     whole = (tmp_path / "whole.mat").read_bytes()

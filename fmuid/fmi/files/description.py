@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 from fmuid.errors import InputError
+from fmuid.units import BaseUnit, parse_unit
 
 DESCRIPTION_FILE = "modelDescription.xml"
 KINDS = ("co-simulation", "model-exchange")
@@ -67,7 +68,7 @@ class Unit:
     display_units: Mapping[str, tuple[float, float]]
 
 
-def unit_conversion(source: Unit | None, target: Unit | None) -> tuple[float, float] | None:
+def unit_conversion(source: Unit | BaseUnit | None, target: Unit | BaseUnit | None) -> tuple[float, float] | None:
     """Return (factor, offset) with ``target = factor * source + offset``; None where the units do not convert."""
     if source is None or target is None or source.exponents is None or source.exponents != target.exponents:
         return None
@@ -131,23 +132,32 @@ class Description:
     def conversion(self, variable: Variable, unit: str) -> tuple[float, float]:
         """Return (factor, offset) such that ``value in variable.unit = factor * value in unit + offset``.
 
+        The FMU's own definitions go before what units generally mean (`fmuid.units`).
+
         Raises
         ------
         InputError
-            If the FMU defines no conversion between the two units.
+            If the two units do not convert, or are not known.
         """
-        if unit == variable.unit:
+        if unit == (variable.unit or ""):
             return 1.0, 0.0
         own = self.units.get(variable.unit or "")
         if own is not None and unit in own.display_units:
             factor, offset = own.display_units[unit]
             return 1.0 / factor, -offset / factor
-        conversion = unit_conversion(self.units.get(unit), own)
-        if conversion is not None:
-            return conversion
-        known = sorted(set(own.display_units) if own else set())
-        known += [u.name for u in self.units.values() if own and u is not own and u.exponents == own.exponents]
+        meant, expected = parse_unit(unit), parse_unit(variable.unit or "")
+        for pair in ((self.units.get(unit), own), (meant, own), (meant, expected)):
+            conversion = unit_conversion(*pair)
+            if conversion is not None and (variable.unit or conversion == (1.0, 0.0)):
+                return conversion
+        if variable.unit:
+            raise InputError(
+                f"{unit!r}, the unit of the column of {variable.name!r}, does not convert to {variable.unit!r}, that of "
+                f"{self.model_name}: convert the column, or say what it is in by units = {{ {variable.name} = \"...\" }}"
+            )
+        if meant is not None and (meant.factor, meant.offset) == (1.0, 0.0):
+            return 1.0, 0.0  # coherent SI, as Modelica computes in
         raise InputError(
-            f"{self.model_name} defines no conversion from {unit!r} to the unit of {variable.name!r}, "
-            f"{variable.unit or 'none'!r}; convert the column, or use one of: {', '.join(known) or 'no other unit'}"
+            f"{self.model_name} declares no unit of {variable.name!r}, whose column is in {unit!r}: convert it to the "
+            f"unit that the model computes in, or take it as it is by units = {{ {variable.name} = \"1\" }}"
         )

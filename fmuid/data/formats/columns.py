@@ -1,0 +1,154 @@
+"""Where a table begins among rows of cells, and what its headers say: names and units."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import date, datetime, time, timedelta
+
+import pandas as pd
+
+from fmuid.units import SECONDS, parse_unit
+
+Cell = str | float | int | bool | date | datetime | time | timedelta | None
+"""Of a text all cells are str; spreadsheets have typed ones."""
+
+MISSING = ("", "-", "--", "---", "nan", "na", "n/a", "#n/a", "null", "none", "inf", "-inf")
+"""Cells without a sample, in small letters; infinite numbers are refused where they are used."""
+
+TIME_NAMES = ("time", "t", "zeit", "timestamp", "timestamps", "datetime", "date", "date/time", "datum", "temps")
+"""What tables call their time, in small letters, in the order of preference."""
+
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
+_COMMA_NUMBER = re.compile(r"\s*[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?\s*", re.ASCII)
+_WITH_UNIT = re.compile(
+    r"(?P<name>.*?\S)(?P<gap>\s*)(\((?P<round>[^()]*(\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\])"
+)
+_INDEX = re.compile(r"[\d\s,:]*")
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """A table as its file has it.
+
+    Attributes
+    ----------
+    frame : pandas.DataFrame
+        Its columns, without what their headers say of units.
+    units : dict of str to str
+        Columns whose unit the file says, as it is written there.
+    time : str, optional
+        The column that the format itself knows for the time.
+    """
+
+    frame: pd.DataFrame
+    units: dict[str, str] = field(default_factory=dict)
+    time: str | None = None
+
+
+@dataclass(frozen=True)
+class Head:
+    """Where the table is among the rows.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The cells of the header.
+    units : tuple of str
+        The cells of the row of units below it, empty without one.
+    first : int
+        Index of the first row of samples.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    first: int
+
+
+def split_header(header: str) -> tuple[str, str | None]:
+    """Return name and unit in a header such as ``w (rpm)`` or ``ids [mA]``; ``der(y)`` and ``x[1,2]`` are names."""
+    found = _WITH_UNIT.fullmatch(header.strip())
+    if found is None:
+        return header.strip(), None
+    unit = found["round"] if found["round"] is not None else found["square"]
+    if found["name"] == "der" or (not found["gap"] and _INDEX.fullmatch(unit)) or not is_unit(unit):
+        return header.strip(), None
+    return found["name"], unit.strip()
+
+
+def is_unit(text: str) -> bool:
+    """Return whether a text is a unit that is known."""
+    text = text.strip()
+    return text in SECONDS or parse_unit(text) is not None
+
+
+def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str], dict[str, str]]:
+    """Return the columns' names and the units of those that have one.
+
+    Where two columns differ in their units only, both keep their whole header as name.
+    """
+    split = [split_header(header) for header in headers]
+    bare = [name for name, _ in split]
+    names = [
+        name if bare.count(name) == 1 else header.strip() for (name, _), header in zip(split, headers, strict=True)
+    ]
+    below = [cell.strip().strip("[]()") for cell in units] or [""] * len(names)
+    said = {name: below[k] or split[k][1] for k, name in enumerate(names)}
+    return names, {name: unit for name, unit in said.items() if unit}
+
+
+def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> Head | None:
+    """Return where the table begins: below the header from which the most rows of its length with numbers follow.
+
+    Between header and samples there may be one row of units, and rows of text; what is above is left out. None where
+    no row of text is followed by one of the same length with a number.
+    """
+    numeric = [any(is_number(cell, decimal) for cell in row) for row in rows]
+    begins = [
+        k
+        for k in range(1, len(rows))
+        if numeric[k] and not numeric[k - 1] and len(rows[k]) == len(rows[k - 1]) and any(map(_there, rows[k - 1]))
+    ]
+    if not begins:
+        return None
+    ends = [*begins[1:], len(rows)]
+    lengths = [sum(len(row) == len(rows[a]) for row in rows[a:b]) for a, b in zip(begins, ends, strict=True)]
+    first = begins[lengths.index(max(lengths))]
+    above = first - 1
+    while above >= 0 and not numeric[above] and len(rows[above]) == len(rows[first]):
+        above -= 1
+    header = first - 1
+    for k in range(above + 2, first):
+        if _are_units(rows[k]):
+            return Head(_texts(rows[k - 1]), _texts(rows[k]), first)
+    return Head(_texts(rows[header]), (), first)
+
+
+def is_number(cell: Cell, decimal: str = ".") -> bool:
+    """Return whether a cell holds a number."""
+    if isinstance(cell, str):
+        pattern = _NUMBER if decimal == "." else _COMMA_NUMBER
+        return pattern.fullmatch(cell) is not None or cell.strip().lower() in ("true", "false")
+    return isinstance(cell, bool | int | float) and not (isinstance(cell, float) and math.isnan(cell))
+
+
+def is_missing(cell: Cell) -> bool:
+    """Return whether a cell holds no sample."""
+    if isinstance(cell, str):
+        return cell.strip().lower() in MISSING
+    return cell is None or (isinstance(cell, float) and math.isnan(cell))
+
+
+def _there(cell: Cell) -> bool:
+    return not is_missing(cell)
+
+
+def _are_units(row: Sequence[Cell]) -> bool:
+    texts = [text.strip("[]() ") for text in _texts(row)]
+    return any(texts) and all(text in ("", "-") or is_unit(text) for text in texts)
+
+
+def _texts(row: Sequence[Cell]) -> tuple[str, ...]:
+    return tuple("" if cell is None or is_missing(cell) else str(cell).strip() for cell in row)

@@ -1,0 +1,253 @@
+"""Tables as text, in the dialects of test benches and Excel: the encoding, the separator and the head are found."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import gzip
+import io
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import IO, Any, cast
+
+import pandas as pd
+
+from fmuid.data.formats.columns import MISSING, Head, RawTable, find_head, is_missing, is_number, named
+from fmuid.errors import InputError
+
+_LOOKED_AT = 1 << 18
+"""Bytes that are looked at to find separator and head."""
+_ROWS_LOOKED_AT = 200
+_SPACES = r"\s+"
+_DIALECTS = [(separator, decimal) for separator in (",", ";", "\t", "|", _SPACES) for decimal in (".", ",")]
+_COMMENT = ("#", "%", "//")
+
+
+@dataclass(frozen=True)
+class _Packing:
+    """How the bytes of a file are text."""
+
+    encoding: str
+    compression: str | None
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How a text is a table: what separates cells and decimals, its first rows with their last lines, and the head."""
+
+    separator: str
+    decimal: str
+    lines: list[int]
+    rows: list[list[str]]
+    head: Head
+
+    @property
+    def samples(self) -> list[list[str]]:
+        """The first rows of samples."""
+        return self.rows[self.head.first :]
+
+
+def read_text(path: Path, source: str) -> RawTable:
+    """Read delimited text, plain or packed with gzip or zip.
+
+    The encoding is UTF-8, UTF-16 with a byte order mark, or else Windows' cp1252. Of comma, semicolon, tab, bar and
+    spaces that one separates which makes the most columns of numbers, with decimal points or commas.
+
+    Raises
+    ------
+    InputError
+        Where the file is no such text, a column is there twice, or a row has too few or too many cells.
+    """
+    compression = {".gz": "gzip", ".zip": "zip"}.get(path.suffix.lower())
+    try:
+        return _read(path, source, compression, None)
+    except UnicodeDecodeError:
+        pass
+    try:
+        return _read(path, source, compression, "cp1252")
+    except UnicodeDecodeError:
+        raise InputError(f"{source}: the file is no text in UTF-8, UTF-16 or cp1252: save it as UTF-8") from None
+
+
+def _read(path: Path, source: str, compression: str | None, encoding: str | None) -> RawTable:
+    with _opened(path, compression, source) as file:
+        try:
+            start = file.read(_LOOKED_AT)
+        except (OSError, EOFError, zlib.error):
+            raise InputError(f"{source}: the file cannot be unpacked: pack it again, or give the plain text") from None
+    encoding = encoding or _encoding(start)
+    text = codecs.getincrementaldecoder(encoding)().decode(start, final=len(start) < _LOOKED_AT)
+    if "\0" in text:
+        raise InputError(f"{source}: the file is no text: give a table")
+    if len(start) == _LOOKED_AT:
+        text = text[: text.rfind("\n") + 1] or text
+    layout = _layout(source, text)
+    header, units = list(layout.head.names), list(layout.head.units)
+    if _ends_with_separators(layout):
+        header, units = header[:-1], units[:-1]
+    names, said = named(header, units)
+    _check_names(source, names)
+    return RawTable(_samples(path, source, layout, _Packing(encoding, compression), names), said)
+
+
+def _ends_with_separators(layout: _Layout) -> bool:
+    """Return whether a separator ends every row, so that a last column is neither named nor filled."""
+    count = len(layout.head.names)
+    return layout.head.names[-1] == "" and all(not "".join(row[count - 1 :]).strip() for row in layout.samples)
+
+
+def _encoding(start: bytes) -> str:
+    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    return "utf-8-sig"
+
+
+def _opened(path: Path, compression: str | None, source: str) -> IO[bytes]:
+    if compression == "gzip":
+        return cast(IO[bytes], gzip.open(path))
+    if compression == "zip":
+        try:
+            archive = zipfile.ZipFile(path)
+        except zipfile.BadZipFile:
+            raise InputError(f"{source}: the file is no zip archive: pack it again") from None
+        inside = archive.namelist()
+        if len(inside) != 1:
+            raise InputError(f"{source}: the archive holds {len(inside)} files: give one with the table alone")
+        return archive.open(inside[0])
+    return path.open("rb")
+
+
+def _rows(lines: Iterator[str] | IO[str], separator: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield each row that is not blank with the number of lines up to its end."""
+    if separator == _SPACES:
+        yield from ((number, line.split()) for number, line in enumerate(lines, start=1) if line.strip())
+        return
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    yield from ((reader.line_num, row) for row in reader if len(row) > 1 or "".join(row).strip())
+
+
+def _layout(source: str, text: str) -> _Layout:
+    """Return the layout with the most columns of numbers, the first of those with as many."""
+    best, most = None, 0
+    for separator, decimal in _DIALECTS:
+        try:
+            read = list(islice(_rows(io.StringIO(text), separator), _ROWS_LOOKED_AT))
+        except csv.Error:
+            continue
+        rows = [_plain(row, separator) for _, row in read]
+        head = find_head(rows, decimal)
+        if head is not None and len(head.names) == 1 and decimal == ",":
+            continue  # "0,1" alone may as well be two cells
+        columns = _numeric_columns(rows[head.first :], len(head.names), decimal) if head else 0
+        if head is not None and columns > most:
+            most, best = columns, _Layout(separator, decimal, [line for line, _ in read], rows, head)
+    return best or _as_it_is(source, text)
+
+
+def _plain(row: list[str], separator: str) -> list[str]:
+    """Return a row without the comment mark before its first cell."""
+    first = row[0].strip()
+    for mark in _COMMENT:
+        if first.startswith(mark):
+            rest = first[len(mark) :].strip()
+            return [rest, *row[1:]] if rest or separator != _SPACES else row[1:]
+    return row
+
+
+def _numeric_columns(rows: Sequence[Sequence[str]], names: int, decimal: str) -> int:
+    """Return how many columns hold numbers in all rows of the table's length, and in one at least."""
+    regular = [row for row in rows if len(row) == names]
+    columns = list(zip(*regular, strict=True))
+    return sum(
+        any(is_number(cell, decimal) for cell in column)
+        and all(is_number(cell, decimal) or is_missing(cell) for cell in column)
+        for column in columns
+    )
+
+
+def _as_it_is(source: str, text: str) -> _Layout:
+    """Take the first line for the header of a table separated by commas, or say why there is no table."""
+    try:
+        read = list(_rows(io.StringIO(text), ","))
+    except csv.Error as error:
+        raise _no_table(source, str(error)) from None
+    if not read or not any(cell.strip() for cell in read[0][1]):
+        raise InputError(f"{source}: the table is empty: give a header with the names and rows of samples")
+    rows = [row for _, row in read]
+    header = tuple(cell.strip() for cell in rows[0])
+    if all(is_number(name) for name in header) or is_number(header[0], ","):
+        raise InputError(f"{source}: the first line holds numbers: put the names there, that of the time among them")
+    if len(rows) > 1 and len(rows[1]) != len(header):
+        raise InputError(
+            f"{source}: the header has {len(header)} names but row 1 has {_cells(len(rows[1]))}: give every row as "
+            'many cells as the header, names with commas in quotes, such as "x[1,2]"'
+        )
+    return _Layout(",", ".", [line for line, _ in read], rows, Head(header, (), 1))
+
+
+def _check_names(source: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            called = f"the column {name!r} is there twice" if name else "two columns have no name"
+            raise InputError(f"{source}: {called}: rename or remove one of the two")
+
+
+def _samples(path: Path, source: str, layout: _Layout, packing: _Packing, names: list[str]) -> pd.DataFrame:
+    """Return the rows of samples under their names."""
+    width = len(layout.head.names)
+    try:
+        frame: pd.DataFrame = pd.read_csv(
+            path,
+            header=None,
+            names=[*names, *["\0"] * (width - len(names))],
+            skiprows=layout.lines[layout.head.first - 1],
+            index_col=False,
+            sep=layout.separator,
+            decimal=layout.decimal,
+            encoding=packing.encoding,
+            compression=cast(Any, packing.compression),
+            na_values=[mark for mark in MISSING if "inf" not in mark],
+            skipinitialspace=True,
+            low_memory=False,
+        )[names].apply(_without_marks)
+    except pd.errors.EmptyDataError:
+        return pd.DataFrame({name: [] for name in names})
+    except (csv.Error, pd.errors.ParserError) as error:
+        raise _no_table(source, str(error).strip()) from None
+    if frame[names[-1]].hasnans:  # as it is, too, where a row ends early
+        with io.TextIOWrapper(_opened(path, packing.compression, source), packing.encoding, newline="") as text:
+            _check_rows((row for _, row in _rows(text, layout.separator)), source, width, layout.head.first)
+    return frame
+
+
+def _without_marks(column: pd.Series[Any]) -> pd.Series[Any]:
+    """Return a column with missing samples where it has marks with spaces around them, and numbers if that is all."""
+    if pd.api.types.is_numeric_dtype(column.dtype):
+        return column
+    marked = column.where(~column.map(lambda cell: isinstance(cell, str) and is_missing(cell)))
+    if marked.hasnans and not column.equals(marked):
+        texts = marked.dropna().map(lambda cell: is_number(cell) if isinstance(cell, str) else True)
+        return pd.to_numeric(marked) if texts.all() else marked
+    return column
+
+
+def _no_table(source: str, why: str) -> InputError:
+    return InputError(f"{source}: the file is no table ({why}): give every row as many cells as the header")
+
+
+def _check_rows(rows: Iterator[list[str]], source: str, names: int, first: int) -> None:
+    """Refuse rows with too few cells, which pandas fills up as if samples were missing."""
+    for number, row in enumerate(rows, start=1 - first):
+        if number > 0 and len(row) < names:
+            raise InputError(
+                f"{source}: the header has {names} names but row {number} has {_cells(len(row))}: give every row as "
+                "many cells as the header, empty ones where samples are missing"
+            )
+
+
+def _cells(count: int) -> str:
+    return f"{count} cell{'s' * (count != 1)}"

@@ -1,0 +1,167 @@
+"""The time of a table: which column it is, in which unit, and dates as seconds."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.data.formats import TIME_NAMES, RawTable, split_header
+from fmuid.errors import InputError
+from fmuid.text import nearest
+from fmuid.units import SECONDS
+
+_LISTED_NAMES = 12
+"""Names listed in a message: enough to recognise the table, short enough for one sentence."""
+_WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
+_CLOCK = re.compile(r"\d{1,3}:\d{2}(:\d{2}([.,]\d+)?)?")
+
+
+def with_time(
+    raw: RawTable, time: str | int, unit: str | None, sample_rate: float | None, source: str
+) -> tuple[pd.DataFrame, pd.Timestamp | None]:
+    """Return a table with its time in s in the column `time` (``time`` where that is given by its place).
+
+    Parameters
+    ----------
+    raw : RawTable
+    time : str or int
+        The column's name, with its unit or without, or its place from 1. Where there is no column ``time``, the one is
+        taken that is called so in other words (``t``, ``Time``, ``time_ms``, ``timestamp``).
+    unit : str, optional
+        Unit of the column; default: what the table says (``Time (ms)``, ``time_ms``), else s.
+    sample_rate : float, optional
+        Samples per second, of a table without times: they begin at 0.
+    source : str
+        What the table is called in messages.
+
+    Returns
+    -------
+    frame : DataFrame
+    begin : Timestamp or None
+        The date of second 0, where the column holds dates: they are counted from the first.
+
+    Raises
+    ------
+    InputError
+        If there is no such column, or it holds no times.
+    """
+    name = time if isinstance(time, str) else "time"
+    if sample_rate is not None:
+        if name in raw.frame.columns:
+            raise InputError(f"{source}: there are a column {name!r} and a sample rate: leave out one of the two")
+        return raw.frame.assign(**{name: np.arange(len(raw.frame)) / sample_rate}), None
+    column = _column(raw, time, source)
+    if unit is not None and unit not in SECONDS:
+        raise InputError(f"{source}: the unit of time {unit!r} is not known: write one of s, ms, us, ns, min, h, d")
+    values, begin = _as_numbers(raw.frame[column], column, source)
+    factor = 1.0 if begin is not None else SECONDS[unit or _unit_said(raw, column)]
+    frame = raw.frame.assign(**{column: values if factor == 1.0 else _scaled(values, factor)})
+    return frame.rename(columns={column: name}), begin
+
+
+def _scaled(values: Any, factor: float) -> Any:
+    """Return times in s; by division where that rounds less: 3 ms are 0.003 s."""
+    return values / round(1 / factor) if factor < 1 else values * factor
+
+
+def _column(raw: RawTable, time: str | int, source: str) -> str:
+    """Return the column of time."""
+    names = [str(name) for name in raw.frame.columns]
+    if isinstance(time, int):
+        if not 1 <= time <= len(names):
+            raise InputError(f"{source}: there is no column {time}: the table has {len(names)}")
+        return names[time - 1]
+    found = column_of(names, time)
+    if found is not None:
+        return found
+    if time == "time":
+        if raw.time is not None:
+            return raw.time
+        for known in TIME_NAMES:
+            near = [name for name in names if _bare(name).lower() == known]
+            if len(near) == 1:
+                return near[0]
+    raise InputError(f"{source}: {missing_column('time', time, names)}")
+
+
+def column_of(names: Sequence[str], wanted: str) -> str | None:
+    """Return the column of a name, which may be written with its unit as in the header; None where there is none."""
+    if wanted in names:
+        return wanted
+    bare = split_header(wanted)[0]
+    return bare if bare in names else None
+
+
+def missing_column(role: str, column: str, known: Iterable[object]) -> str:
+    """Return the part of a sentence that says that a column is missing, with the nearest names or all of them."""
+    names = [str(name) for name in known]
+    listed = ", ".join(names[:_LISTED_NAMES]) + (", …" if len(names) > _LISTED_NAMES else "")
+    found = nearest(column, names) or f" (there is {listed or 'nothing numeric'})"
+    return f"the {role} column {column!r} is missing{found}: name the column that holds it"
+
+
+def _bare(name: str) -> str:
+    """Return a name without a unit at its end: ``time_ms`` is ``time``."""
+    found = _WITH_SUFFIX.fullmatch(name)
+    return found[1] if found else name
+
+
+def _unit_said(raw: RawTable, column: str) -> str:
+    """Return the unit of time that the table says, s where it says none."""
+    said = raw.units.get(column)
+    if said in SECONDS:
+        return str(said)
+    suffix = _WITH_SUFFIX.fullmatch(column)
+    return suffix[2].lower() if suffix and said is None else "s"
+
+
+def _as_numbers(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.Timestamp | None]:
+    """Return dates and times of the day as seconds from the first, and what else there is as it is."""
+    if pd.api.types.is_timedelta64_dtype(series.dtype):
+        return series.dt.total_seconds(), None
+    if pd.api.types.is_datetime64_any_dtype(series.dtype):
+        return _seconds(series)
+    texts = (
+        series.dropna().astype(str) if series.dtype == object or pd.api.types.is_string_dtype(series.dtype) else None
+    )
+    if texts is None or texts.empty:
+        return series, None
+    if texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
+        clock = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)
+        seconds = pd.to_timedelta(clock).dt.total_seconds()
+        return (seconds - seconds.iloc[0]).reindex(series.index), None
+    dates = _dates(texts, column, source)
+    return (series, None) if dates is None else _seconds(dates.reindex(series.index))
+
+
+def _seconds(dates: pd.Series[Any]) -> tuple[Any, pd.Timestamp]:
+    begin = dates.iloc[0]
+    return (dates - begin).dt.total_seconds(), begin
+
+
+def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
+    """Return the dates that texts are, None where they are none."""
+    try:
+        return pd.to_datetime(texts, format="ISO8601")
+    except (ValueError, TypeError):
+        pass
+    if not texts.str.contains(r"\d+[./-]\d+[./-]\d+.*:", regex=True).all():
+        return None
+    readings = []
+    for order in ("%d{0}%m{0}%Y", "%m{0}%d{0}%Y", "%Y{0}%m{0}%d"):
+        for form in (order.format(mark) + clock for mark in "./-" for clock in (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M")):
+            read = pd.to_datetime(texts.str.replace(",", "."), format=form, errors="coerce")
+            if not read.isna().any():
+                readings.append(read)
+    if not readings:
+        return None
+    if any(not (read == readings[0]).all() for read in readings[1:]):
+        raise InputError(
+            f"{source}: column {column!r} holds {texts.iloc[0]!r}, where day and month may be either way round: write "
+            "dates as 2026-02-28 12:00:00"
+        )
+    return readings[0]
