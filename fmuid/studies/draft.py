@@ -15,13 +15,10 @@ from fmuid.errors import InputError
 from fmuid.files import exists
 
 if TYPE_CHECKING:
-    import pandas as pd
 
     from fmuid.fmi import FMU, Description, Variable
     from fmuid.studies.words import Words
 
-# The names that tables give their time column, in the order in which they are looked for.
-TIME_COLUMNS = ("time", "Time", "t", "TIME", "T")
 # What a table can hold, and what an output of an experiment can be.
 NUMBERS, OBSERVED = ("Real", "Integer", "Boolean"), ("output", "local")
 # How many names a comment lists, and how many parameters a skeleton: what can be read at a glance.
@@ -70,11 +67,12 @@ def draft(fmu: Path, table: Path, output: Path) -> Draft:
     InputError
         If one of the files cannot be read.
     """
+    from fmuid.data import read_table
     from fmuid.fmi import read_description
     from fmuid.studies.model import ExperimentSettings
 
     description = read_description(fmu)
-    frame, time = _read(table)
+    frame, time = read_table(table), "time"
     columns = [str(column) for column in frame.columns if column != time]
     inputs, missing_inputs = _match(_of_tables(description, "input"), columns)
     outputs, missing_outputs = _match(_of_tables(description, "output"), columns)
@@ -94,7 +92,7 @@ def draft(fmu: Path, table: Path, output: Path) -> Draft:
         "",
         "[[experiments]]  # repeat this table for further experiments",
         f"table = {_text(_relative(table, output))}",
-        f"time = {_text(time)}",
+        f"time = {_text(time)}  # or what the table calls so: Time (ms), t, timestamp",
         *_roles("inputs", inputs, missing_inputs),
         *_roles("outputs", outputs, missing_outputs),
         *([f"# columns that are no input or output of the FMU: {_listed(unused)}"] if unused else []),
@@ -154,20 +152,6 @@ def write_draft(fmu: Path, table: Path, output: Path) -> Draft:
     except OSError as error:
         raise InputError(f"{output} cannot be written: {error.strerror}") from None
     return made
-
-
-def _read(table: Path) -> tuple[pd.DataFrame, str]:
-    """Return the table and the name of its time column."""
-    from fmuid.data import read_table
-
-    refusal: InputError | None = None
-    for time in TIME_COLUMNS:
-        try:
-            return read_table(table, time), time
-        except InputError as error:
-            refusal = refusal or error
-    assert refusal is not None
-    raise refusal
 
 
 def _of_tables(description: Description, causality: str) -> list[str]:
