@@ -16,6 +16,9 @@ SECONDS = {
 }  # fmt: skip
 """Units of time columns, in s."""
 
+TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "d")
+"""One spelling of each, for who writes a study."""
+
 # What pint would take for something else, or not know. Speeds in 1/min are turns, as DIN and IEC write them.
 _SPELLINGS = {
     **dict.fromkeys(("rpm", "RPM", "1/min", "n/min", "U/min", "r/min", "rev/min", "Upm"), "turn/min"),
@@ -24,6 +27,8 @@ _SPELLINGS = {
     "°C": "degC", "deg C": "degC", "°F": "degF", "°": "deg", "1": "", "-": "", "p.u.": "", "pu": "",
 }  # fmt: skip
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+_POWER_OF_A_NUMBER = re.compile(r"[\d)]\s*(\^|\*\*)")
+"""In no unit, and may take for ever."""
 _ROUNDING = 1e-9
 _LONGEST = 40
 """Characters that a unit may have: longer texts are descriptions."""
@@ -45,7 +50,7 @@ def parse_unit(text: str) -> BaseUnit | None:
     Unlike in the SI, angles have a dimension of their own, as in FMI: 1 Hz is not 1 rad/s.
     """
     text = text.strip()
-    if len(text) > _LONGEST:
+    if len(text) > _LONGEST or _POWER_OF_A_NUMBER.search(text):
         return None
     registry = _registry()
     try:

@@ -15,7 +15,6 @@ from fmuid.errors import InputError
 from fmuid.files import exists
 
 if TYPE_CHECKING:
-
     from fmuid.fmi import FMU, Description, Variable
     from fmuid.studies.words import Words
 

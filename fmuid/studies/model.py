@@ -42,7 +42,7 @@ from fmuid.studies.words import (
     one_of,
     word,
 )
-from fmuid.units import SECONDS
+from fmuid.units import TIME_UNITS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -220,8 +220,8 @@ class ExperimentSettings(Words):
     table: File = word(..., "the file of measurements")
     name: Text = word("", "what messages and figures call it; default: the table's name without suffix")
     time: TimeColumn = word("time", "the column of time, by its name or its place from 1")
-    time_unit: Annotated[str, one_of(tuple(SECONDS))] | None = word(
-        None, "unit of the time column, s, ms, us, min, h ...; default: what the table says, else s"
+    time_unit: Annotated[str, one_of(TIME_UNITS)] | None = word(
+        None, "unit of the time column; default: what the table says, else s"
     )
     sample_rate: Positive | None = word(None, "samples per second, of a table without times")
     inputs: Columns = word({}, "variables of the FMU that columns drive")

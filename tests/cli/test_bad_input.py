@@ -266,9 +266,9 @@ def test_missing_fmu(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("time,u,i\n0,1,0\n0.1,,0\n0.2,1,0\n", ("run.csv", "'u'", "row 2")),
         ("time,u,i\n0,1,0\n0.1,inf,0\n0.2,1,0\n", ("run.csv", "'u'", "row 2")),
         ("time,u,i\n0,1,\n0.1,1,\n0.2,1,\n", ("run.csv", "'i'", "no sample")),
-        ("t,u,i\n0,1,0\n0.1,1,0\n", ("run.csv", "'time'")),
+        ("clock,u,i\n0,1,0\n0.1,1,0\n", ("run.csv", "'time'")),
         ("time,u\n0,1\n0.1,1\n", ("run.csv", "'i'")),
-        ("time;u;i\n0;1;0\n0,1;1;0\n", ("run.csv",)),
+        ("time;u;i\n0;1,2,3;0\n1;1;0\n", ("run.csv", "'u'", "row 1")),
     ],
 )  # fmt: skip
 def test_wrong_table(folder: Path, capsys: pytest.CaptureFixture[str], text: str, named: tuple[str, ...]) -> None:

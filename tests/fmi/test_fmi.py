@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import stat
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -55,8 +56,21 @@ def test_units_convert_both_ways(probe: ProbeMaker) -> None:
     assert description.conversion(speed, "rad/s") == (1.0, 0.0)
     assert description.conversion(speed, "rpm")[0] == pytest.approx(3.141592653589793 / 30)
     assert description.conversion(speed, "krad/s") == (1000.0, 0.0)
-    with pytest.raises(InputError, match="no conversion from 'deg' to the unit of 'u', 'rad/s'"):
+    assert description.conversion(speed, "deg/s")[0] == pytest.approx(
+        3.141592653589793 / 180
+    )  # which it does not define
+    with pytest.raises(InputError, match="'deg', the unit of the column of 'u', does not convert to 'rad/s'"):
         description.conversion(speed, "deg")
+
+
+def test_a_variable_without_a_unit_takes_what_needs_no_conversion(probe: ProbeMaker) -> None:
+    description = FMU(probe()).description
+    bare = replace(description.variables["u"], unit=None)
+    assert description.conversion(bare, "N.m") == (1.0, 0.0)
+    assert description.conversion(bare, "1") == (1.0, 0.0)
+    for unit in ("rpm", "mA", "degC", "smoots of ale"):
+        with pytest.raises(InputError, match=r"declares no unit of 'u', whose column is in .*: convert it .* \{ u = "):
+            description.conversion(bare, unit)
 
 
 @pytest.mark.parametrize(
