@@ -47,7 +47,7 @@ def test_the_same_estimates_from_other_units(tmp_path: Path, measured: pd.DataFr
     for found in (
         study(tmp_path, milli, sep=";", decimal=","),
         study(tmp_path, clock, 'time = "zeit"\ntime_unit = "min"\nunits = { i = "mA" }'),
-        study(tmp_path, bare, f"sample_rate = {1 / steps[0]!r}"),
+        study(tmp_path, bare, f"sample_rate = {float(1 / steps[0])!r}"),
     ):
         np.testing.assert_allclose(found.identify().values, right.values, rtol=1e-6)
 
