@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import stat
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -65,7 +64,7 @@ def test_units_convert_both_ways(probe: ProbeMaker) -> None:
 
 def test_a_variable_without_a_unit_takes_what_needs_no_conversion(probe: ProbeMaker) -> None:
     description = FMU(probe()).description
-    bare = replace(description.variables["u"], unit=None)
+    bare = description.variables["u"]._replace(unit=None)
     assert description.conversion(bare, "N.m") == (1.0, 0.0)
     assert description.conversion(bare, "1") == (1.0, 0.0)
     for unit in ("rpm", "mA", "degC", "smoots of ale"):

@@ -44,12 +44,13 @@ def test_the_same_estimates_from_other_units(tmp_path: Path, measured: pd.DataFr
     bare = pd.DataFrame({"u": u, "i": i})
     steps = np.diff(t)
     assert np.ptp(steps) < 1e-12
-    for found in (
-        study(tmp_path, milli, sep=";", decimal=","),
-        study(tmp_path, clock, 'time = "zeit"\ntime_unit = "min"\nunits = { i = "mA" }'),
-        study(tmp_path, bare, f"sample_rate = {float(1 / steps[0])!r}"),
+    for table, more, how in (
+        (milli, "", {"sep": ";", "decimal": ","}),
+        (clock, 'time = "zeit"\ntime_unit = "min"\nunits = { i = "mA" }', {}),
+        (bare, f"sample_rate = {float(1 / steps[0])!r}", {}),
     ):
-        np.testing.assert_allclose(found.identify().values, right.values, rtol=1e-6)
+        found = study(tmp_path, table, more, **how).identify()
+        np.testing.assert_allclose(found.values, right.values, rtol=1e-6)
 
 
 def test_a_unit_that_does_not_fit_is_refused(tmp_path: Path, measured: pd.DataFrame) -> None:
