@@ -152,8 +152,8 @@ class Description:
                 return conversion
         if variable.unit:
             raise InputError(
-                f"{unit!r}, the unit of the column of {variable.name!r}, does not convert to {variable.unit!r}, that of "
-                f'{self.model_name}: convert the column, or say what it is in by units = {{ {variable.name} = "..." }}'
+                f"{unit!r}, the unit of the column of {variable.name!r}, does not convert to {variable.unit!r}, that "
+                f'of {self.model_name}: convert the column, or say its unit by units = {{ {variable.name} = "..." }}'
             )
         if meant is not None and (meant.factor, meant.offset) == (1.0, 0.0):
             return 1.0, 0.0  # coherent SI, as Modelica computes in
