@@ -143,6 +143,11 @@ class Run:
         integrations[component] = old and old._replace(integrator=integrator)
         self.plan = self.plan._replace(integrations=tuple(integrations))
 
+    def control(self, tolerance: float) -> None:
+        """Integrate all components for model exchange with another relative tolerance from now on."""
+        integrations = tuple(each and each._replace(tolerance=tolerance) for each in self.plan.integrations)
+        self.plan = self.plan._replace(integrations=integrations)
+
     @property
     def varying(self) -> list[Sensitivities]:
         """What is filled in anew before each simulation."""

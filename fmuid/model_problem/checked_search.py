@@ -46,6 +46,7 @@ ACCURACIES = ("switch", "check", "off")
 """What may be done about the error of the simulation."""
 # The search goes by model exchange where the outputs at the start differ by more than this share of their spread.
 START_LIMIT = 0.01
+START_TOLERANCE = 1e-6  # which that does not ask more of
 # Optima whose criterion is higher by less are as good as the best: χ² of one parameter is larger in 5 % of all cases.
 RIVAL = 3.84
 # By a finer simulation the search goes on from so many of the best optima of a box at most.
@@ -175,7 +176,7 @@ class _CheckedSearch:
         if at.shape != (len(problem.parameters),):
             return  # which the search will say
         predicted = problem.predict(at[None])[0]
-        exact = self._simulated(finer, at)
+        exact = self._simulated(replace(finer, tolerance=START_TOLERANCE), at)
         if not np.isfinite(exact).all():
             self._remember(at, predicted)
         elif not np.isfinite(predicted).all():

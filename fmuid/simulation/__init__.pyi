@@ -4,7 +4,6 @@ from .accuracy import how_run as how_run
 from .accuracy import is_free as is_free
 from .accuracy import next_refinement as next_refinement
 from .accuracy import refined as refined
-from .accuracy import refined_system as refined_system
 from .accuracy import replaces_interface as replaces_interface
 from .executor import executor_of as executor_of
 from .fit import Fit as Fit

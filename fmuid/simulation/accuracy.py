@@ -85,20 +85,8 @@ def is_free(system: System) -> bool:
     )
 
 
-def refined_system(system: System, refinement: Refinement) -> System:
-    """Return the system whose components are run as a refinement says; it is closed with the given one."""
-    if refinement.tolerance is None:
-        return system
-    return system.run_by(
-        {
-            name: Numerics("model-exchange", _controlled(model), refinement.tolerance, model.numerics.step_size)
-            for name, model in _exchanged(system).items()
-        }
-    )
-
-
 def refined(simulator: Simulator, system: System, refinement: Refinement) -> Simulator:
-    """Return what simulates the same experiment in a finer way.
+    """Return what simulates the same experiment in a finer way; what it needs is closed with the system.
 
     Parameters
     ----------
@@ -112,7 +100,9 @@ def refined(simulator: Simulator, system: System, refinement: Refinement) -> Sim
     InputError
         If an FMU cannot step that way.
     """
-    return simulator.by(refined_system(system, refinement), refinement.divisor)
+    if refinement.tolerance is not None:
+        system = system.run_by({name: _exchange(model) for name, model in _exchanged(system).items()})
+    return simulator.by(system, refinement.divisor, refinement.tolerance)
 
 
 def how_run(system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()) -> dict[str, HowRun]:
@@ -126,9 +116,12 @@ def how_run(system: System, refinement: Refinement, stiff: frozenset[str] = froz
     stiff : frozenset of str
         The components that were found stiff (`Simulator.stiff`).
     """
+    models = dict(system.components)
+    if refinement.tolerance is not None:
+        models |= {name: Component(m.fmu, _exchange(m, refinement.tolerance)) for name, m in _exchanged(system).items()}
     return {
         name: replace(model.how_run(stiff=name in stiff), divisor=refinement.divisor if system.integrates(name) else 1)
-        for name, model in refined_system(system, refinement).components.items()
+        for name, model in models.items()
     }
 
 
@@ -141,9 +134,11 @@ def _exchanged(system: System) -> dict[str, Component]:
     }
 
 
-def _controlled(model: Component) -> str | None:
-    """Return the integrator asked for, if its error is controlled."""
-    return None if model.numerics.integrator == "rk4" else model.numerics.integrator
+def _exchange(model: Component, tolerance: float = FINE_TOLERANCE) -> Numerics:
+    """Return how a component is run by model exchange: by the integrator asked for, if its error is controlled."""
+    asked = model.numerics
+    integrator = None if asked.integrator == "rk4" else asked.integrator
+    return Numerics("model-exchange", integrator, tolerance, asked.step_size)
 
 
 def _tolerance(model: Component) -> float:

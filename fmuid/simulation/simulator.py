@@ -92,6 +92,7 @@ class Simulator:
         if repeated:
             raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
         self._given, self._divisor = (dict(values or {}), step_size), divisor
+        self._tolerance: float | None = None
         self._targets = [
             (name, column, factor, offset)
             for column, parameter in enumerate(self.parameters)
@@ -204,15 +205,29 @@ class Simulator:
 
     def over(self, experiment: Experiment) -> Simulator:
         """Return the simulator of another experiment with the same model, parameters and values."""
-        return self._like(self.system, experiment, self._divisor)
+        return self._like(self.system, experiment, self._divisor, self._tolerance)
 
-    def by(self, system: System, divisor: int) -> Simulator:
-        """Return the simulator of the same experiment by another way to run the system (`fmuid.System.run_by`)."""
-        return self._like(system, self.experiment, divisor)
+    def by(self, system: System, divisor: int, tolerance: float | None) -> Simulator:
+        """Return the simulator of the same experiment by another way to run the system (`fmuid.System.run_by`).
 
-    def _like(self, system: System, experiment: Experiment, divisor: int) -> Simulator:
+        Parameters
+        ----------
+        system : System
+        divisor : int
+            As for `Simulator`.
+        tolerance : float, optional
+            Of model exchange; default: what the system says. Simulators of one system share its instances whatever it
+            is.
+        """
+        return self._like(system, self.experiment, divisor, tolerance)
+
+    def _like(self, system: System, experiment: Experiment, divisor: int, tolerance: float | None) -> Simulator:
         values, step_size = self._given
-        return Simulator(system, experiment, self.parameters, values=values, step_size=step_size, divisor=divisor)
+        other = Simulator(system, experiment, self.parameters, values=values, step_size=step_size, divisor=divisor)
+        if tolerance is not None:
+            other._tolerance = tolerance
+            other._run.control(tolerance)
+        return other
 
     @property
     def output_factors(self) -> NDArray[np.float64]:
