@@ -259,7 +259,9 @@ class _CheckedSearch:
         better = merged(other, fits) if problem.loss is None else _single(fits)
         if not better:
             return Kept.NO_SEARCH
-        if fits_worse(problem, better[0].fit, self.optima[0].fit):
+        # what it is kept from by a bound is no fault of a simulation
+        bounded = bool(better[0].fit.at_bounds) and not self.optima[0].fit.at_bounds
+        if fits_worse(problem, better[0].fit, self.optima[0].fit) and not bounded:
             return Kept.FITS_BETTER
         self.optima = better
         self._switch(finer, Cause.SHIFT, self.found.largest, sum(fit.simulations for fit in fits))

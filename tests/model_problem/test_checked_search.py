@@ -252,12 +252,43 @@ def test_the_coil_no_longer_aliases(coil: Callable[[float, float], fmuid.Result]
 
 @pytest.mark.slow
 def test_the_coil_from_random_starts(coil: Callable[[float, float], fmuid.Result]) -> None:
-    """Co-simulation alone fails at 46 of 200 starts, and aliases from 6."""
-    rng = np.random.default_rng(0)
+    """The right inductance; or, from time constants of 50 µs in steps of 1 ms, that it is not determined there."""
+    rng, right = np.random.default_rng(0), 0
     for r, inductance in np.exp(rng.uniform(np.log([0.1, 1e-3]), np.log([100.0, 1.0]), (200, 2))).tolist():
         result = coil(r, inductance)
-        assert result["L"] == pytest.approx(0.1, abs=4.0 * result.std[1]), (r, inductance)
-        assert result.std[1] < 0.002
+        assert result.converged or (inductance / r < 5e-5 and result.at_bounds), (r, inductance)
+        if result.converged:
+            right += 1
+            assert result["L"] == pytest.approx(0.1, abs=4.0 * result.std[1]), (r, inductance)
+            assert result.std[1] < 0.002
+    assert right >= 195
+
+
+BOX = ("parameters.R.min=0.1", "parameters.R.max=100.0", "parameters.L.min=1e-3", "estimator.starts=20")
+
+
+def test_an_alias_is_no_optimum() -> None:
+    """From some starts the coil's co-simulation fits as well at L = 1.42 mH, which model exchange does not bear out."""
+    study = fmuid.Study.read(EXPERIMENTS / "coil" / "healthy.toml", [*BOX, "parameters.L.max=1.0"])
+    without = fmuid.search_globally(study.problem(), study.estimator, accuracy="off")  # type: ignore[arg-type]
+    assert sorted(round(optimum.theta[1], 4) for optimum in without.optima) == [0.0014, 0.1007]
+    result = study.identify()
+    assert [round(optimum.theta[1], 4) for optimum in result.optima] == [0.1007]
+    assert result["L"] == pytest.approx(0.1, abs=4.0 * result.std[1])
+    assert result.accuracy is not None
+    assert (result.accuracy.refused, result.accuracy.switches) == (1, ())
+    assert "another optimum fitted as well" in fmuid.describe(result).lower()
+
+
+@pytest.mark.slow
+def test_a_box_that_holds_the_alias_alone() -> None:
+    """Model exchange leaves it for the bound behind which the truth is."""
+    start = "parameters.L.start=0.005"
+    study = fmuid.Study.read(EXPERIMENTS / "coil" / "healthy.toml", [*BOX, "parameters.L.max=0.01", start])
+    result = study.identify()
+    assert [bound.name for bound in result.at_bounds] == ["L"]
+    assert result.accuracy is not None
+    assert [switch.cause for switch in result.accuracy.switches] == [Cause.SHIFT]
 
 
 @pytest.mark.parametrize("order", [1, 4])
