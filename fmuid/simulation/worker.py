@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
-from fmuid.errors import SimulationError
+from fmuid.errors import InputError, SimulationError
 from fmuid.fmi import Instance, Loop, Run, codes, describe, new_reports, warn
 from fmuid.models import Component
 
@@ -151,7 +151,7 @@ class Worker:
     def _give_up_reset(self, fatal: bool = False) -> None:
         self._resets = False
         self.close(fatal)
-        if self._index == 0:
+        if self._index == 0 and self._can_be_replaced:
             _log.warning(
                 "%s: a reset does not bring it back to its beginning, so it is instantiated anew for every "
                 "simulation, which is slow and, for some FMUs, fails after a thousand times",
@@ -262,6 +262,12 @@ class Worker:
 
     def _prepare(self) -> None:
         if not self._instances:
+            if self._resets is False and not self._can_be_replaced:
+                raise InputError(
+                    f"{', '.join(self._labels)} can be simulated only once in a process: a reset does not bring it "
+                    "back to its beginning, and it declares that a process may instantiate it only once; export it "
+                    "with a reset that works"
+                )
             with self._busy(codes.PREPARING):
                 for component, model in self._components.items():
                     name = f"{component or model.fmu.name}-{self._index}"

@@ -185,6 +185,19 @@ def test_an_fmu_whose_reset_keeps_something_is_instantiated_anew_and_the_user_to
     assert sum("a reset does not bring it back" in record.getMessage() for record in caplog.records) == 1
 
 
+def test_an_fmu_that_neither_resets_nor_can_be_replaced_is_simulated_once(
+    probe: ProbeMaker, caplog: pytest.LogCaptureFixture
+) -> None:
+    times = np.arange(4.0)
+    experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="hold")
+    simulator = Simulator(probe("LEAKY_RESET", canBeInstantiatedOnlyOncePerProcess="true"), experiment, ["gain"])
+    assert simulator([2.0])[:, 0].tolist() == [0, 2, 4, 6]
+    for _ in range(2):
+        with pytest.raises(InputError, match=r"probe.*only once in a process: a reset does not .* export it with"):
+            simulator([2.0])
+    assert not caplog.records
+
+
 def test_a_binary_without_functions_that_nobody_calls_serves(probe: ProbeMaker) -> None:
     times = np.arange(3.0)
     experiment = Experiment(table(times, u=1 + 0 * times, x=0 * times), ["u"], ["x"], interpolation="hold")
