@@ -149,7 +149,7 @@ class _Declared:
     """The variables as elements of the file, which calls them by place from 1 (FMI 2.0) or value reference (3.0)."""
 
     def __init__(self, root: Element, version: int) -> None:
-        self.root, self.version = root, version
+        self.root, self.version, self.kinds = root, version, _TYPES[version]
         self.elements = [each for each in root.iterfind("ModelVariables/*") if each.get("name") is not None]
         self.types: dict[str | None, Element] = {None: _NO_TYPE}
         self.aliases: list[tuple[Element, Element]] = []
@@ -216,16 +216,17 @@ class _Declared:
 
     def _value(self, element: Element) -> Element:
         """Return the element that is called like the type of a variable: in FMI 3.0 its own."""
-        types = _TYPES[self.version]
-        value = element if self.version == 3 else next((each for each in element if each.tag in types), element)
-        if value.tag not in types:
-            raise InputError(f"declares {_name(element)!r} as {value.tag}, which is no type of FMI {self.version}.0")
-        return value
+        if element.tag in self.kinds:
+            return element
+        for each in element:
+            if self.version == 2 and each.tag in self.kinds:
+                return each
+        raise InputError(f"declares {_name(element)!r} as {element.tag}, which is no type of FMI {self.version}.0")
 
     def _read(self, element: Element, name: str, description: str, is_state: bool) -> list[Variable]:
         """Return a variable, or all elements of an array."""
         value = self._value(element)
-        kind, wire = _TYPES[self.version][value.tag]
+        kind, wire = self.kinds[value.tag]
         declared = self.types.get(value.get("declaredType"))
         if declared is None:
             raise InputError(f"declares {name!r} of type {value.get('declaredType')!r}, which it does not define")
