@@ -78,11 +78,11 @@ class Crew:
         Connected to their scheduler.
     address : str
         Of the scheduler, for messages.
-    host : _Host or None
+    host : _LocalWorkers or None
         What keeps workers of this machine; None where the scheduler has its own.
     """
 
-    def __init__(self, client: Client, address: str, host: _Host | None) -> None:
+    def __init__(self, client: Client, address: str, host: _LocalWorkers | None) -> None:
         self._client, self._host, self._address = client, host, address
         self._looked, self.threads = 0.0, 0
         self._flying: dict[Future, list[int]] = {}
@@ -189,7 +189,7 @@ class Crew:
             raise lost
 
 
-class _Host:
+class _LocalWorkers:
     """Keeps the process that keeps workers of this machine."""
 
     def __init__(self, address: str, count: int, folder: Path, locks: Sequence[int] = ()) -> None:
@@ -260,7 +260,7 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[C
         )
         _quieten(cluster)
         client = stack.enter_context(_client(cluster.scheduler_address))
-        host = _Host(cluster.scheduler_address, workers or CPU_COUNT, folder, locks)
+        host = _LocalWorkers(cluster.scheduler_address, workers or CPU_COUNT, folder, locks)
         stack.callback(host.close)
         yield Crew(client, cluster.scheduler_address, host)
 

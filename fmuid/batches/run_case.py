@@ -240,7 +240,7 @@ class _Recent(Generic[Key, Item]):
         return item
 
 
-class _Listener(logging.Handler):
+class _ThreadWarnings(logging.Handler):
     """Keeps the warnings that one thread gives."""
 
     def __init__(self) -> None:
@@ -257,7 +257,7 @@ class _Listener(logging.Handler):
 @contextmanager
 def _warnings_of_this_thread() -> Iterator[list[str]]:
     """Collect the warnings that fmuid gives meanwhile."""
-    listener, log = _Listener(), logging.getLogger("fmuid")
+    listener, log = _ThreadWarnings(), logging.getLogger("fmuid")
     log.addHandler(listener)
     try:
         yield listener.said

@@ -86,18 +86,18 @@ def run_group(parcel: Parcel, cases: Sequence[int], records: Mapping[str, bytes]
         If this worker is not like the sender, or the study is wrong here.
     """
     _check_worker(parcel)
-    bench = _shop_of(parcel).bench(parcel)
+    opened = _open_studies(parcel).opened(parcel)
     try:
         for name, content in records.items():
-            bench.put(name, content)
+            opened.put(name, content)
         began = time.perf_counter()
-        outcomes = bench.run(cases)
+        outcomes = opened.run(cases)
         seconds = time.perf_counter() - began
     except OSError as error:
-        raise FmuidError(f"the worker {_address()} cannot write below {bench.folder}: {error.strerror}") from None
+        raise FmuidError(f"the worker {_address()} cannot write below {opened.folder}: {error.strerror}") from None
     finally:
         for name in records:
-            (bench.folder / name).unlink(missing_ok=True)
+            (opened.folder / name).unlink(missing_ok=True)
     rows = [dict(outcome.row) for outcome in outcomes]
     logs = {case: bounded(outcome.log) for case, outcome in zip(cases, outcomes, strict=True) if outcome.log}
     return GroupResult(rows, logs, seconds)
@@ -124,7 +124,7 @@ def _runner_of(study: Study, copies: Copies, isolated: bool) -> Callable[[Sequen
     return IsolatedCases(study, copies).run
 
 
-class _Bench:
+class _OpenStudy:
     """The study of one thread of a worker, in a folder of its own, and what runs its cases."""
 
     def __init__(self, parcel: Parcel, folder: Path) -> None:
@@ -137,43 +137,43 @@ class _Bench:
         path.write_bytes(content)
 
 
-class _Shop:
-    """The benches of a worker for one batch, in a private folder that goes with them."""
+class _OpenStudies:
+    """The open studies of a worker for one batch, in a private folder that goes with them."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._benches: dict[int, _Bench] = {}
+        self._opened: dict[int, _OpenStudy] = {}
         self._folder = Path(tempfile.mkdtemp(prefix="fmuid-", dir=_local_directory()))
         self._end = weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
 
-    def bench(self, parcel: Parcel) -> _Bench:
-        """Return the bench of this thread: an FMU's instances stay with the thread that made them."""
+    def opened(self, parcel: Parcel) -> _OpenStudy:
+        """Return the study of this thread: an FMU's instances stay with the thread that made them."""
         thread = threading.get_ident()
         with self._lock:
-            if thread not in self._benches:
-                self._benches[thread] = _Bench(parcel, self._folder / f"{len(self._benches)}")
-            return self._benches[thread]
+            if thread not in self._opened:
+                self._opened[thread] = _OpenStudy(parcel, self._folder / f"{len(self._opened)}")
+            return self._opened[thread]
 
     def close(self) -> None:
         """Free the FMUs and remove the folder."""
         with self._lock:
-            self._benches.clear()
+            self._opened.clear()
         self._end()
 
 
-# Whose shops are open here. A shop goes with its parcel, which the scheduler has its workers drop when the sender ends,
+# Whose studies are open here. They go with their parcel, which the scheduler has its workers drop when the sender ends,
 # however it does; that may take until Python's next collection, so a sender that can says so itself.
 _parcels: weakref.WeakSet[Parcel] = weakref.WeakSet()
 _opening = threading.Lock()
 
 
-def _shop_of(parcel: Parcel) -> _Shop:
+def _open_studies(parcel: Parcel) -> _OpenStudies:
     with _opening:
         if parcel.unpacked is None:
-            parcel.unpacked = _Shop()
+            parcel.unpacked = _OpenStudies()
             _parcels.add(parcel)
-        shop: _Shop = parcel.unpacked
-        return shop
+        studies: _OpenStudies = parcel.unpacked
+        return studies
 
 
 def forget(token: str) -> None:

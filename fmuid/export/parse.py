@@ -72,14 +72,14 @@ def parse(source: Path) -> Model:
     parser = Rules(CommonTokenStream(lexer))
     for recogniser in (lexer, parser):
         recogniser.removeErrorListeners()
-        recogniser.addErrorListener(_Listener(source.name))
+        recogniser.addErrorListener(_RaisingListener(source.name))
     tree = parser.stored_definition()
     if parser.getCurrentToken().type != -1:  # the grammar stops at what begins no class
         raise ModelicaError(source.name, parser.getCurrentToken().line, "syntax error: expected 'model'")
     return _Walk(source.name).model(tree)
 
 
-class _Listener(ErrorListener):  # type: ignore[misc]
+class _RaisingListener(ErrorListener):  # type: ignore[misc]
     """Raises at the first syntax error."""
 
     def __init__(self, file: str) -> None:

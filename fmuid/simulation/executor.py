@@ -27,14 +27,14 @@ def _made_for(system: System) -> Executor:
     limit = threads() if in_threads else 1
     if system.isolation is not None:
         if AVAILABLE:
-            from fmuid.simulation.isolation.isolated import IsolatedWorkers  # for Linux and macOS only
-            from fmuid.simulation.isolation.spread import SpreadWorkers
+            from fmuid.simulation.isolation.isolated import IsolatedExecutor  # for Linux and macOS only
+            from fmuid.simulation.isolation.spread import SpreadExecutor
 
             processes = min(threads(), system.isolation.threads or threads())
             if not in_threads and system.can_be_repeated and processes > 1:
-                return SpreadWorkers(system.components, processes, system.isolation)
-            return IsolatedWorkers(system.components, limit, system.isolation)
+                return SpreadExecutor(system.components, processes, system.isolation)
+            return IsolatedExecutor(system.components, limit, system.isolation)
         _log.warning("FMUs run inside fmuid's own process: processes of their own need Linux or macOS")
-    from fmuid.simulation.in_process import InProcess  # and with it FMPy
+    from fmuid.simulation.in_process import InProcessExecutor  # and with it FMPy
 
-    return InProcess(system.components, limit)
+    return InProcessExecutor(system.components, limit)

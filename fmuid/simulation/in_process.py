@@ -16,7 +16,7 @@ from fmuid.models import STIFF_INTEGRATOR, Component
 from fmuid.simulation.worker import Worker
 
 
-class InProcess:
+class InProcessExecutor:
     """The workers of one system in this process, as many as the FMUs and the machine allow.
 
     Parameters

@@ -45,7 +45,7 @@ class Stage(StrEnum):
 
 
 @dataclass
-class Report:
+class SmokeReport:
     """How far a try came.
 
     Attributes
@@ -91,7 +91,7 @@ class Report:
         path.write_text(json.dumps(asdict(self)), encoding="utf-8")
 
     @classmethod
-    def read(cls, path: Path) -> Report:
+    def read(cls, path: Path) -> SmokeReport:
         """Read it again; a process that did not come to write anything was starting."""
         if not path.is_file():
             return cls()
@@ -128,7 +128,7 @@ def default_times(description: Description, kind: str, share: float = 1.0) -> tu
     return start + interval * np.arange(max(1, int(duration / interval + 1e-9)) + 1), step
 
 
-def attempt(path: Path, kind: str, share: float, target: Path) -> Report:
+def attempt(path: Path, kind: str, share: float, target: Path) -> SmokeReport:
     """Instantiate an FMU, simulate it twice and write the report as it goes.
 
     Parameters
@@ -142,7 +142,7 @@ def attempt(path: Path, kind: str, share: float, target: Path) -> Report:
     target : Path
         The report's file.
     """
-    report = Report()
+    report = SmokeReport()
     with _warnings(report):
         try:
             _run(report, FMU(path), kind, share, target)
@@ -155,7 +155,7 @@ def attempt(path: Path, kind: str, share: float, target: Path) -> Report:
     return report
 
 
-def _run(report: Report, fmu: FMU, kind: str, share: float, target: Path) -> None:
+def _run(report: SmokeReport, fmu: FMU, kind: str, share: float, target: Path) -> None:
     def begin(doing: Stage) -> None:
         report.doing = doing
         report.write(target)
@@ -193,7 +193,7 @@ def observed(description: Description) -> list[str]:
 
 
 @contextmanager
-def _warnings(report: Report) -> Iterator[None]:
+def _warnings(report: SmokeReport) -> Iterator[None]:
     """Collect what is warned of, once each."""
 
     class Collect(logging.Handler):

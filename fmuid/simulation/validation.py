@@ -11,7 +11,7 @@ from pathlib import Path
 from fmuid.errors import InputError
 from fmuid.fmi import DESCRIPTION_FILE, FMU, Zipped, archive_of, parse_xml
 from fmuid.processes import Child
-from fmuid.simulation.smoke import Report
+from fmuid.simulation.smoke import SmokeReport
 
 BUILD_FILE = "sources/buildDescription.xml"
 """How to compile an FMU that has its sources with it (FMI 3.0.2, section 2.5.1.5)."""
@@ -66,7 +66,7 @@ class Trial:
     ----------
     share : float
         How much of the default experiment was asked for.
-    report : Report
+    report : SmokeReport
         How far it came.
     code : int or None
         With which the process ended, negative by a signal; None where it was ended after `limit`.
@@ -77,7 +77,7 @@ class Trial:
     """
 
     share: float
-    report: Report
+    report: SmokeReport
     code: int | None = 0
     last_words: str = ""
     limit: float = TIME_LIMIT
@@ -229,4 +229,4 @@ def _try(fmu: FMU, kind: str, share: float) -> Trial:
                 child.end()
         lines = printed.read_text(encoding="utf-8", errors="replace").split("\n")
         last_words = next((line.strip() for line in reversed(lines) if line.strip()), "")
-        return Trial(share, Report.read(report), code, last_words, TIME_LIMIT)
+        return Trial(share, SmokeReport.read(report), code, last_words, TIME_LIMIT)

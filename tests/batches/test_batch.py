@@ -641,7 +641,7 @@ def test_workers_that_cannot_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(sys, "executable", str(python))
     monkeypatch.setattr(cluster, "STARTS", 3)
     monkeypatch.setattr(cluster, "PATIENCE", 600.0)
-    host, until = cluster._Host("tcp://127.0.0.1:9", 1, tmp_path / "workers"), time.monotonic() + 600
+    host, until = cluster._LocalWorkers("tcp://127.0.0.1:9", 1, tmp_path / "workers"), time.monotonic() + 600
     with pytest.raises(FmuidError, match=r"^the workers end as soon as they begin: ImportError: no numpy$"):
         while time.monotonic() < until:
             host.look()

@@ -481,7 +481,7 @@ def test_the_log_has_the_warnings_of_its_own_thread(folder: Path, monkeypatch: p
         patch.setattr(Marquardt, "search", warn)
         assert runner(0).log == "the coil hums"
     assert runner(0).log == ""
-    assert not any(isinstance(each, case_run._Listener) for each in logging.getLogger("fmuid").handlers)
+    assert not any(isinstance(each, case_run._ThreadWarnings) for each in logging.getLogger("fmuid").handlers)
 
 
 def test_other_measurements_of_an_experiment() -> None:

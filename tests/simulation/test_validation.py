@@ -18,7 +18,7 @@ from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.fmi.native.build import compiler_here
 from fmuid.reports.words.validation import check_words
 from fmuid.simulation import smoke, validation
-from fmuid.simulation.smoke import Report, Stage
+from fmuid.simulation.smoke import SmokeReport, Stage
 from fmuid.simulation.validation import Check, Trial, Validation, validate
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS, HERE
@@ -211,8 +211,8 @@ def interface(kind: str) -> Sequence[Check]:
 
 
 def test_a_slow_model_is_tried_for_a_shorter_time(scripted: list[Trial]) -> None:
-    slow = Report(Stage.SIMULATION, instantiated=True)
-    done = Report(Stage.REPETITION, instantiated=True, simulated=True)
+    slow = SmokeReport(Stage.SIMULATION, instantiated=True)
+    done = SmokeReport(Stage.REPETITION, instantiated=True, simulated=True)
     scripted += [Trial(1.0, slow, code=None), Trial(0.01, done, code=None)]
     _, simulation, reset = interface("co-simulation")
     assert (simulation.result, reset.result) == ("warning", "warning")
@@ -221,7 +221,7 @@ def test_a_slow_model_is_tried_for_a_shorter_time(scripted: list[Trial]) -> None
 
 
 def test_a_fault_is_not_tried_for_a_shorter_time(scripted: list[Trial]) -> None:
-    scripted.append(Trial(1.0, Report(instantiated=True, error="failed at t = 0 s")))
+    scripted.append(Trial(1.0, SmokeReport(instantiated=True, error="failed at t = 0 s")))
     assert [check.result for check in interface("co-simulation")] == ["ok", "failed"]
 
 

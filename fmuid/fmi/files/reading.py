@@ -110,7 +110,7 @@ def _described(root: Element, version: int, applied: Mapping[str, Value]) -> Des
     token = root.get("guid" if version == 2 else "instantiationToken")
     if token is None:
         raise InputError("has no guid or instantiationToken, which the binary asks for")
-    declared = _Declared(root, version)
+    declared = _Variables(root, version)
     derivatives = [variable for _, variable in declared.unknowns("Derivatives", "ContinuousStateDerivative")]
     states = [state for each in derivatives if (state := declared.state(each)) is not None]
     return Description(
@@ -145,7 +145,7 @@ def _described(root: Element, version: int, applied: Mapping[str, Value]) -> Des
     )
 
 
-class _Declared:
+class _Variables:
     """The variables as elements of the file, which calls them by place from 1 (FMI 2.0) or value reference (3.0)."""
 
     def __init__(self, root: Element, version: int) -> None:

@@ -31,11 +31,11 @@ STEP_LIMIT = 1e-4
 """What is added to `FIRST_LIMIT` for each communication step, s: far more than one takes, but of a slow model."""
 CHUNK = 1 << 25  # bytes of outputs that are shared at a time
 _log = logging.getLogger("fmuid.fmu")
-_living: weakref.WeakSet[IsolatedWorkers] = weakref.WeakSet()
+_living: weakref.WeakSet[IsolatedExecutor] = weakref.WeakSet()
 
 
-class IsolatedWorkers:
-    """The workers of one system in a process of their own (as `fmuid.simulation.in_process.InProcess` in this one).
+class IsolatedExecutor:
+    """Runs one system in a process of its own (as `fmuid.simulation.in_process.InProcessExecutor` does in this one).
 
     Parameters
     ----------
@@ -273,8 +273,8 @@ class IsolatedWorkers:
 
 
 def printed() -> str:
-    """Return and forget what all FMUs printed that nobody has asked their workers for."""
-    return "".join([*left(), *(workers.printed() for workers in list(_living))])
+    """Return and forget what all FMUs printed that nobody has asked for."""
+    return "".join([*left(), *(executor.printed() for executor in list(_living))])
 
 
 def _steps(run: Run) -> int:

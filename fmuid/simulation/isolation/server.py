@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from fmuid.fmi import Run
-    from fmuid.simulation.in_process import InProcess
+    from fmuid.simulation.in_process import InProcessExecutor
 
 AVAILABLE = hasattr(os, "fork") and hasattr(socket, "send_fds")
 """Whether this platform can fork processes and pass files to them: Linux and macOS can."""
@@ -80,7 +80,7 @@ class _Messages(logging.Handler):
         self.found.append((record.name, record.levelno, record.getMessage()))
 
 
-class Host:
+class Service:
     """Runs the FMUs of one system, as the process at the other end of a socket orders.
 
     Parameters
@@ -94,7 +94,7 @@ class Host:
         self._channel, self._file = channel, memory
         self._memory = mmap.mmap(-1, mmap.PAGESIZE)
         self._runs: dict[int, Run] = {}
-        self._workers: InProcess | None = None
+        self._executor: InProcessExecutor | None = None
         self._messages = _Messages()
         logger = logging.getLogger("fmuid")
         logger.addHandler(self._messages)
@@ -129,14 +129,14 @@ class Host:
                 return
 
     def _start(self, components: dict[str, Any], limit: int, resets: bool | None) -> None:
-        from fmuid.simulation.in_process import InProcess
+        from fmuid.simulation.in_process import InProcessExecutor
 
-        self._workers = InProcess(components, limit, resets)
+        self._executor = InProcessExecutor(components, limit, resets)
 
     @property
-    def _own(self) -> InProcess:
-        assert self._workers is not None, "start comes first"
-        return self._workers
+    def _own(self) -> InProcessExecutor:
+        assert self._executor is not None, "start comes first"
+        return self._executor
 
     def _know(self, number: int, run: Run, forgotten: Sequence[int]) -> None:
         """Remember a run by its number, and forget others."""
@@ -169,8 +169,8 @@ class Host:
         return self._own.failure(self._runs[number], *arguments)
 
     def _close(self) -> None:
-        if self._workers is not None:
-            self._workers.close()
+        if self._executor is not None:
+            self._executor.close()
 
     def _watch(self) -> None:
         """Let all workers of this process write what they are doing where the other side sees it."""
@@ -204,7 +204,7 @@ def _become_host(descriptors: Sequence[int], parent: int, group: Path | None) ->
     for source, target in ((nothing, 0), (printed, 1), (printed, 2)):
         os.dup2(source, target)
     _write_lines_at_once()
-    Host(Channel(socket.socket(fileno=channel)), memory).serve()
+    Service(Channel(socket.socket(fileno=channel)), memory).serve()
 
 
 def _live_as_host(descriptors: Sequence[int], parent: int, group: Path | None) -> NoReturn:

@@ -13,11 +13,11 @@ from fmuid.arrays import Floats
 from fmuid.errors import SimulationError
 from fmuid.fmi import Run, shares
 from fmuid.models import Component, Isolation
-from fmuid.simulation.isolation.isolated import IsolatedWorkers
+from fmuid.simulation.isolation.isolated import IsolatedExecutor
 
 
-class SpreadWorkers:
-    """Several `IsolatedWorkers` of one simulation at a time, which share what is to be simulated.
+class SpreadExecutor:
+    """Several `IsolatedExecutor` of one simulation at a time, which share what is to be simulated.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class SpreadWorkers:
 
     def __init__(self, components: Mapping[str, Component], limit: int, settings: Isolation) -> None:
         self.lock = threading.RLock()
-        self._parts = [IsolatedWorkers(components, 1, settings) for _ in range(limit)]
+        self._parts = [IsolatedExecutor(components, 1, settings) for _ in range(limit)]
         self._threads = ThreadPoolExecutor(limit, "fmuid-process")
 
     def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
