@@ -9,13 +9,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 import psutil
 
 from fmuid.batches.run_case import VOLATILE
 
 FMUS = Path(__file__).parents[2] / "fmus"
-R, L, STEP, SAMPLES = 4.0, 0.1, 1e-3, 300
+R, L, STEP, SAMPLES, NOISE = 4.0, 0.1, 1e-3, 300, 0.02
+HELD = 15  # samples, after each change of the voltage
 
 STUDY = """
 [model]
@@ -34,21 +36,26 @@ DRAWS = "noise = {{ draws = {draws}, std = 0.02, truth = {{ R = 4.0, L = 0.1 }} 
 FLEET = 'tables = "records/*.csv"\nstarts = {starts}\n'
 
 
-def write_table(path: Path, seed: int) -> None:
+def coil_current(voltage: npt.NDArray[np.float64], start: float = 0.0) -> npt.NDArray[np.float64]:
+    """Return the current of the coil for a held voltage: exact, sample by sample."""
+    decay = np.exp(-R / L * STEP)
+    current = np.full(voltage.size, start)
+    for k in range(voltage.size - 1):
+        current[k + 1] = decay * current[k] + (1 - decay) / R * voltage[k]
+    return current
+
+
+def write_table(path: Path, seed: int, samples: int = SAMPLES, start: float = 0.0, noise: float = NOISE) -> None:
     """Write a record of a coil: what a held voltage of random signs drives, and noise."""
     rng = np.random.default_rng(seed)
-    voltage = np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 15), 15)
-    decay = np.exp(-R / L * STEP)
-    current = np.zeros(SAMPLES)
-    for k in range(SAMPLES - 1):
-        current[k + 1] = decay * current[k] + (1 - decay) / R * voltage[k]
-    columns = {"time": STEP * np.arange(SAMPLES), "u": voltage, "i": current + 0.02 * rng.normal(size=SAMPLES)}
-    pd.DataFrame(columns).to_csv(path, index=False)
+    voltage = np.repeat(rng.choice([-1.0, 1.0], -(-samples // HELD)), HELD)[:samples]
+    current = coil_current(voltage, start) + noise * rng.normal(size=samples)
+    pd.DataFrame({"time": STEP * np.arange(samples), "u": voltage, "i": current}).to_csv(path, index=False)
 
 
-def write_study(folder: Path, draws: int) -> Path:
+def write_study(folder: Path, draws: int, samples: int = SAMPLES) -> Path:
     """Write a study of the coil with so many draws of noise, and return its path."""
-    return _write(folder, DRAWS.format(draws=draws))
+    return _write(folder, DRAWS.format(draws=draws), samples)
 
 
 def write_fleet(folder: Path, records: int, starts: int) -> Path:
@@ -59,9 +66,9 @@ def write_fleet(folder: Path, records: int, starts: int) -> Path:
     return _write(folder, FLEET.format(starts=starts))
 
 
-def _write(folder: Path, batch: str) -> Path:
+def _write(folder: Path, batch: str, samples: int = SAMPLES) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
-    write_table(folder / "table.csv", seed=1)
+    write_table(folder / "table.csv", seed=1, samples=samples)
     path = folder / "study.toml"
     path.write_text(STUDY.format(fmu=(FMUS / "Coil" / "Coil.fmu").as_posix()) + batch, encoding="utf-8")
     return path

@@ -6,10 +6,11 @@ import contextlib
 import json
 import math
 import time
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from fmuid.batches.cluster import crew
 from fmuid.batches.dataset import MANIFEST, Dataset
 from fmuid.batches.parcel import Bundle, changes
 from fmuid.batches.run_case import CaseRunner
+from fmuid.batches.summary import Summary, condensed, summarize
 from fmuid.batches.worker import GroupResult, versions
 from fmuid.errors import InputError
 from fmuid.progress import BatchStep, Progress
@@ -42,8 +44,10 @@ class BatchResult:
 
     Attributes
     ----------
-    frame : DataFrame
-        One row a finished case, sorted by case; the columns are those of `CaseRunner.columns`.
+    dataset : Dataset
+        The rows in the folder.
+    finished : int
+        How many there are.
     total : int
         Cases of the batch; more than the rows where it was interrupted.
     truth : mapping of str to float
@@ -60,7 +64,8 @@ class BatchResult:
         The parts of an earlier run that were damaged and are removed; their cases are run again.
     """
 
-    frame: pd.DataFrame
+    dataset: Dataset
+    finished: int
     total: int
     truth: Mapping[str, float]
     units: Mapping[str, str]
@@ -68,6 +73,17 @@ class BatchResult:
     given_noise: bool
     interrupted: bool = False
     lost: tuple[Path, ...] = ()
+
+    @cached_property
+    def frame(self) -> pd.DataFrame:
+        """One row a finished case, sorted by case, with the columns of `CaseRunner.columns`; read when asked for."""
+        return self.dataset.read()
+
+    def summary(self) -> tuple[Summary, pd.DataFrame]:
+        """Return the summary, and of each case what figures need, made of a part of the rows after the other."""
+        frame, failures = condensed(self.dataset)
+        found = summarize(frame, self.truth, self.units, given_noise=self.given_noise, failures=failures)
+        return found, frame
 
 
 class Batch:
@@ -154,7 +170,8 @@ class Batch:
             if not interrupted:
                 self.dataset.compact()
             return BatchResult(
-                self.dataset.read(),
+                self.dataset,
+                int(self.dataset.finished(len(self.cases)).sum()),
                 len(self.cases),
                 truth_of(self.study),
                 self._units(),
@@ -200,7 +217,8 @@ class Batch:
         """Run cases; return whether Ctrl-C ended it."""
         record = _remembering(bundle)
         writer = _Writer(self.dataset)
-        counter = _Counter(len(self.cases), self.dataset.read()["status"])
+        known = (status for part in self.dataset.stream(["status"]) for status in part["status"])
+        counter = _Counter(len(self.cases), known)
         try:
             with crew(self._scheduler, self._workers) as there, contextlib.closing(writer):
                 results = there.run(bundle.parcel, pending, lambda case: record(self.cases.table_of(case)))
@@ -209,7 +227,7 @@ class Batch:
                         if result is not None:
                             rows = [*result.rows, *(self._given_up(case) for case in result.given_up)]
                             writer.add(rows, result)
-                            counter.add(rows)
+                            counter.add([row["status"] for row in rows])
                         writer.write_if_due()
                         if progress is not None:
                             progress(counter.step(there.threads))
@@ -255,13 +273,15 @@ class _Writer:
 class _Counter:
     """Counts finished cases, and how fast they come."""
 
-    def __init__(self, total: int, statuses: pd.Series[Any]) -> None:
-        self._total, self._done, self._failed = total, len(statuses), int((statuses == "failed").sum())
+    def __init__(self, total: int, statuses: Iterable[str]) -> None:
+        self._total, self._done, self._failed = total, 0, 0
+        self.add(statuses)
         self._times: deque[tuple[float, int]] = deque([(time.monotonic(), self._done)])
 
-    def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        self._done += len(rows)
-        self._failed += sum(row["status"] == "failed" for row in rows)
+    def add(self, statuses: Iterable[str]) -> None:
+        counted = Counter(statuses)
+        self._done += counted.total()
+        self._failed += counted["failed"]
 
     def step(self, threads: int) -> BatchStep:
         now = time.monotonic()

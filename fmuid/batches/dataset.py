@@ -101,13 +101,32 @@ class Dataset:
         """Return which of `count` cases are finished, (count,)."""
         found = np.zeros(count, np.bool_)
         for path in self.parts():
-            found[self._load(path)["case"].to_numpy()] = True
+            found[self._load(path, ["case"])["case"].to_numpy()] = True
         return found
 
-    def _load(self, path: Path) -> pa.Table:
+    def stream(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+        """Give some columns of all rows, part by part, each case once; only one part is in memory.
+
+        Raises
+        ------
+        InputError
+            If a part is damaged.
+        """
+        seen = np.zeros(0, np.bool_)
+        for path in self.parts():
+            table = self._load(path, list(dict.fromkeys(["case", *columns])))
+            cases = table["case"].to_numpy()
+            if cases.size and cases.max() >= seen.size:
+                seen = np.concatenate([seen, np.zeros(cases.max() + 1 - seen.size, np.bool_)])
+            yield table.filter(pa.array(~seen[cases])).select(list(columns)).to_pandas()
+            seen[cases] = True
+
+    def _load(self, path: Path, columns: list[str] | None = None) -> pa.Table:
+        """Return the rows of a part, sorted by case; all columns or some."""
         try:
             with path.open("rb") as file:
-                return pq.ParquetFile(file).read().cast(self.schema)
+                table = pq.ParquetFile(file).read(columns)
+            return table.cast(self.schema if columns is None else pa.schema([self.schema.field(n) for n in columns]))
         except _DAMAGED as error:
             raise InputError(
                 f"{path} is damaged ({str(error).splitlines()[0]}): give the batch again, which runs its cases anew"
@@ -135,7 +154,7 @@ class Dataset:
                 self._merge([path for path in self.parts() if pq.read_metadata(path).num_rows < PART_ROWS])
 
     def compact(self) -> None:
-        """Merge all parts into as few as there can be, sorted by case.
+        """Merge all parts into as few as there can be, sorted by case; only a few are in memory at a time.
 
         Raises
         ------
@@ -204,8 +223,17 @@ class Dataset:
             self._put(self.folder / MANIFEST, text.encode())
 
     def _merge(self, paths: Sequence[Path]) -> None:
-        table = self._together([self._load(path) for path in paths])
-        kept = [self._write(table.slice(at, PART_ROWS)) for at in range(0, table.num_rows, PART_ROWS)]
+        """Merge parts into full ones; in memory are only those whose cases interleave."""
+        paths = sorted(paths, key=_first_case)
+        kept, table = set[Path](), self.schema.empty_table()
+        for path, following in zip(paths, [*paths[1:], None], strict=True):
+            table = self._together([table, self._load(path)])
+            cases = table["case"].to_numpy()
+            # what comes before all that is still to be loaded is settled
+            settled = len(cases) if following is None else int(np.searchsorted(cases, _first_case(following)))
+            full = settled if following is None else settled - settled % PART_ROWS
+            kept |= {self._write(table.slice(at, min(PART_ROWS, full - at))) for at in range(0, full, PART_ROWS)}
+            table = table.slice(full)
         for path in paths:
             if path not in kept:
                 path.unlink()
@@ -216,7 +244,7 @@ class Dataset:
         pq.write_table(table, sink, compression="zstd")
         content = sink.getvalue().to_pybytes()
         first, digest = table["case"][0].as_py(), hashlib.sha256(content).hexdigest()[:12]
-        path = self.cases / f"part-{first:09d}-{digest}.parquet"
+        path = self.cases / f"part-{first:09d}-{digest}.parquet"  # which `_first_case` reads
         self._put(path, content)
         return path
 
@@ -244,6 +272,10 @@ class Dataset:
                 f"{self.folder} cannot be written to: {error.strerror or error}; the cases finished so far are kept, "
                 "make room and give the same command to go on"
             ) from None
+
+
+def _first_case(part: Path) -> int:
+    return int(part.name.split("-")[1])
 
 
 def _sync_folder(folder: Path) -> None:

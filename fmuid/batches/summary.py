@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from fmuid.batches.dataset import Dataset
+from fmuid.batches.run_case import VOLATILE
 from fmuid.batches.statistics import (
     Columns,
     converged,
@@ -29,6 +31,11 @@ FEW = 30
 # Optima whose residuals differ by less than this share fit equally well: 1000 samples cannot tell them apart.
 EQUALLY_WELL = 5e-4
 
+STATUSES = ["converged", "not converged", "failed"]
+# Columns that no statistics are made of.
+NOT_SUMMARIZED = ("message", "iterations", "simulations", "rejected", *VOLATILE)
+
+_NO_FAILURES = pd.DataFrame({"status": [""], "message": [""], "cases": [0], "first": [0]}).iloc[:0]
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:0x[0-9a-fA-F]++|\d++(?:\.\d++)?+(?:[eE][-+]?\d++)?+)(?!\w)")
 _TRUTH_COLUMNS = (
     "truth",
@@ -141,6 +148,7 @@ def summarize(
     units: Mapping[str, str | None] | None = None,
     *,
     given_noise: bool = False,
+    failures: pd.DataFrame | None = None,
 ) -> Summary:
     """Summarize the cases of a batch.
 
@@ -155,6 +163,8 @@ def summarize(
     given_noise : bool
         Whether the study gives all noise variances, so that criteria of several starts compare; see
         `fmuid.batches.statistics.misfit`.
+    failures : DataFrame, optional
+        Those of `condensed`, whose frame has no messages.
     """
     columns = Columns.of(frame)
     found = estimates(frame, given_noise=given_noise)
@@ -169,7 +179,7 @@ def summarize(
         len(frame),
         len(found),
         _statuses(frame),
-        _failures(frame),
+        _counted([_failures(frame)]) if failures is None else failures,
         parameters,
         groups,
         settings,
@@ -247,9 +257,24 @@ def _wide(parameters: pd.DataFrame) -> dict[str, float]:
 
 
 def _statuses(frame: pd.DataFrame) -> pd.DataFrame:
-    kinds = ["converged", "not converged", "failed"]
-    counts = [int((frame["status"] == kind).sum()) for kind in kinds]
-    return pd.DataFrame({"status": kinds, "cases": counts, "share": np.divide(counts, max(1, len(frame)))})
+    counts = [int((frame["status"] == kind).sum()) for kind in STATUSES]
+    return pd.DataFrame({"status": STATUSES, "cases": counts, "share": np.divide(counts, max(1, len(frame)))})
+
+
+def condensed(dataset: Dataset) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return of each case what a summary and figures need, and `Summary.failures`, with one part in memory at a time.
+
+    Some 10 bytes a number; texts that differ from case to case, but for names of tables, are counted on the way.
+    """
+    parts, failures = [], []
+    for part in dataset.stream(dataset.schema.names):
+        failures.append(_failures(part))
+        part["status"] = pd.Categorical(part["status"], STATUSES)
+        parts.append(part.drop(columns=[name for name in NOT_SUMMARIZED if name in part]))
+    frame = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=dataset.schema.names)
+    if not frame["case"].is_monotonic_increasing:
+        frame = frame.sort_values("case", ignore_index=True)
+    return frame, _counted(failures)
 
 
 def _failures(frame: pd.DataFrame) -> pd.DataFrame:
@@ -263,7 +288,13 @@ def _failures(frame: pd.DataFrame) -> pd.DataFrame:
             "case": failed["case"],
         }
     )
-    grouped = told.groupby(["status", "message"])["case"].agg(cases="size", first="min").reset_index()
+    return told.groupby(["status", "message"])["case"].agg(cases="size", first="min").reset_index()
+
+
+def _counted(failures: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return the failures of several parts together, the most frequent first."""
+    told = pd.concat([_NO_FAILURES, *failures], ignore_index=True)
+    grouped = told.groupby(["status", "message"]).agg({"cases": "sum", "first": "min"}).reset_index()
     return grouped.sort_values(["cases", "first"], ascending=[False, True], ignore_index=True)
 
 

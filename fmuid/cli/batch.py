@@ -72,23 +72,22 @@ def _show(job: Batch, found: BatchResult) -> int:
     said = [f"{path} was damaged and is removed: its cases are run again" for path in found.lost]
     said += [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
     console.show_notes(said)
-    if len(found.frame):
-        from fmuid.batches import summarize
+    if found.finished:
         from fmuid.reports import write_summary
         from fmuid.reports.console.batch import show_batch
         from fmuid.reports.figures import batch as figures_batch
         from fmuid.reports.figures import style as plots
 
-        words = (found.frame, found.truth, found.units)
-        summary = summarize(*words, given_noise=found.given_noise)
+        summary, frame = found.summary()
         show_batch(summary)
         written = write_summary(summary, job.folder)
         plots.clear(job.folder / "figures")
-        written += plots.save(figures_batch.draw(*words, given_noise=found.given_noise), job.folder / "figures")
+        figures = figures_batch.draw(frame, found.truth, found.units, given_noise=found.given_noise)
+        written += plots.save(figures, job.folder / "figures")
         console.show_files([*job.dataset.files(), *written])
     if found.interrupted:
         print(
-            f"interrupted: {len(found.frame)} of {found.total} cases are finished; the same command goes on",
+            f"interrupted: {found.finished} of {found.total} cases are finished; the same command goes on",
             file=sys.stderr,
         )
         return NOT_SUCCEEDED

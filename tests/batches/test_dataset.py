@@ -92,6 +92,36 @@ def test_compact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int) -> 
     assert set(found.parts()) == set(before)
 
 
+def test_few_rows_are_in_memory_while_parts_are_merged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts come nearly in order, as from workers that take the next group each; so are they merged."""
+    monkeypatch.setattr(module, "PART_ROWS", 20)
+    order = [case for at in range(0, 400, 10) for case in reversed(range(at, at + 10))]
+    found = filled(tmp_path, order, each=7)
+    largest, together = [0], Dataset._together
+
+    def watched(dataset: Dataset, tables: Any) -> Any:
+        largest.append(sum(table.num_rows for table in tables))
+        return together(dataset, tables)
+
+    monkeypatch.setattr(Dataset, "_together", watched)
+    found.compact()
+    assert max(largest) < 60
+    assert [pq.read_metadata(path).num_rows for path in found.parts()] == [20] * 20
+    monkeypatch.undo()
+    same(found.read(), expected(order))
+
+
+def test_columns_come_part_by_part_each_case_once(tmp_path: Path) -> None:
+    found = filled(tmp_path, list(range(6)), each=2)
+    found._write(found._together([found._load(path) for path in found.parts()[1:]]))
+    parts = list(found.stream(["set.x", "case"]))
+    assert len(parts) == 4
+    assert [list(part) for part in parts] == [["set.x", "case"]] * 4
+    every = pd.concat(parts).sort_values("case", ignore_index=True)
+    same(every, expected(list(range(6)))[["set.x", "case"]])
+    assert list(filled(tmp_path / "none", [], each=1).stream(["case"])) == []
+
+
 def test_many_small_parts_are_merged_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LOOSE_PARTS", 5)
     found = filled(tmp_path, list(range(40)), each=1)

@@ -14,8 +14,9 @@ from matplotlib.collections import LineCollection, QuadMesh
 from matplotlib.patches import Rectangle
 from scipy import stats
 
+from fmuid.batches.dataset import Dataset
 from fmuid.batches.statistics import Columns, Doubt, estimates, optimum_numbers, statistics
-from fmuid.batches.summary import MAX_LEVELS, Summary, summarize
+from fmuid.batches.summary import MAX_LEVELS, Summary, condensed, summarize
 from fmuid.reports.batch_words import noted, summary_words, write_summary
 from fmuid.reports.console.batch import show_batch
 from fmuid.reports.figures import batch as figures_batch
@@ -222,6 +223,32 @@ def test_failures_are_grouped() -> None:
         summary_words(summary)[0]
         == "15 of 20 cases converged, 1 did not converge and 4 failed and are left out of what follows"
     )
+
+
+def test_a_summary_of_parts_is_that_of_all_rows(tmp_path: Path) -> None:
+    """Groups, several starts and failures; the parts come in no order, and one case twice."""
+    settings = {"table": np.repeat([f"r{k}" for k in range(30)], 4), "set.M": np.tile([0.4, 0.4, 0.5, 0.5], 30)}
+    frame = batch({**settings, "start.R": np.tile([1.0, 2.0], 60)})
+    frame = fail(frame, list(range(8)), [f"r{k // 4}: it failed at {k}" for k in range(8)])
+    frame = fail(frame, [100, 110, 111], ["after 30 steps"] * 3, "not converged")
+    kinds = {"object": "string", "str": "string"}
+    frame = frame.assign(elapsed_s=0.1, finished=pd.Timestamp("2026-01-01", tz="UTC"), worker="w")
+    types = {str(name): kinds.get(str(kind), str(kind)) for name, kind in frame.dtypes.items()}
+    dataset = Dataset(tmp_path, types | {"finished": "datetime64[us, UTC]"})
+    dataset.cases.mkdir(parents=True)
+    rows: list[Any] = frame.to_dict("records")
+    for part in (rows[70:], rows[:40], rows[35:70]):
+        dataset.append(part)
+    lean, failures = condensed(dataset)
+    assert not {"message", "worker", "finished", "simulations"} & set(lean)
+    found, right = summarize(lean, TRUTH, UNITS, failures=failures), summarize(frame, TRUTH, UNITS)
+    assert len(right.failures) == 2
+    for name in ("statuses", "failures", "parameters", "groups", "optima"):
+        pd.testing.assert_frame_equal(getattr(found, name), getattr(right, name), check_exact=True)
+    assert summary_words(found) == summary_words(right)
+    empty, none = condensed(Dataset(tmp_path / "none", types | {"finished": "datetime64[us, UTC]"}))
+    assert empty.empty
+    assert none.empty
 
 
 # --- groups
