@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fmuid.errors import InputError
 
@@ -112,6 +113,23 @@ def write_table(path: Path, frame: pd.DataFrame) -> Path:
     """Write a CSV table with numbers that read back exactly; return its path."""
     with replacing(path) as draft:
         frame.to_csv(draft, index=False)
+    return path
+
+
+def as_json(value: Any) -> Any:
+    """Return a value as JSON has it.
+
+    Dataclasses become objects, enums their values, arrays lists, and numbers that are not finite None.
+    """
+    from pydantic_core import to_jsonable_python  # imported already where a study is read
+
+    return to_jsonable_python(value, inf_nan_mode="null", fallback=lambda array: array.tolist())
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> Path:
+    """Write a JSON file of what `as_json` makes of a content; return its path."""
+    with replacing(path) as draft:
+        draft.write_text(json.dumps(as_json(content), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     return path
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 from fmuid.estimation import AtBound, Outcome
 
@@ -53,14 +52,3 @@ class Remark:
     rise: float
     outcome: Outcome | None = None
     other: AtBound | None = None
-
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return what ``result.json`` has of it."""
-        return {
-            "kind": self.kind.value,
-            "end": "upper" if self.upper else "lower",
-            "value": self.value,
-            "rise": self.rise,
-            "outcome": self.outcome.value if self.outcome is not None else None,
-            "other": asdict(self.other) if self.other is not None else None,
-        }

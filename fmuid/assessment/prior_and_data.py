@@ -40,6 +40,7 @@ from fmuid.estimation import (
     prepare,
     search,
 )
+from fmuid.files import as_json
 
 # A barycentre further than this from the estimate, in standard deviations, shows that the model is not linear.
 NONLINEAR = 0.5
@@ -198,36 +199,16 @@ class Reading:
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return ``consistency`` of ``result.json``; what is not a finite number is None."""
-        table = self.table.set_index("parameter")
         keys = ("data", "data_std", "moved", "moved_by", "conflict", "barycentre", "nonlinearity")
-        agreement = self.agreement
-        return {
-            "searched": self.searched,
-            "parameters": {name: {key: _plain(table.loc[name, key]) for key in keys} for name in self.names},
-            "prior_against_data": None
-            if agreement is None
-            else {
-                "statistic": agreement.statistic,
-                "degrees_of_freedom": agreement.degrees_of_freedom,
-                "probability": agreement.probability,
-            },
-            "variances": [
-                {
-                    "output": each.output or None,
-                    "known": _plain(each.known),
-                    "estimated": _plain(each.estimated),
-                    "ratio": each.ratio,
-                    "degrees_of_freedom": each.degrees_of_freedom,
-                    "probability": each.probability,
-                    "deviation": each.deviation.value,
-                }
-                for each in self.variances
-            ],
-        }
-
-
-def _plain(value: Any) -> Any:
-    return value if isinstance(value, str) else float(value) if math.isfinite(value) else None
+        found: dict[str, Any] = as_json(
+            {
+                "searched": self.searched,
+                "parameters": self.table.set_index("parameter")[list(keys)].to_dict("index"),
+                "prior_against_data": self.agreement,
+                "variances": [{**vars(each), "output": each.output or None} for each in self.variances],
+            }
+        )
+        return found
 
 
 def read_result(

@@ -34,6 +34,7 @@ from fmuid.assessment.residual_series import InputCorrelation, ResidualSeries, e
 from fmuid.assessment.series import coloured_gram
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result
+from fmuid.files import as_json
 
 # What is found is less likely by chance than this, over all residuals and inputs together ...
 RESIDUAL_LEVEL = 0.01
@@ -175,10 +176,10 @@ class Diagnostics:
                 (self.inputs["experiment"] == each.experiment) & (self.inputs["output"] == each.output)
             ]
             row["inputs"] = inputs.drop(columns=["experiment", "output"]).to_dict("records")
-            rows.append(_plain(row))
+            rows.append(row)
         findings = [
             {
-                "trait": found.trait.value,
+                "trait": found.trait,
                 "large": found.large,
                 "experiment": found.series.experiment,
                 "output": found.series.output,
@@ -186,20 +187,9 @@ class Diagnostics:
             }
             for found in self.findings
         ]
-        return {
-            "findings": findings,
-            "stated": self.stated.value,
-            "inflation": _plain(self.inflation),
-            "residuals": rows,
-        }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        content = {"findings": findings, "stated": self.stated, "inflation": self.inflation, "residuals": rows}
+        plain: dict[str, Any] = as_json(content)
+        return plain
 
 
 def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:

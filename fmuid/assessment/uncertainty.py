@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.estimation import LeastSquares, Result, check_level
+from fmuid.files import as_json
 from fmuid.progress import Event, MapStep, Progress
 
 if TYPE_CHECKING:
@@ -120,16 +121,21 @@ class Uncertainty:
             content["profiles"] = {
                 each.name: {
                     "level": each.level,
-                    "lower": _plain(each.lower),
-                    "upper": _plain(each.upper),
-                    "remarks": [remark.to_json_dict() for remark in each.remarks],
+                    "lower": each.lower,
+                    "upper": each.upper,
+                    "remarks": [
+                        {"kind": found.kind, "end": "upper" if found.upper else "lower"}
+                        | {key: getattr(found, key) for key in ("value", "rise", "outcome", "other")}
+                        for found in each.remarks
+                    ],
                     "interrupted": each.interrupted,
                 }
                 for each in self.profiles
             }
         if self.posterior is not None:
             content["posterior"] = _posterior(self.posterior, self.level)
-        return content
+        plain: dict[str, Any] = as_json(content)
+        return plain
 
 
 def _posterior(found: Posterior, level: float) -> dict[str, Any]:
@@ -144,22 +150,18 @@ def _posterior(found: Posterior, level: float) -> dict[str, Any]:
     }
     return {
         "converged": found.converged,
-        "doubt": found.doubt.value if found.doubt is not None else None,
+        "doubt": found.doubt,
         "doubtful": found.doubtful,
         "interrupted": found.interrupted,
         "level": level,
         "parameters": {
-            name: {key: _plain(np.asarray(values)[i]) for key, values in columns.items()}
-            for i, name in enumerate(found.names)
+            name: {key: np.asarray(values)[i] for key, values in columns.items()} for i, name in enumerate(found.names)
         },
-        "covariance": {
-            "names": list(found.names),
-            "matrix": [[_plain(value) for value in row] for row in found.covariance],
-        },
+        "covariance": {"names": found.names, "matrix": found.covariance},
         "steps": len(found.chain),
         "walkers": found.chain.shape[1],
         "burn": found.burn,
-        "acceptance": _plain(found.acceptance),
+        "acceptance": found.acceptance,
         "simulations": found.simulations,
         "elapsed_s": found.elapsed_s,
     }
@@ -171,10 +173,6 @@ def better_point(chart: CriterionMap) -> tuple[float, float, float] | None:
     values = np.where(np.isnan(points[:, 2]), np.inf, points[:, 2])
     x, y, least = points[int(np.argmin(values))]
     return (float(x), float(y), float(chart.criterion - least)) if least < chart.criterion - LOWER_OPTIMUM else None
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def explore(

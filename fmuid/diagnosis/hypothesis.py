@@ -30,7 +30,6 @@ _PLAIN_KEYS = (
     "mismatch",
     "ended",
 )
-_DIRECTIONS = ("undetermined", "prior_determined")
 
 # A model that without its fault fits worse or better than the healthy one by more than this has another healthy machine
 # in it; differences of the simulations alone are smaller.
@@ -200,11 +199,12 @@ class Hypothesis:
                 sizes[size.name] |= {"angle_value": None, "angle_std": None}
         return {
             **{key: getattr(self, key) for key in _PLAIN_KEYS},
-            "outcome": self.outcome.value,
-            **{key: [each.to_json_dict() for each in getattr(self, key)] for key in _DIRECTIONS},
+            "outcome": self.outcome,
+            "undetermined": self.undetermined,
+            "prior_determined": self.prior_determined,
             "sizes": sizes,
             "common": {name: {"value": value, "std": std} for name, (value, std) in self.common.items()},
-            "reference": asdict(self.reference),
+            "reference": self.reference,
         }
 
     def located(self, size: Size, level: float) -> bool:

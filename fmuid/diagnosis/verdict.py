@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import pandas as pd
 from fmuid.diagnosis.hypothesis import Estimate, Hypothesis, Strain, estimates_of
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.files import replacing
+from fmuid.files import as_json, write_json
 
 # A fault whose model explains less than this share of what exceeds the noise is not what is wrong.
 MOSTLY = 0.5
@@ -138,16 +138,16 @@ class Diagnosis:
             "called": self.called,
             "named": self.named,
             "level": self.level,
-            "unexplained": asdict(self.unexplained),
+            "unexplained": self.unexplained,
             "samples": self.samples,
             "noise_variance": dict(self.noise_variance),
             "nominal": {n: {"value": v, "std": s} for n, (v, s) in self.nominal.items()},
             "ended": self.ended,
             "faults": {each.name: each.to_json_dict(self.level) for each in self.hypotheses},
-            "strain": None if self.strain is None else asdict(self.strain),
+            "strain": self.strain,
             "version": self.version,
         }
-        plain: dict[str, Any] = _plain(content)
+        plain: dict[str, Any] = as_json(content)
         return plain
 
     def to_json(self, path: str | Path) -> Path:
@@ -158,9 +158,7 @@ class Diagnosis:
         InputError
             If it cannot be written.
         """
-        with replacing(Path(path)) as draft:
-            draft.write_text(json.dumps(self.to_json_dict(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-        return Path(path)
+        return write_json(Path(path), self.to_json_dict())
 
     @classmethod
     def from_json(cls, path: str | Path) -> Diagnosis:
@@ -192,11 +190,3 @@ class Diagnosis:
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path} is no diagnosis of fmuid: {what}; give a diagnosis.json") from None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -118,17 +118,6 @@ class Direction:
             tuple(magnitudes[main].tolist()),
         )
 
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return what ``result.json`` has of it; an infinite standard deviation is None."""
-        return {
-            "determined": self.determined.value,
-            "names": list(self.names),
-            "coefficients": list(self.coefficients),
-            "std": self.std if math.isfinite(self.std) else None,
-            "values": list(self.values),
-            "magnitudes": list(self.magnitudes),
-        }
-
     @classmethod
     def of_json(cls, data: Mapping[str, Any]) -> Direction:
         """Return a direction of a file.

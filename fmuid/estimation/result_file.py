@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,54 +15,49 @@ from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
+from fmuid.files import as_json
 
 if TYPE_CHECKING:
     from fmuid.estimation.result import Result
 
 
+_AS_THEY_ARE = (
+    *("noise_variance", "given_variance", "criterion", "log_likelihood", "degrees_of_freedom", "iterations"),
+    *("simulations", "elapsed_s", "undetermined", "weak", "prior_determined", "at_bounds", "version", "models"),
+    *("sensitivity", "moved_start"),
+)
+
+
 def content(result: Result) -> dict[str, Any]:
     """Return what ``result.json`` has of a result; what is not a finite number is None."""
-    parameters: dict[str, Any] = {}
-    std, pull = result.std, result.pull
-    for i, name in enumerate(result.names):
-        parameters[name] = {
-            "value": _plain(result.values[i]),
-            "std": _plain(std[i]),
-            "start": _plain(result.start[i]),
-            "numerical_shift": _plain(result.numerical_shift[i]),
-        }
-        if not math.isnan(result.prior_mean[i]):
-            parameters[name] |= {
-                "prior_mean": _plain(result.prior_mean[i]),
-                "prior_std": _plain(result.prior_std[i]),
-                "pull": _plain(pull[i]),
-            }
-    return {
-        "outcome": result.outcome.value,
-        "converged": result.converged,
-        "parameters": parameters,
-        "covariance": {
-            "names": list(result.names),
-            "matrix": [[_plain(value) for value in row] for row in result.covariance],
-        },
-        "noise_variance": {name: _plain(value) for name, value in result.noise_variance.items()},
-        "given_variance": {name: _plain(value) for name, value in result.given_variance.items()},
-        "criterion": _plain(result.criterion),
-        "log_likelihood": _plain(result.log_likelihood),
-        "degrees_of_freedom": _plain(result.degrees_of_freedom),
-        "iterations": result.iterations,
-        "simulations": result.simulations,
-        "elapsed_s": _plain(result.elapsed_s),
-        "undetermined": [each.to_json_dict() for each in result.undetermined],
-        "weak": [each.to_json_dict() for each in result.weak],
-        "prior_determined": [each.to_json_dict() for each in result.prior_determined],
-        "at_bounds": [asdict(each) for each in result.at_bounds],
-        "version": result.version,
-        "models": {component: dict(model) for component, model in result.models.items()},
-        "sensitivity": None if result.sensitivity is None else asdict(result.sensitivity),
-        "moved_start": list(result.moved_start),
-        "accuracy": None if result.accuracy is None else result.accuracy.to_json_dict(),
+    columns = {
+        "value": result.values,
+        "std": result.std,
+        "start": result.start,
+        "numerical_shift": result.numerical_shift,
+        "prior_mean": result.prior_mean,
+        "prior_std": result.prior_std,
+        "pull": result.pull,
     }
+    without_prior = list(columns)[:4]
+    parameters = {
+        name: {key: columns[key][i] for key in (without_prior if math.isnan(result.prior_mean[i]) else columns)}
+        for i, name in enumerate(result.names)
+    }
+    accuracy = None if result.accuracy is None else {**vars(result.accuracy)}
+    if accuracy is not None:
+        del accuracy["shift"]  # each parameter has its own
+    found: dict[str, Any] = as_json(
+        {
+            "outcome": result.outcome,
+            "converged": result.converged,
+            "parameters": parameters,
+            "covariance": {"names": result.names, "matrix": result.covariance},
+            **{key: getattr(result, key) for key in _AS_THEY_ARE},
+            "accuracy": accuracy,
+        }
+    )
+    return found
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -137,10 +131,6 @@ def _fields(data: Any) -> dict[str, Any]:
         "moved_start": tuple(map(str, data.get("moved_start", ()))),
         "accuracy": None if accuracy is None else Accuracy.of_json(accuracy, column["numerical_shift"]),
     }
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _floats(values: Any) -> dict[str, float]:

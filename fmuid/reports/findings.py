@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +15,7 @@ from fmuid.assessment import LEVEL
 from fmuid.data import ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import Outcome, Result, optima_table
-from fmuid.files import file_name, replacing, write_table
+from fmuid.files import file_name, write_json, write_table
 from fmuid.reports.words.diagnosis import verdict
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
@@ -162,13 +160,8 @@ class Findings:
         }
         if self.result.optima:
             content["optima"] = [
-                {
-                    "criterion": optimum.criterion if math.isfinite(optimum.criterion) else None,
-                    "hits": optimum.hits,
-                    "converged": optimum.converged,
-                    "outcome": optimum.outcome.value,
-                    "parameters": dict(zip(self.result.names, optimum.theta.tolist(), strict=True)),
-                }
+                {key: getattr(optimum, key) for key in ("criterion", "hits", "converged", "outcome")}
+                | {"parameters": dict(zip(self.result.names, optimum.theta, strict=True))}
                 for optimum in self.result.optima
             ]
         if self.uncertainty is not None:
@@ -222,19 +215,12 @@ def write_point(folder: Path, result: Result, units: Sequence[str | None]) -> li
 
 def write_diagnosis(folder: Path, found: Diagnosis) -> list[Path]:
     """Write ``diagnosis.json``, with its verdict in words, and ``diagnosis.csv``, and return their paths."""
-    path = folder / "diagnosis.json"
-    _write_json(path, {"verdict": verdict(found), **found.to_json_dict()})
+    path = write_json(folder / "diagnosis.json", {"verdict": verdict(found), **found.to_json_dict()})
     return [path, write_table(folder / "diagnosis.csv", found.table)]
 
 
-def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    with replacing(path) as draft:
-        draft.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
 def _write(folder: Path, content: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> list[Path]:
-    path = folder / "result.json"
-    _write_json(path, content)
+    path = write_json(folder / "result.json", content)
     written = [path, *(write_table(folder / f"{name}.csv", frame) for name, frame in tables.items())]
     for old in (old for pattern in _TABLES for old in folder.glob(pattern)):
         if old not in written:

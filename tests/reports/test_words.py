@@ -12,6 +12,7 @@ import fmuid
 from fmuid.assessment.prior_and_data import Obstacle
 from fmuid.estimation.covariance import Determined, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.files import as_json
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.prior_and_data import obstacle_words
 from fmuid.reports.words.result import ENDS, ending
@@ -74,7 +75,7 @@ def test_an_end_names_directions_and_bounds() -> None:
 )
 def test_directions(direction: Direction, said: str) -> None:
     assert direction_words(direction) == said
-    assert Direction.of_json(direction.to_json_dict()) == direction
+    assert Direction.of_json(as_json(direction)) == direction
 
 
 @pytest.mark.parametrize(

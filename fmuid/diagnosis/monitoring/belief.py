@@ -29,10 +29,6 @@ class Belief:
     information: Floats
     scatter: Floats
 
-    def to_json_dict(self) -> dict[str, list[Any]]:
-        """Return what a file has of it."""
-        return {name: value.tolist() for name, value in vars(self).items()}
-
     @classmethod
     def of_json(cls, data: Mapping[str, Any]) -> Belief:
         """Return that of a file.

@@ -35,7 +35,7 @@ from fmuid.diagnosis.monitoring.windows import cut, end_of, part_of
 from fmuid.diagnosis.procedure import UNEXPLAINED_SHARE
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
-from fmuid.files import replacing, write_table
+from fmuid.files import write_json, write_table
 from fmuid.progress import Progress, WindowStep
 from fmuid.simulation import Simulator
 from fmuid.version import __version__
@@ -309,20 +309,17 @@ class Monitor:
         folder = Path(folder)
         rates = self.false_alarm_rates()
         content = {
-            "alarms": [asdict(each) for each in self.alarms],
-            "false_alarm_rate": None if math.isnan(rates[0]) else rates[0],
+            "alarms": self.alarms,
+            "false_alarm_rate": rates[0],
             "false_alarm_rate_at_most": rates[1],
-            "rule": asdict(self.rule),
-            "priors": {model.name: model.prior.to_json_dict() for model in self.models},
+            "rule": self.rule,
+            "priors": {model.name: model.prior for model in self.models},
             "names": {model.name: list(model.names) for model in self.models},
-            "beliefs": {name: belief.to_json_dict() for name, belief in self._beliefs.items()},
-            "points": {name: point.tolist() for name, point in self._points.items()},
+            "beliefs": self._beliefs,
+            "points": self._points,
             "version": __version__,
         }
-        path = folder / STATE_FILE
-        with replacing(path) as draft:
-            draft.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-        return [path, write_table(folder / TABLE_FILE, self.table)]
+        return [write_json(folder / STATE_FILE, content), write_table(folder / TABLE_FILE, self.table)]
 
     def resume(self, folder: str | Path) -> None:
         """Go on where an earlier run ended, whose files are in a folder.

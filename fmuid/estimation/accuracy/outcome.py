@@ -82,19 +82,9 @@ class Switch:
     after: Runs
     simulations: int = 0
 
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return what ``result.json`` has of it; a size that is not known is None."""
-        return {
-            "cause": self.cause.value,
-            "size": self.size if math.isfinite(self.size) else None,
-            "before": self.before,
-            "after": self.after,
-            "simulations": self.simulations,
-        }
-
     @classmethod
     def of_json(cls, data: Mapping[str, Any]) -> Switch:
-        """Return it as `to_json_dict` has written it."""
+        """Return it as ``result.json`` has it."""
         size = math.nan if data["size"] is None else float(data["size"])
         return cls(Cause(data["cause"]), size, _runs(data["before"]), _runs(data["after"]), int(data["simulations"]))
 
@@ -149,24 +139,9 @@ class Accuracy:
         known = np.abs(self.shift[np.isfinite(self.shift)])
         return float(known.max()) if known.size else math.nan
 
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return what ``result.json`` has of it beside each parameter's shift; what is not known is None."""
-        return {
-            "outcome": self.outcome.value,
-            "used": self.used,
-            "finer": self.finer,
-            "change": self.change if math.isfinite(self.change) else None,
-            "kept": self.kept and self.kept.value,
-            "switches": [each.to_json_dict() for each in self.switches],
-            "refused": self.refused,
-            "simulations": self.simulations,
-            "tolerance": self.tolerance,
-            "divisor": self.divisor,
-        }
-
     @classmethod
     def of_json(cls, data: Mapping[str, Any], shift: Floats) -> Accuracy:
-        """Return it as `to_json_dict` has written it, and the shift of each parameter."""
+        """Return it as ``result.json`` has it, and the shift of each parameter."""
         return cls(
             AccuracyOutcome(data["outcome"]),
             shift,
