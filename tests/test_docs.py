@@ -19,10 +19,10 @@ import pytest
 from fmuid.assessment.consistency import SAME_VARIANCE
 from fmuid.assessment.residual_series import LAGS
 from fmuid.batches.cases import Cases
-from fmuid.diagnosis.decision import STRONG
+from fmuid.diagnosis.decision import STRONG_EVIDENCE
 from fmuid.diagnosis.procedure import UNEXPLAINED_SHARE
 from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
-from fmuid.estimation.identification import MOVED
+from fmuid.estimation.identification import VARIANCE_CHANGE
 from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
 from fmuid.estimation.numerical_noise import NOISE_POINTS
 from fmuid.models.component import DEFAULT_TOLERANCE
@@ -103,9 +103,9 @@ def test_the_numbers_of_the_method() -> None:
         f"Beyond {WEAK_STD:.0%} the direction is called weak".replace("%", " %"),
         f"beyond {UNDETERMINED_STD:.0%} not determined in effect".replace("%", " %"),
         f"relative tolerance $10^{{{math.log10(DEFAULT_TOLERANCE):.0f}}}$",
-        f"until none moves by more than {MOVED:.0%}".replace("%", " %"),
+        f"until none moves by more than {VARIANCE_CHANGE:.0%}".replace("%", " %"),
         f"a difference of less than {SAME_VARIANCE - 1.0:.0%} is not called one".replace("%", " %"),
-        f"those within {STRONG:g} of it",
+        f"those within {STRONG_EVIDENCE:g} of it",
         f"over up to {LAGS} lags",
         "divided in ten" if LINEAR_SUBSTEPS == 10 else "",
         "tested at a tenth of the level" if UNEXPLAINED_SHARE == 0.1 else "",

@@ -17,9 +17,9 @@ from .prior_and_data import Reading as Reading
 from .prior_and_data import read_result as read_result
 from .profile import Profile as Profile
 from .profile import profiles as profiles
-from .residual_series import FEWEST as FEWEST
-from .residual_series import OUTLYING as OUTLYING
-from .residual_series import TAILED as TAILED
+from .residual_series import LARGE_KURTOSIS as LARGE_KURTOSIS
+from .residual_series import LEAST_SAMPLES as LEAST_SAMPLES
+from .residual_series import OUTLIER_STDS as OUTLIER_STDS
 from .residual_series import ResidualSeries as ResidualSeries
 from .residuals import RESIDUAL_LEVEL as RESIDUAL_LEVEL
 from .residuals import WRONG_STD as WRONG_STD

@@ -32,7 +32,7 @@ Ranges = Mapping[str, tuple[float, float]] | Literal["bounds"]
 # Points along each side of a map: an odd number puts the estimate on the grid.
 POINTS = 41
 # How far a map reaches from the estimate, in standard deviations.
-REACH = 4.0
+SPAN_STDS = 4.0
 # Points of an ellipse, two degrees apart, the last one the first again.
 ELLIPSE_POINTS = 181
 
@@ -191,5 +191,5 @@ def _span(problem: LeastSquares, result: Result, i: int, ranges: Ranges | None) 
     usable = 0.0 < std < math.inf
     if ranges == "bounds" or (bounded and not usable):
         return low, high
-    reach = REACH * std if usable else float(problem.parameters.magnitudes(result.values)[i])
+    reach = SPAN_STDS * std if usable else float(problem.parameters.magnitudes(result.values)[i])
     return max(low, value - reach), min(high, value + reach)

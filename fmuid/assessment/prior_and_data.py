@@ -46,7 +46,7 @@ from fmuid.files import as_json
 NONLINEAR = 0.5
 # An estimate that the prior moved by more than this, in standard deviations, is named; and one whose standard deviation
 # would be larger by this factor without the prior.
-MOVED, RESTS = 1.0, 2.0
+LEAST_MOVE_STDS, RESTING_STD_RATIO = 1.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -185,8 +185,8 @@ class Reading:
         found = []
         for i in np.argsort(-np.abs(np.nan_to_num(self.moved)), kind="stable"):
             if self.moved_by[i] and math.isfinite(self.data_std[i]):
-                rests = bool(self.data_std[i] >= RESTS * self.combined_std[i])
-                if rests or abs(self.moved[i]) >= MOVED:
+                rests = bool(self.data_std[i] >= RESTING_STD_RATIO * self.combined_std[i])
+                if rests or abs(self.moved[i]) >= LEAST_MOVE_STDS:
                     found.append(Influence(self.names[i], self.moved_by[i], rests))
         return tuple(found)
 

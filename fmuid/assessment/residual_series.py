@@ -29,13 +29,13 @@ LAGS, LAGS_SHARE = 25, 5
 # The autocorrelation is kept for figures to this lag.
 SHOWN_LAGS = 40
 # Fewer samples say nothing.
-FEWEST = 20
+LEAST_SAMPLES = 20
 # A residual below this share of the measured values is rounding.
 ROUNDING = 1e-9
 # A skewness and excess kurtosis beyond which noise no longer looks normal.
-SKEWED, TAILED = 0.5, 1.0
+LARGE_SKEWNESS, LARGE_KURTOSIS = 0.5, 1.0
 # A sample this many standard deviations away is an outlier: of normal noise, 1 in 15 000.
-OUTLYING = 4.0
+OUTLIER_STDS = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +146,12 @@ class ResidualSeries:
     @property
     def lopsided(self) -> bool:
         """Whether the skewness is larger than looks normal."""
-        return abs(self.skewness) > SKEWED
+        return abs(self.skewness) > LARGE_SKEWNESS
 
     @property
     def tailed(self) -> bool:
         """Whether the tails are heavier or lighter than looks normal."""
-        return abs(self.kurtosis) > TAILED
+        return abs(self.kurtosis) > LARGE_KURTOSIS
 
     @property
     def correlation_samples(self) -> float:
@@ -222,7 +222,7 @@ def _alone(experiment: Measurements, column: int, simulated: Floats, rows: Indic
         "rows": rows,
     }
     rounding = ROUNDING * float(np.sqrt(np.mean(measured[counted] ** 2)))
-    if values.size < FEWEST or not std > rounding:
+    if values.size < LEAST_SAMPLES or not std > rounding:
         return ResidualSeries(**there, **_unknown(values.size))
     places, step = positions(experiment.times[counted])
     grid = on_grid(values, places)
@@ -245,7 +245,7 @@ def _alone(experiment: Measurements, column: int, simulated: Floats, rows: Indic
         skewness=skewness,
         kurtosis=kurtosis,
         normality_probability=normal,
-        outliers=int((np.abs(values - mean) > OUTLYING * std).sum()),
+        outliers=int((np.abs(values - mean) > OUTLIER_STDS * std).sum()),
         places=places,
     )
 

@@ -39,13 +39,13 @@ from fmuid.files import as_json
 # What is found is less likely by chance than this, over all residuals and inputs together ...
 RESIDUAL_LEVEL = 0.01
 # ... and matters: an autocorrelation this large,
-COLOURED = 0.1
+LARGE_AUTOCORRELATION = 0.1
 # standard deviations that are wrong by this factor,
 WRONG_STD = 1.25
 # a correlation with an input: it explains a hundredth of the residual's variance,
-RELATED = 0.1
+LARGE_CORRELATION = 0.1
 # a mean in standard deviations.
-OFFSET = 0.1
+LARGE_OFFSET_STDS = 0.1
 
 
 class Trait(Enum):
@@ -96,12 +96,12 @@ def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[Finding
     """Return what is unlikely by chance in one of so many residuals, which go with so many inputs all together."""
     level, found = RESIDUAL_LEVEL / outputs, []
     if series.whiteness_probability <= level:
-        found.append(Finding(Trait.COLOURED, abs(series.strongest_autocorrelation[1]) >= COLOURED, series))
+        found.append(Finding(Trait.COLOURED, abs(series.strongest_autocorrelation[1]) >= LARGE_AUTOCORRELATION, series))
     if series.mean_probability < level:
-        found.append(Finding(Trait.OFFSET, abs(series.mean) > OFFSET * series.std, series))
+        found.append(Finding(Trait.OFFSET, abs(series.mean) > LARGE_OFFSET_STDS * series.std, series))
     for each in series.inputs:
         if each.probability < RESIDUAL_LEVEL / inputs:
-            found.append(Finding(Trait.INPUT, abs(each.correlation) > RELATED, series, each))
+            found.append(Finding(Trait.INPUT, abs(each.correlation) > LARGE_CORRELATION, series, each))
     if series.normality_probability < level:
         found.append(Finding(Trait.SHAPE, series.lopsided or series.tailed, series))
     return found

@@ -35,7 +35,7 @@ from fmuid.estimation import check_level
 
 # Hypotheses whose information criteria differ by less are not told apart: beyond it the evidence is strong (Kass and
 # Raftery, section 3.2: 6 is a ratio of 20 : 1).
-STRONG = 6.0
+STRONG_EVIDENCE = 6.0
 # The weights of more than three constrained parameters are counted over so many random draws.
 DRAWS, SEED = 20_000, 0
 
@@ -154,4 +154,4 @@ def rivals(information: Sequence[float]) -> tuple[int, ...]:
         Bayesian information criterion of each, k ln n − D: less is better.
     """
     order = sorted(range(len(information)), key=lambda i: information[i])
-    return tuple(i for i in order if information[i] - information[order[0]] < STRONG)
+    return tuple(i for i in order if information[i] - information[order[0]] < STRONG_EVIDENCE)

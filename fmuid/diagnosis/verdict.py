@@ -17,7 +17,7 @@ from fmuid.estimation import Result
 from fmuid.files import as_json, write_json
 
 # A fault whose model explains less than this share of what exceeds the noise is not what is wrong.
-MOSTLY = 0.5
+EXPLAINED_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Diagnosis:
     @property
     def kind(self) -> str:
         """``"fault"``, ``"ambiguous"`` (which one is open), ``"unexplained"``, ``"undecided"`` or ``"healthy"``."""
-        if self.unexplained.larger and self.unexplained.explained < MOSTLY:
+        if self.unexplained.larger and self.unexplained.explained < EXPLAINED_SHARE:
             return "unexplained"
         if self.called:
             return "fault" if len(self.named) == 1 else "ambiguous"

@@ -24,7 +24,7 @@ from fmuid.version import __version__
 
 # The search is repeated with new noise variances where one of them, against the others or against a prior, moved by
 # more than this share; it changes the estimates by far less than their standard deviations.
-MOVED = 0.02
+VARIANCE_CHANGE = 0.02
 # The repetition converges at once in practice (one repetition in the chapter); more than this is a fault of the model.
 MAX_ROUNDS = 10
 # Where outliers outweigh everything else the mean ψ′ of a robust loss may vanish or be negative, and says nothing of
@@ -233,7 +233,7 @@ class _Identification:
         ratios = self._next_variance() / self.criterion.variance
         if not len(self.problem.parameters.prior_whitening) and self.problem.loss is None:
             ratios = ratios / ratios[0]  # only their proportions matter
-        return bool((np.abs(ratios - 1.0) > MOVED).any())
+        return bool((np.abs(ratios - 1.0) > VARIANCE_CHANGE).any())
 
     def _reweight(self) -> None:
         """Go on from the same point with the new variances: the rows change their weights, nothing is simulated."""

@@ -89,7 +89,7 @@ class FmuSensitivities:
 # One comparison with differences of whole simulations, of parameters changed by this share, shows whether an FMU's
 # directional derivatives know of its parameters: FMI 2.0 does not promise it. They agree where the two differ by less
 # than this share of the change, and by what the integration leaves in an output.
-CHANGE, ALLOWED, LEFT = 1e-3, 0.1, 1e-6
+CHECK_STEP, ALLOWED_ERROR, ROUNDING_SHARE = 1e-3, 0.1, 1e-6
 # Steps of differences, as shares of a parameter: central ones of initial states, one-sided ones of right-hand sides.
 CENTRAL_STEP, TWIN_STEP = 2.0**-17, 2.0**-26
 TWIN_TOLERANCE = 1e-7  # the differences' rounding, which must not make an integrator shorten its steps
@@ -204,11 +204,11 @@ class ForwardSensitivities:
 
     def _agrees(self, found: Floats, theta: Floats) -> bool:
         """Return whether differences of whole simulations say much the same; those that fail say nothing."""
-        steps = CHANGE * np.where(theta != 0.0, np.abs(theta), 1.0)
+        steps = CHECK_STEP * np.where(theta != 0.0, np.abs(theta), 1.0)
         outputs = self._simulator.many(np.concatenate([theta[None], theta + np.diag(steps)])).outputs
         change = outputs[1:] - outputs[0]
         error, size = change - found * steps[:, None, None], np.abs(outputs[0]).max(axis=0)
-        return not bool((_rms(error) > ALLOWED * _rms(change) + LEFT * size).any())
+        return not bool((_rms(error) > ALLOWED_ERROR * _rms(change) + ROUNDING_SHARE * size).any())
 
     def _by_twins(self, values: Floats, magnitudes: Floats) -> Floats | Refusal:
         if not self._simulator.system.can_be_repeated:

@@ -45,7 +45,7 @@ TABLE_FILE, STATE_FILE = "monitoring.csv", "monitoring.json"
 # The verdict names sizes that are so many standard deviations from zero.
 STANDS_OUT = 3.0
 # Simulations from an early and from a late start agree after the transient to this share of the noise's deviation.
-OVER = 0.2
+TRANSIENT_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class Monitor:
         theta = model.thetas(point[None])[0]
         late, early = simulator(theta), simulator.over(whole)(theta)[-experiment.times.size :]
         off = np.abs(late - early)[experiment.counted] * model.weights(experiment)
-        if off.max(initial=0.0) > OVER:
+        if off.max(initial=0.0) > TRANSIENT_SHARE:
             raise InputError(
                 f"{experiment.source}: the transient lasts longer than {self.rule.transient:g} s: what a simulation "
                 f"starts from still shows then, by {off.max():.2g} standard deviations of the noise; "

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.assessment import FEWEST, WRONG_STD, coloured_gram, noise_model, on_grid, positions
+from fmuid.assessment import LEAST_SAMPLES, WRONG_STD, coloured_gram, noise_model, on_grid, positions
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.diagnosis.decision import Reference, orthant_weights
 from fmuid.diagnosis.faults import Fault
@@ -353,7 +353,7 @@ def _gram(slopes: Floats, residual: Floats, experiment: Experiment) -> Floats:
         own = columns == k
         values, correlation = residual[own], np.ones(1)
         places, _ = positions(experiment.times[rows[own]]) if values.size > 1 else (np.zeros(1, np.intp), 0.0)
-        if values.size >= FEWEST and np.ptp(values) > 0:
+        if values.size >= LEAST_SAMPLES and np.ptp(values) > 0:
             correlation = noise_model(on_grid(values, places))
         total += (
             coloured_gram(slopes[own], places, correlation) if correlation.size > 1 else slopes[own].T @ slopes[own]

@@ -12,7 +12,7 @@ from fmuid.data import Experiment
 from fmuid.errors import InputError
 
 # A window begins with the sample that is nearest, to this share of a sampling interval: times are rounded decimals.
-WHOLE = 1e-3
+STEP_TOLERANCE = 1e-3
 
 
 def cut(record: Experiment, window: float | None, transient: float) -> list[tuple[int, int, int]]:
@@ -36,7 +36,7 @@ def cut(record: Experiment, window: float | None, transient: float) -> list[tupl
     times = record.times
     if window is None:
         return [(0, 0, times.size)]
-    slack = WHOLE * _step(times)
+    slack = STEP_TOLERANCE * _step(times)
     count = math.floor((end_of(times, times.size) - times[0] + slack) / window)
     if count == 0:
         raise InputError(

@@ -37,7 +37,7 @@ OFFSET_TOLERANCE = 1e-3
 ROUGH_OFFSET = 0.1
 # Where so little is left of the way, the Jacobian hardly changes any more: one that was made here is good enough for
 # the steps that remain, if its differences are.
-NEAR = 0.03
+NEAR_OFFSET = 0.03
 # Where the criterion's fall drowns in the simulation's noise and new Jacobians bring the optimum no nearer than by this
 # factor, there is nothing more to be had.
 SETTLED = 0.8
@@ -167,7 +167,7 @@ class _Search:
 
     def _close(self, offset: float) -> bool:
         """Whether the optimum is near, or nearer than the simulation's noise lets see."""
-        return offset <= NEAR or self.predicted <= self._criterion_noise()
+        return offset <= NEAR_OFFSET or self.predicted <= self._criterion_noise()
 
     def _outdated(self) -> bool:
         """Whether the Jacobian has to be made anew at the best point before the next step."""
@@ -280,7 +280,7 @@ class _Search:
         if self.state.fresh:
             self.fresh_offset, self.fresh_change = self.offset, self.change
             self.accurate = self.state.central or (self._close(self.offset) and self._suffices())
-            self.near = self.accurate and self.offset <= NEAR
+            self.near = self.accurate and self.offset <= NEAR_OFFSET
             if 0.0 < self.previous_offset < math.inf:
                 self.state.rate = min(self.offset / self.previous_offset, 1.0)
 
@@ -306,7 +306,7 @@ class _Search:
         if self.accurate and self.predicted <= self._criterion_noise():
             settled = state.fresh and self.offset > SETTLED * self.previous_offset
             if settled or offset <= NOISE_MARGIN * self._offset_noise():
-                return Outcome.CONVERGED if self.offset <= NEAR else Outcome.ACCURACY
+                return Outcome.CONVERGED if self.offset <= NEAR_OFFSET else Outcome.ACCURACY
         if self._in_vain():
             little = self.offset <= IN_VAIN or self.predicted <= NOISE_SURPRISE * self._criterion_noise()
             return Outcome.ACCURACY if little else Outcome.STALLED

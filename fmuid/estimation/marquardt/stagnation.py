@@ -8,7 +8,7 @@ until its iterations are used up, although nothing is left to be gained.
 from __future__ import annotations
 
 # Steps that are granted before a search without gain is doubted.
-PATIENCE = 10
+PATIENT_STEPS = 10
 # What is not a gain: this share of what one standard deviation of the parameters is worth (1 % of one, squared) ...
 WORTHLESS = 1e-4
 # ... and, where it only matters whether the linear model can be trusted, this share of the fall that it predicts.
@@ -29,7 +29,7 @@ class Stagnation:
     """
 
     def __init__(self, square: float) -> None:
-        self.patience = PATIENCE
+        self.patience = PATIENT_STEPS
         self.begin(square)
 
     def begin(self, square: float) -> None:

@@ -48,7 +48,7 @@ LEAST_COUNTED, LEAST_MEAN = 30, 3
 # Bars of a histogram.
 MIN_BINS, MAX_BINS = 8, 60
 # A normal curve is drawn so many standard deviations wide.
-REACH = 3.2
+SHOWN_STDS = 3.2
 SHADES = LinearSegmentedColormap.from_list("shades", ["#8fbcf2", BLUE, "#052a5c"])
 
 
@@ -160,7 +160,7 @@ def distributions(found: pd.DataFrame, truth: Truth, units: Units) -> Figure:
         true = truth.get(name)
         curve = repeated and stated > 0
         centre = float(np.nanmean(value)) if true is None else true
-        promised = [centre - REACH * stated, centre + REACH * stated] if curve else []
+        promised = [centre - SHOWN_STDS * stated, centre + SHOWN_STDS * stated] if curve else []
         low, high = limits_of(np.append(value, promised), true)
         for text, color, rows in groups:
             _histogram(axes, value[rows][np.isfinite(value[rows])], (low, high), color, text, filled=len(groups) == 1)

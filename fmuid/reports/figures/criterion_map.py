@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 # Contours, in equal ratios.
 CONTOURS = 24
 # Below a hundredth of what the confidence region allows, the criterion is as good as at its minimum ...
-FLOOR = 0.01
+FLOOR_SHARE = 0.01
 # ... and what few points exceed, where simulations explode without failing, looks all the same; beyond the last value
 # contours overflow.
-TOP_PERCENTILE, EXPLODED = 98.0, 1e50
+TOP_PERCENTILE, LARGEST_EXCESS = 98.0, 1e50
 # An ellipse smaller than this share of the map is hidden by the estimate.
-VISIBLE = 0.012
+VISIBLE_SHARE = 0.012
 # Held parameters named below the figure; more would not fit on a line.
 MAX_HELD = 6
 
@@ -62,7 +62,7 @@ def criterion_map(
         Of the ellipse.
     """
     first, second, values = chart.grid
-    excess = np.minimum(values - np.nanmin(values, initial=chart.criterion), EXPLODED)
+    excess = np.minimum(values - np.nanmin(values, initial=chart.criterion), LARGEST_EXCESS)
     levels = _levels(excess, chart.rise(level))
     with style():
         figure = Figure(figsize=(0.78 * WIDTH, 0.66 * WIDTH), layout="constrained")
@@ -85,8 +85,8 @@ def criterion_map(
 def _levels(excess: Floats, rise: float) -> Floats:
     """Return contour levels in equal ratios, from the lowest on the map that matters to nearly the highest."""
     found = excess[np.isfinite(excess)]
-    low = max(FLOOR * rise, float(found.min(initial=np.inf, where=found > 0)))
-    low = low if np.isfinite(low) else FLOOR * rise
+    low = max(FLOOR_SHARE * rise, float(found.min(initial=np.inf, where=found > 0)))
+    low = low if np.isfinite(low) else FLOOR_SHARE * rise
     high = max(float(np.percentile(found, TOP_PERCENTILE)) if found.size else 0.0, 2.0 * low)
     return np.geomspace(low, high, CONTOURS)
 
@@ -112,7 +112,7 @@ def _region(axes: Axes, chart: CriterionMap, excess: Floats, level: float) -> li
     rise, ellipse = chart.rise(level), chart.ellipse(level)
     drawn: list[Any] = []
     extent = np.array([np.ptp(first), np.ptp(second)])
-    if len(ellipse) and (np.ptp(ellipse, axis=0) > VISIBLE * extent).any():
+    if len(ellipse) and (np.ptp(ellipse, axis=0) > VISIBLE_SHARE * extent).any():
         drawn += axes.plot(*ellipse.T, color=RED, lw=1.5, label=f"{100 * level:g} % ellipse of both parameters")
     if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
         section = np.ma.masked_invalid(excess.T)

@@ -14,7 +14,7 @@ from fmuid.reports.figures.style import AMBER, BLUE, GREY, INK, MAX_OUTPUTS, RED
 from fmuid.text import label
 
 # Half the width of an interval of 95 % in standard deviations.
-WIDE = 1.96
+INTERVAL_STDS = 1.96
 
 
 def draw(monitor: Monitor) -> dict[str, Figure]:
@@ -65,7 +65,7 @@ def _clock(table: pd.DataFrame) -> tuple[Floats, str]:
 
 def _estimates(axes: Axes, clock: Floats, table: pd.DataFrame, model: Extended, name: str, color: str) -> None:
     value = table[f"{model.name}.{name}"].to_numpy(np.float64)
-    half = WIDE * table[f"{model.name}.{name}.std"].to_numpy(np.float64)
+    half = INTERVAL_STDS * table[f"{model.name}.{name}.std"].to_numpy(np.float64)
     known = np.isfinite(half)
     i = model.names.index(name)
     low, high = np.maximum(value - half, model.lower[i]), np.minimum(value + half, model.upper[i])

@@ -28,9 +28,9 @@ MAX_MARKS = 150
 LARGE_DOTS = 600
 # Values further than so many quartile distances from the middle half are outside the picture, which says so, if they
 # are less than such a share of all.
-OUTSIDE, RARE = 6.0, 0.05
+OUTSIDE_QUARTILES, RARE_SHARE = 6.0, 0.05
 # Letters of a name that an axis has room for.
-LONG = 24
+LONGEST_LABEL = 24
 COUNTS = LinearSegmentedColormap.from_list("counts", ["#cfe0f7", BLUE, "#052a5c"])
 
 
@@ -122,9 +122,9 @@ def limits_of(values: Floats, true: float | None = None) -> tuple[float, float]:
     values = values[np.isfinite(values)]
     if values.size:
         first, third = np.quantile(values, [0.25, 0.75])
-        reach = OUTSIDE * (third - first)
+        reach = OUTSIDE_QUARTILES * (third - first)
         near = (values >= first - reach) & (values <= third + reach)
-        values = values[near] if reach > 0 and np.mean(~near) < RARE else values
+        values = values[near] if reach > 0 and np.mean(~near) < RARE_SHARE else values
     if true is not None:
         values = np.append(values, true)
     if not values.size:
@@ -143,4 +143,4 @@ def say_outside(axes: Axes, values: Floats, limits: tuple[float, float], also: s
 
 def short(text: str) -> str:
     """Return the end of a long name, where the names of files differ."""
-    return text if len(text) <= LONG else f"…{text[1 - LONG :]}"
+    return text if len(text) <= LONGEST_LABEL else f"…{text[1 - LONGEST_LABEL :]}"

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 # The histogram reaches so many standard deviations to both sides; what lies beyond is in its last bars.
-REACH = 4.0
+SHOWN_STDS = 4.0
 # Samples enough for narrow bars.
-MANY = 300
+MANY_SAMPLES = 300
 # Inputs whose correlation is drawn: those that are least likely to be chance. Lines beyond these cannot be told apart.
 INPUT_COLORS = (RED, BLUE, AMBER, GREY)
 # Correlations are drawn to a scale of at least so many half-widths of the band, so that white noise looks harmless.
@@ -96,12 +96,12 @@ def _over_time(axes: Axes, series: ResidualSeries) -> None:
 
 def _histogram(axes: Axes, series: ResidualSeries) -> None:
     scaled = (series.residual[np.isfinite(series.residual)] - series.mean) / series.std
-    edges = np.linspace(-REACH, REACH, 33 if series.samples > MANY else 17)
-    axes.hist(np.clip(scaled, -REACH, REACH), bins=list(edges), density=True, color=RED, alpha=0.45)
+    edges = np.linspace(-SHOWN_STDS, SHOWN_STDS, 33 if series.samples > MANY_SAMPLES else 17)
+    axes.hist(np.clip(scaled, -SHOWN_STDS, SHOWN_STDS), bins=list(edges), density=True, color=RED, alpha=0.45)
     normal = np.exp(-(edges**2) / 2) / np.sqrt(2 * np.pi)
     axes.plot(edges, normal, color=INK, lw=1, label="normal")
     axes.legend(loc="upper right", handlelength=1.0, borderaxespad=0.0)
-    axes.set_xlim(-1.1 * REACH, 1.1 * REACH)
+    axes.set_xlim(-1.1 * SHOWN_STDS, 1.1 * SHOWN_STDS)
     axes.set_ylim(top=1.25 * axes.get_ylim()[1])  # room for the legend
     axes.set_xticks([-4, -2, 0, 2, 4])
     axes.set_yticks([])

@@ -36,12 +36,12 @@ MAX_CORNER = 8
 SHARES = (0.68, 0.95)
 FILLS = (0.16, 0.38)
 """How dark the inside of the outer and of the inner contour is."""
-BINS, WIDE = 32, (0.0005, 0.9995)
+BINS, SHOWN_QUANTILES = 32, (0.0005, 0.9995)
 """Bins of a histogram, and the quantiles of the samples between which they lie."""
 # Width in bins of the Gaussian that smooths the counts before their contours are drawn.
 SMOOTHING = 1.2
 # Samples correlated more strongly lie on a line thinner than the bins: they are drawn themselves.
-THIN = 0.97
+THIN_CORRELATION = 0.97
 # Paths of more walkers, or more steps of each, are a blot.
 MAX_WALKERS, MAX_PATH = 24, 1500
 
@@ -207,7 +207,7 @@ def corner(
 
 
 def _range(samples: Floats) -> tuple[float, float]:
-    low, high = np.quantile(samples, WIDE)
+    low, high = np.quantile(samples, SHOWN_QUANTILES)
     room = 0.04 * (high - low) or 0.05 * abs(low) or 1.0
     return float(low - room), float(high + room)
 
@@ -237,7 +237,7 @@ def _pair(
     result: Result | None,
 ) -> None:
     x, y = posterior.samples[:, where[0]], posterior.samples[:, where[1]]
-    if abs(np.corrcoef(x, y)[0, 1]) > THIN:
+    if abs(np.corrcoef(x, y)[0, 1]) > THIN_CORRELATION:
         some = slice(None, None, math.ceil(x.size / MAX_PATH))
         axes.plot(x[some], y[some], ".", color=BLUE, ms=2, alpha=0.4)
     else:

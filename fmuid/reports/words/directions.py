@@ -7,9 +7,9 @@ from fmuid.text import listed
 
 # Steps along a direction are told in percent of values, but of magnitudes where values are below this share of them.
 # The largest is 1 %, which is small enough for the linear model: that of the first parameter within this share of it.
-NEAR_ZERO, AS_LARGE = 0.5, 0.99
+NEAR_ZERO_SHARE, AS_LARGE_SHARE = 0.5, 0.99
 # Beyond so many magnitudes a standard deviation is told in its unit: a percentage of next to nothing says nothing.
-FAR = 10.0
+FAR_MAGNITUDES = 10.0
 # Of all coefficients, so many digits are shown.
 DIGITS = 3
 
@@ -30,10 +30,10 @@ def _lost(direction: Direction) -> str:
     if len(names) == 2:
         return f"{who} cannot be told apart: only {only} is determined"
     pairs = list(zip(direction.values, direction.magnitudes, strict=True))
-    sizes = [abs(value) if abs(value) > NEAR_ZERO * magnitude else magnitude for value, magnitude in pairs]
+    sizes = [abs(value) if abs(value) > NEAR_ZERO_SHARE * magnitude else magnitude for value, magnitude in pairs]
     shares = [c / size for c, size in zip(direction.coefficients, sizes, strict=True)]
     largest = max(map(abs, shares))
-    first = next(i for i, share in enumerate(shares) if abs(share) >= AS_LARGE * largest)
+    first = next(i for i, share in enumerate(shares) if abs(share) >= AS_LARGE_SHARE * largest)
     shares = [share / shares[first] for share in shares]
     # a percentage of what is negative or near zero would mislead
     steps = [
@@ -63,7 +63,7 @@ def _open(direction: Direction) -> str:
 
 def _weak(direction: Direction) -> str:
     who, std = listed(direction.names), f"{direction.std:.0%}"
-    if len(direction.names) == 1 and direction.std > FAR:  # it happens to lie near zero, as at a bound
+    if len(direction.names) == 1 and direction.std > FAR_MAGNITUDES:  # it happens to lie near zero, as at a bound
         own = direction.std * abs(direction.coefficients[0])
         return f"{who} is hardly determined: its standard deviation, {own:.{DIGITS}g}, is far more than its value"
     if len(direction.names) == 1:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from fmuid.assessment import OUTLYING, RESIDUAL_LEVEL, TAILED, WRONG_STD, Stated, Trait
+from fmuid.assessment import LARGE_KURTOSIS, OUTLIER_STDS, RESIDUAL_LEVEL, WRONG_STD, Stated, Trait
 from fmuid.text import listed
 
 if TYPE_CHECKING:
@@ -58,10 +58,10 @@ def _large(found: Diagnostics, finding: Finding) -> str:
         )
     traits = ["is lopsided"] if series.lopsided else []
     traits += [f"has {'heavy' if series.kurtosis > 0 else 'light'} tails"] if series.tailed else []
-    remedy = ": look for outliers, or use a robust loss" if series.kurtosis > TAILED else ""
+    remedy = ": look for outliers, or use a robust loss" if series.kurtosis > LARGE_KURTOSIS else ""
     return (
         f"The residual of {name} {listed(traits)}, unlike normal noise (skewness {series.skewness:.2g}, "
-        f"excess kurtosis {series.kurtosis:.2g}, {_count(series.outliers, 'sample')} beyond {OUTLYING:g} standard "
+        f"excess kurtosis {series.kurtosis:.2g}, {_count(series.outliers, 'sample')} beyond {OUTLIER_STDS:g} standard "
         f"deviations){remedy}"
     )
 

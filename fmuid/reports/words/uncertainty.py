@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fmuid.assessment import CriterionMap, Posterior, Profile, Remark, Uncertainty
 
 # A chain that is advised is longer than what is foreseen to suffice by this factor.
-SURER = 1.2
+STEPS_MARGIN = 1.2
 
 
 def uncertainty_words(found: Uncertainty) -> tuple[str, ...]:
@@ -108,7 +108,7 @@ def _doubt_words(found: Posterior) -> str:
     if found.doubt is Doubt.TOO_FEW:
         return (
             f"not enough: the samples of {name} are worth {worth:.0f} independent ones instead of {found.wanted}: "
-            f"raise steps to about {math.ceil(SURER * found.wanted / worth * length)}"
+            f"raise steps to about {math.ceil(STEPS_MARGIN * found.wanted / worth * length)}"
         )
     return (
         f"converged: at least {worth:.0f} independent samples of each parameter, R-hat at most {found.r_hat.max():.3f}"
