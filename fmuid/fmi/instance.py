@@ -211,6 +211,8 @@ class Instance:
     @property
     def messages(self) -> list[tuple[int, str]]:
         """Status and text of what the FMU logged since it was last to forget."""
+        if not self._log.count:  # looked at after every simulation
+            return list(self._said)
         kept = self._log.messages[: min(self._log.count, MESSAGES_KEPT)]
         said = [(message.status, message.text.decode("utf-8", errors="replace").strip()) for message in kept]
         return [*self._said, *((status, text) for status, text in said if text)]

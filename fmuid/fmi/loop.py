@@ -61,12 +61,13 @@ class Loop:
         strides = grid.strides if (grid.strides > 1).any() else None
         arrays = (grid.times, grid.inputs, grid.slopes, grid.substeps, strides)
         self._grid = native.Grid(len(grid.times), *map(address, arrays))
+        self._bound = tuple(map(ctypes.byref, (self._plan, self._grid, self._cancel)))
 
     def run(self, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]) -> None:
         """Simulate thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
         check_arrays(self._plan_given, self._grid_given, thetas, outputs, reports)
-        arrays = (c_void_p(each.ctypes.data) for each in (thetas, outputs, reports))
-        plan, grid, cancel = map(ctypes.byref, (self._plan, self._grid, self._cancel))
+        plan, grid, cancel = self._bound
+        arrays = thetas.ctypes.data, outputs.ctypes.data, reports.ctypes.data
         self._core.simulate(plan, grid, len(thetas), *arrays, cancel)
 
     def cancel(self) -> None:

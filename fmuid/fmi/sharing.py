@@ -119,6 +119,9 @@ class Custody:
     @contextmanager
     def turn(self, owner: _Owner) -> Iterator[None]:
         """Wait for one's turn, and have those with the other interface give their instances up."""
+        if not self._held:
+            yield
+            return
         with ExitStack() as stack:
             for there, kind in self._held:
                 stack.enter_context(there.turn)

@@ -68,6 +68,9 @@ class InProcessExecutor:
             self.show_doing(self._doing)
         futures: list[Future[None]] = []
         try:
+            if count == 1:
+                self._workers[0].start(self._workers[0].run, run, thetas, outputs, reports)
+                return
             for worker, share in reversed(list(zip(self._workers, shares(len(thetas), count), strict=False))):
                 # the caller's own share last: it is worked off at once
                 future = worker.start(worker.run, run, thetas[share], outputs[share], reports[share])

@@ -97,14 +97,15 @@ class Worker:
             began = time.perf_counter()
             self._call(run, thetas[part], outputs[part], reports[part])
             self._seconds = max((time.perf_counter() - began) / share, 1e-6)
-            part = self._valid(part, reports)
-            failed = bool((reports[part, 0] >= 0).any())
-            if failed and (reports[part, 2][reports[part, 0] >= 0] >= FATAL).any():
-                self.close(fatal=True)
-            elif not failed and self._resets is None:
-                self._try_reset(run, thetas[part], outputs[part])
+            if (reports[part, 2] == codes.DONE_WELL).all():
+                if self._resets is None:
+                    self._try_reset(run, thetas[part], outputs[part])
+            else:
+                part = self._valid(part, reports)
+                if (reports[part, 2][reports[part, 0] >= 0] >= FATAL).any():
+                    self.close(fatal=True)
             done = part.stop
-        self._pass_on_warnings(failed=bool((reports[:, 0] >= 0).any()))
+        self._pass_on_warnings(reports)
 
     def _valid(self, part: slice, reports: NDArray[np.intp]) -> slice:
         """Return the part of a call that counts; what comes after it is simulated again by another instance."""
@@ -159,9 +160,9 @@ class Worker:
                 extra={"no_reset": True},
             )
 
-    def _pass_on_warnings(self, failed: bool) -> None:
+    def _pass_on_warnings(self, reports: NDArray[np.intp]) -> None:
         for instance in self._instances:
-            if instance.messages and not failed:
+            if instance.messages and not (reports[:, 0] >= 0).any():
                 warn(instance, self._told)
             instance.forget_messages()
 
