@@ -16,6 +16,7 @@ from fmuid.fmi.failures import function_name
 from fmuid.fmi.layout import Grid, Operation, Plan
 
 _STAGES = 5  # start values, inputs, exchange, outputs, input derivatives; then the exchange after each component
+_FLOAT, _WORD = np.dtype(np.float64), np.dtype(np.intp)
 _WIRE_OF = {  # how the values of a type are passed, where that is not as it is called
     2: {k.BOOLEAN: k.INT32},
     3: {k.BOOLEAN: k.UINT8},
@@ -64,9 +65,9 @@ def check_arrays(
     """
     m = len(thetas)
     for name, array, shape, kind in (
-        ("thetas", thetas, (m, len(plan.parameter_signals)), np.float64),
-        ("outputs", outputs, (m, len(grid.times), len(plan.output_terms) - 1), np.float64),
-        ("reports", reports, (m, k.REPORT), np.intp),
+        ("thetas", thetas, (m, len(plan.parameter_signals)), _FLOAT),
+        ("outputs", outputs, (m, len(grid.times), len(plan.output_terms) - 1), _FLOAT),
+        ("reports", reports, (m, k.REPORT), _WORD),
     ):
         _demand(array.shape == shape and array.dtype == kind and array.flags.c_contiguous, name, f"are not {shape}")
 

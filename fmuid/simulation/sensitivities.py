@@ -168,7 +168,8 @@ class ForwardSensitivities:
         if isinstance(found, Refusal):
             raise RefusedError(found.reason)
         gathered = np.zeros((theta.size, *found.shape[1:]))
-        np.add.at(gathered, columns, factors[:, None, None] * found)
+        for column, factor, each in zip(columns.tolist(), factors.tolist(), found, strict=True):
+            gathered[column] += factor * each
         gathered *= self._simulator.output_factors
         if self._directional is not None and not self._checked:
             self._checked = True

@@ -207,9 +207,9 @@ class Worker:
             said = _last_words(self._instances[component]) if self._instances else []
             what = self._describe(run, report)
             return SimulationError(self._labels[component], at, parameters, what, said)
-        bad = np.argwhere(~np.isfinite(outputs))
-        if len(bad):
-            row, column = bad[0]
+        finite = np.isfinite(outputs)
+        if not finite.all():
+            row, column = np.argwhere(~finite)[0]
             what = f"output {run.output_names[column]!r} is not finite"
             said = [text for instance in self._instances for text in _last_words(instance)]
             return SimulationError(", ".join(self._labels), float(run.grid.times[row]), parameters, what, said)
