@@ -70,6 +70,8 @@ class Integrator:
         Default: zero, one element a reference.
     state_references, derivative_references : (n_states,) array of uint32, optional
         Value references of states and derivatives, in their order, for directional derivatives.
+    straight : bool
+        Whether the polynomials of the inputs are of first order at most.
     follows : bool
         Whether it is the twin of another, and not integrated.
     sensitivities : Sensitivities, optional
@@ -108,6 +110,7 @@ class Integrator:
         input_starts: NDArray[np.float64] | None = None,
         state_references: NDArray[np.uint32] = NO_REFERENCES,
         derivative_references: NDArray[np.uint32] = NO_REFERENCES,
+        straight: bool = False,
         follows: bool = False,
         sensitivities: Sensitivities | None = None,
         twins: Sequence[Integrator] = (),
@@ -135,6 +138,7 @@ class Integrator:
             largest_step=math.inf if step_size is None else step_size,
             limit=limit,
             method=native.METHODS[integrator],
+            straight=straight,
             follows=follows,
         )
         setattr(how, f"fmi{version}", ctypes.pointer(table))

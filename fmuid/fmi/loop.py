@@ -123,6 +123,7 @@ class Loop:
             ones=self._keep(np.ones(len(plan.references) + 1, np.int32)),
             curved=grid.slopes is not None,
             midpoints=by_midpoint,
+            by_rows=self._goes_by_rows(plan, grid),
         )
 
     def _component(self, number: int, plan: Plan, used: NDArray[np.intp]) -> native.Component:
@@ -162,6 +163,7 @@ class Loop:
             input_starts=integration.input_starts,
             state_references=_references(description, description.states),
             derivative_references=_references(description, description.derivatives),
+            straight=grid.slopes is None,
             follows=integration.follows,
             sensitivities=integration.sensitivities,
             twins=[twin for twin in (self._integrators[i] for i in wanted) if twin is not None],
@@ -240,6 +242,27 @@ class Loop:
         if not in_order or given.function != function or given.when != k.ALWAYS:
             return None
         return ctypes.pointer(self._operations[first])
+
+    def _goes_by_rows(self, plan: Plan, grid: Grid) -> bool:
+        """Return whether all that is done at and between samples is to pass whole rows to and from a single FMU."""
+        exchange, outputs, slopes, slopes_end = plan.stages[2:6].tolist()
+        sloped = [plan.operations[i].signal + np.arange(plan.operations[i].n_values) for i in range(slopes, slopes_end)]
+        if sloped:
+            in_order = len(sloped) == 1 and np.array_equal(sloped[0], plan.derivative_signals)
+            uniform = in_order and (plan.input_modes == k.BY_DERIVATIVE).all()
+        else:
+            uniform = (plan.input_modes == k.HELD).all()
+        return bool(
+            uniform
+            and [each.version for each in self._instances] == [2]
+            and plan.integrations[0] is None
+            and exchange == outputs
+            and grid.slopes is None
+            and (grid.substeps == 1).all()
+            and (grid.strides == 1).all()
+            and self._direct(plan, 1, k.FLOAT64, plan.input_signals)
+            and self._direct(plan, 3, k.N_WIRES + k.FLOAT64, plan.output_signals)
+        )
 
 
 def _kind(given: Operation, version: int) -> int:

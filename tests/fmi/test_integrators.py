@@ -428,6 +428,30 @@ def test_inputs_without_kinks_do_not_restart_the_integrator(make: Maker, setting
     assert calls[0] + 49 <= calls[1]
 
 
+@every_integrator
+def test_inputs_of_a_time_are_set_anew_along_new_curves(make: Maker, settings: dict[str, Any]) -> None:
+    trial = make(LINEAR, [0.0], [1.0], n_inputs=1, **settings)
+    trial.begin()
+    for t, value in ((0.1, 1.0), (0.1, 2.0), (0.1, 3.0)):
+        trial.memory.curves[0, 0] = value
+        trial.advance(t)
+        assert trial.numbers[U] == value
+
+
+@every_integrator
+def test_straight_inputs_give_the_same_bits_as_curved_ones(make: Maker, settings: dict[str, Any]) -> None:
+    found = []
+    for straight in (False, True):
+        trial = make(LINEAR, [0.3], [1.0], n_inputs=1, straight=straight, **settings).begin()
+        states = []
+        for k in range(20):
+            trial.memory.state.origin = 0.1 * k
+            trial.memory.curves[0, :2] = np.sin(0.1 * k), (np.sin(0.1 * k + 0.1) - np.sin(0.1 * k)) / 0.1
+            states.append(trial.advance(0.1 * (k + 1)))
+        found.append(np.array(states))
+    assert found[0].tobytes() == found[1].tobytes()
+
+
 def test_no_states_but_an_input_that_switches(make: Maker) -> None:
     for settings in INTEGRATORS:
         trial = make(SWITCH, [], [0.37], n_inputs=1, **settings)

@@ -18,6 +18,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
 from fmuid.fmi import codes, native
 from fmuid.fmi.checks import check_arrays, check_plan
+from fmuid.fmi.fmu import FMU
 from fmuid.fmi.instance import Instance
 from fmuid.fmi.layout import Operation, Run, new_reports
 from fmuid.fmi.loop import Loop
@@ -270,6 +271,46 @@ def test_held_inputs_beside_those_that_go_by_midpoints(tmp_path: Path) -> None:
     for k, h in enumerate(np.diff(times)):
         x[k + 1] = 10 * frame["v"][k] + (x[k] - 10 * frame["v"][k]) * np.exp(-h)
     assert np.abs(got - x).max() < 1e-6
+
+
+@pytest.mark.parametrize(("model", "interpolation"), [("machine", "hold"), ("machine", "linear"), ("failing", "hold")])
+def test_whole_rows_go_through_as_each_sample_does(probe: ProbeMaker, model: str, interpolation: str) -> None:
+    """The walk over whole rows against the general one: the same bits, and of failures the same report."""
+    rng, times = np.random.default_rng(3), np.array([0.0, 0.1, 0.2, 0.2, 0.3, 0.45])
+    frame = pd.DataFrame({"time": times, **{name: rng.normal(size=6) for name in ("uds", "uqs", "w", "u")}, "y": 0.0})
+    if model == "machine":
+        path, inputs, outputs = FMUS / "InductionMachine" / "InductionMachine.fmu", ["uds", "uqs", "w"], ["ids", "iqs"]
+        parameters, thetas = ["Rs"], np.array([[9.8], [5.0]])
+    else:
+        path, inputs, outputs, parameters = probe(), ["u"], ["y"], ["fail_at"]
+        thetas = np.array([[9.0], [0.25], [0.05]])
+    experiment = Experiment(frame, inputs, dict.fromkeys(outputs, "y"), interpolation=interpolation)
+    system = System(path, numerics=Numerics("co-simulation"))
+    run = run_of(task_of(system, experiment, parameters, {}, None))
+    (component,) = system.components.values()
+    found = []
+    for by_rows in (True, False):
+        instance, used = Instance(component.fmu, component.kind, "x"), np.zeros(1, np.intp)
+        loop = Loop(run.plan, run.grid, [instance], used)
+        assert loop._plan.by_rows
+        loop._plan.by_rows = by_rows
+        got, reports = np.zeros((len(thetas), 6, len(outputs))), new_reports(len(thetas))
+        loop.run(thetas, got, reports)
+        found.append((got.tobytes(), reports.tolist()))
+        instance.close()
+    assert found[0] == found[1]
+    assert np.abs(np.frombuffer(found[0][0])).max() > 0.0
+    assert (found[0][1][1][0] >= 0) == (model == "failing")
+
+
+def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, tuple[Run, list[int]]]) -> None:
+    coil = FMU(FMUS / "Coil" / "Coil.fmu")
+    for run, versions in runs.values():  # coupled; in substeps; by model exchange
+        kinds = ["model-exchange" if each else "co-simulation" for each in run.plan.integrations]
+        instances = [Instance(coil, kind, f"x{i}") for i, kind in enumerate(kinds)]
+        assert not Loop(run.plan, run.grid, instances, np.zeros(len(versions), np.intp))._plan.by_rows
+        for instance in instances:
+            instance.close()
 
 
 def test_messages_are_formatted_and_bounded() -> None:

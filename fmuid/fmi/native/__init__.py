@@ -137,7 +137,7 @@ class Plan(Mirror):
         *((f"{name}_signals", c_void_p) for name in ("start", "parameter", "input", "slope", "output")),
         *((name, c_void_p) for name in ("output_terms", "input_modes", "curves")),
         *((name, POINTER(Operation)) for name in ("direct_inputs", "direct_outputs")),
-        *(("ones", c_void_p), ("curved", c_int32), ("midpoints", c_int32)),
+        *(("ones", c_void_p), ("curved", c_int32), ("midpoints", c_int32), ("by_rows", c_int32)),
     ]
 
 
@@ -182,7 +182,7 @@ class Integration(Mirror):
         *((f"n_{name}", c_size_t) for name in ("states", "indicators", "inputs", "input_references")),
         *((name, c_void_p) for name in ("input_references", "curves", "state_references", "derivative_references")),
         *((name, c_double) for name in ("tolerance", "largest_step", "limit")),
-        *(("method", c_int32), ("follows", c_int32)),
+        *((name, c_int32) for name in ("method", "straight", "follows")),
         *(("sensitivities", POINTER(Sensitivities)), ("sundials", POINTER(Sundials))),
     ]
 

@@ -28,8 +28,12 @@ TARGETS = {
 }
 """What the wheel of a platform is called -> what the compiler calls the platform, and how a library ends there."""
 
-# No fused multiply-add: results would differ from processor to processor.
-FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-shared", "-s")
+# No fused multiply-add: results would differ from processor to processor. No vectors: an FMU has just written number by
+# number what is read here, and a processor waits before it loads two of them at once.
+FLAGS = (
+    *("-std=c11", "-O2", "-ffp-contract=off", "-fno-tree-vectorize", "-fno-tree-slp-vectorize"),
+    *("-fomit-frame-pointer", "-shared", "-s"),
+)
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 _MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 _SYSTEMS = {"Linux": "linux", "Darwin": "macos", "Windows": "windows"}

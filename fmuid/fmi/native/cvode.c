@@ -6,7 +6,7 @@
 #include <math.h>
 #include <stdlib.h>
 
-#include "integrator.h"
+#include "calls.h"
 
 enum { CV_BDF = 2, CV_ONE_STEP = 2, CV_TSTOP_RETURN = 1, CV_LSETUP_FAIL = -6 };
 static const double INCREMENT = 1.0 / (1 << 26); /* of a state, relatively, for differences */

@@ -2,7 +2,7 @@
 #include <float.h>
 #include <math.h>
 
-#include "integrator.h"
+#include "calls.h"
 
 static const int MAX_ITERATIONS = 100; /* the standard sets no bound, but an event that needs as many never ends */
 
@@ -124,6 +124,7 @@ Outcome leave_event_mode(Integrator *self, double t) {
   self->pending = SETTLED;
   self->can_go_on = false;
   self->fmu_is_at_end = true;
+  self->held = NAN;
   for (size_t j = 0; j < self->how.n_inputs; j++) self->input_values[j] = NAN;
   const Outcome outcome = self->extension ? self->extension->after_event(self, t, self->x_end) : DONE;
   self->inside = self->starting = false;

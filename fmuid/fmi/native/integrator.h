@@ -62,6 +62,7 @@ typedef struct {
   double largest_step;                /* infinity where there is no bound */
   double limit;                       /* steps may go beyond the wanted time up to here */
   int32_t method;                     /* Method */
+  int32_t straight;                   /* the curves are straight lines */
   int32_t follows;                    /* this is the twin of another: it is not integrated */
   const Sensitivities *sensitivities; /* NULL without */
   const Sundials *sundials;           /* NULL but for CVODE */
@@ -113,8 +114,10 @@ struct Integrator {
   const Extension *extension; /* NULL where states alone are integrated */
   Solver *solver;
   size_t n_total;          /* the states, and what is integrated with them */
+  double held;             /* the time of which the FMU holds time and inputs by the present curves; NAN if of none */
   double error, old_error; /* of the last attempt and of the last accepted step, 1 being just acceptable */
-  size_t steps_before;     /* the present advance */
+  double powered_error, power; /* an old error, and the power of it that control takes */
+  size_t steps_before;         /* the present advance */
   int32_t stiff_hits, stiff_misses;
   bool has_directional; /* derivatives, as far as is known */
   bool in_event_mode;
@@ -123,6 +126,7 @@ struct Integrator {
   bool fmu_is_at_end; /* the FMU holds time, inputs and states of the step's end */
   bool can_go_on;     /* from where it is: derivatives of the step's end, history of CVODE */
   bool nominals_known;
+  bool bent; /* `bend` is that of the present step */
   Pending pending;
 
   /* The arrays lie in one block of memory, which `memory` owns. */
@@ -130,7 +134,8 @@ struct Integrator {
   double *x_start, *x_end, *x_stage, *x_at; /* states; x_at: interpolated */
   double *absolute;                         /* tolerances */
   double *slopes[MOST_STAGES];
-  double *bend, *x_whole;             /* dense output: its term of fourth order; states at the end of the uncut step */
+  double *bend, *x_whole; /* dense output: its term of fourth order; states at the end of the uncut step */
+  double *zeros;
   double *z_start, *z_end, *z_at;     /* event indicators */
   double *input_values, *input_sizes; /* that the FMU holds, NAN where unknown; largest magnitudes so far */
   /* of sensitivities */
@@ -150,19 +155,12 @@ int integrator_advance(Integrator *self, double t);
 #pragma GCC visibility push(hidden)
 #endif
 
-/* model_exchange.c: calls of the FMU. */
+/* model_exchange.c */
 Outcome give_up(Integrator *self, Failure failure, int32_t status);
-Outcome check(Integrator *self, Failure function, int32_t status);
-double input_at(const Integrator *self, size_t j, double t);
-Outcome put_inputs(Integrator *self, double t);
-Outcome put(Integrator *self, double t, const double *x);
-Outcome get_derivatives(Integrator *self, double *dx);
-Outcome get_indicators(Integrator *self, double *z);
-Outcome right_hand_side(Integrator *self, double t, const double *x, double *dx);
+Outcome check_finite(Integrator *self, const double *x, const double *dx);
 Outcome directional(Integrator *self, const uint32_t *unknowns, size_t n_unknowns, const uint32_t *knowns,
                     size_t n_knowns, const double *seeds, double *found, int32_t *status);
 Outcome interpolate(Integrator *self, double t);
-void copy(size_t n, const double *from, double *to);
 
 /* runge_kutta.c */
 Outcome runge_kutta_step(Integrator *self, double bound);

@@ -57,6 +57,7 @@ static const Place places[] = {
     FIELD(Plan, parameter_signals) FIELD(Plan, input_signals) FIELD(Plan, slope_signals) FIELD(Plan, output_signals)
     FIELD(Plan, output_terms) FIELD(Plan, input_modes) FIELD(Plan, curves) FIELD(Plan, direct_inputs)
     FIELD(Plan, direct_outputs) FIELD(Plan, ones) FIELD(Plan, curved) FIELD(Plan, midpoints)
+    FIELD(Plan, by_rows)
 
     WHOLE(Grid) FIELD(Grid, n_times) FIELD(Grid, times) FIELD(Grid, inputs) FIELD(Grid, slopes) FIELD(Grid, substeps)
     FIELD(Grid, strides)
@@ -78,8 +79,8 @@ static const Place places[] = {
     FIELD(Integration, n_states) FIELD(Integration, n_indicators) FIELD(Integration, n_inputs)
     FIELD(Integration, n_input_references) FIELD(Integration, input_references) FIELD(Integration, curves)
     FIELD(Integration, state_references) FIELD(Integration, derivative_references) FIELD(Integration, tolerance)
-    FIELD(Integration, largest_step) FIELD(Integration, limit) FIELD(Integration, method) FIELD(Integration, follows)
-    FIELD(Integration, sensitivities) FIELD(Integration, sundials)
+    FIELD(Integration, largest_step) FIELD(Integration, limit) FIELD(Integration, method) FIELD(Integration, straight)
+    FIELD(Integration, follows) FIELD(Integration, sensitivities) FIELD(Integration, sundials)
 
     WHOLE(Message) FIELD(Message, status) FIELD(Message, text)
 

@@ -141,6 +141,37 @@ INLINE bool record(Simulation *self, size_t sample) {
   return true;
 }
 
+/* Walk all samples where whole rows of the tables go to and from one FMU of co-simulation and nothing else is done: the
+ * same calls as by `record` and `walk_interval`, without their questions. */
+static bool walk_rows(Simulation *self) {
+  const Plan *plan = self->plan;
+  const size_t n_u = plan->n_inputs, n_times = self->grid->n_times;
+  const double *times = self->grid->times, *row = self->grid->inputs;
+  const Operation in = *plan->direct_inputs, out = *plan->direct_outputs;
+  const bool moves = plan->slopes.first < plan->slopes.last;
+  const Operation *slopes = &plan->operations[plan->slopes.first];
+  const Fmi2 fmi = *in.fmi2;
+  for (size_t k = 0;; k++, row += n_u) {
+    if (is_cancelled(self)) return false;
+    self->report->sample = (int64_t)k;
+    self->now = times[k];
+    int32_t status = fmi.SetReal(in.instance, in.references, in.count, row);
+    if (!good(status)) return fail(self, (Failure)in.function, 0, status);
+    status = fmi.GetReal(in.instance, out.references, out.count, self->outputs + k * plan->n_outputs);
+    if (!good(status)) return fail(self, (Failure)out.function, 0, status);
+    if (k + 1 == n_times) return true;
+    const double length = times[k + 1] - times[k];
+    if (length <= 0.0) continue; /* a time given twice: a step of the inputs */
+    if (moves) {
+      double *values = slopes->values;
+      for (size_t j = 0; j < n_u; j++) values[j] = (row[n_u + j] - row[j]) / length;
+      status = fmi.SetRealInputDerivatives(in.instance, slopes->references, slopes->count, plan->ones, values);
+      if (!good(status)) return fail(self, SET_DERIVATIVES, 0, status);
+    }
+    if (!advance(self, 0, times[k], length, times[k + 1])) return false;
+  }
+}
+
 static bool initialize(Simulation *self) {
   const Plan *plan = self->plan;
   const size_t n = plan->n_components;
@@ -162,6 +193,7 @@ static bool run(Simulation *self, const double *theta) {
   memcpy(plan->signals, plan->start_signals, plan->n_signals * sizeof(double));
   for (size_t j = 0; j < plan->n_parameters; j++) plan->signals[plan->parameter_signals[j]] = theta[j];
   if (!initialize(self)) return false;
+  if (plan->by_rows) return walk_rows(self);
   for (size_t k = 0; k < self->grid->n_times; k++) {
     if (is_cancelled(self) || !record(self, k)) return false;
     if (k + 1 < self->grid->n_times && !walk_interval(self, k)) return false;

@@ -2,17 +2,12 @@
 #include <float.h>
 #include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
-#include "integrator.h"
+#include "calls.h"
 
 static const size_t MAX_STEPS = 1000000; /* of one advance: some seconds, then it will never arrive */
 static const size_t MAX_EVENTS = 10000;  /* of one advance: chattering, or bounces without end */
 static const double INPUT_JUMP = 1e-9;   /* of an input's magnitude: less is rounding of its curves */
-
-void copy(size_t n, const double *from, double *to) {
-  if (n > 0) memcpy(to, from, n * sizeof(double));
-}
 
 /* ---- memory ---- */
 
@@ -42,10 +37,10 @@ static double *take(double **rest, size_t n) {
 
 static bool allot(Integrator *self, size_t count) {
   const size_t n = self->n_total, n_x = self->how.n_states, n_z = self->how.n_indicators, n_u = self->how.n_inputs;
-  double *rest = self->memory = calloc((7 + MOST_STAGES) * n + 6 * n_z + 2 * n_u + 5 * n_x + 1 + count, sizeof(double));
+  double *rest = self->memory = calloc((8 + MOST_STAGES) * n + 6 * n_z + 2 * n_u + 5 * n_x + 1 + count, sizeof(double));
   if (!rest) return false;
   double **by_total[] = {&self->x_start,  &self->x_end, &self->x_stage, &self->x_at,
-                         &self->absolute, &self->bend,  &self->x_whole};
+                         &self->absolute, &self->bend,  &self->x_whole, &self->zeros};
   for (size_t i = 0; i < sizeof by_total / sizeof *by_total; i++) *by_total[i] = take(&rest, n);
   for (size_t i = 0; i < MOST_STAGES; i++) self->slopes[i] = take(&rest, n);
   double **by_indicators[] = {&self->z_start, &self->z_end, &self->z_at, &self->z_event, &self->z_early, &self->z_late};
@@ -93,64 +88,8 @@ Outcome give_up(Integrator *self, Failure failure, int32_t status) {
   return FAILED;
 }
 
-/* Judge the status of a function that may discard what it is given. */
-Outcome check(Integrator *self, Failure function, int32_t status) {
-  if (status == fmi2OK || status == fmi2Warning) return DONE;
-  give_up(self, function, status);
-  return status == fmi2Discard ? REJECTED : FAILED;
-}
-
-double input_at(const Integrator *self, size_t j, double t) {
-  const Curve *curve = &self->how.curves[j];
-  const double after = t - self->origin;
-  return curve->a[0] + after * (curve->a[1] + after * (curve->a[2] + after * curve->a[3]));
-}
-
-/* Set the inputs as of time t, unless the FMU holds them already. */
-Outcome put_inputs(Integrator *self, double t) {
-  const Integration *how = &self->how;
-  bool same = true;
-  for (size_t j = 0; j < how->n_inputs; j++) {
-    const double value = input_at(self, j, t);
-    same = same && value == self->input_values[j];
-    self->input_values[j] = value;
-    self->input_sizes[j] = fmax(self->input_sizes[j], fabs(value));
-  }
-  if (same) return DONE;
-  const uint32_t *references = how->input_references;
-  const size_t n = how->n_input_references;
-  const int32_t status = how->fmi2
-                             ? how->fmi2->SetReal(how->instance, references, n, self->input_values)
-                             : how->fmi3->SetFloat64(how->instance, references, n, self->input_values, how->n_inputs);
-  return check(self, (Failure)FLOAT64, status) == DONE ? DONE : FAILED;
-}
-
-/* Set time, inputs and states. */
-Outcome put(Integrator *self, double t, const double *x) {
-  self->fmu_is_at_end = false;
-  self->time = t;
-  if (check(self, SET_TIME, self->call.SetTime(self->how.instance, t)) != DONE) return FAILED;
-  if (put_inputs(self, t) != DONE) return FAILED;
-  if (self->how.n_states == 0) return DONE;
-  return check(self, SET_STATES, self->call.SetContinuousStates(self->how.instance, x, self->how.n_states));
-}
-
-Outcome get_derivatives(Integrator *self, double *dx) {
-  if (self->how.n_states == 0) return DONE;
-  return check(self, GET_DERIVATIVES, self->call.GetDerivatives(self->how.instance, dx, self->how.n_states));
-}
-
-Outcome get_indicators(Integrator *self, double *z) {
-  if (self->how.n_indicators == 0) return DONE;
-  return check(self, GET_INDICATORS, self->call.GetEventIndicators(self->how.instance, z, self->how.n_indicators));
-}
-
-/* Find the derivatives dx of all that is integrated, x, at time t, inputs as of t; REJECTED where there are none. */
-Outcome right_hand_side(Integrator *self, double t, const double *x, double *dx) {
-  Outcome outcome = put(self, t, x);
-  if (outcome == DONE) outcome = get_derivatives(self, dx);
-  if (outcome == DONE && self->extension) outcome = self->extension->extend(self, t, x, dx);
-  if (outcome != DONE) return outcome;
+/* REJECTED if a number is not finite. */
+Outcome check_finite(Integrator *self, const double *x, const double *dx) {
   for (size_t i = 0; i < self->n_total; i++) {
     if (isfinite(x[i]) && isfinite(dx[i])) continue;
     give_up(self, STATE_NOT_FINITE, fmi2OK);
@@ -238,7 +177,7 @@ static Outcome arrive(Integrator *self, double t) {
   const double *x = at_end ? self->x_end : self->x_at;
   Outcome outcome;
   if (at_end && self->fmu_is_at_end) {
-    outcome = put_inputs(self, t); /* they may go along new curves */
+    outcome = put_inputs(self, t); /* which may go along new curves */
   } else if (at_end) {
     outcome = put(self, t, x);
     self->fmu_is_at_end = true;
@@ -261,6 +200,7 @@ int integrator_begin(Integrator *self, double t) {
   self->step_length = self->next_step = 0.0;
   self->next_event = INFINITY;
   self->report.state = -1;
+  self->held = NAN;
   for (size_t j = 0; j < self->how.n_inputs; j++) {
     self->input_values[j] = NAN;
     self->input_sizes[j] = 0.0;
@@ -270,6 +210,7 @@ int integrator_begin(Integrator *self, double t) {
 
 /* Enter Event Mode at the present time t, which may lie within the last step: something outside changes there. */
 int integrator_enter_events(Integrator *self, double t) {
+  self->held = NAN; /* the curves may be others */
   if (self->in_event_mode) return DONE;
   if (self->how.follows) return enter_event_mode(self); /* the model has put the twin at its place */
   if (t < self->step_end) {
@@ -287,6 +228,7 @@ int integrator_leave_events(Integrator *self, double t) { return leave_event_mod
 
 /* Integrate from the present time to t, events handled on the way and at t; the FMU then holds t, u(t), x(t). */
 int integrator_advance(Integrator *self, double t) {
+  self->held = NAN; /* the curves are others */
   if (self->how.follows) return DONE;
   const size_t last_event = self->n_events + MAX_EVENTS, last_step = self->n_steps + MAX_STEPS;
   const bool chooses_steps = self->how.method != RK4 && self->n_total > 0;

@@ -136,6 +136,7 @@ typedef struct {
   const fmi2Integer *ones;   /* as many as any operation has slopes: the order of their derivatives */
   int32_t curved;            /* whether the grid has slopes */
   int32_t midpoints;         /* whether any input goes by midpoints */
+  int32_t by_rows; /* whether direct inputs and outputs of one FMU, and slopes of all inputs, are all there is */
 } Plan;
 
 /* The samples: times (n_times), inputs (n_times, n_inputs), their slopes likewise or NULL, substeps of the intervals

@@ -5,7 +5,7 @@
 #include <float.h>
 #include <math.h>
 
-#include "integrator.h"
+#include "calls.h"
 
 typedef struct {
   double nodes[MOST_STAGES];
@@ -45,8 +45,10 @@ const Tableau dormand_prince = {
 
 /* Step-size control of Hairer's DOPRI5, and its test of stiffness: |h lambda|, and how often in a row of how many. */
 static const double SAFETY = 0.9, SHRINK = 0.2, GROW = 10.0, PI_EXPONENT = 0.04;
+static const double NO_ERROR = 5e-8; /* less makes the next step longer by GROW, whatever the step before */
 static const double STIFF_BOUND = 3.25;
-static const int32_t STIFF_EVERY = 1000, STIFF_AFTER = 15, STIFF_FORGOTTEN = 6;
+static const size_t STIFF_EVERY = 1000;
+static const int32_t STIFF_AFTER = 15, STIFF_FORGOTTEN = 6;
 
 static const Tableau *tableau(const Integrator *self) { return self->how.method == RK4 ? &classical : &dormand_prince; }
 
@@ -54,24 +56,34 @@ static double smaller(double a, double b) { return b < a ? b : a; }
 static double larger(double a, double b) { return b > a ? b : a; }
 static double square(double a) { return a * a; }
 
-/* Add h times the weighted sum of the first slopes to y. */
-static void combine(const Integrator *self, size_t count, const double *weights, double h, double *restrict y) {
-  const size_t n = self->n_total;
-  for (size_t q = 0; q < count; q++) {
-    const double weight = h * weights[q], *restrict slope = self->slopes[q];
-    if (weight == 0.0) continue;
-    for (size_t i = 0; i < n; i++) y[i] += weight * slope[i];
+/* y = x + h times the weighted sum of the first slopes, added in their order. */
+INLINE void combine(const Integrator *self, size_t count, const double *weights, double h, const double *x,
+                    double *restrict y) {
+  for (size_t i = 0; i < self->n_total; i++) {
+    double sum = x[i];
+    for (size_t q = 0; q < count; q++)
+      if (weights[q] != 0.0) sum += h * weights[q] * self->slopes[q][i];
+    y[i] = sum;
+  }
+}
+
+/* The states of a stage. Its number is a constant in each case, so that weights are constants too, and none of zero. */
+INLINE void combine_stage(const Integrator *self, const Tableau *table, size_t stage, double h, double *y) {
+  switch (stage) {
+#define STAGE(r)                                              \
+  case r:                                                     \
+    combine(self, r, table->weights[r], h, self->x_start, y); \
+    break;
+    STAGE(1) STAGE(2) STAGE(3) STAGE(4) STAGE(5) STAGE(6) default : break;
   }
 }
 
 /* All stages but the first; the last leaves x_end, and the FMU there. */
-static Outcome stages(Integrator *self, double begin, double end, double h) {
-  const Tableau *table = tableau(self);
+INLINE Outcome stages(Integrator *self, const Tableau *table, double begin, double end, double h) {
   const size_t last = table->n_stages - 1;
   for (size_t r = 1; r <= last; r++) {
     double *y = r == last ? self->x_end : self->x_stage;
-    copy(self->n_total, self->x_start, y);
-    combine(self, r, table->weights[r], h, y);
+    combine_stage(self, table, r, h, y);
     const double t = table->nodes[r] == 1.0 ? end : begin + table->nodes[r] * h;
     const Outcome outcome = right_hand_side(self, t, y, self->slopes[r]);
     if (outcome != DONE) return outcome;
@@ -108,17 +120,24 @@ static Outcome find_first_step(Integrator *self, double begin, double gap) {
   return DONE;
 }
 
+/* A power of the last step's error, which is the same from step to step where errors are small. */
+static double power_of_old(Integrator *self) {
+  if (self->powered_error != self->old_error) self->power = pow(self->old_error, PI_EXPONENT);
+  self->powered_error = self->old_error;
+  return self->power;
+}
+
 /* Estimate the error; return the length of the next step: PI control (Hairer, Wanner, volume II, section IV.2). */
 static double judge(Integrator *self, double h, bool clipped, bool again) {
-  const Tableau *table = tableau(self);
   double *y = self->x_at;
-  for (size_t i = 0; i < self->n_total; i++) y[i] = 0.0;
-  combine(self, table->n_stages, table->error, h, y);
+  combine(self, MOST_STAGES, dormand_prince.error, h, self->zeros, y);
   const double error = self->error = norm(self, y, self->x_end);
-  const double raw = pow(error, 0.2 - 0.75 * PI_EXPONENT);
-  if (!(error <= 1.0)) return error > 1.0 ? h * larger(SHRINK, SAFETY / raw) : h * SHRINK; /* it may be NAN */
   double factor = GROW;
-  if (raw > 0.0) factor = smaller(GROW, larger(SHRINK, SAFETY * pow(self->old_error, PI_EXPONENT) / raw));
+  if (!(error < NO_ERROR)) {
+    const double raw = pow(error, 0.2 - 0.75 * PI_EXPONENT);
+    if (!(error <= 1.0)) return error > 1.0 ? h * larger(SHRINK, SAFETY / raw) : h * SHRINK; /* it may be NAN */
+    factor = smaller(GROW, larger(SHRINK, SAFETY * power_of_old(self) / raw));
+  }
   self->old_error = larger(error, 1e-4);
   if (again) factor = smaller(factor, 1.0);
   if (clipped && factor == GROW) /* a short step towards a given time says nothing against the length before */
@@ -140,7 +159,8 @@ static void blame(Integrator *self) {
 /* Whether stability, not accuracy, has bounded the steps for long (Hairer, Wanner, volume II, section IV.2). */
 static bool is_stiff(Integrator *self, double h) {
   const size_t taken = self->n_steps - self->steps_before; /* few steps from sample to sample are no complaint */
-  if (taken % (size_t)STIFF_EVERY != 0 && self->stiff_hits == 0) return false;
+  const bool looks = taken >= STIFF_EVERY && taken % STIFF_EVERY == 0; /* a division is dear here */
+  if (!looks && self->stiff_hits == 0) return false;
   double above = 0.0, below = 0.0;
   for (size_t i = 0; i < self->how.n_states; i++) {
     above += square(self->slopes[6][i] - self->slopes[5][i]);
@@ -159,7 +179,8 @@ static bool is_stiff(Integrator *self, double h) {
 static Outcome find_length(Integrator *self, double begin, double gap, double *length) {
   const double largest = self->how.largest_step;
   if (self->how.method == RK4) {
-    const double h = gap / larger(1.0, ceil(gap / largest * (1.0 - 1e-3)));
+    double h = gap;
+    if (largest < INFINITY) h = gap / larger(1.0, ceil(gap / largest * (1.0 - 1e-3)));
     *length = self->next_step > 0.0 ? smaller(h, self->next_step) : h;
     return DONE;
   }
@@ -169,12 +190,9 @@ static Outcome find_length(Integrator *self, double begin, double gap, double *l
   return DONE;
 }
 
-/* Make the attempt the present step; prepare its dense output. */
+/* Make the attempt the present step. */
 static void accept(Integrator *self, double begin, double end, double h) {
-  const Tableau *table = tableau(self);
-  for (size_t i = 0; i < self->n_total; i++) self->bend[i] = 0.0;
-  copy(self->n_total, self->x_end, self->x_whole);
-  combine(self, table->n_stages, table->dense, 1.0, self->bend);
+  self->bent = false;
   self->step_start = begin;
   self->step_end = end;
   self->step_length = h;
@@ -184,7 +202,8 @@ static void accept(Integrator *self, double begin, double end, double h) {
 /* Try a step of length h; *following is the length of the next one, or of the next attempt. */
 static Outcome attempt(Integrator *self, double begin, double end, double h, bool again, double *following) {
   *following = 2.0 * self->next_step; /* of the classical method: back to full steps after a halved one */
-  const Outcome outcome = stages(self, begin, end, h);
+  const Outcome outcome =
+      self->how.method == RK4 ? stages(self, &classical, begin, end, h) : stages(self, &dormand_prince, begin, end, h);
   if (outcome != DONE) return outcome;
   if (self->how.method != RK4) {
     *following = judge(self, h, h < self->next_step, again);
@@ -196,12 +215,18 @@ static Outcome attempt(Integrator *self, double begin, double end, double h, boo
   return get_indicators(self, self->z_end);
 }
 
+static void swap(double **one, double **other) {
+  double *kept = *one;
+  *one = *other;
+  *other = kept;
+}
+
 /* One accepted step from the present time towards `bound`, event indicators at its end included. */
 Outcome runge_kutta_step(Integrator *self, double bound) {
   const double begin = self->step_end, gap = bound - begin;
-  copy(self->n_total, self->x_end, self->x_start);
+  swap(&self->x_end, &self->x_start);
   if (self->can_go_on)
-    copy(self->n_total, self->slopes[tableau(self)->n_stages - 1], self->slopes[0]);
+    swap(&self->slopes[tableau(self)->n_stages - 1], &self->slopes[0]);
   else if (right_hand_side(self, begin, self->x_start, self->slopes[0]) != DONE)
     return FAILED;
   double h, following;
@@ -225,9 +250,17 @@ Outcome runge_kutta_step(Integrator *self, double bound) {
   }
 }
 
+/* Prepare the dense output of the present step, of which x_end is not cut yet. */
+static void bend_step(Integrator *self) {
+  copy(self->n_total, self->x_end, self->x_whole);
+  combine(self, MOST_STAGES, tableau(self)->dense, 1.0, self->zeros, self->bend);
+  self->bent = true;
+}
+
 /* Put the states at a time t within the step into x_at: the cubic of the values and slopes at both ends; for Dormand
  * and Prince's method with the term that makes it one of fourth order. */
 void runge_kutta_interpolate(Integrator *self, double t) {
+  if (!self->bent) bend_step(self);
   const double *first = self->slopes[0], *last = self->slopes[tableau(self)->n_stages - 1], *x = self->x_start;
   const double h = self->step_length, theta = (t - self->step_start) / h, rest = 1.0 - theta;
   for (size_t i = 0; i < self->n_total; i++) {

@@ -8,7 +8,7 @@
 #include <float.h>
 #include <math.h>
 
-#include "integrator.h"
+#include "calls.h"
 
 /* A change of derivatives that is less, relatively or over a step and a state's nominal value, is none. */
 static const double SAME = 1e-9;

@@ -1,0 +1,85 @@
+/* What every integrator does again and again: it sets time, inputs and states of its FMU and gets derivatives. Inlined,
+ * because a model's derivatives often take no longer than the calls around them. */
+#ifndef CALLS_H
+#define CALLS_H
+
+#include <math.h>
+#include <string.h>
+
+#include "core.h"
+
+INLINE void copy(size_t n, const double *from, double *to) {
+  for (size_t i = 0; i < n; i++) to[i] = from[i];
+}
+
+/* Judge the status of a function that may discard what it is given. */
+INLINE Outcome check(Integrator *self, Failure function, int32_t status) {
+  if (good(status)) return DONE;
+  give_up(self, function, status);
+  return status == fmi2Discard ? REJECTED : FAILED;
+}
+
+INLINE double input_at(const Integrator *self, size_t j, double t) {
+  const Curve *curve = &self->how.curves[j];
+  const double after = t - self->origin;
+  return self->how.straight ? curve->a[0] + after * curve->a[1] : value_at(curve, after);
+}
+
+/* Set the inputs as of time t, unless the FMU holds them already. */
+INLINE Outcome put_inputs(Integrator *self, double t) {
+  const Integration *how = &self->how;
+  const size_t n = how->n_inputs;
+  double *values = self->input_values, *sizes = self->input_sizes;
+  bool same = true;
+  if (t == self->held) return DONE;
+  for (size_t j = 0; j < n; j++) {
+    const double value = input_at(self, j, t), size = fabs(value);
+    same = same && value == values[j];
+    values[j] = value;
+    sizes[j] = size > sizes[j] ? size : sizes[j];
+  }
+  int32_t status = fmi2OK;
+  if (same)
+    ;
+  else if (how->fmi2)
+    status = how->fmi2->SetReal(how->instance, how->input_references, how->n_input_references, values);
+  else
+    status = how->fmi3->SetFloat64(how->instance, how->input_references, how->n_input_references, values, n);
+  self->held = t;
+  return check(self, (Failure)FLOAT64, status) == DONE ? DONE : FAILED;
+}
+
+/* Set time, inputs and states; time and inputs only where the FMU has others. */
+INLINE Outcome put(Integrator *self, double t, const double *x) {
+  self->fmu_is_at_end = false;
+  self->time = t;
+  if (t != self->held) {
+    if (check(self, SET_TIME, self->call.SetTime(self->how.instance, t)) != DONE) return FAILED;
+    if (put_inputs(self, t) != DONE) return FAILED;
+  }
+  if (self->how.n_states == 0) return DONE;
+  return check(self, SET_STATES, self->call.SetContinuousStates(self->how.instance, x, self->how.n_states));
+}
+
+INLINE Outcome get_derivatives(Integrator *self, double *dx) {
+  if (self->how.n_states == 0) return DONE;
+  return check(self, GET_DERIVATIVES, self->call.GetDerivatives(self->how.instance, dx, self->how.n_states));
+}
+
+INLINE Outcome get_indicators(Integrator *self, double *z) {
+  if (self->how.n_indicators == 0) return DONE;
+  return check(self, GET_INDICATORS, self->call.GetEventIndicators(self->how.instance, z, self->how.n_indicators));
+}
+
+/* Find the derivatives dx of all that is integrated, x, at time t, inputs as of t; REJECTED where there are none. */
+INLINE Outcome right_hand_side(Integrator *self, double t, const double *x, double *dx) {
+  Outcome outcome = put(self, t, x);
+  if (outcome == DONE) outcome = get_derivatives(self, dx);
+  if (outcome == DONE && self->extension) outcome = self->extension->extend(self, t, x, dx);
+  if (outcome != DONE) return outcome;
+  bool finite = true;
+  for (size_t i = 0; i < self->n_total; i++) finite = finite & (isfinite(x[i]) != 0) & (isfinite(dx[i]) != 0);
+  return finite ? DONE : check_finite(self, x, dx);
+}
+
+#endif
