@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,9 @@ from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 
 from fmuid.errors import InputError
-from fmuid.fmi.files.start_values import applied_values, with_starts
-from tests.support.fmu_texts import FMI_3
+from fmuid.fmi.files.reading import read_description
+from fmuid.fmi.files.start_values import with_starts
+from tests.support.fmu_texts import FMI_3, write_fmu
 from tests.support.paths import FMUS
 
 FMI_2 = """<?xml version="1.0" encoding="UTF-8"?>
@@ -49,9 +51,13 @@ def replaced(text: str, *pairs: tuple[str, str]) -> str:
     return text
 
 
+def applied(folder: Path, text: str | bytes) -> Mapping[str, float | int | bool | str]:
+    return read_description(write_fmu(folder / "applied.fmu", text)).applied
+
+
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 @pytest.mark.parametrize("encoding", ["UTF-8", "utf-8-sig", "ISO-8859-1", "UTF-16"])
-def test_only_the_starts_and_the_annotation_change(encoding: str, newline: str) -> None:
+def test_only_the_starts_and_the_annotation_change(tmp_path: Path, encoding: str, newline: str) -> None:
     text = FMI_2.replace("\n", newline).replace("UTF-8", encoding.replace("-sig", ""))
     changed = with_starts(text.encode(encoding), {"a": 0.1 + 0.2, "on": True, 'b & "c"': -2e-30, "n": 3.0, "x[2]": 5})
     expected = replaced(
@@ -67,19 +73,19 @@ def test_only_the_starts_and_the_annotation_change(encoding: str, newline: str) 
         ),
     )
     assert changed.decode(encoding) == expected
-    assert applied_values(changed) == {"a": 0.1 + 0.2, "on": True, 'b & "c"': -2e-30, "n": 3, "x[2]": 5.0}
+    assert applied(tmp_path, changed) == {"a": 0.1 + 0.2, "on": True, 'b & "c"': -2e-30, "n": 3, "x[2]": 5.0}
 
 
-def test_the_start_of_an_alias_is_where_the_other_has_it() -> None:
+def test_the_start_of_an_alias_is_where_the_other_has_it(tmp_path: Path) -> None:
     """Of FMI 2.0 variables with one reference only one has a start (FMI 2.0.4, section 2.2.7)."""
     changed = with_starts(FMI_2.encode(), {"alias": 2.0})
     assert changed.decode() == replaced(
         FMI_2, ("'4.0'", "'2.0'"), ("<ModelVariables>", note_2('"alias"') + "<ModelVariables>")
     )
-    assert applied_values(changed) == {"alias": 2.0}
+    assert applied(tmp_path, changed) == {"alias": 2.0}
 
 
-def test_arrays_are_changed_element_by_element() -> None:
+def test_arrays_are_changed_element_by_element(tmp_path: Path) -> None:
     values = {"R": 5.5, "A[2,1]": 40.0, "A[1,3]": 30.0, "B[2]": 0.5, "k": 7.0}
     changed = with_starts(FMI_3.encode(), values).decode()
     listed = "".join(f'<Start name="{name}"/>' for name in values)
@@ -92,29 +98,29 @@ def test_arrays_are_changed_element_by_element() -> None:
         ('start="-1"', 'start="7"'),
         ("</fmiModelDescription>", note + "</fmiModelDescription>"),
     )
-    assert applied_values(changed.encode()) == values
+    assert applied(tmp_path, changed) == values
 
 
 @pytest.mark.parametrize("text", [FMI_2, FMI_3])
-def test_what_is_applied_later_joins_what_was_applied_before(text: str) -> None:
+def test_what_is_applied_later_joins_what_was_applied_before(tmp_path: Path, text: str) -> None:
     first, second = ("a", "x[2]") if text is FMI_2 else ("R", "B[1]")
     once = with_starts(text.encode(), {first: 1.0})
     twice = with_starts(once, {first: 2.0, second: 3.0})
-    assert applied_values(once) == {first: 1.0}
-    assert applied_values(twice) == {first: 2.0, second: 3.0}
+    assert applied(tmp_path, once) == {first: 1.0}
+    assert applied(tmp_path, twice) == {first: 2.0, second: 3.0}
     assert twice == with_starts(text.encode(), {first: 2.0, second: 3.0})
 
 
-def test_annotations_of_others_stay() -> None:
+def test_annotations_of_others_stay(tmp_path: Path) -> None:
     theirs = '<VendorAnnotations><Tool name="other"><Start name="a"/></Tool></VendorAnnotations>'
     text = FMI_2.replace("<ModelVariables>", theirs + "<ModelVariables>")
-    assert applied_values(text.encode()) == {}
+    assert applied(tmp_path, text) == {}
     changed = with_starts(text.encode(), {"x[2]": 2.0})
     own = '<Tool name="fmuid"><Applied><Start name="x[2]"/></Applied></Tool>'
     assert changed.decode() == replaced(
         text, ('"1e-3"', '"2.0"'), ("</VendorAnnotations>", own + "</VendorAnnotations>")
     )
-    assert applied_values(changed) == {"x[2]": 2.0}
+    assert applied(tmp_path, changed) == {"x[2]": 2.0}
 
 
 @pytest.mark.parametrize(
@@ -165,7 +171,7 @@ def test_our_models_stay_valid(model: str, tmp_path: Path) -> None:
     source, path = FMUS / model / f"{model}.fmu", tmp_path / "copy.fmu"
     with zipfile.ZipFile(source) as old, zipfile.ZipFile(path, "w") as new:
         text = old.read("modelDescription.xml")
-        assert applied_values(text) == {}
+        assert applied(tmp_path, text) == {}
         parameter = next(v for v in read_model_description(str(source)).modelVariables if v.causality == "parameter")
         for entry in old.infolist():
             same = entry.filename != "modelDescription.xml"

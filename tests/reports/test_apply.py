@@ -18,8 +18,9 @@ from fmuid.cli.options import DONE, WRONG_INPUT
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
 from fmuid.estimation.result import Result
+from fmuid.fmi import FMU
 from fmuid.fmi.files.description import Unit
-from fmuid.fmi.files.start_values import applied_values, with_starts
+from fmuid.fmi.files.start_values import with_starts
 from fmuid.models.ssp.parameter_values import Quantity, read_ssv, write_ssv
 from fmuid.models.system import System
 from fmuid.reports.apply import AppliedValue, apply_result, write_estimates
@@ -60,7 +61,7 @@ def test_the_copy_differs_in_the_start_values_only(tmp_path: Path) -> None:
     assert len(changed) == 2
     assert all(a.replace("4.0", "4.25").replace("0.1", "0.125") == b for a, b in changed)
     assert validate_fmu(str(new)) == []
-    assert applied_values(description(new)) == {"R": 4.25, "L": 0.125}
+    assert FMU(new).description.applied == {"R": 4.25, "L": 0.125}
 
 
 def test_the_copy_simulates_as_the_original_at_the_estimates(tmp_path: Path) -> None:
@@ -84,7 +85,7 @@ def test_an_ssv_file_is_applied_in_the_units_of_the_fmu(tmp_path: Path) -> None:
     applied = apply_result(tmp_path / "x.ssv", COIL, tmp_path / "New.fmu")
     assert [each.new for each in applied] == [pytest.approx(0.15, rel=1e-15), 5]
     assert all(math.isnan(each.std) for each in applied)
-    assert applied_values(description(tmp_path / "New.fmu"))["R"] == 5.0
+    assert FMU(tmp_path / "New.fmu").description.applied["R"] == 5.0
 
 
 def test_one_component_of_a_system(tmp_path: Path) -> None:
@@ -185,7 +186,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert ["R", "4", "4.251", "0.012", "Ohm"] in rows
     assert ["L", "0.1", "0.1250", "0.0020", "H"] in rows
     assert "New.fmu" in out
-    assert applied_values(description(new)) == {"R": 4.2512, "L": 0.125}
+    assert FMU(new).description.applied == {"R": 4.2512, "L": 0.125}
     assert run(["apply", str(tmp_path / "gone"), str(COIL), "-o", str(new)]) == WRONG_INPUT
     assert "error: " in capsys.readouterr().err
 

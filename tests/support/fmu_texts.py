@@ -58,7 +58,7 @@ FMI3 = """<?xml version="1.0" encoding="UTF-8"?>
 </fmiModelDescription>"""
 
 
-def write_fmu(path: Path, text: str, *files: str) -> Path:
+def write_fmu(path: Path, text: str | bytes, *files: str) -> Path:
     """Write an FMU of a model description and empty files."""
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)

@@ -15,7 +15,7 @@ from fmuid.files import is_file
 from fmuid.fmi.files.archive import Zipped
 from fmuid.fmi.files.description import DESCRIPTION_FILE, KINDS, SI_BASE_UNITS, Description, Interface, Unit, Variable
 from fmuid.fmi.files.safe_xml import parse_xml, uncollected
-from fmuid.fmi.files.start_values import Value, applied_values
+from fmuid.fmi.files.start_values import ANNOTATION, TOOL, Value
 
 MOST_ELEMENTS = 1_000_000
 """Variables, with every element of an array: a few words of XML can declare any number."""
@@ -89,15 +89,14 @@ def read_description(path: Path) -> Description:
         raise InputError(f"{path}: there is no such FMU file; check the path")
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path} is not an FMU: it is not a zip archive; export the model again")
-    text = read_text(path)
-    root = parse_xml(text, f"{path}: its {DESCRIPTION_FILE}")
+    root = parse_xml(read_text(path), f"{path}: its {DESCRIPTION_FILE}")
     version = root.get("fmiVersion") or "of unknown version"
     if not re.fullmatch(r"2\.0|3\.0(\..*)?", version):
         raise InputError(
             f"{path} is an FMU of FMI {version}, and only FMI 2.0 and 3.0 are read; export the model as one of these"
         )
     try:
-        described = _described(root, int(version[0]), applied_values(text))
+        described = _described(root, int(version[0]))
     except InputError as error:
         raise InputError(f"{path}: its {DESCRIPTION_FILE} {error}") from None
     if not described.interfaces:
@@ -105,7 +104,7 @@ def read_description(path: Path) -> Description:
     return described
 
 
-def _described(root: Element, version: int, applied: Mapping[str, Value]) -> Description:
+def _described(root: Element, version: int) -> Description:
     """Return what the root says; sentences of refusal continue one that begins with the file."""
     token = root.get("guid" if version == 2 else "instantiationToken")
     if token is None:
@@ -113,13 +112,14 @@ def _described(root: Element, version: int, applied: Mapping[str, Value]) -> Des
     declared = _Variables(root, version)
     derivatives = [variable for _, variable in declared.unknowns("Derivatives", "ContinuousStateDerivative")]
     states = [state for each in derivatives if (state := declared.state(each)) is not None]
+    variables = {v.name: v for v in declared.variables({_name(each) for each in states})}
     return Description(
         model_name=_name(root),
         fmi_version=root.get("fmiVersion", ""),
         guid=token,
         description=root.get("description", ""),
         generation_tool=root.get("generationTool", ""),
-        variables={v.name: v for v in declared.variables({_name(each) for each in states})},
+        variables=variables,
         units={_name(each): _unit(each) for each in root.iterfind("UnitDefinitions/Unit")},
         interfaces={
             kind: _interface(kind, each, version)
@@ -141,7 +141,7 @@ def _described(root: Element, version: int, applied: Mapping[str, Value]) -> Des
         derivatives=tuple(name for each in derivatives for name in declared.names(each)),
         states=tuple(name for each in states for name in declared.names(each)),
         indicators=declared.indicators,
-        applied=applied,
+        applied=_applied(root, version, variables),
     )
 
 
@@ -290,6 +290,20 @@ class _Variables:
                     "not allow together"
                 ) from None
         return causality, variability, initial
+
+
+def _applied(root: Element, version: int, variables: Mapping[str, Variable]) -> dict[str, Value]:
+    """Return the start values that `with_starts` wrote, to be set before the initialisation."""
+    note = (
+        f"VendorAnnotations/Tool[@name='{TOOL}']" if version == 2 else f"Annotations/Annotation[@type='{ANNOTATION}']"
+    )
+    named = [v for each in root.iterfind(f"{note}//Start") if (v := variables.get(each.get("name", ""))) is not None]
+    if not named:
+        return {}
+    # of variables that share a reference one has the start (FMI 2.0.4, 2.2.7)
+    starts = {(v.type, v.reference): v.start for v in variables.values() if v.start is not None and not v.array}
+    found = {v.name: starts.get((v.type, v.reference)) if v.start is None else v.start for v in named}
+    return {name: start for name, start in found.items() if start is not None}
 
 
 def _name(element: Element) -> str:

@@ -1,8 +1,8 @@
-"""Start values in the raw text of a modelDescription.xml: read and replaced in place, all other bytes kept.
+"""Start values in the raw text of a modelDescription.xml, replaced in place: all other bytes are kept.
 
 An FMU's binary has its own start values and does not read the XML (FMI 2.0.4, section 2.2.7, "start"; FMI 3.0.2,
 section 2.4.7.5): values changed in the XML act only where the importer sets them. So the names of the
-changed variables are kept in an annotation, and the importer sets `applied_values` before the initialisation.
+changed variables are kept in an annotation, and the importer sets `Description.applied` before the initialisation.
 """
 
 from __future__ import annotations
@@ -38,31 +38,6 @@ class _Declared:
     start: str | None = None
     position: int = -1
     dimensions: list[Mapping[str, str]] = field(default_factory=list)
-
-
-def applied_values(text: bytes) -> dict[str, Value]:
-    """Return the start values that `with_starts` wrote into a model description, to be set before the initialisation.
-
-    Parameters
-    ----------
-    text : bytes
-        The modelDescription.xml.
-
-    Returns
-    -------
-    dict of str to value
-        In the units of the variables; elements of arrays (FMI 3.0) as ``x[2,3]``. Empty without the annotation.
-
-    Raises
-    ------
-    InputError
-        If the text is not well-formed XML.
-    """
-    if not any("Applied".encode(code) in text for code in ("utf-8", "utf-16-le", "utf-16-be")):
-        return {}  # the usual case: the text need not be read again
-    scan = _Scan(text)
-    found = {name: scan.start(name) for name in scan.applied if scan.find(name) is not None}
-    return {name: value for name, value in found.items() if value is not None}
 
 
 def with_starts(text: bytes, values: Mapping[str, float | int | bool]) -> bytes:
@@ -134,22 +109,6 @@ class _Scan:
             same = (v for v in self.variables.values() if (v.kind, v.reference) == (declared.kind, declared.reference))
             declared = next((v for v in same if v.start is not None), declared)
         return declared, element
-
-    def start(self, name: str) -> Value | None:
-        """Return the start of a scalar variable, None without one."""
-        found = self.find(name)
-        text = found[0].start if found else None
-        if found is None or text is None:
-            return None
-        declared, element = found
-        if element is not None:
-            listed = text.split()
-            text = listed[element] if len(listed) > 1 else listed[0]
-        if declared.kind in _REALS:
-            return float(text)
-        if declared.kind == "Boolean":
-            return text in ("true", "1")
-        return int(text) if declared.kind in _NUMBERS else text
 
     def size(self, declared: _Declared) -> int:
         """Return how many elements an array has."""
