@@ -271,3 +271,12 @@ def test_plain_tables_are_those_of_rich() -> None:
     assert [
         line.rstrip("\n") for line in console_fmu._plain_table(heads, [*zip(*rows, strict=True)], right)
     ] == expected
+
+
+def test_a_title_longer_than_its_table_stays_on_one_line() -> None:
+    table = table_of("Measured against simulated", ["output", "samples"])
+    table.add_row("i", "10")
+    out = Console(file=io.StringIO(), width=80)
+    out.print(table)
+    assert isinstance(out.file, io.StringIO)
+    assert out.file.getvalue().splitlines()[0].rstrip() == "Measured against simulated"

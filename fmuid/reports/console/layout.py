@@ -61,7 +61,12 @@ def table_of(title: str, heads: Iterable[str], right: Sequence[str] = ()) -> Tab
     from rich import box
 
     table = Table(
-        title=title or None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, header_style="dim"
+        title=title or None,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        header_style="dim",
+        min_width=len(title) or None,  # a title takes no second line
     )
     table.pad_edge = table.show_edge = False
     for head in heads:
