@@ -483,7 +483,7 @@ def test_init_gives_a_study_that_needs_only_its_parameters(folder: Path, capsys:
     assert content["experiments"] == [
         {
             "table": "first.csv",
-            "time": "t",
+            "time": "time",  # which t is too
             "inputs": ["u"],
             "outputs": ["i"],
             "interpolation": "linear",
