@@ -38,7 +38,6 @@ from .estimation import Result as Result
 from .fmi import FMU as FMU
 from .model_problem import Problem as Problem
 from .model_problem import identify as identify
-from .model_problem import search_globally as search_globally
 from .models import Component as Component
 from .models import Isolation as Isolation
 from .models import Numerics as Numerics

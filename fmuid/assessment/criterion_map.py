@@ -133,10 +133,6 @@ def map_criterion(
         parameter that is not determined the bounds, or its magnitude to both sides where there are none. Ranges that
         are positive and span a decade or more are divided logarithmically.
 
-    Returns
-    -------
-    CriterionMap
-
     Raises
     ------
     InputError

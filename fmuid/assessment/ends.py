@@ -14,7 +14,7 @@ class EndKind(Enum):
     BOUND = "bound"
     """It is the parameter's own bound."""
     FLAT = "flat"
-    """There is none: the criterion does not rise."""
+    """No end: the criterion does not rise."""
     FAILING = "failing"
     """It is not known: beyond, simulations fail."""
     NOT_CONVERGED = "not_converged"
@@ -22,7 +22,7 @@ class EndKind(Enum):
     IMPRECISE = "imprecise"
     """It could not be found more precisely."""
     LOWER = "lower"
-    """There is none: the criterion is lower than at the estimate."""
+    """No end: the criterion is lower than at the estimate."""
     OTHER_AT_BOUND = "other_at_bound"
     """There another parameter is at its bound."""
 

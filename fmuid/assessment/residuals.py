@@ -49,7 +49,7 @@ LARGE_OFFSET_STDS = 0.1
 
 
 class Trait(Enum):
-    """What a residual has that white normal noise has not."""
+    """In what a residual differs from white normal noise."""
 
     COLOURED = "coloured"
     """An autocorrelation."""

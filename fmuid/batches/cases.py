@@ -82,10 +82,6 @@ class Cases:
 
     Tables need not be here: a worker that knows all cases may have the tables of some of them only (`Cases.of` checks).
 
-    Parameters
-    ----------
-    study : Study
-
     Attributes
     ----------
     study : Study

@@ -141,10 +141,6 @@ class Design:
     def rank(self, candidates: Mapping[str, Experiment]) -> pd.DataFrame:
         """Compare excitations: one row each, the best first.
 
-        Parameters
-        ----------
-        candidates : mapping of str to Experiment
-
         Returns
         -------
         pandas.DataFrame

@@ -218,7 +218,7 @@ class Hypothesis:
         Raises
         ------
         KeyError, TypeError, ValueError
-            If it is none.
+            If the data are not of one.
         """
         sizes = []
         for each in data["sizes"].values():

@@ -104,10 +104,6 @@ def diagnose(
     progress : callable, optional
         Called with a `fmuid.progress.FaultStep` before each fit.
 
-    Returns
-    -------
-    Diagnosis
-
     Raises
     ------
     InputError

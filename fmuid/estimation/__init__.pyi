@@ -18,12 +18,10 @@ from .criterion import prepare as prepare
 from .finite_differences import SensitivityError as SensitivityError
 from .global_search.box import Box as Box
 from .global_search.box import spans_decades as spans_decades
-from .global_search.optima import GlobalResult as GlobalResult
 from .global_search.optima import Optimum as Optimum
 from .global_search.optima import merged as merged
 from .global_search.optima import optima_table as optima_table
 from .global_search.search import GlobalSearch as GlobalSearch
-from .global_search.search import search_globally as search_globally
 from .identification import Method as Method
 from .identification import identify as identify
 from .least_squares import LeastSquares as LeastSquares

@@ -125,7 +125,7 @@ class Direction:
         Raises
         ------
         KeyError, TypeError, ValueError
-            If it is none.
+            If the data are not of one.
         """
         coefficients, values, magnitudes = (
             tuple(map(float, data[key])) for key in ("coefficients", "values", "magnitudes")

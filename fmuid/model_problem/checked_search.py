@@ -21,8 +21,6 @@ from fmuid.estimation import (
     Accuracy,
     AccuracyOutcome,
     Cause,
-    GlobalResult,
-    GlobalSearch,
     Kept,
     LeastSquares,
     Marquardt,
@@ -71,12 +69,13 @@ def identify(
     settings : Marquardt or GlobalSearch, optional
         Default: Marquardt's search from the parameters' starts.
     progress : callable, optional
-        Called with every `fmuid.progress.SearchStep`.
+        Called with every `fmuid.progress.SearchStep`, and `GlobalStep` of a search of the box.
     start : (N,) array, optional
         Start elsewhere than the parameters say.
     accuracy : "switch", "check" or "off"
         Go on by a finer simulation where the error moves an estimate by more than `SHIFT_LIMIT` of its standard
-        deviation, if that goes against nothing that was asked for; just say what it does; or do not look.
+        deviation, if that goes against nothing that was asked for; just say what it does; or do not look. Optima of a
+        box that are as good as the best, and that a finer simulation does not bear out, are no optima.
 
     Returns
     -------
@@ -102,43 +101,6 @@ def identify(
     if accuracy == "off" or not isinstance(problem, Problem):
         return method.search(problem, progress, start)
     return _CheckedSearch(problem, method, progress, switching=accuracy == "switch").run(start)
-
-
-def search_globally(
-    problem: LeastSquares,
-    settings: GlobalSearch | None = None,
-    progress: Progress | None = None,
-    *,
-    accuracy: str = "switch",
-) -> GlobalResult:
-    """Search the box of the bounds for the best optimum, and list the others that were met.
-
-    Parameters
-    ----------
-    problem : LeastSquares
-        Every parameter with finite bounds or a prior. Its own starts take part.
-    settings : GlobalSearch, optional
-    progress : callable, optional
-        Called with a `fmuid.progress.GlobalStep` after each batch of points, generation or fit.
-    accuracy : "switch", "check" or "off"
-        As for `identify`. Optima as good as the best that a finer simulation does not bear out are no optima.
-
-    Returns
-    -------
-    GlobalResult
-        Also where the search was interrupted from the keyboard after it had found something; nothing more is simulated
-        then.
-
-    Raises
-    ------
-    InputError
-        If a parameter has neither bounds nor a prior, all simulations in the box fail, or no fit is possible.
-    """
-    result = identify(problem, settings or GlobalSearch(), progress, accuracy=accuracy)
-    interrupted = result.outcome is Outcome.INTERRUPTED
-    return GlobalResult(
-        result, problem.parameters.names, result.fits or 0, result.simulations, result.elapsed_s, interrupted
-    )
 
 
 class _CheckedSearch:

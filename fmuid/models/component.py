@@ -73,7 +73,7 @@ class Isolation:
     recycle : int, optional
         After how many simulations the process is replaced by a new one; default: only for its memory.
     threads : int, optional
-        How many simulations run at a time, in as many processes where the FMU does not bear threads; default: one for
+        How many simulations run at a time, in as many processes where the FMU is not safe in threads; default: one for
         each core.
 
     Raises
@@ -100,11 +100,6 @@ AS_OFFERED = Numerics()
 
 class Component:
     """An FMU in a system, and how it is run there.
-
-    Parameters
-    ----------
-    fmu : FMU or path
-    numerics : Numerics
 
     Raises
     ------

@@ -103,10 +103,6 @@ def apply_result(result: Path, fmu: Path, output: Path, component: str | None = 
     component : str, optional
         Of which component of a system `fmu` is; the values ``component.variable`` are applied then.
 
-    Returns
-    -------
-    tuple of AppliedValue
-
     Raises
     ------
     InputError

@@ -46,12 +46,7 @@ class MonitoringFindings:
 
 @dataclass(frozen=True, kw_only=True)
 class Judged(Event):
-    """A search for faults has ended; figures come next.
-
-    Attributes
-    ----------
-    findings : DiagnosisFindings or MonitoringFindings
-    """
+    """A search for faults has ended; figures come next."""
 
     task: str = "judged"
     findings: DiagnosisFindings | MonitoringFindings

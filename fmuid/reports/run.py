@@ -22,12 +22,7 @@ QUICK = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Identified(Event):
-    """The search has ended, and its result is examined and written; what ``[uncertainty]`` asks for comes next.
-
-    Attributes
-    ----------
-    findings : Findings
-    """
+    """The search has ended, and its result is examined and written; what ``[uncertainty]`` asks for comes next."""
 
     task: str = "identified"
     findings: Findings

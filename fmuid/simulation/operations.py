@@ -17,12 +17,7 @@ Outputs = tuple[list[int], list[int]]
 
 @dataclass
 class Operations:
-    """What is gathered for a `Plan`; its methods append to it and return signals.
-
-    Parameters
-    ----------
-    task : Task
-    """
+    """What is gathered for a `Plan`; its methods append to it and return signals."""
 
     task: Task
     signals: list[float] = field(default_factory=list)

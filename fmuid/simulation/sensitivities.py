@@ -48,10 +48,6 @@ class FmuSensitivities:
     `fmuid export --sensitivities` makes such FMUs. They go with a single FMU: in a system other components would change
     with the parameter, and they would not be the whole derivative.
 
-    Parameters
-    ----------
-    simulator : Simulator
-
     Raises
     ------
     InputError
@@ -101,10 +97,6 @@ class ForwardSensitivities:
     The right-hand sides of the sensitivities are the FMU's directional derivatives along states and parameter, if it
     has such; else differences between the model and twins of it, one a parameter, that are kept in step with it. The
     twins serve from then on, too, where an event changes the states or their derivatives.
-
-    Parameters
-    ----------
-    simulator : Simulator
 
     Raises
     ------

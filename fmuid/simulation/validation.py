@@ -115,13 +115,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Validation:
-    """All checks of an FMU (`validate`).
-
-    Attributes
-    ----------
-    path : Path
-    checks : tuple of Check
-    """
+    """All checks of an FMU (`validate`)."""
 
     path: Path
     checks: tuple[Check, ...]
@@ -142,10 +136,6 @@ def validate(fmu: FMU | str | Path) -> Validation:
     FMPy checks the model description against the schema and the rules of the standard. Each interface is then
     instantiated and simulated over the default experiment, inputs at their start values, in a process of its own: a
     crash or a hang is a failed check.
-
-    Parameters
-    ----------
-    fmu : FMU or path
 
     Raises
     ------

@@ -250,7 +250,7 @@ class ExperimentSettings(Words):
         Raises
         ------
         InputError
-            If the table has not what the words say.
+            If the table lacks what the words name.
         """
         from fmuid.data import Experiment
 

@@ -26,7 +26,7 @@ Every table with its keys, as `fmuid` checks them; `fmuid schema` prints the sam
 
 
 class _Schema(GenerateJsonSchema):
-    """A schema without null, which TOML has not."""
+    """A schema without null, which TOML lacks."""
 
     def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
         return self.generate_inner(schema["schema"])

@@ -207,7 +207,7 @@ class Study:
         Raises
         ------
         InputError
-            If a table cannot be read or has not what the study says.
+            If a table cannot be read or lacks what the study names.
         """
         return tuple(each.read_experiment(each.table) for each in self.experiments)
 

@@ -191,7 +191,7 @@ def table_of(type_: Any) -> type[Words] | None:
 
 
 def entries_of(type_: Any) -> Any:
-    """Return the type of the entries of a table of names, None where values of a type are none."""
+    """Return the type of the entries of a table of names, None where values of a type are no such tables."""
     return next((get_args(each)[1] for each in _alternatives(type_) if get_origin(each) is dict), None)
 
 

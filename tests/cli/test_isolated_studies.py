@@ -20,7 +20,7 @@ from fmuid.cli.app import run
 from fmuid.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
-from fmuid.estimation import GlobalSearch, search_globally
+from fmuid.estimation import GlobalSearch
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.model_problem import Problem
@@ -96,7 +96,7 @@ def test_a_search_goes_round_a_band_where_the_fmu_crashes(fmu: Path, mode: Mode)
 def test_a_global_search_goes_round_it_too(fmu: Path) -> None:
     settings = GlobalSearch("multistart", 6, 1)
     plain, isolated = problem(fmu, Mode.RETURN_ERROR, None), problem(fmu, Mode.ABORT, Isolation())
-    right, found = (search_globally(each, settings).result for each in (plain, isolated))
+    right, found = (settings.search(each) for each in (plain, isolated))
     assert found.converged
     assert np.array_equal(found.values, right.values)
     assert (isolated.simulations, isolated.failures) == (plain.simulations, plain.failures)

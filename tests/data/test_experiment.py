@@ -12,7 +12,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
 from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
-from fmuid.estimation.global_search.search import search_globally
+from fmuid.estimation.global_search.search import GlobalSearch
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 
@@ -81,7 +81,7 @@ def test_outputs_that_are_not_measured_are_names() -> None:
     with pytest.raises(InputError, match="'v'"):
         Experiment(table(), ["v"], ["z"], measured=False)
     problem = LeastSquares([FunctionPredictor(lambda theta: theta, (5, 2))], [run], {"a": Parameter(1.0, 0.0, 2.0)})
-    for search in (identify, search_globally):
+    for search in (identify, GlobalSearch().search):
         with pytest.raises(InputError, match="output 'z' has not been measured: there is nothing to identify"):
             search(problem)
     found = run.with_outputs(np.column_stack([run.times, run.times]))

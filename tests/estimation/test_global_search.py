@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import minimize_scalar
 
@@ -15,15 +16,16 @@ from fmuid.data.parameters import Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation.global_search import search as global_search
 from fmuid.estimation.global_search.box import Box
-from fmuid.estimation.global_search.optima import GlobalResult
-from fmuid.estimation.global_search.search import GlobalSearch, Strategy, search_globally
+from fmuid.estimation.global_search.optima import optima_table
+from fmuid.estimation.global_search.search import GlobalSearch, Strategy
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.search import Marquardt
 from fmuid.estimation.misfit import misfits
+from fmuid.estimation.result import Result
 from fmuid.model_problem import Problem
-from fmuid.progress import Event, GlobalStep
+from fmuid.progress import Event, GlobalStep, Progress
 from fmuid.reports.words.result import ending
 from tests.support.paths import ROOT
 
@@ -57,8 +59,16 @@ def of_search(events: Sequence[Event]) -> list[GlobalStep]:
     return steps
 
 
-def frequencies(found: GlobalResult) -> Floats:
-    return found.table["w"].to_numpy()
+def searched(problem: LeastSquares, settings: GlobalSearch | None = None, progress: Progress | None = None) -> Result:
+    return (settings or GlobalSearch()).search(problem, progress)
+
+
+def optima(found: Result) -> pd.DataFrame:
+    return optima_table(found.names, found.optima)
+
+
+def frequencies(found: Result) -> Floats:
+    return optima(found)["w"].to_numpy()
 
 
 # --- what is found ----------------------------------------------------------------------
@@ -73,17 +83,17 @@ def test_finds_the_best_of_many_optima(method: Strategy, seed: int) -> None:
     alone = identify(sinusoid())
     assert alone.converged
     assert np.abs(alone["w"] - minima[minima != best]).min() < 2e-3
-    found = search_globally(sinusoid(), GlobalSearch(method, seed=seed))
-    assert found.result.converged
-    assert found.result["w"] == pytest.approx(best, abs=2e-3)
-    assert found.result["w"] == frequencies(found)[0]
+    found = searched(sinusoid(), GlobalSearch(method, seed=seed))
+    assert found.converged
+    assert found["w"] == pytest.approx(best, abs=2e-3)
+    assert found["w"] == frequencies(found)[0]
     assert found.names == ("w",)
 
 
 def test_multistart_lists_all_optima_in_order() -> None:
     """The grid's minima and the ends of the box, each once, their criterion being the grid's sums of squares."""
     minima, squares = dense_minima()
-    found = search_globally(sinusoid(noise=Noise(0.04)), GlobalSearch("multistart", starts=100))
+    found = searched(sinusoid(noise=Noise(0.04)), GlobalSearch("multistart", starts=100))
     inside = [o for o in found.optima if RANGE[0] < o.theta[0] < RANGE[1]]
     order = np.argsort(squares)
     np.testing.assert_allclose([o.theta[0] for o in inside], minima[order], atol=NEAR)
@@ -91,13 +101,13 @@ def test_multistart_lists_all_optima_in_order() -> None:
     assert sum(o.hits for o in found.optima) == found.fits == 100
     assert len(found.optima) <= minima.size + 2
     assert all(o.converged for o in found.optima)
-    criteria = found.table["criterion"].to_numpy()
+    criteria = optima(found)["criterion"].to_numpy()
     assert (np.diff(criteria) >= 0).all()
 
 
 def test_evolution_lists_secondary_optima_once() -> None:
     minima, _ = dense_minima()
-    found = search_globally(sinusoid())
+    found = searched(sinusoid())
     assert len(found.optima) >= 3
     for w in frequencies(found):
         inside = RANGE[0] < w < RANGE[1]
@@ -109,7 +119,7 @@ def test_evolution_lists_secondary_optima_once() -> None:
 def test_criterion_of_estimated_variance_is_relative_to_the_best() -> None:
     """With σ̂² = J/(K − 1) of the best, its criterion is K − 1 and the others' are in proportion."""
     minima, squares = dense_minima()
-    found = search_globally(sinusoid(), GlobalSearch("multistart", starts=30))
+    found = searched(sinusoid(), GlobalSearch("multistart", starts=30))
     first, second = (squares[np.argmin(np.abs(minima - o.theta[0]))] for o in found.optima[:2])
     assert found.optima[0].criterion == pytest.approx(TIMES.size - 1, rel=1e-6)
     assert found.optima[1].criterion == pytest.approx((TIMES.size - 1) * second / first, rel=1e-4)
@@ -117,10 +127,10 @@ def test_criterion_of_estimated_variance_is_relative_to_the_best() -> None:
 
 def test_the_start_takes_part() -> None:
     """One start alone is the parameters' own, and gives what an identification gives."""
-    found = search_globally(sinusoid(), GlobalSearch("multistart", starts=1))
+    found = searched(sinusoid(), GlobalSearch("multistart", starts=1))
     alone = identify(sinusoid())
-    assert found.result["w"] == alone["w"]
-    assert found.result.start[0] == 12.0
+    assert found["w"] == alone["w"]
+    assert found.start[0] == 12.0
 
 
 def test_prior_decides_between_equal_optima() -> None:
@@ -128,7 +138,7 @@ def test_prior_decides_between_equal_optima() -> None:
     measured = 4.0 * TIMES + 0.1 * np.random.default_rng(1).normal(size=TIMES.size)
     parameter = Parameter(-1.0, min=-5.0, max=5.0, prior=Normal(2.5, 1.0))
     problem = LeastSquares.from_function(lambda theta: theta**2 * TIMES, measured, {"a": parameter}, noise=Noise(0.01))
-    found = search_globally(problem, GlobalSearch("multistart", starts=16))
+    found = searched(problem, GlobalSearch("multistart", starts=16))
     assert len(found.optima) == 2
     right, left = (o.theta[0] for o in found.optima)
     assert (right, left) == pytest.approx((2.0, -2.0), abs=0.05)
@@ -145,11 +155,12 @@ def test_valley_is_one_optimum(method: Strategy) -> None:
         2.0 * TIMES + 0.1 * np.random.default_rng(2).normal(size=TIMES.size),
         {"a": Parameter(1.0, min=0.5, max=4.0), "b": Parameter(1.0, min=0.5, max=4.0)},
     )
-    found = search_globally(problem, GlobalSearch(method, starts=12))
+    found = searched(problem, GlobalSearch(method, starts=12))
     (optimum,) = found.optima
-    assert optimum.hits == found.fits >= (12 if method == "multistart" else 1)
+    assert optimum.hits == found.fits
+    assert optimum.hits >= (12 if method == "multistart" else 1)
     assert not optimum.converged
-    assert not found.result.converged
+    assert not found.converged
     assert optimum.outcome is Outcome.UNDETERMINED
     assert optimum.theta[0] * optimum.theta[1] == pytest.approx(2.0, abs=0.1)
 
@@ -162,9 +173,9 @@ def test_perfect_data_give_one_optimum(method: Strategy) -> None:
         3.0 * np.exp(-5.0 * TIMES),
         {"a": Parameter(1.0, min=0.1, max=10.0), "k": Parameter(1.0, min=0.1, max=50.0)},
     )
-    found = search_globally(problem, GlobalSearch(method, starts=20))
+    found = searched(problem, GlobalSearch(method, starts=20))
     assert len(found.optima) == 1
-    np.testing.assert_allclose(found.result.values, [3.0, 5.0], rtol=1e-5)
+    np.testing.assert_allclose(found.values, [3.0, 5.0], rtol=1e-5)
 
 
 def test_induction_machine_from_a_wide_box() -> None:
@@ -180,12 +191,12 @@ def test_induction_machine_from_a_wide_box() -> None:
         experiment,
         {name: Parameter(start=high, min=low, max=high) for name, (low, high) in box.items()},
     )
-    found = search_globally(problem, GlobalSearch(starts=32))
-    assert found.result.converged
-    assert (np.abs(found.result.values - truth) < 4.0 * found.result.std).all()
+    found = searched(problem, GlobalSearch(starts=32))
+    assert found.converged
+    assert (np.abs(found.values - truth) < 4.0 * found.std).all()
     local = identify(problem, start=truth)
-    assert (np.abs(found.result.values - local.values) < 0.01 * local.std).all()
-    assert not (found.table["criterion"][1:] < found.optima[0].criterion + 1.0).any()
+    assert (np.abs(found.values - local.values) < 0.01 * local.std).all()
+    assert not (optima(found)["criterion"][1:] < found.optima[0].criterion + 1.0).any()
 
 
 # --- the criterion that is compared -----------------------------------------------------
@@ -275,11 +286,11 @@ def fragile(limit: float) -> LeastSquares:
 @pytest.mark.parametrize("method", METHODS)
 def test_failing_simulations_are_passed_over(method: Strategy) -> None:
     events: list[Event] = []
-    found = search_globally(fragile(30.0), GlobalSearch(method, starts=30), events.append)
+    found = searched(fragile(30.0), GlobalSearch(method, starts=30), events.append)
     steps = of_search(events)
     assert np.isfinite([step.criterion for step in steps]).all()
     minima, squares = dense_minima()
-    assert found.result["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
+    assert found["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
     if method == "multistart":
         assert found.fits == 30, "starts that fail are replaced"
 
@@ -287,7 +298,7 @@ def test_failing_simulations_are_passed_over(method: Strategy) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_nothing_but_failures(method: Strategy) -> None:
     with pytest.raises(InputError, match=r"all \d+ simulations of the global search fail: narrow.*too slow"):
-        search_globally(fragile(100.0), GlobalSearch(method, starts=6))
+        searched(fragile(100.0), GlobalSearch(method, starts=6))
 
 
 def test_explosions_are_no_error() -> None:
@@ -297,7 +308,7 @@ def test_explosions_are_no_error() -> None:
         np.exp(2.0 * TIMES) + 0.01 * np.sin(50 * TIMES),
         {"a": Parameter(1.0, min=-700.0, max=700.0)},
     )
-    assert search_globally(problem, GlobalSearch(starts=20)).result["a"] == pytest.approx(2.0, abs=0.01)
+    assert searched(problem, GlobalSearch(starts=20))["a"] == pytest.approx(2.0, abs=0.01)
 
 
 def test_error_where_no_fit_is_possible() -> None:
@@ -305,7 +316,7 @@ def test_error_where_no_fit_is_possible() -> None:
         lambda theta: theta[0] * TIMES, TIMES, {"a": Parameter(0.5, min=0.1, max=2.0), "idle": Parameter(1, 0.5, 2)}
     )
     with pytest.raises(InputError, match=r"'idle'.* changes no measured output"):
-        search_globally(problem, GlobalSearch("multistart", starts=3))
+        searched(problem, GlobalSearch("multistart", starts=3))
 
 
 # --- seeds, progress, interruption, settings --------------------------------------------
@@ -317,7 +328,7 @@ def test_seed_makes_it_repeatable(method: Strategy) -> None:
     tables = []
     for run, seed in enumerate((5, 5, 6)):
         seen: list[Event] = []
-        tables.append(search_globally(sinusoid(), GlobalSearch(method, starts=20, seed=seed), seen.append).table)
+        tables.append(optima(searched(sinusoid(), GlobalSearch(method, starts=20, seed=seed), seen.append)))
         steps[run] = [step.criterion for step in of_search(seen)]
     assert steps[0] == steps[1] != steps[2]
     assert tables[0].equals(tables[1])
@@ -327,7 +338,7 @@ def test_seed_makes_it_repeatable(method: Strategy) -> None:
 def test_progress(method: Strategy) -> None:
     events: list[Event] = []
     problem = sinusoid()
-    found = search_globally(problem, GlobalSearch(method, starts=10), events.append)
+    found = searched(problem, GlobalSearch(method, starts=10), events.append)
     steps = of_search(events)
     first = "evolution" if method == "evolution" else "spread"
     assert [phase for phase, _ in itertools.groupby(s.task for s in steps)] == [first, "fits"]
@@ -336,8 +347,8 @@ def test_progress(method: Strategy) -> None:
         assert done == sorted(set(done))
     assert all(s.done <= s.total for s in steps)
     assert (np.diff([s.criterion for s in steps]) <= 0).all()
-    assert steps[-1].values["w"] == pytest.approx(found.result["w"], rel=1e-6)
-    assert found.simulations == found.result.simulations == problem.simulations >= steps[-1].simulations
+    assert steps[-1].values["w"] == pytest.approx(found["w"], rel=1e-6)
+    assert found.simulations == problem.simulations >= steps[-1].simulations
 
 
 def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
@@ -367,34 +378,35 @@ def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
 def test_interruption_keeps_what_is_found(method: Strategy, calls: int, complete: int, fitted: bool) -> None:
     """It is no worse than any point of a generation or fit that was complete, with its uncertainty if a fit has it."""
     problem, seen = interrupting(calls)
-    found = search_globally(problem, GlobalSearch(method, starts=40))
-    assert found.interrupted
+    found = searched(problem, GlobalSearch(method, starts=40))
+    assert found.outcome is Outcome.INTERRUPTED
     assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
-    assert not found.result.converged
-    assert found.result.outcome is Outcome.INTERRUPTED
+    assert not found.converged
+    assert found.outcome is Outcome.INTERRUPTED
     said = f"interrupted: these are the best values so far of a global search, after {found.fits} fit"
-    assert ending(found.result).startswith(said)
-    assert sum(o.hits for o in found.optima) == found.fits < 40
+    assert ending(found).startswith(said)
+    assert sum(o.hits for o in found.optima) == found.fits
+    assert len(found.optima) < 40
     squares = [((np.sin(w * TIMES) - problem.measured) ** 2).sum() for w in seen[:complete]]
-    assert ((np.sin(found.result["w"] * TIMES) - problem.measured) ** 2).sum() <= 1.0001 * min(squares)
-    assert np.isfinite(found.result.std).all() == fitted == (found.result.local is not None)
+    assert ((np.sin(found["w"] * TIMES) - problem.measured) ** 2).sum() <= 1.0001 * min(squares)
+    assert np.isfinite(found.std).all() == fitted == (found.local is not None)
 
 
 def test_interruption_before_anything_is_found() -> None:
     with pytest.raises(KeyboardInterrupt):
-        search_globally(interrupting(3)[0])
+        searched(interrupting(3)[0])
 
 
 def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fits get few iterations, but what they leave of the best one's way is gone after them."""
     monkeypatch.setattr(global_search, "FIT_ITERATIONS", 1)
-    found = search_globally(sinusoid(), GlobalSearch("multistart"))
-    assert found.result.converged
+    found = searched(sinusoid(), GlobalSearch("multistart"))
+    assert found.converged
     assert not all(o.converged for o in found.optima)
     minima, squares = dense_minima()
-    assert found.result["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
-    limited = search_globally(sinusoid(), GlobalSearch("multistart", marquardt=Marquardt(max_iterations=1)))
-    assert not limited.result.converged
+    assert found["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
+    limited = searched(sinusoid(), GlobalSearch("multistart", marquardt=Marquardt(max_iterations=1)))
+    assert not limited.converged
 
 
 @pytest.mark.parametrize(
@@ -418,4 +430,4 @@ def test_a_robust_loss_is_refused() -> None:
         lambda theta: theta * TIMES, TIMES, {"w": Parameter(1.0, 0.5, 2.0)}, loss="huber"
     )
     with pytest.raises(InputError, match="a global search knows plain squares only"):
-        search_globally(problem)
+        searched(problem)

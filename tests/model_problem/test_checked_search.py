@@ -270,7 +270,7 @@ BOX = ("parameters.R.min=0.1", "parameters.R.max=100.0", "parameters.L.min=1e-3"
 def test_an_alias_is_no_optimum() -> None:
     """From some starts the coil's co-simulation fits as well at L = 1.42 mH, which model exchange does not bear out."""
     study = fmuid.Study.read(EXPERIMENTS / "coil" / "healthy.toml", [*BOX, "parameters.L.max=1.0"])
-    without = fmuid.search_globally(study.problem(), study.estimator, accuracy="off")  # type: ignore[arg-type]
+    without = fmuid.identify(study.problem(), study.estimator, accuracy="off")
     assert sorted(round(optimum.theta[1], 4) for optimum in without.optima) == [0.0014, 0.1007]
     result = study.identify()
     assert [round(optimum.theta[1], 4) for optimum in result.optima] == [0.1007]

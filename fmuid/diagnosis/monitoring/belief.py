@@ -36,7 +36,7 @@ class Belief:
         Raises
         ------
         KeyError, TypeError, ValueError
-            If it is none.
+            If the data are not of one.
         """
         return cls(*(np.array(data[name], np.float64) for name in ("mean", "information", "scatter")))
 

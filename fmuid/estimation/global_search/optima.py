@@ -49,43 +49,6 @@ class Optimum:
         return self.outcome.converged
 
 
-@dataclass(frozen=True, eq=False)
-class GlobalResult:
-    """What a global search found.
-
-    Attributes
-    ----------
-    result : Result
-        Of the best fit; its `simulations` and `elapsed_s` are those of the whole search. Where the search was
-        interrupted, of the best of all points tried; if no fit has led there, with nothing but its values.
-    names : tuple of str
-        The parameters.
-    fits : int
-        Searches by Marquardt that were made.
-    simulations : int
-    elapsed_s : float
-    interrupted : bool
-        Whether the keyboard ended the search before its time.
-    """
-
-    result: Result
-    names: tuple[str, ...]
-    fits: int
-    simulations: int
-    elapsed_s: float
-    interrupted: bool
-
-    @property
-    def optima(self) -> tuple[Optimum, ...]:
-        """All that were found, each once, the best first."""
-        return self.result.optima
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """The optima, a row each (`optima_table`)."""
-        return optima_table(self.names, self.optima)
-
-
 def optima_table(names: Sequence[str], optima: Sequence[Optimum]) -> pd.DataFrame:
     """Return the optima found, a row each: criterion, hits, converged, and each parameter."""
     rows = [(o.criterion, o.hits, o.converged, *o.theta.tolist()) for o in optima]

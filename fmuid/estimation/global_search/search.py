@@ -14,7 +14,7 @@ from fmuid.arrays import Floats
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.exploration import Exploration
-from fmuid.estimation.global_search.optima import GlobalResult, merged
+from fmuid.estimation.global_search.optima import merged
 from fmuid.estimation.identification import identify, point_result
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
@@ -96,39 +96,33 @@ class GlobalSearch:
         Box(problem.parameters)
 
     def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
-        """Search as `search_globally` does, and from a start (N,) as `fmuid.identify` does."""
+        """Search the box of the bounds for the best optimum, and list the others that were met (`Result.optima`).
+
+        Parameters
+        ----------
+        problem : LeastSquares
+            Every parameter with finite bounds or a prior. Its own starts take part.
+        progress : callable, optional
+            Called with a `fmuid.progress.GlobalStep` after each batch of points, generation or fit.
+        start : (N,) array, optional
+            Search from there instead, by Marquardt's method alone.
+
+        Returns
+        -------
+        Result
+            Of the best fit; its `simulations` and `elapsed_s` are those of the whole search. Where that was interrupted
+            from the keyboard, of the best of all points tried; if no fit has led there, with nothing but its values.
+
+        Raises
+        ------
+        InputError
+            If a parameter has neither bounds nor a prior, all simulations in the box fail, or no fit is possible.
+        """
         if start is not None:
             return self.marquardt.search(problem, progress, start)
-        return search_globally(problem, self, progress).result
-
-
-def search_globally(
-    problem: LeastSquares, settings: GlobalSearch | None = None, progress: Progress | None = None
-) -> GlobalResult:
-    """Search the box of the bounds for the best optimum, and list the others that were met.
-
-    Parameters
-    ----------
-    problem : LeastSquares
-        Every parameter with finite bounds or a prior. Its own starts take part.
-    settings : GlobalSearch, optional
-    progress : callable, optional
-        Called with a `fmuid.progress.GlobalStep` after each batch of points, generation or fit.
-
-    Returns
-    -------
-    GlobalResult
-        Also where the search was interrupted from the keyboard after it had found something; nothing more is simulated
-        then.
-
-    Raises
-    ------
-    InputError
-        If a parameter has neither bounds nor a prior, all simulations in the box fail, or no fit is possible.
-    """
-    refuse_loss(problem, "a global search")
-    with np.errstate(over="ignore", invalid="ignore"):  # far from the truth models may explode
-        return _Search(problem, settings or GlobalSearch(), progress).run()
+        refuse_loss(problem, "a global search")
+        with np.errstate(over="ignore", invalid="ignore"):  # far from the truth models may explode
+            return _Search(problem, self, progress).run()
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +142,7 @@ class _Search:
         self.explored = Exploration(problem, settings, progress)
         self.fits: list[_Fit] = []
 
-    def run(self) -> GlobalResult:
+    def run(self) -> Result:
         interrupted = False
         try:
             self._fit(self.explored.evolve() if self.settings.method == "evolution" else self.explored.spread())
@@ -208,23 +202,15 @@ class _Search:
     def _best(self) -> _Fit:
         return min(self.fits, key=lambda fit: fit.reached)
 
-    def _conclude(self, interrupted: bool) -> GlobalResult:
+    def _conclude(self, interrupted: bool) -> Result:
         """Put the fits in order, and merge those that ended at one optimum; nothing is simulated for it."""
         optima = merged(self.problem, [fit.result for fit in self.fits])
-        result = dataclasses.replace(
+        return dataclasses.replace(
             self._best_so_far() if interrupted else optima[0].fit,
             simulations=self.explored.simulations,
             elapsed_s=time.perf_counter() - self.clock,
             optima=optima,
             fits=len(self.fits),
-        )
-        return GlobalResult(
-            result,
-            self.problem.parameters.names,
-            len(self.fits),
-            result.simulations,
-            result.elapsed_s,
-            interrupted,
         )
 
     def _best_so_far(self) -> Result:

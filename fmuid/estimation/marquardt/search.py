@@ -39,7 +39,7 @@ ROUGH_OFFSET = 0.1
 # the steps that remain, if its differences are.
 NEAR_OFFSET = 0.03
 # Where the criterion's fall drowns in the simulation's noise and new Jacobians bring the optimum no nearer than by this
-# factor, there is nothing more to be had.
+# factor, nothing more can be gained.
 SETTLED = 0.8
 # After so many rejected steps in a row the forward differences are suspected, and central ones tried.
 SUSPICIOUS_REJECTIONS = 6
@@ -72,10 +72,6 @@ def search(problem: LeastSquares, state: State, settings: Marquardt, *, rough: b
     settings : Marquardt
     rough : bool
         End already where a tenth of the standard deviations is left, to go on with a changed problem.
-
-    Yields
-    ------
-    Iteration
     """
     return _Search(problem, state, settings, rough).run()
 

@@ -13,7 +13,7 @@ PATIENT_STEPS = 10
 WORTHLESS = 1e-4
 # ... and, where it only matters whether the linear model can be trusted, this share of the fall that it predicts.
 SLOW = 1e-2
-# Steps that bring less than this share of what they promised are not slow but in vain.
+# Steps that bring less than this share of what they promised are useless, not merely slow.
 VAIN = 0.25
 
 

@@ -91,7 +91,7 @@ def compiler(target: str | None) -> list[str]:
 
 
 def compiler_here() -> list[str]:
-    """Return the command of a compiler for this machine, whatever else its processor has that others have not.
+    """Return the command of a compiler for this machine, without instructions that only its own processor has.
 
     Raises
     ------

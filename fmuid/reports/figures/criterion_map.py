@@ -54,8 +54,8 @@ def criterion_map(
     ----------
     chart : CriterionMap
     optima : DataFrame, optional
-        Optima found, columns named as the parameters (`GlobalResult.table`). Those beyond the map are left out; the
-        other parameters have their own values there, so that the contours around them need not show a minimum.
+        Optima found, columns named as the parameters (`fmuid.estimation.optima_table`). Those beyond the map are left
+        out; the other parameters have their own values there, so that the contours around them need not show a minimum.
     units : mapping of str to str, optional
         Of the parameters.
     level : float

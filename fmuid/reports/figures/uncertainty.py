@@ -42,7 +42,7 @@ BINS, SHOWN_QUANTILES = 32, (0.0005, 0.9995)
 SMOOTHING = 1.2
 # Samples correlated more strongly lie on a line thinner than the bins: they are drawn themselves.
 THIN_CORRELATION = 0.97
-# Paths of more walkers, or more steps of each, are a blot.
+# Paths of more walkers, or more steps of each, cannot be told apart.
 MAX_WALKERS, MAX_PATH = 24, 1500
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 KEPT = {
     Kept.ASKED: "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search",
     Kept.FITS_BETTER: "the finer simulation fits clearly worse, as if the table came from this very solver",
-    Kept.NO_SEARCH: "a search by the finer simulation comes to no end",
+    Kept.NO_SEARCH: "a search by the finer simulation does not end",
     Kept.FINEST: "there is no finer simulation to go on by",
 }
 """Why a simulation that shifts the estimates serves all the same."""

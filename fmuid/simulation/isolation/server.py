@@ -189,7 +189,7 @@ class Service:
 
 def _become_host(descriptors: Sequence[int], parent: int, group: Path | None) -> None:
     """Turn this fork of the server into a host, until its other side is gone."""
-    import resource  # which Windows has not
+    import resource  # not on Windows
 
     channel, memory, printed = descriptors
     if sys.platform == "linux":
@@ -229,12 +229,7 @@ def _write_lines_at_once() -> None:
 
 
 class Server:
-    """Forks hosts, as the process at the other end of a socket orders.
-
-    Parameters
-    ----------
-    channel : socket
-    """
+    """Forks hosts, as the process at the other end of a socket orders."""
 
     def __init__(self, channel: socket.socket) -> None:
         self._channel = channel

@@ -1,4 +1,4 @@
-"""FMUs that do not bear threads, in several processes with one instance each: as many simulations at a time."""
+"""FMUs that are not safe in threads, in several processes with one instance each: as many simulations at a time."""
 
 from __future__ import annotations
 
