@@ -22,7 +22,7 @@ from fmuid.errors import InputError
 from fmuid.fmi.failures import STATUS_WORDS
 from fmuid.fmi.float_environment import kept
 from fmuid.fmi.fmu import FMU
-from fmuid.fmi.native import Log, core
+from fmuid.fmi.native import LogStruct, core
 from fmuid.fmi.sharing import Residents, residents
 
 MESSAGES_KEPT = 20  # of one simulation: the first say what went wrong, the rest repeat it
@@ -30,10 +30,10 @@ MESSAGES_KEPT = 20  # of one simulation: the first say what went wrong, the rest
 _log = logging.getLogger("fmuid.fmu")
 _loading = threading.Lock()  # loading changes the working directory of the whole process
 _spent: set[str] = set()  # digests of the FMUs instantiated so far in this process
-_abandoned: list[Log] = []  # of instances that failed fatally
+_abandoned: list[LogStruct] = []  # of instances that failed fatally
 
 
-def _callbacks(log: Log) -> fmi2CallbackFunctions:
+def _callbacks(log: LogStruct) -> fmi2CallbackFunctions:
     """Return callbacks whose logger formats the FMU's variadic messages and keeps them in a log.
 
     Memory comes from the C library. No callback enters Python: an FMU may call them while it steps.
@@ -156,7 +156,7 @@ class Instance:
         self.fmu, self.kind, self.name = fmu, kind, name
         self.version = fmu.description.major_version
         self.event_mode = self.version == 3 and kind == "co-simulation" and interface.event_mode
-        self._log, self._said = Log(), list[tuple[int, str]]()  # of FMI 2.0 and 3.0
+        self._log, self._said = LogStruct(), list[tuple[int, str]]()  # of FMI 2.0 and 3.0
         library = fmu.library(interface.identifier)
         self._residents = residents(fmu, kind)
         if self._residents:
@@ -262,7 +262,7 @@ class Instance:
                 self._residents.leave()
 
 
-def _free(native: Any, log: Log, those_there: Residents | None, thread: int) -> None:
+def _free(native: Any, log: LogStruct, those_there: Residents | None, thread: int) -> None:
     def free_now() -> None:
         free_instance = native.fmi3FreeInstance if isinstance(native, _FMU3) else native.fmi2FreeInstance
         with kept():

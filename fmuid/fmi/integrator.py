@@ -31,9 +31,9 @@ NAMES = {
 """The functions that model exchange requires, by version."""
 
 
-def function_table(version: int, address_of: Callable[[str], int]) -> native.Fmi2 | native.Fmi3:
+def function_table(version: int, address_of: Callable[[str], int]) -> native.Fmi2Struct | native.Fmi3Struct:
     """Return the core's table of the functions of a binary, by `address_of` their names without prefix."""
-    kind = native.Fmi2 if version == 2 else native.Fmi3
+    kind = native.Fmi2Struct if version == 2 else native.Fmi3Struct
     return kind(**{name: address_of(name) for name, _ in kind._fields_})
 
 
@@ -51,7 +51,7 @@ class Integrator:
         Of the FMI standard: 2 or 3.
     handle : int
         Address of the instance.
-    table : native.Fmi2 or native.Fmi3
+    table : native.Fmi2Struct or native.Fmi3Struct
         Its functions; without the optional CompletedIntegratorStep and GetDirectionalDerivative where they are not
         to be called.
     n_states, n_indicators : int
@@ -85,7 +85,7 @@ class Integrator:
         Address of the memory.
     curves : (n_u, 4) array
         Input j at time t is the polynomial in t - state.origin with these coefficients, lowest power first.
-    state : native.Integrator
+    state : native.IntegratorStruct
         How far it is, and what failed.
 
     Raises
@@ -98,7 +98,7 @@ class Integrator:
         self,
         version: int,
         handle: int,
-        table: native.Fmi2 | native.Fmi3,
+        table: native.Fmi2Struct | native.Fmi3Struct,
         n_states: int,
         n_indicators: int,
         *,
@@ -124,7 +124,7 @@ class Integrator:
         known = n_states > 0 and len(states) == len(derivatives) == n_states
         sundials = sundials_table() if integrator == "cvode" and n_states else None
         self._kept: list[Any] = [inputs, states, derivatives, list(twins), sensitivities]
-        how = native.Integration(
+        how = native.IntegrationStruct(
             instance=handle,
             n_states=n_states,
             n_indicators=n_indicators,
@@ -153,11 +153,11 @@ class Integrator:
             raise MemoryError("an integrator cannot allocate its memory")
         self.handle: int = made
         self._finalizer = weakref.finalize(self, core.integrator_free, made)
-        self.state = native.Integrator.from_address(made)
+        self.state = native.IntegratorStruct.from_address(made)
 
     def _extension(
         self, given: Sensitivities, states: NDArray[np.uint32], n: int, twins: Sequence[Integrator]
-    ) -> native.Sensitivities:
+    ) -> native.SensitivitiesStruct:
         count, handles = len(given.magnitudes), np.array([twin.handle for twin in twins], np.intp)
         if given.initial.shape != (count, n) or len(given.steps) != count or len(twins) not in (0, count):
             raise ValueError("the arrays of the sensitivities do not fit together")
@@ -165,7 +165,7 @@ class Integrator:
         if not twins:
             knowns[:, :n], knowns[:, n] = states, given.references
         self._kept += [knowns, handles]
-        return native.Sensitivities(
+        return native.SensitivitiesStruct(
             count=count,
             magnitudes=address(given.magnitudes),
             initial=address(given.initial),
@@ -184,7 +184,7 @@ def _check(integrator: str, tolerance: float, step_size: float | None) -> None:
         raise InputError(f"step_size = {step_size:g} must be a positive number of seconds")
 
 
-def sundials_table() -> native.Sundials:
+def sundials_table() -> native.SundialsStruct:
     """Return the functions of the SUNDIALS libraries that FMPy carries.
 
     Raises
@@ -203,13 +203,13 @@ def sundials_table() -> native.Sundials:
 
 
 @cache
-def _table_of(libraries: Any) -> native.Sundials:
+def _table_of(libraries: Any) -> native.SundialsStruct:
     loaded = [
         getattr(libraries, f"sundials_{name}")
         for name in ("core", "nvecserial", "sunmatrixdense", "sunlinsoldense", "cvode")
     ]
     found = {}
-    for name, _ in native.Sundials._fields_:
+    for name, _ in native.SundialsStruct._fields_:
         library = next(each for each in loaded if hasattr(each, name))
         found[name] = ctypes.cast(library[name], ctypes.c_void_p).value
-    return native.Sundials(**found)
+    return native.SundialsStruct(**found)

@@ -50,17 +50,17 @@ class Loop:
         self._integrators: list[Integrator | None] = []
         for i in range(len(instances)):
             self._integrators.append(self._integrator(i, plan, grid))
-        self._components = (native.Component * len(instances))(
+        self._components = (native.ComponentStruct * len(instances))(
             *(self._component(i, plan, used) for i in range(len(instances)))
         )
         self._lay_out_signals(plan)
-        self._operations = (native.Operation * len(plan.operations))(
+        self._operations = (native.OperationStruct * len(plan.operations))(
             *(self._operation(operation) for operation in plan.operations)
         )
         self._plan = self._lay_out(plan, grid)
         strides = grid.strides if (grid.strides > 1).any() else None
         arrays = (grid.times, grid.inputs, grid.slopes, grid.substeps, strides)
-        self._grid = native.Grid(len(grid.times), *map(address, arrays))
+        self._grid = native.GridStruct(len(grid.times), *map(address, arrays))
         self._bound = tuple(map(ctypes.byref, (self._plan, self._grid, self._cancel)))
 
     def run(self, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]) -> None:
@@ -89,14 +89,14 @@ class Loop:
         self._strings = np.array([cast(text, c_void_p).value for text in texts], np.intp)
         self._kept.append(texts)
 
-    def _lay_out(self, plan: Plan, grid: Grid) -> native.Plan:
-        stages = [native.Range(*map(int, plan.stages[i : i + 2])) for i in range(len(plan.stages) - 1)]
+    def _lay_out(self, plan: Plan, grid: Grid) -> native.PlanStruct:
+        stages = [native.RangeStruct(*map(int, plan.stages[i : i + 2])) for i in range(len(plan.stages) - 1)]
         n = len(self._instances)
-        after_step = (native.Range * n)(*stages[5:]) if plan.gauss_seidel else None
+        after_step = (native.RangeStruct * n)(*stages[5:]) if plan.gauss_seidel else None
         groups = self._groups(plan)
         self._kept += [after_step, groups]
         by_midpoint = bool((plan.input_modes == k.BY_MIDPOINT).any())
-        return native.Plan(
+        return native.PlanStruct(
             n_components=n,
             n_signals=len(plan.signals),
             n_parameters=len(plan.parameter_signals),
@@ -126,12 +126,12 @@ class Loop:
             by_rows=self._goes_by_rows(plan, grid),
         )
 
-    def _component(self, number: int, plan: Plan, used: NDArray[np.intp]) -> native.Component:
+    def _component(self, number: int, plan: Plan, used: NDArray[np.intp]) -> native.ComponentStruct:
         instance, table, integrator = self._instances[number], self._tables[number], self._integrators[number]
         if instance.version == 3 and instance.event_mode:
             for name in ("EnterEventMode", "UpdateDiscreteStates", "EnterStepMode"):
                 instance.required(name)
-        found = native.Component(
+        found = native.ComponentStruct(
             instance=instance.handle,
             integrator=integrator and integrator.handle,
             tolerance=plan.tolerances[number],
@@ -169,10 +169,10 @@ class Loop:
             twins=[twin for twin in (self._integrators[i] for i in wanted) if twin is not None],
         )
 
-    def _operation(self, given: Operation) -> native.Operation:
+    def _operation(self, given: Operation) -> native.OperationStruct:
         if given.function == k.COPY:
             factor, offset = self._plan_given.conversions[given.n_references]
-            return native.Operation(
+            return native.OperationStruct(
                 kind=native.COPY_ONE, signal=given.signal, source=given.reference, factor=factor, offset=offset
             )
         instance = self._instances[given.component]
@@ -180,7 +180,7 @@ class Loop:
         if given.function != k.SENSITIVITIES and name is not None:
             instance.required(name)
         memory = self._signals if given.wire == k.FLOAT64 else self._strings if given.wire == k.STRING else self._words
-        made = native.Operation(
+        made = native.OperationStruct(
             kind=_kind(given, instance.version),
             function=given.function,
             component=given.component,
@@ -203,19 +203,19 @@ class Loop:
         eventful = any(each.kind == "model-exchange" or each.version == 3 for each in self._instances)
         if not eventful and not plan.loops:
             return None
-        loops = (native.Loop * len(plan.loops))()
+        loops = (native.LoopStruct * len(plan.loops))()
         for made, loop in zip(loops, plan.loops, strict=True):
             n = len(loop.signals)
             work = np.zeros(2 * n + n * n)
-            made.get = native.Range(loop.first, loop.setting)
-            made.set = native.Range(loop.setting, loop.last)
+            made.get = native.RangeStruct(loop.first, loop.setting)
+            made.set = native.RangeStruct(loop.setting, loop.last)
             made.n, made.signals = n, self._keep(np.array(loop.signals, np.int64))
             made.unknowns = self._keep(work)
             made.residual, made.matrix = made.unknowns + 8 * n, made.unknowns + 16 * n
-        groups = (native.Group * len(plan.groups))()
+        groups = (native.GroupStruct * len(plan.groups))()
         for group, (first, last) in zip(groups, plan.groups.tolist(), strict=True):
             if first >= 0:
-                group.range = native.Range(first, last)
+                group.range = native.RangeStruct(first, last)
             else:
                 group.loop = ctypes.pointer(loops[last])
         self._kept.append(loops)

@@ -314,7 +314,7 @@ def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, tuple[Run, l
 
 
 def test_messages_are_formatted_and_bounded() -> None:
-    log, text = native.Log(), ctypes.c_char_p
+    log, text = native.LogStruct(), ctypes.c_char_p
     say = native.core()["log_message"]  # a handle of our own
     say.restype, say.argtypes = None, [ctypes.c_void_p, text, ctypes.c_int32, text, text]
     say(ctypes.byref(log), b"name", 1, b"category", b"%s of %d", text(b"seven"), ctypes.c_int(9))

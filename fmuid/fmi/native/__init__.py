@@ -26,17 +26,17 @@ METHODS = {"rk4": 0, "rk45": 1, "cvode": 2}
 
 
 class Mirror(Structure):
-    """A structure of the core; all that are derived from this one are checked against the library."""
+    """A structure of the core, named like it with Struct behind; all derived ones are checked against the library."""
 
     kinds: ClassVar[dict[str, type[Mirror]]] = {}
     whole: ClassVar[bool] = True  # whether all fields are mirrored
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        cls.kinds[cls.__name__] = cls
+        cls.kinds[cls.__name__.removesuffix("Struct")] = cls
 
 
-class Fmi2(Mirror):
+class Fmi2Struct(Mirror):
     """Addresses of the functions of a binary of FMI 2.0."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
@@ -52,7 +52,7 @@ class Fmi2(Mirror):
     ]
 
 
-class Fmi3(Mirror):
+class Fmi3Struct(Mirror):
     """The same of FMI 3.0."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
@@ -69,7 +69,7 @@ class Fmi3(Mirror):
     ]
 
 
-class Report(Mirror):
+class ReportStruct(Mirror):
     """How a simulation ended; an array of these is one of words, `codes.REPORT` to a row."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
@@ -78,70 +78,75 @@ class Report(Mirror):
     ]
 
 
-class Curve(Mirror):
+class CurveStruct(Mirror):
     """A polynomial of an input."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [("a", c_double * 4)]
 
 
-class Component(Mirror):
+class ComponentStruct(Mirror):
     """An instance, and how it is run."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
-        *(("instance", c_void_p), ("fmi2", POINTER(Fmi2)), ("fmi3", POINTER(Fmi3)), ("integrator", c_void_p)),
+        *(
+            ("instance", c_void_p),
+            ("fmi2", POINTER(Fmi2Struct)),
+            ("fmi3", POINTER(Fmi3Struct)),
+            ("integrator", c_void_p),
+        ),
         *(("tolerance", c_double), ("used", c_void_p), ("event_mode", c_int32), ("mode", c_int32)),
         *(("time", c_double), ("begun", c_double)),
     ]
 
 
-class Operation(Mirror):
+class OperationStruct(Mirror):
     """One transfer of values."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         *((name, c_int32) for name in ("kind", "function", "component", "wire", "when")),
         *(("count", c_size_t), ("references", c_void_p), ("signal", c_size_t), ("n_values", c_size_t)),
-        *(("values", c_void_p), ("last", c_void_p), ("instance", c_void_p), ("fmi2", POINTER(Fmi2))),
+        *(("values", c_void_p), ("last", c_void_p), ("instance", c_void_p), ("fmi2", POINTER(Fmi2Struct))),
         *(("source", c_size_t), ("factor", c_double), ("offset", c_double)),
     ]
 
 
-class Range(Mirror):
+class RangeStruct(Mirror):
     """Operations from one number up to another."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [("first", c_size_t), ("last", c_size_t)]
 
 
-class Loop(Mirror):
+class LoopStruct(Mirror):
     """A loop of direct feed-through."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
-        *(("get", Range), ("set", Range), ("n", c_size_t), ("signals", c_void_p)),
+        *(("get", RangeStruct), ("set", RangeStruct), ("n", c_size_t), ("signals", c_void_p)),
         *((name, c_void_p) for name in ("unknowns", "residual", "matrix")),
     ]
 
 
-class Group(Mirror):
+class GroupStruct(Mirror):
     """A part of the exchange."""
 
-    _fields_: ClassVar[list[tuple[str, Any]]] = [("range", Range), ("loop", POINTER(Loop))]
+    _fields_: ClassVar[list[tuple[str, Any]]] = [("range", RangeStruct), ("loop", POINTER(LoopStruct))]
 
 
-class Plan(Mirror):
+class PlanStruct(Mirror):
     """What is simulated."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         *((f"n_{name}", c_size_t) for name in ("components", "signals", "parameters", "inputs", "outputs", "groups")),
-        *(("components", POINTER(Component)), ("operations", POINTER(Operation))),
-        *((name, Range) for name in ("start_values", "inputs", "exchange", "outputs", "slopes")),
-        *(("after_step", POINTER(Range)), ("groups", POINTER(Group)), ("signals", c_void_p)),
+        *(("components", POINTER(ComponentStruct)), ("operations", POINTER(OperationStruct))),
+        *((name, RangeStruct) for name in ("start_values", "inputs", "exchange", "outputs", "slopes")),
+        *(("after_step", POINTER(RangeStruct)), ("groups", POINTER(GroupStruct)), ("signals", c_void_p)),
         *((f"{name}_signals", c_void_p) for name in ("start", "parameter", "input", "slope", "output")),
         *((name, c_void_p) for name in ("output_terms", "input_modes", "curves")),
-        *((name, POINTER(Operation)) for name in ("direct_inputs", "direct_outputs")),
+        *((name, POINTER(OperationStruct)) for name in ("direct_inputs", "direct_outputs")),
         *(("ones", c_void_p), ("curved", c_int32), ("midpoints", c_int32), ("by_rows", c_int32)),
     ]
 
 
-class Grid(Mirror):
+class GridStruct(Mirror):
     """The samples."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
@@ -150,7 +155,7 @@ class Grid(Mirror):
     ]
 
 
-class Sundials(Mirror):
+class SundialsStruct(Mirror):
     """Addresses of the functions of SUNDIALS."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
@@ -165,7 +170,7 @@ class Sundials(Mirror):
     ]
 
 
-class Sensitivities(Mirror):
+class SensitivitiesStruct(Mirror):
     """What is integrated with the states."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
@@ -174,41 +179,41 @@ class Sensitivities(Mirror):
     ]
 
 
-class Integration(Mirror):
+class IntegrationStruct(Mirror):
     """How a component for model exchange is integrated."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
-        *(("instance", c_void_p), ("fmi2", POINTER(Fmi2)), ("fmi3", POINTER(Fmi3))),
+        *(("instance", c_void_p), ("fmi2", POINTER(Fmi2Struct)), ("fmi3", POINTER(Fmi3Struct))),
         *((f"n_{name}", c_size_t) for name in ("states", "indicators", "inputs", "input_references")),
         *((name, c_void_p) for name in ("input_references", "curves", "state_references", "derivative_references")),
         *((name, c_double) for name in ("tolerance", "largest_step", "limit")),
         *((name, c_int32) for name in ("method", "straight", "follows")),
-        *(("sensitivities", POINTER(Sensitivities)), ("sundials", POINTER(Sundials))),
+        *(("sensitivities", POINTER(SensitivitiesStruct)), ("sundials", POINTER(SundialsStruct))),
     ]
 
 
-class Integrator(Mirror):
+class IntegratorStruct(Mirror):
     """The part of an integrator's memory that is looked at from here."""
 
     whole = False
     _fields_: ClassVar[list[tuple[str, Any]]] = [
-        ("how", Integration),
+        ("how", IntegrationStruct),
         *((name, c_double) for name in ("origin", "time", "step_start", "step_end", "step_length")),
         *(("next_step", c_double), ("next_event", c_double), ("n_steps", c_size_t), ("n_events", c_size_t)),
-        *(("report", Report), ("cancel", c_void_p)),
+        *(("report", ReportStruct), ("cancel", c_void_p)),
     ]
 
 
-class Message(Mirror):
+class MessageStruct(Mirror):
     """What an FMU says."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [("status", c_int32), ("text", c_char * 2048)]
 
 
-class Log(Mirror):
+class LogStruct(Mirror):
     """All that an instance has said since the count was set to 0, and a bounded number of messages."""
 
-    _fields_: ClassVar[list[tuple[str, Any]]] = [("count", c_int32), ("messages", Message * 20)]
+    _fields_: ClassVar[list[tuple[str, Any]]] = [("count", c_int32), ("messages", MessageStruct * 20)]
 
 
 class _Place(Structure):
