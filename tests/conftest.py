@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import pandas as pd
@@ -58,6 +59,31 @@ def _probe_library(folder: Path, defines: tuple[str, ...]) -> bytes:
     command += ["-Wno-unused-parameter"] + [f"-D{define}" for define in defines] + [str(HERE / "probe" / "probe.c")]
     subprocess.run(command, check=True, capture_output=True)
     return library.read_bytes()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Have the tests of a module run in one process, so that its fixtures are made once; spoiled inputs take longest."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByModule(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return nodeid if "test_fuzz.py" in nodeid else nodeid.split("::", 1)[0]
+
+    return ByModule(config, log)
+
+
+@pytest.fixture
+def blank_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made and written, but nothing is laid out or drawn in them, which takes longer than all the rest."""
+    if "drawn_figures" not in request.fixturenames:
+        monkeypatch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
+        monkeypatch.setattr("matplotlib.backends.backend_agg.FigureCanvasAgg.draw", lambda self: self.get_renderer())
+
+
+@pytest.fixture
+def drawn_figures() -> None:
+    """Figures are drawn in a test of a module that has them blank."""
 
 
 @pytest.fixture(scope="session")

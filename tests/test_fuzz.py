@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tests.support import fuzz_cases as fuzz
 
 MORE = int(os.environ.get("FMUID_FUZZ", "1"))
-EXAMPLES = {"study": 60, "override": 40, "nested": 8, "table": 70, "fmu": 50, "result": 50, "package": 40, "batch": 60}
+EXAMPLES = {"study": 35, "override": 25, "nested": 5, "table": 35, "fmu": 30, "result": 30, "package": 25, "batch": 35}
 
 
 @pytest.fixture(scope="module")

@@ -40,6 +40,7 @@ from fmuid.studies.study import Study
 from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_
 from tests.support.isolated import wait_until
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
 DRAWS = 30
 # Samples of a table whose identification takes long enough to be disturbed.
 LONG, STEP = 6000, 1e-3

@@ -26,6 +26,8 @@ from fmuid.studies.study import Study
 from tests.support.coil_study import COIL, NOISE, STUDY, L, R, coil_current, coil_table, fmuid_, result
 from tests.support.paths import FMUS
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
 SECOND = """
 i_start = { start = 0.0, nominal = 0.1, per_experiment = true }
 [[experiments]]
@@ -73,6 +75,7 @@ def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert word in out
 
 
+@pytest.mark.usefixtures("drawn_figures")
 def test_identify_writes_tables_and_figures(folder: Path) -> None:
     assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out") == DONE
     out = folder / "deep/out"

@@ -21,6 +21,8 @@ from fmuid.reports.console import progress
 from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_, result
 from tests.support.interrupting import SIGNALS, command, killing
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
 GLOBAL = '[estimator]\nmethod = "global"\n'
 ANSWER = "interrupted: saving what has been found (Ctrl-C again ends it without)"
 

@@ -30,7 +30,10 @@ from fmuid.studies.study import Study
 from tests.support.isolated import RECORD_FRAME, TIMES, U, computing, wait_until
 from tests.support.misbehaving import Mode, lag, misbehaving_fmu
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
+    pytest.mark.usefixtures("blank_figures"),
+]
 
 TRUTH = {"gain": 2.5, "T": 0.6}
 FRAME = RECORD_FRAME.assign(x=lag(TIMES, U, **TRUTH) + 0.01 * np.random.default_rng(5).normal(size=TIMES.size))
