@@ -66,11 +66,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Have the tests of a module run in one process, so that its fixtures are made once; spoiled inputs take longest."""
     from xdist.scheduler import LoadScopeScheduling
 
-    class ByModule(LoadScopeScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            return nodeid if "test_fuzz.py" in nodeid else nodeid.split("::", 1)[0]
-
-    return ByModule(config, log)
+    scheduling = LoadScopeScheduling(config, log)
+    scheduling._split_scope = lambda test: test if "test_fuzz.py" in test else test.split("::", 1)[0]
+    return scheduling
 
 
 @pytest.fixture

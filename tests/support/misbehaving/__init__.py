@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import threading
 import zipfile
 from collections.abc import Mapping
 from enum import IntEnum
@@ -97,7 +98,7 @@ def misbehaving_fmu(
     extra: int = 0,
     **attributes: str,
 ) -> Path:
-    """Write the FMU into a folder; return its path.
+    """Write the FMU into a folder where it is not there yet; return its path.
 
     Parameters
     ----------
@@ -116,22 +117,25 @@ def misbehaving_fmu(
     attributes : str
         Further ones of <CoSimulation>.
     """
-    library = _library(folder, version, at_loading)
     words = [
         token,
         tool,
-        *attributes,
+        *(f"{name}={value}" for name, value in attributes.items()),
         *([] if at_loading is None else [at_loading.name]),
         *([str(extra)] if extra else []),
     ]
     path = folder / f"misbehaving{version}-{'-'.join(words)}.fmu"
-    with zipfile.ZipFile(path, "w") as archive:
+    if path.exists():  # somebody may be reading it
+        return path
+    library, draft = _library(folder, version, at_loading), path.with_suffix(f".{threading.get_ident()}")
+    with zipfile.ZipFile(draft, "w") as archive:
         description = (
             _description2(token, tool, attributes, extra) if version == 2 else _description3(token, tool, attributes)
         )
         archive.writestr("modelDescription.xml", description)
         system = fmpy.platform if version == 2 else fmpy.platform_tuple
         archive.writestr(f"binaries/{system}/misbehaving{fmpy.sharedLibraryExtension}", library)
+    draft.replace(path)
     return path
 
 
