@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 import fmuid
 from fmuid.assessment.prior_and_data import Obstacle
+from fmuid.estimation import Accuracy, AccuracyOutcome
 from fmuid.estimation.covariance import Determined, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.files import as_json
+from fmuid.models import HowRun
+from fmuid.reports.words.accuracy import passed_words
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.prior_and_data import obstacle_words
 from fmuid.reports.words.result import ENDS, ending
@@ -91,3 +94,16 @@ def test_directions(direction: Direction, said: str) -> None:
 )
 def test_why_the_data_alone_are_extrapolated(obstacle: Obstacle, said: str) -> None:
     assert said in obstacle_words(obstacle)
+
+
+@pytest.mark.parametrize(
+    ("shift", "said"),
+    [
+        ([0.01, math.nan], "it moves the estimates by 0.01 std at most"),
+        ([math.nan, math.nan], "it changes the outputs by 0.02 standard deviations in all"),
+    ],
+)
+def test_a_check_without_standard_deviations_tells_what_it_changes(shift: list[float], said: str) -> None:
+    finer = {"": asdict(HowRun("2.0", "co-simulation", None, False, None, None, 4))}
+    found = Accuracy(AccuracyOutcome.PASSED, np.array(shift), finer, finer, change=0.02)
+    assert passed_words(found) == f"simulation checked by FMI 2.0 co-simulation, each step divided by 4: {said}"

@@ -38,7 +38,10 @@ def passed_words(found: Accuracy) -> str:
     """Return the sentence on a simulation that has passed its check, nothing for others."""
     if found.outcome is not AccuracyOutcome.PASSED or not found.finer:
         return ""
-    return f"simulation checked by {runs_words(found.finer)}: it moves the estimates by {found.largest:.1g} std at most"
+    checked = f"simulation checked by {runs_words(found.finer)}"
+    if math.isnan(found.largest):  # no estimate has a standard deviation
+        return f"{checked}: it changes the outputs by {found.change:.1g} standard deviations in all"
+    return f"{checked}: it moves the estimates by {found.largest:.1g} std at most"
 
 
 def _optima(count: int) -> str:
