@@ -65,7 +65,7 @@ What a failure leaves open is -1, or not a number.
 UNDONE, DONE_WELL = -2, -1  # the status in a report of a simulation that is not over, or that nothing ended early
 OK, WARNING, DISCARD, ERROR = range(4)  # statuses of the FMI; after an ERROR a reset is allowed
 
-# What a worker is doing: nothing; making instances; simulating; trying whether a reset works; freeing its instances.
+# What a thread is doing: nothing; making instances; simulating; trying whether a reset works; freeing its instances.
 IDLE, PREPARING, SIMULATING, REPEATING, CLOSING = range(5)
 
 HELD, BY_DERIVATIVE, BY_STEPPER, BY_MIDPOINT = range(4)  # what an input does between two samples

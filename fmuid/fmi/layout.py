@@ -121,7 +121,7 @@ def new_reports(count: int) -> NDArray[np.intp]:
 
 
 class Run:
-    """What workers simulate: a plan over a grid. It can travel to another process.
+    """What threads simulate: a plan over a grid. It can travel to another process.
 
     Parameters
     ----------
@@ -155,6 +155,6 @@ class Run:
 
 
 def shares(total: int, count: int) -> list[slice]:
-    """Return the shares of `count` workers in `total` simulations."""
+    """Return the shares of `count` threads in `total` simulations."""
     edges = [total * i // count for i in range(count + 1)]
     return [slice(a, b) for a, b in itertools.pairwise(edges)]

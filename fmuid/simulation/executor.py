@@ -1,4 +1,4 @@
-"""Who runs the FMUs of a system: workers in this process, or in one of their own (`fmuid.simulation.isolation`)."""
+"""Who runs the FMUs of a system: threads of this process, or of one of its own (`fmuid.simulation.isolation`)."""
 
 from __future__ import annotations
 

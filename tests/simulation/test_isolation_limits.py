@@ -154,11 +154,11 @@ def test_what_fmuid_itself_gives_a_process_does_not_count(folder: Path) -> None:
     simulator = Simulator(misbehaving_fmu(folder), record, NAMES, isolation=Isolation(threads=1))
     some = [[2.0, 0.5, 0.0]] * 4
     before = simulator(some)
-    workers: Any = executor_of(simulator.system)
-    host = workers._host()
+    executor: Any = executor_of(simulator.system)
+    host = executor._host()
     host._limit = Footprint(host.pid).read() - 56e6 + 25e6
     assert np.array_equal(simulator(some), before)
-    assert workers._host() is host
+    assert executor._host() is host
 
 
 @linux

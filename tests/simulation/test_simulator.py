@@ -17,8 +17,8 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
+from fmuid.simulation.simulation_thread import SimulationThread
 from fmuid.simulation.simulator import Simulator
-from fmuid.simulation.worker import Worker
 from tests.support.closed_forms import coil_response, park_rates
 from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS
@@ -335,15 +335,15 @@ def test_an_interruption_ends_the_simulations_of_other_threads(tmp_path: Path, m
     path = hybrid_fmu(tmp_path, "van_der_pol", attributes='canBeInstantiatedOnlyOncePerProcess="false"')
     simulator = Simulator(System(path, numerics=numerics), experiment, ["start0"], values={"p0": 1.0})
     other = threading.Event()
-    original = Worker._simulate
+    original = SimulationThread._simulate
 
-    def simulate(worker: Worker, *arguments: Any) -> None:
-        if worker._index == 0:
+    def simulate(thread: SimulationThread, *arguments: Any) -> None:
+        if thread._index == 0:
             assert other.wait(60.0)
             raise KeyboardInterrupt
         other.set()
-        original(worker, *arguments)
+        original(thread, *arguments)
 
-    monkeypatch.setattr(Worker, "_simulate", simulate)
+    monkeypatch.setattr(SimulationThread, "_simulate", simulate)
     with pytest.raises(KeyboardInterrupt):
         simulator([[2.0], [2.0]])

@@ -86,7 +86,7 @@ class Keeper:
         return max(LEAST_LIMIT, SLOWER * self.longest) if self.longest else FIRST_LIMIT
 
     def bury(self) -> NDArray[np.intp]:
-        """Part with a process that has come to its end; return what its workers were doing, nothing without one."""
+        """Part with a process that has come to its end; return what its threads were doing, nothing without one."""
         if not self._hosts:
             return np.zeros(0, np.intp)
         host = self._hosts.pop()

@@ -185,7 +185,7 @@ class Host:
     Attributes
     ----------
     doing : (`host.DOING`,) array of intp
-        What each of its workers is doing, and how often it has begun.
+        What each of its threads is doing, and how often it has begun.
     simulations : int
         How many it was given.
     records : dict of int to int
@@ -221,7 +221,7 @@ class Host:
 
     @property
     def states(self) -> NDArray[np.intp]:
-        """What each of its workers is doing."""
+        """What each of its threads is doing."""
         return self.doing[::2]
 
     def room(self, shape: tuple[int, int, int, int]) -> tuple[far.Arrays, int]:
@@ -245,10 +245,10 @@ class Host:
         Parameters
         ----------
         limit : float
-            How long it may take until a worker begins with something else, or one more report is done, s.
+            How long it may take until a thread begins with something else, or one more report is done, s.
         reports : (m, codes.REPORT) array, optional
         idle_limit : float, optional
-            How long it may take while all workers are idle, s; default: `limit`.
+            How long it may take while all threads are idle, s; default: `limit`.
 
         Raises
         ------

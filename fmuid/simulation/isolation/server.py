@@ -39,7 +39,7 @@ AVAILABLE = hasattr(os, "fork") and hasattr(socket, "send_fds")
 """Whether this platform can fork processes and pass files to them: Linux and macOS can."""
 
 DOING = 512
-"""Words at the beginning of the shared memory: two for each worker, what it is doing and how often it has begun."""
+"""Words at the beginning of the shared memory: two for each thread, what it is doing and how often it has begun."""
 
 ORDER_BYTES = 4096  # of an order to the server
 ORPHANS_TAKE = 2.0  # s at most to end
@@ -173,8 +173,8 @@ class Service:
             self._executor.close()
 
     def _watch(self) -> None:
-        """Let all workers of this process write what they are doing where the other side sees it."""
-        from fmuid.simulation.worker import shared_words
+        """Let all threads of this process write what they are doing where the other side sees it."""
+        from fmuid.simulation.simulation_thread import shared_words
 
         self._memory = mmap.mmap(self._file, 8 * DOING)
         shared_words.append(np.frombuffer(self._memory, np.intp, DOING))

@@ -31,7 +31,7 @@ MESSAGES_TOLD = 3  # of one failed simulation
 
 
 shared_words: list[NDArray[np.intp]] = []
-"""Where the workers of a process that is watched write what they are doing; empty in any other."""
+"""Where the threads of a process that is watched write what they are doing; empty in any other."""
 
 _slots = itertools.count()
 
@@ -43,11 +43,11 @@ def _words() -> NDArray[np.intp]:
     return shared_words[0][at : at + 2]
 
 
-class Worker:
+class SimulationThread:
     """One instance of every component of a system, used by one thread only.
 
     All calls to an instance, from instantiation to freeing, come from the same thread: some FMUs keep
-    thread-local data. The first worker is the caller's own thread, the others have one each.
+    thread-local data. The first is the caller's own thread.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Worker:
         self.longest = 0.0
 
     def start(self, task: Callable[..., None], *arguments: Any) -> Future[None] | None:
-        """Run a task in this worker's thread: at once, or returning a future; an OSError where it cannot have one."""
+        """Run a task in this thread: at once, or returning a future; an OSError where it cannot have one."""
         self._cancelled = False
         if self._executor is not None:
             try:
