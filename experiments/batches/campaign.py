@@ -23,14 +23,13 @@ STUDY = """
 [model]
 fmu = "{fmu}"
 [[experiments]]
-table = "table.csv"
+table = "{table}"
 inputs = ["u"]
 outputs = ["i"]
 interpolation = "hold"
 [parameters]
 R = {{ start = 6.0, min = 0.0 }}
 L = {{ start = 0.05, min = 1e-3 }}
-[batch]
 """
 DRAWS = "noise = {{ draws = {draws}, std = 0.02, truth = {{ R = 4.0, L = 0.1 }} }}\n"
 FLEET = 'tables = "records/*.csv"\nstarts = {starts}\n'
@@ -70,7 +69,8 @@ def _write(folder: Path, batch: str, samples: int = SAMPLES) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     write_table(folder / "table.csv", seed=1, samples=samples)
     path = folder / "study.toml"
-    path.write_text(STUDY.format(fmu=(FMUS / "Coil" / "Coil.fmu").as_posix()) + batch, encoding="utf-8")
+    text = STUDY.format(fmu=(FMUS / "Coil" / "Coil.fmu").as_posix(), table="table.csv")
+    path.write_text(f"{text}[batch]\n{batch}", encoding="utf-8")
     return path
 
 

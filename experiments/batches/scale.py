@@ -3,8 +3,8 @@
     python -m experiments.batches.scale [--cases 1000000] [--minutes 10] [--workers 2] [--rows 1000000]
 
 The model is a coil: 50 samples, two parameters, a draw of the noise a case. The batch runs as a command, which is
-killed (SIGKILL) after a third of the time and given again, and interrupted as by Ctrl-C after the rest of the time if
-it has not ended. Printed are
+killed (SIGKILL) after a third of the time and given again, and ended (SIGTERM) after the rest of the time if it has not
+ended by itself. Printed are
 
 - CPU time a case of a plain loop over `CaseRunner`, and of each kind of process of the batch, start left out;
 - how long after the second command the first new case was finished;
@@ -151,8 +151,8 @@ class Run:
         """Return cases, CPU time (s) by kind, and the time that passed (s), start and end left out."""
         when = finished.astype("int64") / 1e6
         begun = when[when > self.began].min()
-        usable = [each for each in self.samples if each.when > begun]
-        first, last = usable[int(WARM * len(usable))], usable[-2]
+        usable = [each for each in self.samples if each.when > begun and "hosts" in each.kinds.values()]
+        first, last = usable[int(WARM * len(usable))], usable[-2]  # in the last one some may have ended
         computed = dict.fromkeys(KINDS, 0.0)
         for pid in set(first.computed) & set(last.computed):
             computed[last.kinds[pid]] += last.computed[pid] - first.computed[pid]
@@ -222,7 +222,7 @@ def main() -> None:
         runs = [Run(study, output, *words)]
         if not runs[0].wait(20.0 * chosen.minutes, signal.SIGKILL):
             runs.append(Run(study, output, *words))
-            runs[1].wait(40.0 * chosen.minutes, signal.SIGINT)
+            runs[1].wait(40.0 * chosen.minutes, signal.SIGTERM)
         plain.append(loop(study))
         finished = pd.read_parquet(output / "cases", columns=["finished"])["finished"]
         rate = show_costs(sum(plain) / 2, runs, finished)

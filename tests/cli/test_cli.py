@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 
 import fmuid
+from experiments.batches.campaign import NOISE, L, R, coil_current
 from fmuid.cli import app as cli
 from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import ModelicaWarning
@@ -23,7 +24,7 @@ from fmuid.progress import Event, SearchStep
 from fmuid.reports.console import progress
 from fmuid.studies import draft as study_init
 from fmuid.studies.study import Study
-from tests.support.coil_study import COIL, NOISE, STUDY, L, R, coil_current, coil_table, fmuid_, result
+from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_, result
 from tests.support.paths import FMUS
 
 pytestmark = pytest.mark.usefixtures("blank_figures")

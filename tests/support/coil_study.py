@@ -6,50 +6,18 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-import pandas as pd
-
+from experiments.batches import campaign
+from experiments.batches.campaign import NOISE
 from fmuid.cli.app import run
 from tests.support.paths import FMUS
 
 COIL = FMUS / "Coil/Coil.fmu"
-
-
-R, L, NOISE, STEP = 4.0, 0.1, 0.02, 1e-3
-
-
-def coil_current(voltage: npt.NDArray[np.float64], start: float) -> npt.NDArray[np.float64]:
-    """Return the current of the coil for a held voltage: exact, sample by sample."""
-    decay = np.exp(-R / L * STEP)
-    current = np.empty(voltage.size)
-    current[0] = start
-    for k in range(voltage.size - 1):
-        current[k + 1] = decay * current[k] + (1 - decay) / R * voltage[k]
-    return current
+STUDY = 'title = "Coil"' + campaign.STUDY.format(fmu=COIL.as_posix(), table="first.csv")
 
 
 def coil_table(path: Path, start: float, seed: int, noise: float = NOISE) -> None:
-    rng = np.random.default_rng(seed)
-    voltage = np.repeat(rng.choice([-1.0, 1.0], 40), 15)
-    current = coil_current(voltage, start) + noise * rng.normal(size=voltage.size)
-    times = np.linspace(0.0, STEP * (voltage.size - 1), voltage.size)
-    pd.DataFrame({"time": times, "u": voltage, "i": current}).to_csv(path, index=False)
-
-
-STUDY = f"""
-title = "Coil"
-[model]
-fmu = "{COIL.as_posix()}"
-[[experiments]]
-table = "first.csv"
-inputs = ["u"]
-outputs = ["i"]
-interpolation = "hold"
-[parameters]
-R = {{ start = 6.0, min = 0.0 }}
-L = {{ start = 0.05, min = 1e-3 }}
-"""
+    """Write a record of 600 samples that begins with a current, A."""
+    campaign.write_table(path, seed, 600, start, noise)
 
 
 def result(folder: Path) -> dict[str, Any]:
