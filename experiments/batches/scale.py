@@ -34,6 +34,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from experiments.batches.campaign import command, family, left_over, write_study
+from fmuid.batches.batch import Batch
 from fmuid.batches.dataset import PART_ROWS
 from fmuid.batches.worker import SINGLE_THREADED
 
@@ -201,8 +202,6 @@ def show_summary(study: Path, output: Path, rows: int, folder: Path) -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     cases, took, before, after = json.loads(done.stdout)
     print(f"summary of {cases} rows: {took:.1f} s, {after:.0f} MB at most ({before:.0f} before)")
-    disk = sum(path.stat().st_size for path in (folder / "many").glob("cases/*"))
-    print(f"on the disk: {disk / cases:.0f} bytes a case")
 
 
 def main() -> None:
@@ -232,6 +231,9 @@ def main() -> None:
             again = finished[finished.astype("int64") / 1e6 > runs[1].began].min()
             print(f"the first new case was finished {again.timestamp() - runs[1].began:.1f} s after the second command")
         show_memory(runs)
+        Batch(study, output, max_cases=chosen.cases).dataset.compact()
+        disk = sum(path.stat().st_size for path in output.glob("cases/*"))
+        print(f"on the disk: {disk / len(finished):.0f} bytes a case")
         show_summary(study, output, chosen.rows, folder)
         print(f"load {os.getloadavg()[0]:.1f}")
 

@@ -27,7 +27,12 @@ def flat_names(study: Study) -> dict[str, str]:
 
 
 def problem_of(
-    study: Study, experiments: Sequence[Experiment], free: Sequence[str], held: Values, starts: Mapping[str, float]
+    study: Study,
+    experiments: Sequence[Experiment],
+    free: Sequence[str],
+    held: Values,
+    starts: Mapping[str, float],
+    simulators: Sequence[Simulator] = (),
 ) -> Problem:
     """Return the problem of a case with the study's own model, whose instances all cases share.
 
@@ -41,6 +46,8 @@ def problem_of(
         Variables held at other values than the study's.
     starts : mapping of str to float
         Starts in place of the study's.
+    simulators : sequence of Simulator, optional
+        Of the problem of another case with the same inputs, free parameters and held values.
 
     Raises
     ------
@@ -65,6 +72,7 @@ def problem_of(
         joint_prior=joint,
         loss=study.loss,
         sensitivity=study.sensitivity,
+        simulators=simulators,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import os
@@ -9,7 +10,7 @@ import platform
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -25,9 +26,10 @@ from fmuid.batches.draws import noise
 from fmuid.batches.parcel import Copies
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
-from fmuid.estimation import Outcome, Result
+from fmuid.estimation import Direction, Outcome, Result
+from fmuid.files import as_json
 from fmuid.model_problem import Problem
-from fmuid.simulation import executor_of
+from fmuid.simulation import Simulator, executor_of
 from fmuid.studies import ExperimentSettings, NoiseDraws, Study, Value
 
 Key = TypeVar("Key")
@@ -90,6 +92,7 @@ class CaseRunner:
         self._drawn, self._seed = self.cases.settings.noise, self.cases.settings.seed
         self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.outputs))
         self._tables: _Recent[Path | None, tuple[Experiment, ...]] = _Recent()
+        self._simulators: dict[object, tuple[Simulator, ...]] = {}  # of the case before
         self._truths: _Recent[object, tuple[Floats, ...]] = _Recent()
         self._worker = f"{platform.node()}:{os.getpid()}"
         self._system = study.system
@@ -106,6 +109,8 @@ class CaseRunner:
             If that ends the case.
         """
         case, began = self.cases[index], time.perf_counter()
+        if any(each.stiff for kept in self._simulators.values() for each in kept):
+            self._simulators.clear()  # they would go on as such, and what a case gives depend on the one before it
         with _warnings_of_this_thread() as warnings:
             found = self._found(case)
         elapsed, printed = time.perf_counter() - began, executor_of(self._system).printed()
@@ -139,7 +144,10 @@ class CaseRunner:
         experiments = self._tables.get(case.table, lambda: self._read(case.table))
         if case.draw is not None and self._drawn is not None:
             experiments = self._disturbed(case, case.draw, self._drawn, experiments)
-        return problem_of(self.study, experiments, case.free, case.held, case.starts)
+        key = case.table, case.free, tuple(case.held.items())
+        problem = problem_of(self.study, experiments, case.free, case.held, case.starts, self._simulators.get(key, ()))
+        self._simulators = {key: problem.simulators}
+        return problem
 
     def _identify(self, problem: Problem) -> Result:
         result = self.study.estimator.search(problem)
@@ -184,6 +192,7 @@ class CaseRunner:
             **{name: types[name] for name in self.cases.columns},
             "status": TEXT,
             "message": TEXT,
+            "undetermined": TEXT,
             **{f"{word}.{name}": NUMBER for word in ("value", "std") for name in names},
             **{f"noise.{name}": NUMBER for name in outputs},
             "criterion": NUMBER,
@@ -202,6 +211,7 @@ def _words_of(result: Result) -> dict[str, object]:
     return {
         "status": "converged" if result.converged else "not converged",
         "message": result.outcome.value,
+        "undetermined": directions_text(result.undetermined),
         **{f"value.{name}": value for name, value in zip(result.names, result.values.tolist(), strict=True)},
         **{f"std.{name}": value for name, value in zip(result.names, std.tolist(), strict=True)},
         **{f"noise.{name}": value for name, value in result.noise_variance.items()},
@@ -210,8 +220,18 @@ def _words_of(result: Result) -> dict[str, object]:
     }
 
 
+def directions_text(directions: Sequence[Direction]) -> str:
+    """Return directions as the JSON that ``result.json`` has of them; nothing where there are none."""
+    return json.dumps(as_json(directions)) if directions else ""
+
+
+def directions_of(text: str) -> tuple[Direction, ...]:
+    """Return the directions of a row's ``undetermined``."""
+    return tuple(Direction.of_json(each) for each in json.loads(text)) if text else ()
+
+
 def _failure(message: str) -> dict[str, object]:
-    return {"status": "failed", "message": message}
+    return {"status": "failed", "message": message, "undetermined": ""}
 
 
 def _type_of(value: object) -> str:

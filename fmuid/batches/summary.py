@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.batches.dataset import Dataset
-from fmuid.batches.run_case import VOLATILE
+from fmuid.batches.run_case import VOLATILE, directions_of
 from fmuid.batches.statistics import (
     Columns,
     converged,
@@ -23,6 +23,7 @@ from fmuid.batches.statistics import (
     optimum_numbers,
     statistics,
 )
+from fmuid.estimation import Determined
 
 # A setting with more levels than this is no heading of a group; nor are there more groups than that.
 MAX_LEVELS, MAX_GROUPS = 20, 100
@@ -33,9 +34,10 @@ EQUALLY_WELL = 5e-4
 
 STATUSES = ["converged", "not converged", "failed"]
 # Columns that no statistics are made of.
-NOT_SUMMARIZED = ("message", "iterations", "simulations", "rejected", *VOLATILE)
+NOT_SUMMARIZED = ("message", "undetermined", "iterations", "simulations", "rejected", *VOLATILE)
 
-_NO_FAILURES = pd.DataFrame({"status": [""], "message": [""], "cases": [0], "first": [0]}).iloc[:0]
+_KIND = ["status", "message", "undetermined"]
+_NO_FAILURES = pd.DataFrame([("", "", (), 0, 0)], columns=[*_KIND, "cases", "first"]).iloc[:0]
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:0x[0-9a-fA-F]++|\d++(?:\.\d++)?+(?:[eE][-+]?\d++)?+)(?!\w)")
 _TRUTH_COLUMNS = (
     "truth",
@@ -87,8 +89,9 @@ class Summary:
     statuses : DataFrame
         ``status``, ``cases`` and ``share``, a row each of converged, not converged and failed.
     failures : DataFrame
-        ``status``, ``message`` with ``#`` in place of numbers, ``cases``, and ``first``, the number of the first of
-        them; the most frequent first.
+        ``status``, ``message`` with ``#`` in place of numbers, ``undetermined`` (pairs of a `Determined` and the names
+        along a direction, a tuple of them), ``cases``, and ``first``, the number of the first of them; the most
+        frequent first.
     parameters : DataFrame
         A row a parameter: its name, ``unit``, and `fmuid.batches.statistics.statistics` over all data sets (what has to
         do with the truth only where one is known), and ``doubts``, a tuple of `fmuid.batches.statistics.Doubt`.
@@ -285,17 +288,23 @@ def _failures(frame: pd.DataFrame) -> pd.DataFrame:
         {
             "status": failed["status"].astype(str),
             "message": [_pattern(*pair) for pair in zip(failed["message"].astype(str), tables, strict=True)],
+            "undetermined": [_open(text) for text in failed.get("undetermined", pd.Series("", failed.index))],
             "case": failed["case"],
         }
     )
-    return told.groupby(["status", "message"])["case"].agg(cases="size", first="min").reset_index()
+    return told.groupby(_KIND, sort=False)["case"].agg(cases="size", first="min").reset_index()
 
 
 def _counted(failures: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """Return the failures of several parts together, the most frequent first."""
     told = pd.concat([_NO_FAILURES, *failures], ignore_index=True)
-    grouped = told.groupby(["status", "message"]).agg({"cases": "sum", "first": "min"}).reset_index()
+    grouped = told.groupby(_KIND, sort=False).agg({"cases": "sum", "first": "min"}).reset_index()
     return grouped.sort_values(["cases", "first"], ascending=[False, True], ignore_index=True)
+
+
+def _open(text: str) -> tuple[tuple[Determined, tuple[str, ...]], ...]:
+    """Return what is not determined by a row, its numbers left out."""
+    return tuple((each.determined, each.names) for each in directions_of(text))
 
 
 def _pattern(message: str, table: str) -> str:

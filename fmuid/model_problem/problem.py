@@ -50,6 +50,8 @@ class Problem(LeastSquares):
     sensitivity : "finite-difference", "forward" or "fmu"
         How the derivatives of the outputs by the parameters are found
         (`fmuid.estimation.model_derivatives.SENSITIVITIES`).
+    simulators : sequence of Simulator, optional
+        Those of another problem that differs in its measurements only, which saves laying out the simulation anew.
 
     Attributes
     ----------
@@ -78,13 +80,14 @@ class Problem(LeastSquares):
         joint_prior: JointPrior | None = None,
         loss: str = "linear",
         sensitivity: str = "finite-difference",
+        simulators: Sequence[Simulator] = (),
     ) -> None:
         if sensitivity not in SENSITIVITIES:
             near = nearest(sensitivity, SENSITIVITIES)
             raise InputError(f"sensitivity {sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
         self.system = System.of(model)
         listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
-        simulators = self._simulators = [
+        self._simulators = list(simulators) or [
             Simulator(self.system, experiment, tuple(parameters), values=values or {}, step_size=step_size)
             for experiment in listed
         ]
@@ -92,14 +95,14 @@ class Problem(LeastSquares):
         self._finer: dict[Refinement, Problem] = {}
         self._known: tuple[Floats, Floats] | None = None
         super().__init__(
-            simulators,
+            self._simulators,
             listed,
             parameters,
             noise=noise,
             joint_prior=joint_prior,
             loss=loss,
             sensitivity=sensitivity,
-            derivatives=_derivatives(simulators, sensitivity),
+            derivatives=_derivatives(self._simulators, sensitivity),
         )
 
     @property
@@ -119,6 +122,11 @@ class Problem(LeastSquares):
         known = self if refinement == self.refinement else self._finer.get(refinement)
         stiff = frozenset[str]().union(*(each.stiff for each in (known._simulators if known is not None else ())))
         return {name: asdict(run) for name, run in how_run(self.system, refinement, stiff).items()}
+
+    @property
+    def simulators(self) -> tuple[Simulator, ...]:
+        """What simulates the experiments, one each."""
+        return tuple(self._simulators)
 
     # --- finer simulations
 

@@ -11,6 +11,8 @@ import pandas as pd
 
 from fmuid.batches import Dependence, Doubt, Summary
 from fmuid.files import write_table
+from fmuid.reports.words.directions import open_words
+from fmuid.reports.words.result import ENDS
 from fmuid.text import has_unit, rounded
 
 Row = Mapping[Any, Any]
@@ -34,7 +36,9 @@ def write_summary(summary: Summary, folder: Path) -> list[Path]:
     InputError
         If the folder cannot be written to.
     """
-    found = (noted(summary.parameters), noted(summary.groups), summary.failures, summary.optima)
+    failures = summary.failures.assign(message=[failure_words(row) for row in summary.failures.to_dict("records")])
+    failures = failures.drop(columns="undetermined")
+    found = (noted(summary.parameters), noted(summary.groups), failures, summary.optima)
     tables = {name: table for name, table in zip(TABLES, found, strict=True) if len(table)}
     for name in set(TABLES) - set(tables):
         (folder / f"{name}.csv").unlink(missing_ok=True)
@@ -62,6 +66,13 @@ def note(row: Row) -> str:
     if row["undetermined"]:
         notes.append(f"not determined in {row['undetermined']}")
     return ", ".join(notes)
+
+
+def failure_words(row: Row) -> str:
+    """Return why the cases of one row of `Summary.failures` have no estimate."""
+    said = str(row["message"])
+    ends = {outcome.value: words for outcome, words in ENDS.items()} if row["status"] == "not converged" else {}
+    return ": ".join(filter(None, [ends.get(said, said), "; ".join(open_words(*each) for each in row["undetermined"])]))
 
 
 # --- sentences

@@ -19,7 +19,7 @@ from scipy.stats import qmc
 from fmuid.batches import run_case as case_run
 from fmuid.batches.case_problem import problem_of
 from fmuid.batches.cases import Cases, truth_of
-from fmuid.batches.run_case import VOLATILE, CaseRunner
+from fmuid.batches.run_case import VOLATILE, CaseRunner, directions_of
 from fmuid.data.experiment import Experiment
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Parameter
@@ -218,7 +218,8 @@ def test_estimates_of_a_monte_carlo_scatter_as_the_closed_form_says(folder: Path
 
 def test_rows_have_the_columns_that_the_runner_names(folder: Path) -> None:
     runner = CaseRunner(study_of(folder, {"tables": ["records/run1.csv", "records/none.csv"], "starts": 1}))
-    expected = "case table start.R start.L status message value.R value.L std.R std.L noise.i criterion iterations"
+    expected = "case table start.R start.L status message undetermined value.R value.L std.R "
+    expected += "std.L noise.i criterion iterations"
     assert [*runner.columns] == [*expected.split(), "simulations", "rejected", *VOLATILE]
     rows = [runner(k).row for k in range(2)]
     assert [list(row) for row in rows] == [list(runner.columns)] * 2
@@ -353,6 +354,20 @@ def test_a_stiff_case_does_not_change_the_next(folder: Path) -> None:
     assert stiff.models[""]["run"]["stiff"]
     after(0)
     assert bits(after(1).row) == bits(alone(1).row)
+
+
+def test_a_row_says_what_is_not_determined(folder: Path) -> None:
+    """A current that is always zero, of a coil without a voltage: nothing is known of R and L."""
+    frame = record(0)
+    frame["u"], frame["i"] = 0.0, 0.0
+    frame.loc[:5, "u"] = 1e-3  # what it drives drowns in the noise
+    frame.to_csv(folder / "table.csv", index=False)
+    row = monte_carlo(folder, 1)(0).row
+    assert (row["status"], row["message"]) == ("not converged", "undetermined")
+    found = directions_of(str(row["undetermined"]))
+    assert {name for each in found for name in each.names} <= {"R", "L"}
+    assert found
+    assert CaseRunner(study_of(folder, {"starts": 1, "tables": "records/*.csv"}))(0).row["undetermined"] == ""
 
 
 def test_a_global_search_is_the_study_s_own(folder: Path) -> None:

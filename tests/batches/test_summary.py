@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,10 @@ from matplotlib.patches import Rectangle
 from scipy import stats
 
 from fmuid.batches.dataset import Dataset
+from fmuid.batches.run_case import directions_of, directions_text
 from fmuid.batches.statistics import Columns, Doubt, estimates, optimum_numbers, statistics
 from fmuid.batches.summary import MAX_LEVELS, Summary, condensed, summarize
+from fmuid.estimation.covariance import Determined, Direction
 from fmuid.reports.batch_words import noted, summary_words, write_summary
 from fmuid.reports.console.batch import show_batch
 from fmuid.reports.figures import batch as figures_batch
@@ -216,6 +220,7 @@ def test_failures_are_grouped() -> None:
             "#: no column i2",
             "the search did not converge in # iterations",
         ],
+        "undetermined": [(), (), ()],
         "cases": [2, 2, 1],
         "first": [2, 4, 11],
     }
@@ -223,6 +228,36 @@ def test_failures_are_grouped() -> None:
         summary_words(summary)[0]
         == "15 of 20 cases converged, 1 did not converge and 4 failed and are left out of what follows"
     )
+
+
+def test_what_is_not_determined_is_told_by_its_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same parameters are one line whatever their numbers; others are another one."""
+    frame = fail(batch({"draw": np.arange(20)}), [3, 5, 8], ["undetermined"] * 3, "not converged")
+    frame = fail(frame, [9, 11], ["iteration_limit"] * 2, "not converged")
+    values = (4.0, 0.1)
+    apart = [Direction(Determined.NOT, ("R", "L"), (1.0, 0.1), math.inf, values, values)]
+    single = [Direction(Determined.NOT_IN_EFFECT, ("L",), (1.0,), 30.0, values[1:], values[1:])]
+    other = [replace(apart[0], coefficients=(1.0, -7.0))]
+    frame["undetermined"] = ""
+    frame.loc[[3, 5, 8], "undetermined"] = [directions_text(each) for each in (apart, single, other)]
+    summary = summarize(frame)
+    assert summary.failures["undetermined"].tolist() == [
+        ((Determined.NOT, ("R", "L")),),
+        (),
+        ((Determined.NOT_IN_EFFECT, ("L",)),),
+    ]
+    assert summary.failures["cases"].tolist() == [2, 2, 1]
+    write_summary(summary, tmp_path)
+    told = pd.read_csv(tmp_path / "failures.csv")
+    assert list(told) == ["status", "message", "cases", "first"]
+    assert told["message"].tolist() == [
+        "undetermined: R and L cannot be told apart",
+        "stopped at the iteration limit: raise max_iterations or start nearer",
+        "undetermined: L is not determined in effect",
+    ]
+    show_batch(summary)
+    assert "R and L cannot be told apart" in " ".join(capsys.readouterr().out.split())
+    assert directions_of(frame["undetermined"][8]) == tuple(other)
 
 
 def test_a_summary_of_parts_is_that_of_all_rows(tmp_path: Path) -> None:

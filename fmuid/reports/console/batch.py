@@ -10,7 +10,7 @@ import pandas as pd
 from rich.markup import escape
 from rich.table import Table
 
-from fmuid.reports.batch_words import note, summary_words
+from fmuid.reports.batch_words import failure_words, note, summary_words
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
 from fmuid.text import rounded, with_std
 
@@ -126,7 +126,7 @@ def _optima(summary: Summary, names: Sequence[str]) -> Table:
 def _failures(failures: pd.DataFrame) -> Table:
     heads = ("cases", "first case", "status", "message")
     cells = [
-        (str(row["cases"]), str(row["first"]), row["status"], row["message"])
+        (str(row["cases"]), str(row["first"]), row["status"], failure_words(row))
         for row in failures.head(MAX_KINDS).to_dict("records")
     ]
     if len(failures) > MAX_KINDS:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from fmuid.estimation import Determined, Direction
 from fmuid.text import listed
 
@@ -19,6 +21,12 @@ def direction_words(direction: Direction) -> str:
     if direction.determined is Determined.NOT:
         return _lost(direction)
     return _open(direction) if direction.determined is Determined.NOT_IN_EFFECT else _weak(direction)
+
+
+def open_words(determined: Determined, names: Sequence[str]) -> str:
+    """Say in words, without numbers, which parameters the data leave open."""
+    effect = " in effect" if determined is Determined.NOT_IN_EFFECT else ""
+    return f"{listed(names)} {'is not determined' if len(names) == 1 else 'cannot be told apart'}{effect}"
 
 
 def _lost(direction: Direction) -> str:
