@@ -77,8 +77,8 @@ INLINE Outcome right_hand_side(Integrator *self, double t, const double *x, doub
   if (outcome == DONE) outcome = get_derivatives(self, dx);
   if (outcome == DONE && self->extension) outcome = self->extension->extend(self, t, x, dx);
   if (outcome != DONE) return outcome;
-  bool finite = true;
-  for (size_t i = 0; i < self->n_total; i++) finite = finite & (isfinite(x[i]) != 0) & (isfinite(dx[i]) != 0);
+  int finite = 1; /* without a branch for each */
+  for (size_t i = 0; i < self->n_total; i++) finite &= (int)(isfinite(x[i]) != 0) & (int)(isfinite(dx[i]) != 0);
   return finite ? DONE : check_finite(self, x, dx);
 }
 
