@@ -107,6 +107,12 @@ def test_the_committed_numbers_are_these(kind: str, committed: pd.DataFrame) -> 
         assert found[name].to_numpy() == pytest.approx(found[f"{name} committed"].to_numpy(), rel=1e-3, abs=1e-5)
 
 
+def test_the_loop_identified_whole_keeps_its_sampled_control() -> None:
+    """A controller that acts more often than once a sample would make L some 2 % too large."""
+    record = study.simulate(1e-4 * np.random.default_rng(6).standard_normal(study.SAMPLES))
+    assert study.estimate(record, whole=True).values == pytest.approx(study.TRUTH, rel=5e-3)
+
+
 def test_the_page_shows_them(committed: pd.DataFrame) -> None:
     page = (study.HERE / "README.md").read_text(encoding="utf-8")
     assert study.table(committed) in page, "run python -m experiments.closed_loop_bias.study"
