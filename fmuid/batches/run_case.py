@@ -20,22 +20,22 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.batches.case_problem import problem_of, truth_simulators, truth_values
+from fmuid.batches.case_problem import flat_names, problem_of, truth_simulators, truth_values
 from fmuid.batches.cases import Case, Cases
 from fmuid.batches.draws import noise
 from fmuid.batches.parcel import Copies
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
-from fmuid.estimation import Direction, Outcome, Result
+from fmuid.estimation import Accuracy, Direction, Outcome, Result
 from fmuid.files import as_json
-from fmuid.model_problem import Problem
+from fmuid.model_problem import CheckedRegion, Problem, identify
 from fmuid.simulation import Simulator, executor_of
 from fmuid.studies import ExperimentSettings, NoiseDraws, Study, Value
 
 Key = TypeVar("Key")
 Item = TypeVar("Item")
 
-VOLATILE = ("elapsed_s", "finished", "worker")
+VOLATILE = ("checked", "elapsed_s", "finished", "worker")
 """The columns that differ from run to run; all others are the same bit for bit."""
 
 KEPT = 4
@@ -94,6 +94,7 @@ class CaseRunner:
         self._tables: _Recent[Path | None, tuple[Experiment, ...]] = _Recent()
         self._simulators: dict[object, tuple[Simulator, ...]] = {}  # of the case before
         self._truths: _Recent[object, tuple[Floats, ...]] = _Recent()
+        self._regions: _Recent[object, CheckedRegion] = _Recent()
         self._worker = f"{platform.node()}:{os.getpid()}"
         self._system = study.system
         for model in self._system.components.values():
@@ -123,13 +124,14 @@ class CaseRunner:
         problem: Problem | None = None
         try:
             problem = self.problem(case)
-            words = _words_of(self._identify(problem))
+            words = self._identify(case, problem)
         except FmuidError as error:
             words = _failure(str(error))
         except (MemoryError, ArithmeticError, np.linalg.LinAlgError) as error:
             words = _failure(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
         counted = {"simulations": problem.simulations, "rejected": problem.failures} if problem is not None else {}
-        return {"iterations": 0, "simulations": 0, "rejected": 0} | counted | words
+        none = dict.fromkeys(("iterations", "simulations", "rejected", "finer", "checked"), 0)
+        return {**none, "accuracy": "", **counted, **words}
 
     def problem(self, case: Case) -> Problem:
         """Return the problem of a case: its measurements, read or simulated and disturbed, and what is identified.
@@ -149,11 +151,24 @@ class CaseRunner:
         self._simulators = {key: problem.simulators}
         return problem
 
-    def _identify(self, problem: Problem) -> Result:
-        result = self.study.estimator.search(problem)
+    def _identify(self, case: Case, problem: Problem) -> dict[str, object]:
+        """Identify the parameters of a case and return the columns that this fills."""
+        key = case.table, tuple(case.held.items()), tuple(case.free)
+        region = self._regions.get(key, lambda: self._region(problem))
+        before, accuracy = region.checks, self.study.accuracy
+        result = identify(problem, self.study.estimator, accuracy=accuracy, region=region)
         if result.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
-        return result
+        found = result.accuracy
+        own = found is not None and found.simulations > 0
+        return _words_of(result) | {"checked": int(own or region.checks > before)}
+
+    def _region(self, problem: Problem) -> CheckedRegion:
+        """Return what is to be known of the simulation over the tables of a case and at what it holds."""
+        flat = flat_names(self.study)
+        given = [self.study.parameters[flat.get(name, name)] for name in problem.parameters.names]
+        scale = np.array([each.nominal or abs(each.start) or 1.0 for each in given])
+        return CheckedRegion(scale, one_start=self.cases.settings.starts is None)
 
     # --- tables and noise
 
@@ -199,6 +214,10 @@ class CaseRunner:
             "iterations": WHOLE,
             "simulations": WHOLE,
             "rejected": WHOLE,
+            "accuracy": TEXT,
+            "shift": NUMBER,
+            "finer": WHOLE,
+            "checked": WHOLE,
             "elapsed_s": NUMBER,
             "finished": TIMESTAMP,
             "worker": TEXT,
@@ -217,6 +236,7 @@ def _words_of(result: Result) -> dict[str, object]:
         **{f"noise.{name}": value for name, value in result.noise_variance.items()},
         "criterion": result.criterion,
         "iterations": result.iterations,
+        **_accuracy_of(result.accuracy),
     }
 
 
@@ -228,6 +248,12 @@ def directions_text(directions: Sequence[Direction]) -> str:
 def directions_of(text: str) -> tuple[Direction, ...]:
     """Return the directions of a row's ``undetermined``."""
     return tuple(Direction.of_json(each) for each in json.loads(text)) if text else ()
+
+
+def _accuracy_of(found: Accuracy | None) -> dict[str, object]:
+    if found is None:
+        return {}
+    return {"accuracy": found.outcome.value, "shift": found.largest, "finer": len(found.switches)}
 
 
 def _failure(message: str) -> dict[str, object]:

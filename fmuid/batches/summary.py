@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -110,6 +110,9 @@ class Summary:
     wide : mapping of str to float
         Where settings have too many levels for groups: how many times their stated std parameters spread, those that
         do so by more than it.
+    accuracy : mapping of str to int
+        How many cases have which outcome of the check of their simulation (`fmuid.estimation.AccuracyOutcome`),
+        were ``checked`` by simulations of their own, and searched by ``finer`` ones; empty where none was looked at.
     """
 
     columns: Columns
@@ -123,6 +126,7 @@ class Summary:
     optima: pd.DataFrame
     dependences: tuple[Dependence, ...]
     wide: Mapping[str, float]
+    accuracy: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def has_truth(self) -> bool:
@@ -189,6 +193,7 @@ def summarize(
         optima,
         _dependences(groups, moving) if moving else (),
         {} if moving else _wide(parameters),
+        _accuracy(frame),
     )
 
 
@@ -257,6 +262,14 @@ def _wide(parameters: pd.DataFrame) -> dict[str, float]:
         parameters["ratio"].isna() & (parameters["spread"] > parameters["stated_std"]) & (parameters["stated_std"] > 0)
     ]
     return dict(zip(rows["parameter"], rows["spread"] / rows["stated_std"], strict=True))
+
+
+def _accuracy(frame: pd.DataFrame) -> dict[str, int]:
+    if "accuracy" not in frame or not (frame["accuracy"] != "").any():
+        return {}
+    outcomes = frame["accuracy"][frame["accuracy"] != ""].value_counts()
+    counts = {str(outcome): int(count) for outcome, count in outcomes.items()}
+    return counts | {"checked": int((frame["checked"] > 0).sum()), "finer": int((frame["finer"] > 0).sum())}
 
 
 def _statuses(frame: pd.DataFrame) -> pd.DataFrame:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from fmuid.arrays import Floats
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import (
+    SHIFT_LIMIT,
     Accuracy,
     AccuracyOutcome,
     Cause,
@@ -36,6 +37,7 @@ from fmuid.estimation import (
     with_shift,
 )
 from fmuid.model_problem.problem import Problem
+from fmuid.model_problem.region import CheckedRegion, Verdict
 from fmuid.progress import Progress
 from fmuid.simulation import Refinement, is_free, replaces_interface
 from fmuid.text import nearest
@@ -45,6 +47,8 @@ ACCURACIES = ("switch", "check", "off")
 # The search goes by model exchange where the outputs at the start differ by more than this share of their spread.
 START_LIMIT = 0.01
 START_TOLERANCE = 1e-6  # which that does not ask more of
+# Shifts below this are known to be small from the error at another point of the same cell of a region.
+SURE = SHIFT_LIMIT / 3.0
 # Optima whose criterion is higher by less are as good as the best: χ² of one parameter is larger in 5 % of all cases.
 RIVAL = 3.84
 # By a finer simulation the search goes on from so many of the best optima of a box at most.
@@ -58,6 +62,7 @@ def identify(
     start: ArrayLike | None = None,
     *,
     accuracy: str = "switch",
+    region: CheckedRegion | None = None,
 ) -> Result:
     """Identify the parameters of a problem, and check what the error of the simulation does to them.
 
@@ -76,6 +81,8 @@ def identify(
         Go on by a finer simulation where the error moves an estimate by more than `SHIFT_LIMIT` of its standard
         deviation, if that goes against nothing that was asked for; just say what it does; or do not look. Optima of a
         box that are as good as the best, and that a finer simulation does not bear out, are no optima.
+    region : CheckedRegion, optional
+        What is known of the simulation from other searches on like data, of the same parameters.
 
     Returns
     -------
@@ -100,14 +107,22 @@ def identify(
     method = settings or Marquardt()
     if accuracy == "off" or not isinstance(problem, Problem):
         return method.search(problem, progress, start)
-    return _CheckedSearch(problem, method, progress, switching=accuracy == "switch").run(start)
+    return _CheckedSearch(problem, method, progress, region, switching=accuracy == "switch").run(start)
 
 
 class _CheckedSearch:
     """One search, what it found so far, and what was done about its simulation."""
 
-    def __init__(self, problem: Problem, method: Method, progress: Progress | None, *, switching: bool) -> None:
-        self.problem, self.method, self.progress = problem, method, progress
+    def __init__(
+        self,
+        problem: Problem,
+        method: Method,
+        progress: Progress | None,
+        region: CheckedRegion | None = None,
+        *,
+        switching: bool,
+    ) -> None:
+        self.problem, self.method, self.progress, self.region = problem, method, progress, region
         self.switching = switching
         self.clock, self.before = time.perf_counter(), problem.simulations
         self.switches: list[Switch] = []
@@ -137,21 +152,27 @@ class _CheckedSearch:
             return
         if at.shape != (len(problem.parameters),):
             return  # which the search will say
-        predicted = problem.predict(at[None])[0]
-        exact = self._simulated(replace(finer, tolerance=START_TOLERANCE), at)
-        if not np.isfinite(exact).all():
-            self._remember(at, predicted)
-        elif not np.isfinite(predicted).all():
-            self._switch(finer, Cause.START_FAILED, math.nan)
-        elif (size := self._difference(predicted, exact)) > START_LIMIT:
-            self._switch(finer, Cause.START_DIFFERED, size)
+        if self.region is not None and self.region.one_start:
+            wrong = self.region.start(problem, lambda: self._wrong_start(finer, at, problem.predict(at[None])[0]))
         else:
-            self._remember(at, predicted)
+            predicted = problem.predict(at[None])[0]
+            fails = not np.isfinite(predicted).all()
+            wrong = self._wrong_start(finer, at, predicted) if fails or self.region is None else None
+            if wrong is None:  # the search is spared its simulation of the start
+                problem.remember(at, predicted)
+                self.foreseen = 1
+        if wrong is not None:
+            self._switch(finer, *wrong)
 
-    def _remember(self, at: Floats, predicted: Floats) -> None:
-        """Spare the search its simulation of the start."""
-        self.problem.remember(at, predicted)
-        self.foreseen = 1
+    def _wrong_start(self, finer: Refinement, at: Floats, predicted: Floats) -> Verdict:
+        """Return why the start (N,), simulated as `predicted` (n,), should not be simulated that way."""
+        exact = self.problem.predict_finer(replace(finer, tolerance=START_TOLERANCE), at)
+        if not np.isfinite(exact).all():
+            return None
+        if not np.isfinite(predicted).all():
+            return Cause.START_FAILED, math.nan
+        size = self._difference(predicted, exact)
+        return (Cause.START_DIFFERED, size) if size > START_LIMIT else None
 
     def _difference(self, one: Floats, other: Floats) -> float:
         """Return the largest difference of an output between two simulations (n,), as a share of its spread."""
@@ -193,20 +214,14 @@ class _CheckedSearch:
             exact &= all(model.kind == "model-exchange" for model in problem.system.components.values())
             outcome = AccuracyOutcome.PASSED if exact else AccuracyOutcome.UNCHECKABLE
             return Accuracy(outcome, np.full(fit.values.size, 0.0 if exact else np.nan))
+        if self.region is not None:
+            found = checked(problem, fit, self.region.error(problem, finer, fit.values))
+            if found.outcome is AccuracyOutcome.UNCHECKABLE or found.change < SHIFT_LIMIT or found.largest < SURE:
+                return replace(found, finer=problem.how_run(finer))
         # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
         predicted = simulated(fit) if finer.tolerance else problem.predict(fit.values[None])[0]
-        found = checked(problem, fit, self._simulated(finer, fit.values) - predicted)
+        found = checked(problem, fit, problem.predict_finer(finer, fit.values) - predicted)
         return replace(found, finer=problem.how_run(finer))
-
-    def _simulated(self, finer: Refinement, theta: Floats) -> Floats:
-        """Return the counted samples (n,) of a finer simulation at theta, NaN where it fails."""
-        try:
-            other = self.problem.refined(finer)
-        except InputError:  # an FMU that takes no such steps
-            return np.full(self.problem.measured.size, np.nan)
-        exact: Floats = other.predict(theta[None])[0]
-        self.problem.count(other)
-        return exact
 
     def _go_on(self) -> Kept | None:
         """Search on from the optima by the next finer simulation; return why nothing came of it, if so."""

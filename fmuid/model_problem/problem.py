@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,23 @@ class Problem(LeastSquares):
         other = self.refined(refinement)
         self._simulators, self._predictors, self._derivatives = other._simulators, other._predictors, other._derivatives
         self.refinement, self._finer, self._known, self._reasons = refinement, {}, None, {}
+
+    def predict_finer(self, finer: Refinement, theta: Floats) -> Floats:
+        """Return the counted samples (n,) of a finer simulation at theta (N,), NaN where it fails."""
+        try:
+            other = self.refined(finer)
+        except InputError:  # an FMU that takes no such steps
+            return np.full(self.measured.size, np.nan)
+        exact: Floats = other.predict(theta[None])[0]
+        self.count(other)
+        return exact
+
+    @contextmanager
+    def uncounted(self) -> Iterator[None]:
+        """Leave the numbers of simulations and failures as they are."""
+        before = self.simulations, self.failures
+        yield
+        self.simulations, self.failures = before
 
     def count(self, other: Problem) -> None:
         """Count what was simulated with another problem as simulated with this one."""

@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from fmuid.batches import Dependence, Doubt, Summary
+from fmuid.estimation import AccuracyOutcome
 from fmuid.files import write_table
 from fmuid.reports.words.directions import open_words
 from fmuid.reports.words.result import ENDS
@@ -23,6 +24,15 @@ IN_GROUPS = {
     Doubt.STD_TOO_LARGE: "its stated std is too large",
     Doubt.BIASED: "it is biased",
 }
+
+
+ACCURACY = {
+    AccuracyOutcome.SHIFTED: "are shifted by that error, which their std include",
+    AccuracyOutcome.UNKNOWN: "may be shifted by that error: not all their std are known",
+    AccuracyOutcome.UNCHECKABLE: "cannot be checked: nothing finer is offered, or it gives the same to the last bit",
+    AccuracyOutcome.FAILED: "could not be checked: the finer simulation fails",
+}
+"""What is to be said of cases whose simulation did not pass its check."""
 
 
 # --- files
@@ -84,7 +94,7 @@ def summary_words(summary: Summary) -> list[str]:
     They are on which cases the estimates are over, how these lie against what they state and against the truth, how far
     they depend on the settings, and where searches from several starts ended.
     """
-    return [*_counts(summary), *_estimates(summary), *_settings(summary), *_optima(summary)]
+    return [*_counts(summary), *_estimates(summary), *_settings(summary), *_optima(summary), *_accuracy(summary)]
 
 
 def _counts(summary: Summary) -> Iterator[str]:
@@ -172,3 +182,19 @@ def _optima(summary: Summary) -> Iterator[str]:
     yield f"of {total} searches that converged, {total - best} ended at another optimum than the best"
     if summary.rivals:
         yield "optima with different values fit equally well: the data do not tell which is true; give bounds or priors"
+
+
+def _accuracy(summary: Summary) -> Iterator[str]:
+    """Give in how many cases the simulation was checked, and what came of it."""
+    counts, total = summary.accuracy, sum(summary.accuracy.get(each.value, 0) for each in AccuracyOutcome)
+    if not total:
+        return
+    yield (
+        f"the error of the simulation was looked at in {total} cases, in {counts['checked']} by new simulations: the "
+        "others lie where it was known"
+    )
+    if counts["finer"]:
+        yield f"{counts['finer']} of them were searched by a finer simulation"
+    for outcome, said in ACCURACY.items():
+        if count := counts.get(outcome.value, 0):
+            yield f"{count} of them {said}"

@@ -219,8 +219,8 @@ def test_estimates_of_a_monte_carlo_scatter_as_the_closed_form_says(folder: Path
 def test_rows_have_the_columns_that_the_runner_names(folder: Path) -> None:
     runner = CaseRunner(study_of(folder, {"tables": ["records/run1.csv", "records/none.csv"], "starts": 1}))
     expected = "case table start.R start.L status message undetermined value.R value.L std.R "
-    expected += "std.L noise.i criterion iterations"
-    assert [*runner.columns] == [*expected.split(), "simulations", "rejected", *VOLATILE]
+    expected += "std.L noise.i criterion iterations simulations rejected accuracy shift finer"
+    assert [*runner.columns] == [*expected.split(), *VOLATILE]
     rows = [runner(k).row for k in range(2)]
     assert [list(row) for row in rows] == [list(runner.columns)] * 2
     frame = pd.DataFrame(rows).astype(runner.columns)
@@ -484,7 +484,7 @@ def test_interruptions_and_bugs_pass(folder: Path, monkeypatch: pytest.MonkeyPat
 def test_the_log_has_the_warnings_of_its_own_thread(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log, runner = logging.getLogger("fmuid.fmu"), CaseRunner(study_of(folder, {"starts": 1}))
 
-    def warn(settings: Marquardt, problem: LeastSquares) -> Any:
+    def warn(settings: Marquardt, problem: LeastSquares, *_: object) -> Any:
         log.warning("the coil %s", "hums")
         log.info("nothing")
         other = threading.Thread(target=log.warning, args=("another case",))
