@@ -23,7 +23,7 @@ from fmuid.batches.statistics import (
     optimum_numbers,
     statistics,
 )
-from fmuid.estimation import Determined
+from fmuid.estimation import AccuracyOutcome, Determined
 
 # A setting with more levels than this is no heading of a group; nor are there more groups than that.
 MAX_LEVELS, MAX_GROUPS = 20, 100
@@ -34,7 +34,7 @@ EQUALLY_WELL = 5e-4
 
 STATUSES = ["converged", "not converged", "failed"]
 # Columns that no statistics are made of.
-NOT_SUMMARIZED = ("message", "undetermined", "iterations", "simulations", "rejected", *VOLATILE)
+NOT_SUMMARIZED = {"message", "undetermined", "iterations", "simulations", "rejected", "shift", *VOLATILE} - {"checked"}
 
 _KIND = ["status", "message", "undetermined"]
 _NO_FAILURES = pd.DataFrame([("", "", (), 0, 0)], columns=[*_KIND, "cases", "first"]).iloc[:0]
@@ -267,8 +267,8 @@ def _wide(parameters: pd.DataFrame) -> dict[str, float]:
 def _accuracy(frame: pd.DataFrame) -> dict[str, int]:
     if "accuracy" not in frame or not (frame["accuracy"] != "").any():
         return {}
-    outcomes = frame["accuracy"][frame["accuracy"] != ""].value_counts()
-    counts = {str(outcome): int(count) for outcome, count in outcomes.items()}
+    outcomes = frame["accuracy"].astype(str).value_counts()
+    counts = {str(outcome): int(count) for outcome, count in outcomes.items() if outcome}
     return counts | {"checked": int((frame["checked"] > 0).sum()), "finer": int((frame["finer"] > 0).sum())}
 
 
@@ -286,6 +286,8 @@ def condensed(dataset: Dataset) -> tuple[pd.DataFrame, pd.DataFrame]:
     for part in dataset.stream(dataset.schema.names):
         failures.append(_failures(part))
         part["status"] = pd.Categorical(part["status"], STATUSES)
+        if "accuracy" in part:
+            part["accuracy"] = pd.Categorical(part["accuracy"], ["", *(each.value for each in AccuracyOutcome)])
         parts.append(part.drop(columns=[name for name in NOT_SUMMARIZED if name in part]))
     frame = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=dataset.schema.names)
     if not frame["case"].is_monotonic_increasing:

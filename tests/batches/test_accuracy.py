@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import fmuid
 from fmuid.batches.run_case import VOLATILE, CaseRunner
 from fmuid.batches.summary import summarize
 from fmuid.reports.batch_words import summary_words
@@ -83,3 +84,11 @@ def test_a_simulation_that_is_wrong_for_all(tmp_path: Path) -> None:
     assert (np.abs(found["value.k"] - truth) < 4.0 * found["std.k"]).all()
     assert same(found, frame_of(CaseRunner(study), [2, 0, 1]))
     assert any("3 of them were searched by a finer" in sentence for sentence in summary_words(summarize(found)))
+
+
+def test_the_summary_of_a_batch_says_how_many_were_checked(tmp_path: Path) -> None:
+    """From its files, of which a summary reads what it needs."""
+    data = dict(Study.read(COIL).data) | {"batch": {"noise": {"draws": 4, "std": 0.035}}}
+    summary, _ = fmuid.Batch(Study.of(data, COIL), tmp_path / "out").run().summary()
+    assert summary.accuracy["passed"] == 4
+    assert 1 <= summary.accuracy["checked"] <= 4
