@@ -166,7 +166,7 @@ def test_ctrl_c_in_a_terminal_ends_a_command_whose_fmu_loops(tmp_path: Path, fmu
     command = [sys.executable, "-m", "fmuid", "simulate", str(study)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
-            wait_until(lambda: computing(process.pid))
+            wait_until(lambda: computing(process.pid) or process.poll() is not None)
             below = psutil.Process(process.pid).children(recursive=True)
             os.killpg(process.pid, signal.SIGINT)
             _, said = process.communicate(timeout=600)

@@ -144,7 +144,7 @@ def test_no_process_is_left_when_fmuid_ends(folder: Path, name: str, mode: Mode)
         try:
             assert process.stdout is not None
             assert float(process.stdout.readline()) == pytest.approx(lag(TIMES, U, 2.0, 1.0)[-1], abs=1e-14)
-            wait_until(lambda: computing(process.pid))
+            wait_until(lambda: computing(process.pid) or process.poll() is not None)
             there = psutil.Process(process.pid).children(recursive=True)
             assert there
             process.send_signal(signal.Signals[name])
