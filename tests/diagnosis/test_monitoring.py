@@ -424,7 +424,7 @@ def test_wrong_records_are_one_sentence(folder: Path, capsys: pytest.CaptureFixt
     other = folder / "other.csv"
     warming(2, to=4.0).rename(columns={"u": "v"}).to_csv(other, index=False)
     (folder / "empty").mkdir()
-    shutil.copy(folder / "records" / "day0.csv", folder / "empty" / "day0.txt")
+    shutil.copy(folder / "records" / "day0.csv", folder / "empty" / "day0.bak")
     twice = shutil.copy(folder / "records" / "day0.csv", folder / "day0.csv")
     for paths, said in (
         ([other], "the input column 'u' is missing"),
