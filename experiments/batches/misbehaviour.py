@@ -97,7 +97,8 @@ def differences(found: pd.DataFrame, right: pd.DataFrame, held: pd.DataFrame) ->
     bad = held["mode"] != Mode.SOUND
     if not np.array_equal(found["set.mode"], held["mode"]):
         return "the modes are not those asked for"
-    one, other = (rows.drop(columns="set.mode").astype({"status": str, "message": str}) for rows in (found, right))
+    texts = {name: str for name in right if not pd.api.types.is_numeric_dtype(right[name])}
+    one, other = (rows.drop(columns="set.mode").astype(texts) for rows in (found, right))
     worse = bad & (right["status"] == "failed")
     one.loc[worse, "message"] = other.loc[worse, "message"]
     try:
