@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.data.formats import TABLE_SUFFIXES, reader_of
+from fmuid.data.formats import TABLE_SUFFIXES, is_number, reader_of
 from fmuid.data.times import with_time
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder
 
 UNITS, BEGIN = "units", "begin"
 """What `read_table` leaves in the attributes of a frame: units as the file writes them, and the date of second 0."""
-
-_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
 
 
 def read_table(
@@ -134,7 +131,7 @@ def numeric_column(frame: pd.DataFrame, column: str, source: str) -> npt.NDArray
             f"{source}: column {column!r} holds dates or durations ({kind}): convert it to numbers, times to seconds"
         )
     row, cell = _first_text(series)
-    if _DECIMAL_COMMA.fullmatch(cell):
+    if "," in cell and is_number(cell, ","):
         remedy = "write numbers with decimal points"
     else:
         remedy = "give numbers only, and leave cells without a sample empty"

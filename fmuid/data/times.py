@@ -12,7 +12,7 @@ import pandas as pd
 from fmuid.data.formats import TIME_NAMES, RawTable, split_header
 from fmuid.errors import InputError
 from fmuid.text import nearest
-from fmuid.units import SECONDS
+from fmuid.units import SECONDS, TIME_UNITS
 
 _LISTED_NAMES = 12
 """Names listed in a message: enough to recognise the table, short enough for one sentence."""
@@ -56,7 +56,7 @@ def with_time(
         return raw.frame.assign(**{name: np.arange(len(raw.frame)) / sample_rate}), None
     column = _column(raw, time, source)
     if unit is not None and unit not in SECONDS:
-        raise InputError(f"{source}: the unit of time {unit!r} is not known: write one of s, ms, us, ns, min, h, d")
+        raise InputError(f"{source}: the unit of time {unit!r} is not known: write one of {', '.join(TIME_UNITS)}")
     values, begin = _as_numbers(raw.frame[column], column, source)
     factor = 1.0 if begin is not None else SECONDS[unit or _unit_said(raw, column)]
     frame = raw.frame.assign(**{column: values if factor == 1.0 else _scaled(values, factor)})

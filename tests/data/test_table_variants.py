@@ -273,6 +273,36 @@ def test_a_library_that_is_missing_is_named_with_its_extra(
         read_table(tmp_path / name)
 
 
+@pytest.mark.parametrize("kind", ["cut gzip", "spoilt gzip", "cut zip", "spoilt zip", "encrypted zip", "two in a zip"])
+def test_what_cannot_be_unpacked(tmp_path: Path, kind: str) -> None:
+    """Also beyond the part of the file in which its layout is looked for."""
+    content = ("time,u,w\n" + "".join(f"{k},{k * 7919 % 10007},{k * k % 10007}\n" for k in range(40000))).encode()
+    path = tmp_path / ("a.csv.gz" if "gzip" in kind else "a.zip")
+    write_long(path, content, 2 if "two" in kind else 1)
+    packed = bytearray(path.read_bytes())
+    if "cut" in kind:
+        packed = packed[:-200]
+    elif "spoilt" in kind:
+        packed[len(packed) // 2] ^= 0xFF
+    elif "encrypted" in kind:  # says the flag in both headers
+        packed[6] |= 1
+        packed[packed.index(b"PK\x01\x02") + 8] |= 1
+    path.write_bytes(packed)
+    with pytest.raises(
+        InputError, match=r"cannot be unpacked: pack it again|holds 2 files: give one with the table alone"
+    ):
+        read_table(path)
+
+
+def write_long(path: Path, content: bytes, files: int) -> None:
+    if path.suffix == ".gz":
+        path.write_bytes(gzip.compress(content))
+        return
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for number in range(files):
+            archive.writestr(f"{number}.csv", content)
+
+
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [

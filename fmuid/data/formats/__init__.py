@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from fmuid.data.formats.columns import TIME_NAMES, RawTable, named, split_header
+from fmuid.data.formats.columns import TIME_NAMES, RawTable, is_number, named, split_header
 from fmuid.errors import InputError
 
 Reader = Callable[[Path, str], RawTable]
@@ -79,4 +79,4 @@ def _read_with_pandas(path: Path, source: str) -> RawTable:
     return RawTable(frame.set_axis(names, axis="columns"), units, "time" if dated and "time" in names else None)
 
 
-__all__ = ["TABLE_SUFFIXES", "TIME_NAMES", "RawTable", "reader_of", "split_header"]
+__all__ = ["TABLE_SUFFIXES", "TIME_NAMES", "RawTable", "is_number", "reader_of", "split_header"]

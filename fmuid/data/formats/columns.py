@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
+from typing import Any
 
+import numpy.typing as npt
 import pandas as pd
 
+from fmuid.errors import InputError
 from fmuid.units import SECONDS, parse_unit
 
 Cell = str | float | int | bool | date | datetime | time | timedelta | None
@@ -97,6 +101,52 @@ def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str],
     below = [cell.strip().strip("[]()") for cell in units] or [""] * len(names)
     said = {name: below[k] or split[k][1] for k, name in enumerate(names)}
     return names, {name: unit for name, unit in said.items() if unit}
+
+
+def check_once(source: str, names: Sequence[str]) -> None:
+    """Refuse a table in which two columns are of one name.
+
+    Raises
+    ------
+    InputError
+        The sentence names the column.
+    """
+    for name in names:
+        if names.count(name) > 1:
+            called = f"the column {name!r} is there twice" if name else "two columns have no name"
+            raise InputError(f"{source}: {called}: rename or remove one of the two")
+
+
+def table_of_vectors(
+    source: str, vectors: Mapping[str, npt.NDArray[Any]], units: Mapping[str, str], separator: str
+) -> RawTable:
+    """Return as a table the vectors of the most common length, or of the time's where one is called so.
+
+    Parameters
+    ----------
+    source : str
+        What the table is called in messages.
+    vectors : mapping of str to ndarray
+        By their names, in groups as ``group<separator>name``; a group that all columns share is left out.
+    units : mapping of str to str
+        Of vectors whose unit the file says elsewhere than in the name.
+    separator : str
+
+    Raises
+    ------
+    InputError
+        If there are no vectors with more than one sample.
+    """
+    lengths = Counter(value.size for value in vectors.values() if value.size > 1)
+    if not lengths:
+        raise InputError(f"{source}: the file holds no numeric vectors: save the columns as vectors of one length")
+    timed = {value.size for name, value in vectors.items() if name.rpartition(separator)[2].lower() in TIME_NAMES}
+    length = max(lengths, key=lambda size: (size in timed, lengths[size], size))
+    columns = {name: value for name, value in vectors.items() if value.size == length}
+    shared = len({name.rpartition(separator)[0] for name in columns}) == 1
+    names, said = named([name.rpartition(separator)[2] if shared else name for name in columns])
+    attached = {name: units[each] for name, each in zip(names, columns, strict=True) if each in units}
+    return RawTable(pd.DataFrame(dict(zip(names, columns.values(), strict=True))), said | attached)
 
 
 def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> Head | None:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.data.formats.columns import RawTable, named
+from fmuid.data.formats.columns import RawTable, named, table_of_vectors
 from fmuid.data.formats.libraries import library
 from fmuid.errors import InputError
 
@@ -30,19 +30,7 @@ def read_hdf(path: Path, source: str) -> RawTable:
         of_pandas = [name for name, group in file.items() if "pandas_type" in group.attrs]
     if of_pandas:
         return _of_pandas(path, source, of_pandas[0])
-    vectors, units = _vectors(path, source)
-    lengths = [value.size for value in vectors.values()]
-    if not lengths:
-        raise InputError(f"{source}: the file holds no numeric vectors: save the columns as vectors of one length")
-    length = max(lengths, key=lambda size: (size > 1, lengths.count(size), size))
-    columns = {name: value for name, value in vectors.items() if value.size == length}
-    shared = len({name.rpartition("/")[0] for name in columns}) == 1
-    headers = [name.rpartition("/")[2] if shared else name for name in columns]
-    names, said = named(headers)
-    frame = pd.DataFrame(dict(zip(names, columns.values(), strict=True)))
-    return RawTable(
-        frame, said | {name: units[each] for name, each in zip(names, columns, strict=True) if each in units}
-    )
+    return table_of_vectors(source, *_vectors(path, source), "/")
 
 
 def vectors_of_hdf(path: Path, source: str) -> dict[str, npt.NDArray[Any]]:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
-from fmuid.data.formats.columns import TIME_NAMES, RawTable, named
+from fmuid.data.formats.columns import RawTable, table_of_vectors
 from fmuid.data.formats.hdf import vectors_of_hdf
 from fmuid.data.formats.mat_file import check_mat
 from fmuid.data.formats.simulation_results import result_frame
@@ -37,7 +35,7 @@ def read_mat(path: Path, source: str) -> RawTable:
     except PermissionError:
         raise
     except NotImplementedError:  # version 7.3 is HDF5
-        return _table(source, vectors_of_hdf(path, source))
+        return table_of_vectors(source, vectors_of_hdf(path, source), {}, ".")
     except Exception:  # scipy raises errors of many kinds, on broken files even TypeError and struct.error
         raise InputError(f"{source}: the file is no readable MAT file: write it again") from None
     if "Aclass" in content and content["Aclass"].dtype.kind == "U":
@@ -48,7 +46,7 @@ def read_mat(path: Path, source: str) -> RawTable:
             f"{source}: MATLAB's tables and timetables cannot be read from MAT files: write it with writetimetable or "
             "parquetwrite, or save its columns as vectors"
         )
-    return _table(source, vectors)
+    return table_of_vectors(source, vectors, {}, ".")
 
 
 def _content(path: Path) -> Arrays:
@@ -80,17 +78,3 @@ def _names(value: npt.NDArray[Any]) -> list[str]:
     """Return the texts of a cell array of texts, none where it is something else."""
     cells: Any = value.ravel() if value.dtype.kind == "O" else []
     return ["".join(cell.ravel()).strip() for cell in cells if isinstance(cell, np.ndarray) and cell.dtype.kind == "U"]
-
-
-def _table(source: str, vectors: Arrays) -> RawTable:
-    """Return the vectors of the most common length, without the name of a structure that all share."""
-    lengths = Counter(value.size for value in vectors.values() if value.size > 1)
-    if not lengths:
-        raise InputError(f"{source}: the file holds no numeric vectors: save the columns as vectors of one length")
-    timed = {value.size for name, value in vectors.items() if name.rpartition(".")[2].lower() in TIME_NAMES}
-    length = max(lengths, key=lambda size: (size in timed, lengths[size], size))
-    columns = {name: value for name, value in vectors.items() if value.size == length}
-    shared = {name.rpartition(".")[0] for name in columns}
-    headers = [name.rpartition(".")[2] for name in columns] if len(shared) == 1 else list(columns)
-    names, units = named(headers)
-    return RawTable(pd.DataFrame(dict(zip(names, columns.values(), strict=True))), units)

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pandas as pd
 
-from fmuid.data.formats.columns import Cell, Head, RawTable, find_head, is_missing, named
+from fmuid.data.formats.columns import Cell, Head, RawTable, check_once, find_head, is_missing, named
 from fmuid.data.formats.libraries import library
 from fmuid.errors import InputError
 
 
-def read_spreadsheet(path: Path, source: str, sheet: str | None = None) -> RawTable:
-    """Read a sheet, the first with a table unless one is named.
+def read_spreadsheet(path: Path, source: str) -> RawTable:
+    """Read the first sheet with a table.
 
     Raises
     ------
     InputError
-        Where the file cannot be read, has no such sheet or no table.
+        Where the file cannot be read, has no table.
     """
     calamine = library("python_calamine", "excel", source)
     try:
@@ -26,9 +26,7 @@ def read_spreadsheet(path: Path, source: str, sheet: str | None = None) -> RawTa
         raise
     except Exception:  # calamine has an error of its own for each format
         raise InputError(f"{source}: the file is no readable spreadsheet: save it again") from None
-    if sheet is not None and sheet not in book.sheet_names:
-        raise InputError(f"{source}: there is no sheet {sheet!r}: name one of {', '.join(book.sheet_names)}")
-    for name in [sheet] if sheet is not None else book.sheet_names:
+    for name in book.sheet_names:
         rows = _without_margins(book.get_sheet_by_name(name).to_python())
         head = find_head(rows)
         if head is not None:
@@ -45,9 +43,7 @@ def _without_margins(rows: list[list[Cell]]) -> list[list[Cell]]:
 
 def _table(source: str, rows: list[list[Cell]], head: Head) -> RawTable:
     names, units = named(head.names, head.units)
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{source}: the column {name!r} is there twice: rename or remove one of the two")
+    check_once(source, names)
     samples = [[None if is_missing(cell) else cell for cell in row] for row in rows[head.first :]]
     frame = pd.DataFrame(samples, columns=names, dtype=object).infer_objects()
     return RawTable(frame, units)

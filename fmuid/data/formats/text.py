@@ -8,15 +8,17 @@ import gzip
 import io
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any
 
 import pandas as pd
 
-from fmuid.data.formats.columns import MISSING, Head, RawTable, find_head, is_missing, is_number, named
+from fmuid.data.formats.columns import MISSING, Head, RawTable, check_once, find_head, is_missing, is_number, named
 from fmuid.errors import InputError
 
 _LOOKED_AT = 1 << 18
@@ -25,14 +27,6 @@ _ROWS_LOOKED_AT = 200
 _SPACES = r"\s+"
 _DIALECTS = [(separator, decimal) for separator in (",", ";", "\t", "|", _SPACES) for decimal in (".", ",")]
 _COMMENT = ("#", "%", "//")
-
-
-@dataclass(frozen=True)
-class _Packing:
-    """How the bytes of a file are text."""
-
-    encoding: str
-    compression: str | None
 
 
 @dataclass(frozen=True)
@@ -62,23 +56,16 @@ def read_text(path: Path, source: str) -> RawTable:
     InputError
         Where the file is no such text, a column is there twice, or a row has too few or too many cells.
     """
-    compression = {".gz": "gzip", ".zip": "zip"}.get(path.suffix.lower())
-    try:
-        return _read(path, source, compression, None)
-    except UnicodeDecodeError:
-        pass
-    try:
-        return _read(path, source, compression, "cp1252")
-    except UnicodeDecodeError:
-        raise InputError(f"{source}: the file is no text in UTF-8, UTF-16 or cp1252: save it as UTF-8") from None
+    opened = _opener(path, source)
+    for encoding in (None, "cp1252"):
+        with suppress(UnicodeDecodeError):
+            return _read(opened, source, encoding)
+    raise InputError(f"{source}: the file is no text in UTF-8, UTF-16 or cp1252: save it as UTF-8")
 
 
-def _read(path: Path, source: str, compression: str | None, encoding: str | None) -> RawTable:
-    with _opened(path, compression, source) as file:
-        try:
-            start = file.read(_LOOKED_AT)
-        except (OSError, EOFError, zlib.error):
-            raise InputError(f"{source}: the file cannot be unpacked: pack it again, or give the plain text") from None
+def _read(opened: Callable[[], IO[bytes]], source: str, encoding: str | None) -> RawTable:
+    with opened() as file:
+        start = file.read(_LOOKED_AT)
     encoding = encoding or _encoding(start)
     text = codecs.getincrementaldecoder(encoding)().decode(start, final=len(start) < _LOOKED_AT)
     if "\0" in text:
@@ -90,8 +77,8 @@ def _read(path: Path, source: str, compression: str | None, encoding: str | None
     if _ends_with_separators(layout):
         header, units = header[:-1], units[:-1]
     names, said = named(header, units)
-    _check_names(source, names)
-    return RawTable(_samples(path, source, layout, _Packing(encoding, compression), names), said)
+    check_once(source, names)
+    return RawTable(_samples(opened, source, layout, encoding, names), said)
 
 
 def _ends_with_separators(layout: _Layout) -> bool:
@@ -106,19 +93,29 @@ def _encoding(start: bytes) -> str:
     return "utf-8-sig"
 
 
-def _opened(path: Path, compression: str | None, source: str) -> IO[bytes]:
-    if compression == "gzip":
-        return cast(IO[bytes], gzip.open(path))
-    if compression == "zip":
-        try:
-            archive = zipfile.ZipFile(path)
-        except zipfile.BadZipFile:
-            raise InputError(f"{source}: the file is no zip archive: pack it again") from None
-        inside = archive.namelist()
-        if len(inside) != 1:
-            raise InputError(f"{source}: the archive holds {len(inside)} files: give one with the table alone")
-        return archive.open(inside[0])
-    return path.open("rb")
+def _opener(path: Path, source: str) -> Callable[[], IO[bytes]]:
+    """Return what opens the text; what is packed is unpacked once.
+
+    Raises
+    ------
+    InputError
+        If it cannot be unpacked, or an archive holds more than the table.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (".gz", ".zip"):
+        return lambda: path.open("rb")
+    try:
+        if suffix == ".gz":
+            return partial(io.BytesIO, gzip.decompress(path.read_bytes()))
+        with zipfile.ZipFile(path) as archive:
+            inside = archive.namelist()
+            if len(inside) != 1:
+                raise InputError(f"{source}: the archive holds {len(inside)} files: give one with the table alone")
+            return partial(io.BytesIO, archive.read(inside[0]))
+    except PermissionError:
+        raise
+    except (OSError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError):  # the last of what is encrypted
+        raise InputError(f"{source}: the file cannot be unpacked: pack it again, or give the plain text") from None
 
 
 def _rows(lines: Iterator[str] | IO[str], separator: str) -> Iterator[tuple[int, list[str]]]:
@@ -189,37 +186,32 @@ def _as_it_is(source: str, text: str) -> _Layout:
     return _Layout(",", ".", [line for line, _ in read], rows, Head(header, (), 1))
 
 
-def _check_names(source: str, names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            called = f"the column {name!r} is there twice" if name else "two columns have no name"
-            raise InputError(f"{source}: {called}: rename or remove one of the two")
-
-
-def _samples(path: Path, source: str, layout: _Layout, packing: _Packing, names: list[str]) -> pd.DataFrame:
+def _samples(
+    opened: Callable[[], IO[bytes]], source: str, layout: _Layout, encoding: str, names: list[str]
+) -> pd.DataFrame:
     """Return the rows of samples under their names."""
     width = len(layout.head.names)
     try:
-        frame: pd.DataFrame = pd.read_csv(
-            path,
-            header=None,
-            names=[*names, *["\0"] * (width - len(names))],
-            skiprows=layout.lines[layout.head.first - 1],
-            index_col=False,
-            sep=layout.separator,
-            decimal=layout.decimal,
-            encoding=packing.encoding,
-            compression=cast(Any, packing.compression),
-            na_values=[mark for mark in MISSING if "inf" not in mark],
-            skipinitialspace=True,
-            low_memory=False,
-        )[names].apply(_without_marks)
+        with opened() as file:
+            frame: pd.DataFrame = pd.read_csv(
+                file,
+                header=None,
+                names=[*names, *["\0"] * (width - len(names))],
+                skiprows=layout.lines[layout.head.first - 1],
+                index_col=False,
+                sep=layout.separator,
+                decimal=layout.decimal,
+                encoding=encoding,
+                na_values=[mark for mark in MISSING if "inf" not in mark],
+                skipinitialspace=True,
+                low_memory=False,
+            )[names].apply(_without_marks)
     except pd.errors.EmptyDataError:
         return pd.DataFrame({name: [] for name in names})
     except (csv.Error, pd.errors.ParserError) as error:
         raise _no_table(source, str(error).strip()) from None
     if frame[names[-1]].hasnans:  # as it is, too, where a row ends early
-        with io.TextIOWrapper(_opened(path, packing.compression, source), packing.encoding, newline="") as text:
+        with io.TextIOWrapper(opened(), encoding, newline="") as text:
             _check_rows((row for _, row in _rows(text, layout.separator)), source, width, layout.head.first)
     return frame
 
