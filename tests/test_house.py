@@ -76,6 +76,16 @@ def test_what_a_face_names_is_there(face: str) -> None:
         assert getattr(package, name) is not None
 
 
+def test_no_two_classes_share_a_name() -> None:
+    places: dict[str, list[str]] = {}
+    for module, path in modules().items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(module)
+    assert "LeastSquares" in places
+    assert not {name: where for name, where in places.items() if len(where) > 1}
+
+
 def test_the_listing_shows_the_plan() -> None:
     assert len(list(PACKAGE.glob("*.py"))) <= 12
     for folder in {path.parent for path in modules().values()} - {PACKAGE}:

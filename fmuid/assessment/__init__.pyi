@@ -8,9 +8,9 @@ from .criterion_map import map_criterion as map_criterion
 from .ends import EndKind as EndKind
 from .ends import Remark as Remark
 from .posterior import LARGEST_R_HAT as LARGEST_R_HAT
-from .posterior import Doubt as Doubt
 from .posterior import Posterior as Posterior
 from .posterior import Sampling as Sampling
+from .posterior import SamplingDoubt as SamplingDoubt
 from .prior_and_data import Influence as Influence
 from .prior_and_data import Obstacle as Obstacle
 from .prior_and_data import Reading as Reading

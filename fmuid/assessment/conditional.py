@@ -87,7 +87,7 @@ def best_near(problem: LeastSquares, result: Result) -> tuple[Criterion, Point]:
 
 
 class Conditional:
-    """A criterion as a function of all parameters but one, which is held at its value in theta; a `LeastSquares`.
+    """A criterion as a function of all parameters but one, which is held at its value in theta; a `ResidualFunction`.
 
     Attributes
     ----------

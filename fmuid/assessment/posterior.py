@@ -66,7 +66,7 @@ class Sampling:
             raise InputError(f"the setting burn of the sampler must be a share from 0 to below 1, not {self.burn!r}")
 
 
-class Doubt(Enum):
+class SamplingDoubt(Enum):
     """Why samples cannot be trusted."""
 
     RUNAWAY = "runaway"
@@ -87,7 +87,7 @@ class Posterior:
 
     Attributes
     ----------
-    doubt : Doubt or None
+    doubt : SamplingDoubt or None
         Why the samples cannot be trusted; None where they can.
     doubtful : str
         The parameter that the doubt is about, "" where it is about all of them.
@@ -116,7 +116,7 @@ class Posterior:
     elapsed_s : float
     """
 
-    doubt: Doubt | None
+    doubt: SamplingDoubt | None
     doubtful: str
     interrupted: bool
     wanted: int

@@ -279,7 +279,7 @@ def read_result(
 
 
 class _DataAlone:
-    """A criterion without the rows of the prior; a `LeastSquares`."""
+    """A criterion without the rows of the prior; a `ResidualFunction`."""
 
     def __init__(self, criterion: Criterion) -> None:
         self._criterion, self._rows = criterion, criterion.problem.measured.size

@@ -34,7 +34,7 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.assessment.chains import effective_size, r_hat
 from fmuid.assessment.conditional import check_result
-from fmuid.assessment.posterior import LARGEST_R_HAT, Doubt, Posterior, Sampling
+from fmuid.assessment.posterior import LARGEST_R_HAT, Posterior, Sampling, SamplingDoubt
 from fmuid.assessment.profile import reach
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result
@@ -282,21 +282,21 @@ class _Sampler:
         below = np.isinf(parameters.lower) & (beyond < -self.far).any(axis=0)
         return next((name for name, gone in zip(found.names, above | below, strict=True) if gone), "")
 
-    def _doubt(self, found: Posterior) -> tuple[Doubt | None, str]:
+    def _doubt(self, found: Posterior) -> tuple[SamplingDoubt | None, str]:
         """Return why the samples cannot be trusted yet, and of which parameter; None where they can."""
         runaway = self._runaway(found)
         if runaway:
-            return Doubt.RUNAWAY, runaway
+            return SamplingDoubt.RUNAWAY, runaway
         if np.isnan(found.r_hat).any() or np.isnan(found.effective_size).any():
-            return Doubt.TOO_SHORT, ""
+            return SamplingDoubt.TOO_SHORT, ""
         if found.acceptance < LEAST_ACCEPTANCE:
-            return Doubt.STUCK, ""
+            return SamplingDoubt.STUCK, ""
         worst = int(np.argmax(found.r_hat))
         if found.r_hat[worst] > LARGEST_R_HAT:
-            return Doubt.DISAGREEING, found.names[worst]
+            return SamplingDoubt.DISAGREEING, found.names[worst]
         worst = int(np.argmin(found.effective_size))
         if found.effective_size[worst] < self.settings.effective_size:
-            return Doubt.TOO_FEW, found.names[worst]
+            return SamplingDoubt.TOO_FEW, found.names[worst]
         return None, ""
 
 

@@ -2,7 +2,7 @@ from .batch import Batch as Batch
 from .batch import BatchResult as BatchResult
 from .statistics import HALF_WIDTH as HALF_WIDTH
 from .statistics import Columns as Columns
-from .statistics import Doubt as Doubt
+from .statistics import EstimateDoubt as EstimateDoubt
 from .statistics import converged as converged
 from .statistics import data_sets as data_sets
 from .statistics import estimates as estimates

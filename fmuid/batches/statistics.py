@@ -30,7 +30,7 @@ FALSE_DOUBT = 0.01
 WORTH_RATIO, WORTH_BIAS, WORTH_COVERAGE = 1.05, 0.15, 0.01
 
 
-class Doubt(Enum):
+class EstimateDoubt(Enum):
     """What is surely not as stated of a parameter's estimates."""
 
     STD_TOO_SMALL = "std too small"
@@ -241,7 +241,7 @@ def _binomial_probability(held: int, n: int) -> float:
 
 
 def doubted(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of statistics with a last column ``doubts``, a tuple of `Doubt` for each row.
+    """Return a table of statistics with a last column ``doubts``, a tuple of `EstimateDoubt` for each row.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def doubted(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(doubts=pd.Series(found, table.index, dtype=object))
 
 
-def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[Doubt, ...]:
+def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[EstimateDoubt, ...]:
     """Return what is sure of one parameter and large enough to matter."""
 
     def sure(name: str) -> bool:
@@ -262,11 +262,11 @@ def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[Doubt, ...]:
 
     ratio, found = row["ratio"], []
     if sure("ratio_p") and max(ratio, 1.0 / ratio if ratio else math.inf) > WORTH_RATIO:
-        found.append(Doubt.STD_TOO_SMALL if ratio > 1.0 else Doubt.STD_TOO_LARGE)
+        found.append(EstimateDoubt.STD_TOO_SMALL if ratio > 1.0 else EstimateDoubt.STD_TOO_LARGE)
     if sure("bias_p") and abs(row["bias"]) > WORTH_BIAS * row["stated_std"]:
-        found.append(Doubt.BIASED)
+        found.append(EstimateDoubt.BIASED)
     if sure("coverage_p") and abs(row["coverage"] - LEVEL) > WORTH_COVERAGE:
-        found.append(Doubt.COVERAGE_OFF)
+        found.append(EstimateDoubt.COVERAGE_OFF)
     return tuple(found)
 
 

@@ -94,7 +94,7 @@ class Summary:
         frequent first.
     parameters : DataFrame
         A row a parameter: its name, ``unit``, and `fmuid.batches.statistics.statistics` over all data sets (what has to
-        do with the truth only where one is known), and ``doubts``, a tuple of `fmuid.batches.statistics.Doubt`.
+        do with the truth only where one is known), and ``doubts``, a tuple of `fmuid.batches.statistics.EstimateDoubt`.
     groups : DataFrame
         The same for every combination of those settings that have few levels, after columns of the settings and, in
         ``failed``, how many cases of the group have no estimate; empty where no setting varies.

@@ -28,12 +28,12 @@ from .fmu import FMU as FMU
 from .instance import Instance as Instance
 from .instance import warn as warn
 from .layout import FeedThrough as FeedThrough
-from .layout import Grid as Grid
 from .layout import Integration as Integration
 from .layout import Operation as Operation
 from .layout import Plan as Plan
 from .layout import Run as Run
 from .layout import Sensitivities as Sensitivities
+from .layout import TimeGrid as TimeGrid
 from .layout import new_reports as new_reports
 from .layout import shares as shares
 from .loop import Loop as Loop

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fmuid.fmi import codes as k
 from fmuid.fmi.failures import function_name
-from fmuid.fmi.layout import Grid, Operation, Plan
+from fmuid.fmi.layout import Operation, Plan, TimeGrid
 
 _STAGES = 5  # start values, inputs, exchange, outputs, input derivatives; then the exchange after each component
 _FLOAT, _WORD = np.dtype(np.float64), np.dtype(np.intp)
@@ -23,7 +23,7 @@ _WIRE_OF = {  # how the values of a type are passed, where that is not as it is 
 }
 
 
-def check_plan(plan: Plan, grid: Grid, versions: Sequence[int]) -> None:
+def check_plan(plan: Plan, grid: TimeGrid, versions: Sequence[int]) -> None:
     """Check a plan and its grid for components of the given versions of FMI.
 
     Raises
@@ -54,7 +54,7 @@ def check_plan(plan: Plan, grid: Grid, versions: Sequence[int]) -> None:
 
 
 def check_arrays(
-    plan: Plan, grid: Grid, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]
+    plan: Plan, grid: TimeGrid, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]
 ) -> None:
     """Check what a call of the core reads and writes.
 
@@ -77,7 +77,7 @@ def _demand(right: object, what: str, wrong: str) -> None:
         raise ValueError(f"the {what} of a plan {wrong}")
 
 
-def _arrays(plan: Plan, grid: Grid) -> list[tuple[str, NDArray[Any], type[np.generic]]]:
+def _arrays(plan: Plan, grid: TimeGrid) -> list[tuple[str, NDArray[Any], type[np.generic]]]:
     found: list[tuple[str, NDArray[Any], type[np.generic]]] = [
         (name, getattr(plan, name), np.intp)
         for name in (
@@ -145,7 +145,7 @@ def _check_signals(plan: Plan) -> None:
     _demand(plan.conversions.ndim == 2 and plan.conversions.shape[1] == 2, "conversions", "are no pairs")
 
 
-def _check_grid(plan: Plan, grid: Grid, n: int) -> None:
+def _check_grid(plan: Plan, grid: TimeGrid, n: int) -> None:
     n_times = len(grid.times)
     shape = (n_times, len(plan.input_signals))
     _demand(n_times > 0 and np.isfinite(grid.times).all(), "times", "are no numbers")

@@ -101,8 +101,8 @@ class Plan(NamedTuple):
     gauss_seidel: bool
 
 
-class Grid(NamedTuple):
-    """The experiment as the loop walks it.
+class TimeGrid(NamedTuple):
+    """The experiment as the loop walks it, `Grid` of the core.
 
     Times (K,), substeps of each interval (K-1,), how many substeps each component's own step has (n_components,), input
     values (K, n_u) and, where any input goes along a cubic curve, the slopes at the samples, else None.
@@ -126,14 +126,14 @@ class Run:
     Parameters
     ----------
     plan : Plan
-    grid : Grid
+    grid : TimeGrid
     output_names : tuple of str
     """
 
-    def __init__(self, plan: Plan, grid: Grid, output_names: tuple[str, ...]) -> None:
+    def __init__(self, plan: Plan, grid: TimeGrid, output_names: tuple[str, ...]) -> None:
         self.plan, self.grid, self.output_names = plan, grid, output_names
 
-    def __reduce__(self) -> tuple[type[Run], tuple[Plan, Grid, tuple[str, ...]]]:
+    def __reduce__(self) -> tuple[type[Run], tuple[Plan, TimeGrid, tuple[str, ...]]]:
         return Run, (self.plan, self.grid, self.output_names)
 
     def integrate(self, component: int, integrator: str) -> None:

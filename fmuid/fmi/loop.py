@@ -17,7 +17,7 @@ from fmuid.fmi.failures import function_name
 from fmuid.fmi.files.description import Description
 from fmuid.fmi.instance import Instance
 from fmuid.fmi.integrator import NAMES, Integrator, address, function_table
-from fmuid.fmi.layout import Grid, Operation, Plan
+from fmuid.fmi.layout import Operation, Plan, TimeGrid
 
 
 class Loop:
@@ -26,7 +26,7 @@ class Loop:
     Parameters
     ----------
     plan : Plan
-    grid : Grid
+    grid : TimeGrid
     instances : sequence of Instance
         One for each component.
     used : (n_components,) array of intp
@@ -40,7 +40,7 @@ class Loop:
         If plan and grid do not fit together.
     """
 
-    def __init__(self, plan: Plan, grid: Grid, instances: Sequence[Instance], used: NDArray[np.intp]) -> None:
+    def __init__(self, plan: Plan, grid: TimeGrid, instances: Sequence[Instance], used: NDArray[np.intp]) -> None:
         check_plan(plan, grid, [instance.version for instance in instances])
         self._core = native.core()
         self._plan_given, self._grid_given, self._instances = plan, grid, instances
@@ -89,7 +89,7 @@ class Loop:
         self._strings = np.array([cast(text, c_void_p).value for text in texts], np.intp)
         self._kept.append(texts)
 
-    def _lay_out(self, plan: Plan, grid: Grid) -> native.PlanStruct:
+    def _lay_out(self, plan: Plan, grid: TimeGrid) -> native.PlanStruct:
         stages = [native.RangeStruct(*map(int, plan.stages[i : i + 2])) for i in range(len(plan.stages) - 1)]
         n = len(self._instances)
         after_step = (native.RangeStruct * n)(*stages[5:]) if plan.gauss_seidel else None
@@ -141,7 +141,7 @@ class Loop:
         setattr(found, f"fmi{instance.version}", ctypes.pointer(table))
         return found
 
-    def _integrator(self, number: int, plan: Plan, grid: Grid) -> Integrator | None:
+    def _integrator(self, number: int, plan: Plan, grid: TimeGrid) -> Integrator | None:
         instance, integration = self._instances[number], plan.integrations[number]
         if integration is None:
             return None
@@ -243,7 +243,7 @@ class Loop:
             return None
         return ctypes.pointer(self._operations[first])
 
-    def _goes_by_rows(self, plan: Plan, grid: Grid) -> bool:
+    def _goes_by_rows(self, plan: Plan, grid: TimeGrid) -> bool:
         """Return whether all that is done at and between samples is to pass whole rows to and from a single FMU."""
         exchange, outputs, slopes, slopes_end = plan.stages[2:6].tolist()
         sloped = [plan.operations[i].signal + np.arange(plan.operations[i].n_values) for i in range(slopes, slopes_end)]

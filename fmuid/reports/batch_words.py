@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from fmuid.batches import Dependence, Doubt, Summary
+from fmuid.batches import Dependence, EstimateDoubt, Summary
 from fmuid.estimation import AccuracyOutcome
 from fmuid.files import write_table
 from fmuid.reports.words.directions import open_words
@@ -20,9 +20,9 @@ Row = Mapping[Any, Any]
 
 TABLES = ("summary", "groups", "failures", "optima")
 IN_GROUPS = {
-    Doubt.STD_TOO_SMALL: "its stated std is too small",
-    Doubt.STD_TOO_LARGE: "its stated std is too large",
-    Doubt.BIASED: "it is biased",
+    EstimateDoubt.STD_TOO_SMALL: "its stated std is too small",
+    EstimateDoubt.STD_TOO_LARGE: "its stated std is too large",
+    EstimateDoubt.BIASED: "it is biased",
 }
 
 
@@ -65,13 +65,13 @@ def noted(table: pd.DataFrame) -> pd.DataFrame:
 def note(row: Row) -> str:
     """Return in a few words what is not as stated of one row of a table of statistics."""
     ratio, doubts, notes = row["ratio"], row["doubts"], []
-    if Doubt.STD_TOO_SMALL in doubts:
+    if EstimateDoubt.STD_TOO_SMALL in doubts:
         notes.append(f"std {ratio:.3g} x too small")
-    if Doubt.STD_TOO_LARGE in doubts:
+    if EstimateDoubt.STD_TOO_LARGE in doubts:
         notes.append(f"std {1.0 / ratio:.3g} x too large" if ratio else "std too large")
-    if Doubt.BIASED in doubts:
+    if EstimateDoubt.BIASED in doubts:
         notes.append("biased")
-    if doubts == (Doubt.COVERAGE_OFF,):
+    if doubts == (EstimateDoubt.COVERAGE_OFF,):
         notes.append(f"95 % intervals hold {100 * row['coverage']:.3g} %")
     if row["undetermined"]:
         notes.append(f"not determined in {row['undetermined']}")
@@ -124,13 +124,13 @@ def _not_as_stated(row: Row, *, tables: bool) -> Iterator[str]:
     """Give what is surely not as stated of one parameter."""
     unit, doubts = _after(row["unit"]), row["doubts"]
     spread, stated = (rounded(row[name], row[name]) + unit for name in ("spread", "stated_std"))
-    if Doubt.STD_TOO_SMALL in doubts:
+    if EstimateDoubt.STD_TOO_SMALL in doubts:
         why = "what was measured differs, or the stated std is too small" if tables else "that is too small"
         among = "from table to table" if tables else "from case to case"
         yield f"varies {row['ratio']:.3g} times as much {among} ({spread}) as its stated std ({stated}): {why}"
-    if Doubt.STD_TOO_LARGE in doubts:
+    if EstimateDoubt.STD_TOO_LARGE in doubts:
         yield f"varies less ({spread}) than its stated std says ({stated}): that is too large"
-    if Doubt.BIASED in doubts:
+    if EstimateDoubt.BIASED in doubts:
         share = abs(row["bias"]) / row["stated_std"]
         size = f"{rounded(row['bias'], row['bias_std'])} ± {rounded(row['bias_std'], row['bias_std'])}{unit}"
         yield f"biased by {size}, {share:.2g} times its stated std"

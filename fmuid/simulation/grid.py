@@ -6,7 +6,7 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
-from fmuid.fmi import Grid, codes
+from fmuid.fmi import TimeGrid, codes
 from fmuid.models import column_conversion
 from fmuid.simulation.task import Task
 
@@ -18,7 +18,7 @@ LINEAR_SUBSTEPS = 10
 STEP_TOLERANCE = 1e-3
 
 
-def grid_of(task: Task) -> Grid:
+def grid_of(task: Task) -> TimeGrid:
     """Return the grid of a task: steps no longer than they may be, else from sample to sample.
 
     Where inputs are linear in between and their FMU cannot interpolate, `LINEAR_SUBSTEPS` to a sampling interval.
@@ -46,7 +46,7 @@ def grid_of(task: Task) -> Grid:
     strides *= [1 if task.system.integrates(component) else task.divisor for component in task.steps]
     _check_steps(task, intervals / substeps)
     inputs, slopes = _converted_inputs(task)
-    return Grid(np.array(task.experiment.times), substeps, strides, inputs, slopes if curved else None)
+    return TimeGrid(np.array(task.experiment.times), substeps, strides, inputs, slopes if curved else None)
 
 
 def _check_steps(task: Task, steps: Floats) -> None:

@@ -9,7 +9,7 @@ from .model import ExperimentSettings as ExperimentSettings
 from .monitoring import monitor_of as monitor_of
 from .monitoring import records_of as records_of
 from .monitoring import rule_of as rule_of
-from .parameters import Doubt as Doubt
+from .parameters import SourceDoubt as SourceDoubt
 from .parameters import SourceNote as SourceNote
 from .reference import schema_text as schema_text
 from .study import Study as Study

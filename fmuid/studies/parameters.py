@@ -76,7 +76,7 @@ class ParameterWords(Words):
     prior: PriorWords | None = word(None, "what is known of it")
 
 
-class Doubt(Enum):
+class SourceDoubt(Enum):
     """Why an earlier result is to be taken with care."""
 
     DID_NOT_SUCCEED = "did_not_succeed"
@@ -94,7 +94,7 @@ class SourceNote:
     ----------
     path : Path
         The ``result.json``.
-    doubt : Doubt
+    doubt : SourceDoubt
     outcome : Outcome
         Of the result.
     fmu : FMU or None
@@ -102,7 +102,7 @@ class SourceNote:
     """
 
     path: Path
-    doubt: Doubt
+    doubt: SourceDoubt
     outcome: Outcome
     fmu: FMU | None = None
 
@@ -141,9 +141,9 @@ class Source:
             If the result is one of another model.
         """
         note = partial(SourceNote, self.path, outcome=self.result.outcome)
-        notes = [] if self.result.converged else [note(Doubt.DID_NOT_SUCCEED)]
+        notes = [] if self.result.converged else [note(SourceDoubt.DID_NOT_SUCCEED)]
         if not self.result.models:
-            return [*notes, note(Doubt.NO_MODEL)]
+            return [*notes, note(SourceDoubt.NO_MODEL)]
         for component in dict.fromkeys(system.split(name)[0] for name in self.names):
             fmu = system.components[component].fmu
             earlier = self.result.models.get(component)
@@ -155,7 +155,7 @@ class Source:
                     f"{fmu.name}{as_}: give the result of an identification of {fmu.name}"
                 )
             if earlier["digest"] != fmu.digest:
-                notes.append(note(Doubt.OTHER_BUILD, fmu=fmu))
+                notes.append(note(SourceDoubt.OTHER_BUILD, fmu=fmu))
         return notes
 
 

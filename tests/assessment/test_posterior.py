@@ -13,7 +13,7 @@ from scipy.integrate import quad
 
 from experiments.interval_coverage import coverage
 from fmuid.assessment.chains import effective_size, r_hat
-from fmuid.assessment.posterior import Doubt, Posterior, Sampling
+from fmuid.assessment.posterior import Posterior, Sampling, SamplingDoubt
 from fmuid.assessment.sampler import log_density, sample
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
@@ -232,7 +232,7 @@ def test_bounds_alone_hold_what_data_leave_open() -> None:
 
 def test_nothing_holds_what_data_leave_open() -> None:
     posterior, _ = sampled(sum_only(Parameter(1.0), Parameter(1.0)))
-    assert (posterior.doubt, posterior.doubtful) == (Doubt.RUNAWAY, "a")
+    assert (posterior.doubt, posterior.doubtful) == (SamplingDoubt.RUNAWAY, "a")
     assert posterior_words(posterior).startswith("nothing holds a, the samples run away: give a prior or bounds")
 
 
@@ -289,7 +289,7 @@ def test_too_few_steps_are_not_trusted() -> None:
     assert not posterior.converged
     assert "raise steps" in posterior_words(posterior)
     few, _ = sampled(problem, steps=900, effective_size=1_000_000)
-    assert few.doubt is Doubt.TOO_FEW
+    assert few.doubt is SamplingDoubt.TOO_FEW
     assert "independent ones instead of 1000000: raise steps to about" in posterior_words(few)
 
 

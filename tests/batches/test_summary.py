@@ -18,7 +18,7 @@ from scipy import stats
 
 from fmuid.batches.dataset import Dataset
 from fmuid.batches.run_case import directions_of, directions_text
-from fmuid.batches.statistics import Columns, Doubt, estimates, optimum_numbers, statistics
+from fmuid.batches.statistics import Columns, EstimateDoubt, estimates, optimum_numbers, statistics
 from fmuid.batches.summary import MAX_LEVELS, Summary, condensed, summarize
 from fmuid.estimation.covariance import Determined, Direction
 from fmuid.reports.batch_words import noted, summary_words, write_summary
@@ -65,9 +65,9 @@ def row(summary: Summary, name: str) -> Mapping[Any, Any]:
     return found
 
 
-def doubts(table: pd.DataFrame, name: str) -> list[tuple[Doubt, ...]]:
+def doubts(table: pd.DataFrame, name: str) -> list[tuple[EstimateDoubt, ...]]:
     """Return what is doubted of one parameter, a tuple a row."""
-    found: list[tuple[Doubt, ...]] = table.loc[table["parameter"] == name, "doubts"].tolist()
+    found: list[tuple[EstimateDoubt, ...]] = table.loc[table["parameter"] == name, "doubts"].tolist()
     return found
 
 
@@ -151,8 +151,12 @@ def test_stated_std_against_spread(spread: float, word: str) -> None:
     summary = summarize(batch({"draw": range(300)}, spread=spread), TRUTH, UNITS)
     assert row(summary, "R")["note"] == word
     assert ("that is" in " ".join(summary_words(summary))) == bool(word)
-    kinds = {2.0: [Doubt.STD_TOO_SMALL, Doubt.COVERAGE_OFF], 0.5: [Doubt.STD_TOO_LARGE], 1.0: []}
-    assert set(kinds[spread]) <= set(doubts(summary.parameters, "R")[0]) <= {*kinds[spread], Doubt.COVERAGE_OFF}
+    kinds = {
+        2.0: [EstimateDoubt.STD_TOO_SMALL, EstimateDoubt.COVERAGE_OFF],
+        0.5: [EstimateDoubt.STD_TOO_LARGE],
+        1.0: [],
+    }
+    assert set(kinds[spread]) <= set(doubts(summary.parameters, "R")[0]) <= {*kinds[spread], EstimateDoubt.COVERAGE_OFF}
 
 
 def test_stated_std_half_the_spread_in_words() -> None:
@@ -303,7 +307,7 @@ def test_groups_of_a_sweep() -> None:
     # over all levels together the spread is the sweep's, which no std is held against
     assert np.isnan(row(summary, "R")["ratio"])
     assert groups["ratio"].between(0.8, 1.25).all()
-    both = (Doubt.BIASED, Doubt.COVERAGE_OFF)
+    both = (EstimateDoubt.BIASED, EstimateDoubt.COVERAGE_OFF)
     assert doubts(summary.groups, "R") == [both, (), both]
     words = " ".join(summary_words(summary))
     assert "R depends on what is set: its mean goes from" in words

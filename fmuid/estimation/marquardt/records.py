@@ -14,7 +14,7 @@ from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.progress import Progress
 
 if TYPE_CHECKING:
-    from fmuid.estimation.least_squares import LeastSquares as Problem
+    from fmuid.estimation.least_squares import LeastSquares
     from fmuid.estimation.result import Result
 
 # Most problems need 5 to 20 steps; the most crooked of the NIST reference problems (Bennett5) need several hundred.
@@ -25,7 +25,7 @@ TOLERANCE = 1e-6
 FIRST_RADIUS = 1.0
 
 
-class LeastSquares(Protocol):
+class ResidualFunction(Protocol):
     """A residual (n_rows,) as a function of theta (N,); `fmuid.estimation.criterion.Criterion` is one."""
 
     @property
@@ -96,10 +96,10 @@ class Marquardt:
         """False: the search goes down from one start."""
         return False
 
-    def check(self, problem: Problem) -> None:
+    def check(self, problem: LeastSquares) -> None:
         """Any problem can be searched."""
 
-    def search(self, problem: Problem, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
+    def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
         """Search as `fmuid.identify` does."""
         from fmuid.estimation.identification import identify  # which makes use of this module
 

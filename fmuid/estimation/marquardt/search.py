@@ -25,8 +25,8 @@ from fmuid.estimation.finite_differences import SensitivityError
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.radius import NOISE_SURPRISE, Radius
 from fmuid.estimation.marquardt.records import Iteration as Iteration
-from fmuid.estimation.marquardt.records import LeastSquares as LeastSquares
 from fmuid.estimation.marquardt.records import Marquardt as Marquardt
+from fmuid.estimation.marquardt.records import ResidualFunction
 from fmuid.estimation.marquardt.records import State as State
 from fmuid.estimation.marquardt.stagnation import SLOW, WORTHLESS, Stagnation
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
@@ -61,25 +61,25 @@ NOISE_MARGIN = 3.0
 RUNAWAY, NO_GAIN = 100.0, 0.01
 
 
-def search(problem: LeastSquares, state: State, settings: Marquardt, *, rough: bool = False) -> Iterator[Iteration]:
+def search(problem: ResidualFunction, state: State, settings: Marquardt, *, rough: bool = False) -> Iterator[Iteration]:
     """Search from a state that has residual and Jacobian; yield every step, and leave the result in the state.
 
     Parameters
     ----------
-    problem : LeastSquares
+    problem : ResidualFunction
     state : State
         Changed in place; `outcome` is set at the end.
     settings : Marquardt
     rough : bool
         End already where a tenth of the standard deviations is left, to go on with a changed problem.
     """
-    return _Search(problem, state, settings, rough).run()
+    return _Descent(problem, state, settings, rough).run()
 
 
-class _Search:
+class _Descent:
     """The loop of `search` and what it remembers from step to step."""
 
-    def __init__(self, problem: LeastSquares, state: State, settings: Marquardt, rough: bool) -> None:
+    def __init__(self, problem: ResidualFunction, state: State, settings: Marquardt, rough: bool) -> None:
         self.problem, self.state, self.settings, self.rough = problem, state, settings, rough
         self.square = _square(state.residual)
         self.free = max(state.residual.size - state.theta.size, 1)  # degrees of freedom

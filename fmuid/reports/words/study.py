@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fmuid.studies import Doubt
+from fmuid.studies import SourceDoubt
 
 if TYPE_CHECKING:
     from fmuid.studies import SourceNote
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 def source_words(note: SourceNote) -> str:
     """Return why an earlier result that priors are taken from is to be taken with care."""
     match note.doubt:
-        case Doubt.DID_NOT_SUCCEED:
+        case SourceDoubt.DID_NOT_SUCCEED:
             return f"{note.path}, which priors are taken from, did not succeed: {note.outcome.value}"
-        case Doubt.NO_MODEL:
+        case SourceDoubt.NO_MODEL:
             return f"{note.path} does not say of which model it is a result"
-        case Doubt.OTHER_BUILD:
+        case SourceDoubt.OTHER_BUILD:
             assert note.fmu is not None
             return f"{note.path} was made with another build of {note.fmu.name} than {note.fmu.path}"

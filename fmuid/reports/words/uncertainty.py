@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmuid.assessment import LARGEST_R_HAT, Doubt, EndKind, better_point
+from fmuid.assessment import LARGEST_R_HAT, EndKind, SamplingDoubt, better_point
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.result import ENDS
 
@@ -89,23 +89,23 @@ def posterior_words(found: Posterior) -> str:
 def _doubt_words(found: Posterior) -> str:
     length, name = len(found.chain), found.doubtful
     i = found.names.index(name) if name else int(np.argmin(found.effective_size))
-    if found.doubt is Doubt.RUNAWAY:
+    if found.doubt is SamplingDoubt.RUNAWAY:
         return f"nothing holds {name}, the samples run away: give a prior or bounds, or measure more"
-    if found.doubt is Doubt.TOO_SHORT:
+    if found.doubt is SamplingDoubt.TOO_SHORT:
         return f"{length} steps are too few to judge: raise steps, or let it go on"
-    if found.doubt is Doubt.STUCK:
+    if found.doubt is SamplingDoubt.STUCK:
         return (
             f"the walkers hardly move, {found.acceptance:.1%} of the proposals are accepted: look for several "
             "optima and for simulations that fail, and narrow the bounds around what is meant"
         )
-    if found.doubt is Doubt.DISAGREEING:
+    if found.doubt is SamplingDoubt.DISAGREEING:
         return (
             f"not converged: the walkers do not agree on {name} (R-hat {found.r_hat[i]:.3f}, {LARGEST_R_HAT} is the "
             f"most) after {length} steps: raise steps; if that does not help, the data leave it open or there are "
             "several optima, so give a prior or narrower bounds"
         )
     worth = float(found.effective_size[i])
-    if found.doubt is Doubt.TOO_FEW:
+    if found.doubt is SamplingDoubt.TOO_FEW:
         return (
             f"not enough: the samples of {name} are worth {worth:.0f} independent ones instead of {found.wanted}: "
             f"raise steps to about {math.ceil(STEPS_MARGIN * found.wanted / worth * length)}"
