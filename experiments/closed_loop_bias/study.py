@@ -82,8 +82,12 @@ def reference() -> Floats:
 def loop() -> fmuid.System:
     """Return the coil, the sensor and the controller; they exchange their values at every sample."""
     models = {"coil": "Coil", "sensor": "CurrentSensor", "controller": "CoilController"}
+    run = {"controller": fmuid.Numerics(samples=True)}
     return fmuid.System(
-        components={name: FMUS / model / f"{model}.fmu" for name, model in models.items()},
+        components={
+            name: fmuid.Component(FMUS / model / f"{model}.fmu", run.get(name, fmuid.Numerics()))
+            for name, model in models.items()
+        },
         connections=[
             ("coil.i", "sensor.i"),
             ("sensor.measured", "controller.i"),
@@ -142,8 +146,7 @@ def estimate(record: pd.DataFrame, whole: bool) -> fmuid.Result:
     parameters = {name: fmuid.Parameter(value) for name, value in zip(names, TRUTH.tolist(), strict=True)}
     model, values = (loop(), CONTROL) if whole else (coil(), None)
     problem = fmuid.Problem(model, experiment, parameters, values=values)
-    # the control acts once a communication step: a finer simulation would be another controller
-    result = fmuid.identify(problem, accuracy="off" if whole else "switch")
+    result = fmuid.identify(problem)
     if not result.converged:
         raise RuntimeError(f"the search did not converge: {fmuid.describe(result)}")
     return result

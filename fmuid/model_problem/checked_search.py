@@ -147,7 +147,7 @@ class _CheckedSearch:
 
     def _compare_start(self, at: Floats) -> None:
         """Go by model exchange where co-simulation fails at a start (N,), or is far off there."""
-        problem, finer = self.problem, self.problem.next_refinement
+        problem, finer = self.problem, self.problem.next_sure_refinement
         if finer is None or not replaces_interface(problem.system, finer) or not is_free(problem.system):
             return
         if at.shape != (len(problem.parameters),):
@@ -221,14 +221,22 @@ class _CheckedSearch:
         # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
         predicted = simulated(fit) if finer.tolerance else problem.predict(fit.values[None])[0]
         found = checked(problem, fit, problem.predict_finer(finer, fit.values) - predicted)
-        return replace(found, finer=problem.how_run(finer))
+        found = replace(found, finer=problem.how_run(finer))
+        sure = problem.next_sure_refinement
+        if not found.doubtful or sure == finer:
+            return found
+        if sure is not None:
+            inside = checked(problem, fit, problem.predict_finer(sure, fit.values) - predicted)
+            if inside.doubtful:
+                return replace(inside, finer=problem.how_run(sure))
+        return replace(found, outcome=AccuracyOutcome.COUPLED)
 
     def _go_on(self) -> Kept | None:
         """Search on from the optima by the next finer simulation; return why nothing came of it, if so."""
-        problem, finer = self.problem, self.problem.next_refinement
+        problem, finer = self.problem, self.problem.next_sure_refinement
         if not self.switching or not is_free(problem.system):
             return Kept.ASKED
-        if finer is None or problem.refined(finer).next_refinement is None:
+        if finer is None or problem.refined(finer).next_sure_refinement is None:
             return Kept.FINEST
         other = problem.refined(finer)
         fits = [fit for each in self.optima[:MOST_OPTIMA] if (fit := self._searched(other, each.fit)) is not None]

@@ -136,6 +136,11 @@ class Problem(LeastSquares):
         """The next finer way to simulate the model, None where there is none."""
         return next_refinement(self.system, self.refinement)
 
+    @property
+    def next_sure_refinement(self) -> Refinement | None:
+        """The next one by which a search can go on: it is the same model beyond doubt."""
+        return next_refinement(self.system, self.refinement, surely=True)
+
     def refined(self, refinement: Refinement) -> Problem:
         """Return this problem with finer simulations, which are counted by themselves.
 

@@ -26,6 +26,10 @@ class Numerics:
         Relative; for model exchange that of the integrator, for co-simulation the one passed to the FMU.
     step_size : float, optional
         Largest step, s: between communications, and inside an integrator.
+    samples : bool, optional
+        Whether the FMU acts once a communication step, as a sampled controller does, so that shorter steps would make
+        it another device; default: one of several without continuous states does, of others it is not known
+        (`System.integrates`, `System.sampling_known`).
 
     Raises
     ------
@@ -37,6 +41,7 @@ class Numerics:
     integrator: str | None = None
     tolerance: float | None = None
     step_size: float | None = None
+    samples: bool | None = None
 
     def __post_init__(self) -> None:
         for word, known in (("interface", KINDS), ("integrator", INTEGRATORS)):

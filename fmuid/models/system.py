@@ -176,14 +176,29 @@ class System(Owner):
         return model
 
     def integrates(self, component: str) -> bool:
-        """Return whether a component has continuous states, as far as it tells.
+        """Return whether a component may be run in shorter steps: it has continuous states, as far as it tells.
 
-        What has none acts once a step, and would be another device if it did so more often. An FMU for co-simulation
-        alone need not say what states it has: one that is not coupled has some if an output is continuous.
+        What has none acts once a step, and would be another device if it did so more often, unless it is said that it
+        does not sample (`Numerics.samples`). An FMU for co-simulation alone need not say what states it
+        has: one that is not coupled has some if an output is continuous.
         """
-        described = self.components[component].fmu.description
+        model = self.components[component]
+        if model.numerics.samples is not None:
+            return not model.numerics.samples
+        described = model.fmu.description
         untold = len(self.components) == 1 and "model-exchange" not in described.interfaces
         return bool(described.states) or (untold and any(v.continuous for v in described.with_causality("output")))
+
+    @property
+    def sampling_known(self) -> bool:
+        """Whether it is known which components act once a communication step: there is one, or something is said.
+
+        It cannot be told from FMUs with continuous states: a PI control and a spring with a damper have the same
+        equations, and shorter steps are a faster control of the one and a smaller error of the other.
+        """
+        return len(self.components) == 1 or any(
+            model.numerics.samples is not None for model in self.components.values()
+        )
 
     def run_by(self, numerics: Mapping[str, Numerics]) -> System:
         """Return this system with some of its components run in another way; it is closed with this one.

@@ -29,6 +29,9 @@ IN_GROUPS = {
 ACCURACY = {
     AccuracyOutcome.SHIFTED: "are shifted by that error, which their std include",
     AccuracyOutcome.UNKNOWN: "may be shifted by that error: not all their std are known",
+    AccuracyOutcome.COUPLED: (
+        "depend on how often the FMUs exchange values: give samples = true or false for the components"
+    ),
     AccuracyOutcome.UNCHECKABLE: "cannot be checked: nothing finer is offered, or it gives the same to the last bit",
     AccuracyOutcome.FAILED: "could not be checked: the finer simulation fails",
 }

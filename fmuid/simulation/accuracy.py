@@ -2,8 +2,9 @@
 
 Model exchange with a controlled error is finer than what co-simulation has inside, wherever an FMU offers it. Without
 it each communication step is divided by four, and by four again: half the steps see nothing of some FMUs that an eighth
-would show. Where several FMUs are coupled, what they exchange between is divided too. What has no continuous states
-keeps its steps: a sampled controller that acts four times as often is another plant.
+would show. Where several FMUs are coupled, what they exchange between is divided too. What samples keeps its steps: a
+controller that acts four times as often is another plant. Where it is not known which of them samples, shorter steps
+show what depends on them, and no search goes on by them.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ AS_ASKED = Refinement()
 """Nothing is finer."""
 
 
-def next_refinement(system: System, than: Refinement = AS_ASKED) -> Refinement | None:
+def next_refinement(system: System, than: Refinement = AS_ASKED, *, surely: bool = False) -> Refinement | None:
     """Return the next finer way to simulate a system, None where there is none.
 
     Parameters
@@ -57,13 +58,17 @@ def next_refinement(system: System, than: Refinement = AS_ASKED) -> Refinement |
         As asked for.
     than : Refinement
         How it is simulated.
+    surely : bool
+        Whether it must be the same system beyond doubt: then components exchange their values no more often where it
+        is not known which of them sample (`System.sampling_known`).
     """
     exchanged = _exchanged(system)
     tolerance, divisor = than.tolerance, than.divisor
     if exchanged:
         now = tolerance or min(map(_tolerance, exchanged.values()))
         tolerance = min(FINE_TOLERANCE, FINER * now) if tolerance is None else FINER * now
-    if (len(system.components) > 1 or not exchanged) and any(map(system.integrates, system.components)):
+    divided = system.sampling_known or not surely
+    if divided and (len(system.components) > 1 or not exchanged) and any(map(system.integrates, system.components)):
         divisor *= DIVISION
     exhausted = (tolerance is not None and tolerance < FINEST_TOLERANCE) or divisor > FINEST_DIVISOR
     found = Refinement(tolerance, divisor)
@@ -126,11 +131,13 @@ def how_run(system: System, refinement: Refinement, stiff: frozenset[str] = froz
 
 
 def _exchanged(system: System) -> dict[str, Component]:
-    """Return the components whose continuous states model exchange can integrate."""
+    """Return the components whose continuous states model exchange can integrate, and may."""
     return {
         name: model
         for name, model in system.components.items()
-        if model.fmu.description.states and "model-exchange" in model.fmu.description.interfaces
+        if model.fmu.description.states
+        and "model-exchange" in model.fmu.description.interfaces
+        and not model.numerics.samples
     }
 
 
@@ -138,7 +145,7 @@ def _exchange(model: Component, tolerance: float = FINE_TOLERANCE) -> Numerics:
     """Return how a component is run by model exchange: by the integrator asked for, if its error is controlled."""
     asked = model.numerics
     integrator = None if asked.integrator == "rk4" else asked.integrator
-    return Numerics("model-exchange", integrator, tolerance, asked.step_size)
+    return replace(asked, interface="model-exchange", integrator=integrator, tolerance=tolerance)
 
 
 def _tolerance(model: Component) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,6 +27,7 @@ from fmuid.studies.words import (
     Columns,
     Entries,
     File,
+    Flag,
     Names,
     NotNegative,
     Number,
@@ -138,6 +139,17 @@ class ComponentWords(NumericsWords):
 
     name: Text = word(..., "what its variables are prefixed with")
     fmu: File = word(..., "the path of the FMU")
+    samples: Flag | None = word(
+        None,
+        "whether it acts once a communication step, as a sampled controller does: finer simulations leave its steps as "
+        "they are; default: an FMU without continuous states does, of others it is not known",
+        True,
+    )
+
+    @property
+    def numerics(self) -> Numerics:
+        """The words as an object."""
+        return replace(super().numerics, samples=self.samples)
 
 
 class ConnectionWords(Words):

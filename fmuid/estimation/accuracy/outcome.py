@@ -30,6 +30,9 @@ class AccuracyOutcome(Enum):
     """A standard deviation is infinite or not known, and with it what the error moves the estimates by."""
     UNCHECKABLE = "uncheckable"
     """Nothing finer is offered, or what should be finer gives the same outputs to the last bit."""
+    COUPLED = "coupled"
+    """How often components exchange their values moves an estimate, and nothing tells whether that is an error, or a
+    sampled controller which would act more often."""
     FAILED = "failed"
     """The finer simulation fails."""
     INTERRUPTED = "interrupted"
@@ -129,7 +132,9 @@ class Accuracy:
 
     @property
     def doubtful(self) -> bool:
-        """Whether an estimate is moved by more than `SHIFT_LIMIT`, or may be where its shift is not known."""
+        """Whether an error moves an estimate by more than `SHIFT_LIMIT`, or may where its shift is not known."""
+        if self.outcome is AccuracyOutcome.COUPLED:
+            return False
         unknown = bool(np.isnan(self.shift).any()) and self.change > SHIFT_LIMIT
         return self.largest > SHIFT_LIMIT or unknown
 

@@ -71,12 +71,10 @@ def _outcome(result: Result, found: Accuracy) -> str:
         case AccuracyOutcome.PASSED:
             return ""
         case AccuracyOutcome.SHIFTED:
-            pairs = zip(result.names, found.shift.tolist(), strict=True)
-            shifts = ", ".join(f"{name} by {shift:+.2g}" for name, shift in pairs if abs(shift) > SHIFT_LIMIT)
             why = KEPT.get(found.kept, "") if found.kept else ""
             return (
-                f"the error of the simulation moves estimates, in the standard deviations of noise: {shifts} "
-                f"({finer} against {used}); that is added to the standard deviations; {why}"
+                "the error of the simulation moves estimates, in the standard deviations of noise: "
+                f"{_shifts(result, found)} ({finer} against {used}); that is added to the standard deviations; {why}"
             )
         case AccuracyOutcome.UNKNOWN:
             return (
@@ -90,10 +88,24 @@ def _outcome(result: Result, found: Accuracy) -> str:
                 else "nothing finer is offered"
             )
             return f"the error of the simulation cannot be checked: {why}"
+        case AccuracyOutcome.COUPLED:
+            return (
+                "the error of the simulation is not known: a quarter of the communication step would move "
+                f"{_shifts(result, found)} (standard deviations), and the FMUs do not tell whether for less error or "
+                "because a sampled controller would act more often; give samples = true for the components that act "
+                "once a step, or samples = false where none does"
+            )
         case AccuracyOutcome.FAILED:
             return f"the error of the simulation is not known: {finer} fails at the estimates"
         case AccuracyOutcome.INTERRUPTED:
             return "the error of the simulation was not checked: interrupted"
+
+
+def _shifts(result: Result, found: Accuracy) -> str:
+    """Return which estimates are moved, and by how much; just that they may be where no standard deviation is known."""
+    pairs = zip(result.names, found.shift.tolist(), strict=True)
+    moved = ", ".join(f"{name} by {shift:+.2g}" for name, shift in pairs if abs(shift) > SHIFT_LIMIT)
+    return moved or f"the outputs by {found.change:.2g} in all"
 
 
 def shift_text(shift: float) -> str:
