@@ -16,8 +16,8 @@ from pkgutil import resolve_name
 
 import pytest
 
-from fmuid.assessment.consistency import SAME_VARIANCE
-from fmuid.assessment.residual_series import LAGS
+from fmuid.assessment.consistency import SAME_VARIANCE_RATIO
+from fmuid.assessment.residual_series import TESTED_LAGS
 from fmuid.batches.cases import Cases
 from fmuid.diagnosis.decision import STRONG_EVIDENCE
 from fmuid.diagnosis.procedure import UNEXPLAINED_SHARE
@@ -27,7 +27,7 @@ from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
 from fmuid.estimation.numerical_noise import NOISE_POINTS
 from fmuid.models.component import DEFAULT_TOLERANCE
 from fmuid.simulation.grid import LINEAR_SUBSTEPS
-from fmuid.simulation.isolation.keeper import FIRST_LIMIT, LEAST_LIMIT, SLOWER
+from fmuid.simulation.isolation.keeper import FIRST_TIME_LIMIT, LEAST_TIME_LIMIT, SLOWER_FACTOR
 from fmuid.studies.study import Study
 
 ROOT = Path(__file__).parents[1]
@@ -70,7 +70,10 @@ def test_the_sample_that_is_shown(tmp_path: Path) -> None:
 def test_the_isolation_that_is_shown(tmp_path: Path) -> None:
     (words,) = blocks("isolation.md", "toml")
     study_of(words, tmp_path)
-    assert f"{SLOWER:g} times the longest so far, at least {LEAST_LIMIT:g} s; {FIRST_LIMIT:g} s before" in words
+    assert (
+        f"{SLOWER_FACTOR:g} times the longest so far, at least {LEAST_TIME_LIMIT:g} s; {FIRST_TIME_LIMIT:g} s before"
+        in words
+    )
 
 
 @pytest.mark.parametrize("code", [*blocks("clusters.md", "python"), *blocks("batches.md", "python")])
@@ -104,9 +107,9 @@ def test_the_numbers_of_the_method() -> None:
         f"beyond {UNDETERMINED_STD:.0%} not determined in effect".replace("%", " %"),
         f"relative tolerance $10^{{{math.log10(DEFAULT_TOLERANCE):.0f}}}$",
         f"until none moves by more than {VARIANCE_CHANGE:.0%}".replace("%", " %"),
-        f"a difference of less than {SAME_VARIANCE - 1.0:.0%} is not called one".replace("%", " %"),
+        f"a difference of less than {SAME_VARIANCE_RATIO - 1.0:.0%} is not called one".replace("%", " %"),
         f"those within {STRONG_EVIDENCE:g} of it",
-        f"over up to {LAGS} lags",
+        f"over up to {TESTED_LAGS} lags",
         "divided in ten" if LINEAR_SUBSTEPS == 10 else "",
         "tested at a tenth of the level" if UNEXPLAINED_SHARE == 0.1 else "",
     ):

@@ -1,5 +1,5 @@
-from .consistency import SAME_VARIANCE as SAME_VARIANCE
-from .consistency import SIGNIFICANT as SIGNIFICANT
+from .consistency import SAME_VARIANCE_RATIO as SAME_VARIANCE_RATIO
+from .consistency import SIGNIFICANCE_LEVEL as SIGNIFICANCE_LEVEL
 from .consistency import Agreement as Agreement
 from .consistency import Deviation as Deviation
 from .consistency import VarianceTest as VarianceTest
@@ -33,7 +33,7 @@ from .series import coloured_gram as coloured_gram
 from .series import noise_model as noise_model
 from .series import on_grid as on_grid
 from .series import positions as positions
-from .uncertainty import LEVEL as LEVEL
+from .uncertainty import CONFIDENCE_LEVEL as CONFIDENCE_LEVEL
 from .uncertainty import Uncertainty as Uncertainty
 from .uncertainty import UncertaintySettings as UncertaintySettings
 from .uncertainty import better_point as better_point

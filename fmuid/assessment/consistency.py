@@ -26,10 +26,10 @@ from fmuid.estimation import LeastSquares, LocalModel, Result
 from fmuid.text import nearest
 
 # Tests are said to fail below this probability.
-SIGNIFICANT = 0.01
+SIGNIFICANCE_LEVEL = 0.01
 # A variance that differs from the known one by less than this factor is said to be as large: with many samples the
 # smallest difference is significant.
-SAME_VARIANCE = 1.1
+SAME_VARIANCE_RATIO = 1.1
 
 
 class Deviation(Enum):
@@ -89,7 +89,7 @@ class Agreement:
     @property
     def holds(self) -> bool:
         """Whether prior and data agree as far as chance lets them."""
-        return self.probability >= SIGNIFICANT
+        return self.probability >= SIGNIFICANCE_LEVEL
 
 
 def agree(local: LocalModel, diagnostics: Diagnostics) -> Agreement | None:
@@ -169,10 +169,10 @@ def variance_tests(
 
 
 def _deviation(test: VarianceTest, outputs: int) -> Deviation:
-    level = SIGNIFICANT / max(outputs, 1)
-    if test.ratio > SAME_VARIANCE and test.probability < level:
+    level = SIGNIFICANCE_LEVEL / max(outputs, 1)
+    if test.ratio > SAME_VARIANCE_RATIO and test.probability < level:
         return Deviation.LARGER
-    if test.ratio < 1.0 / SAME_VARIANCE and test.probability > 1.0 - level:
+    if test.ratio < 1.0 / SAME_VARIANCE_RATIO and test.probability > 1.0 - level:
         return Deviation.SMALLER
     return Deviation.NONE
 

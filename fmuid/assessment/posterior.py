@@ -17,7 +17,7 @@ MAX_STEPS = 20_000
 # So many independent samples give means to 2 % and the ends of 95 % intervals to 6 % of a standard deviation.
 EFFECTIVE_SIZE = 2000
 # The share of the chain, at its start, that is not used.
-BURN = 0.25
+BURN_SHARE = 0.25
 # Largest R-hat of chains that agree (Vehtari et al., section 4).
 LARGEST_R_HAT = 1.01
 
@@ -48,7 +48,7 @@ class Sampling:
     walkers: int | None = None
     steps: int = MAX_STEPS
     effective_size: int = EFFECTIVE_SIZE
-    burn: float = BURN
+    burn: float = BURN_SHARE
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -43,7 +43,7 @@ from fmuid.estimation import (
 from fmuid.files import as_json
 
 # A barycentre further than this from the estimate, in standard deviations, shows that the model is not linear.
-NONLINEAR = 0.5
+NONLINEAR_STDS = 0.5
 # An estimate that the prior moved by more than this, in standard deviations, is named; and one whose standard deviation
 # would be larger by this factor without the prior.
 LEAST_MOVE_STDS, RESTING_STD_RATIO = 1.0, 2.0
@@ -195,7 +195,7 @@ class Reading:
         """The parameter whose barycentre lies so far from the estimate that the model is not linear, "" for none."""
         off = np.abs(np.nan_to_num(self.nonlinearity))
         i = int(np.argmax(off))
-        return self.names[i] if off[i] >= NONLINEAR else ""
+        return self.names[i] if off[i] >= NONLINEAR_STDS else ""
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return ``consistency`` of ``result.json``; what is not a finite number is None."""

@@ -25,13 +25,13 @@ from fmuid.assessment.series import (
 from fmuid.data import Experiment, Measurements
 
 # Whiteness is tested over so many lags, the habit of the field, but not more than a fifth of the samples.
-LAGS, LAGS_SHARE = 25, 5
+TESTED_LAGS, LAGS_DIVISOR = 25, 5
 # The autocorrelation is kept for figures to this lag.
 SHOWN_LAGS = 40
 # Fewer samples say nothing.
 LEAST_SAMPLES = 20
 # A residual below this share of the measured values is rounding.
-ROUNDING = 1e-9
+ROUNDING_SHARE = 1e-9
 # A skewness and excess kurtosis beyond which noise no longer looks normal.
 LARGE_SKEWNESS, LARGE_KURTOSIS = 0.5, 1.0
 # A sample this many standard deviations away is an outlier: of normal noise, 1 in 15 000.
@@ -221,12 +221,12 @@ def _alone(experiment: Measurements, column: int, simulated: Floats, rows: Indic
         "inputs": (),
         "rows": rows,
     }
-    rounding = ROUNDING * float(np.sqrt(np.mean(measured[counted] ** 2)))
+    rounding = ROUNDING_SHARE * float(np.sqrt(np.mean(measured[counted] ** 2)))
     if values.size < LEAST_SAMPLES or not std > rounding:
         return ResidualSeries(**there, **_unknown(values.size))
     places, step = positions(experiment.times[counted])
     grid = on_grid(values, places)
-    lags = min(LAGS, values.size // LAGS_SHARE, len(grid) - 1)
+    lags = min(TESTED_LAGS, values.size // LAGS_DIVISOR, len(grid) - 1)
     correlations, pairs = autocorrelation(grid, min(SHOWN_LAGS, len(grid) - 1))
     statistic, probability = ljung_box(correlations[: lags + 1], pairs[: lags + 1])
     noise = noise_model(grid)
@@ -291,7 +291,7 @@ def _lagged_inputs(experiment: Experiment, series: ResidualSeries, lags: Floats)
     begun = before >= clock[0] - 1e-6 * (lags[1] if lags.size > 1 else 0.0)
     for name, column in zip(experiment.input_names, experiment.input_values.T, strict=True):
         grid = np.interp(grid_times, clock, column)
-        if np.ptp(grid) > ROUNDING * np.abs(grid).max():
+        if np.ptp(grid) > ROUNDING_SHARE * np.abs(grid).max():
             yield name, LaggedSeries(np.where(begun, np.interp(before, clock, column), np.nan), grid)
 
 

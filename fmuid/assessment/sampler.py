@@ -52,7 +52,7 @@ LOCAL_SHARE, LOCAL_FREEDOM, JUMP_SHARE = 0.5, 5.0, 0.1
 # Spread of the walkers' start in a parameter that the data leave open, relative to its magnitude.
 OPEN_SPREAD = 0.01
 # A walker that would start outside the bounds starts inside, within so many standard deviations.
-SPREAD_INSIDE = 3.0
+INSIDE_STDS = 3.0
 # How many times a walker whose simulation fails is moved half way to the estimate.
 MOST_HALVINGS = 40
 # Simulated samples held at a time, 64 MB.
@@ -216,8 +216,8 @@ class _Sampler:
         spread = np.where(np.isfinite(self.result.std), self.result.std, OPEN_SPREAD * parameters.magnitudes(estimate))
         draws = self.random.standard_normal((self.walkers, estimate.size))
         thetas = estimate + (draws * spread if self.root is None else draws @ self.root.T)
-        low = np.maximum(parameters.lower, estimate - SPREAD_INSIDE * spread)
-        high = np.minimum(parameters.upper, estimate + SPREAD_INSIDE * spread)
+        low = np.maximum(parameters.lower, estimate - INSIDE_STDS * spread)
+        high = np.minimum(parameters.upper, estimate + INSIDE_STDS * spread)
         inside = (thetas >= parameters.lower) & (thetas <= parameters.upper)
         thetas = np.where(inside, thetas, self.random.uniform(low, high, thetas.shape))
         for _ in range(MOST_HALVINGS):

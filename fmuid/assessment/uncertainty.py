@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from fmuid.assessment.posterior import Posterior, Sampling
     from fmuid.assessment.profile import Profile
 
-LEVEL = 0.95
+CONFIDENCE_LEVEL = 0.95
 # A criterion on a map lower than at the estimate by more than this shows another optimum; less may be rounding, or
 # what the search left.
-LOWER_OPTIMUM = 0.1
+LOWER_CRITERION = 0.1
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class UncertaintySettings:
         If the level is not between 0 and 1.
     """
 
-    level: float = LEVEL
+    level: float = CONFIDENCE_LEVEL
     profile: tuple[str, ...] = ()
     posterior: Sampling | None = None
     maps: tuple[tuple[str, str], ...] = ()
@@ -172,7 +172,7 @@ def better_point(chart: CriterionMap) -> tuple[float, float, float] | None:
     points = chart.table[[*chart.names, "criterion"]].to_numpy()
     values = np.where(np.isnan(points[:, 2]), np.inf, points[:, 2])
     x, y, least = points[int(np.argmin(values))]
-    return (float(x), float(y), float(chart.criterion - least)) if least < chart.criterion - LOWER_OPTIMUM else None
+    return (float(x), float(y), float(chart.criterion - least)) if least < chart.criterion - LOWER_CRITERION else None
 
 
 def explore(

@@ -1,6 +1,6 @@
 from .batch import Batch as Batch
 from .batch import BatchResult as BatchResult
-from .statistics import HALF_WIDTH as HALF_WIDTH
+from .statistics import INTERVAL_STDS as INTERVAL_STDS
 from .statistics import Columns as Columns
 from .statistics import EstimateDoubt as EstimateDoubt
 from .statistics import converged as converged

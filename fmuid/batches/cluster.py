@@ -26,22 +26,27 @@ from fmuid.batches.worker import SINGLE_THREADED, GroupResult, difference, forge
 from fmuid.errors import FmuidError, InputError
 from fmuid.processes import MEMORY_KEPT, Child
 
-# How long a scheduler may take to answer, and to name its first worker, s.
-PATIENCE = 10.0
+# How long a scheduler may take to answer, and to name its first worker, s: Dask's own limit for connecting is 30 s, and
+# who gave a wrong address should not wait so long.
+ANSWER_SECONDS = 10.0
 # So many groups wait or run for each thread of a worker: it goes on while results and the next group travel.
-WINDOW = 3
+GROUPS_PER_THREAD = 3
 # A group takes about so long, s: what scheduling it costs, some ms, is nothing beside; what its loss costs, little.
 GROUP_SECONDS = 1.5
-MOST_CASES = 5000  # of a group
+# Cases of a group, however short each is: their rows are small beside `GROUP_MB`.
+MOST_GROUP_CASES = 5000
 # Records of a group, MB: it waits in the memory of the scheduler.
 GROUP_MB = 16.0
-# A group whose worker ended more often is taken apart, and a case alone that does so again is given up.
-WORKER_ENDS = 5
-ROUNDS = 1
-# The workers of this machine that end within `PATIENCE` are started so often again in a row.
-STARTS = 12
+# A group whose worker ended more often than the first is taken apart: five times by chance is a machine that fails; and
+# a case alone that does so again, so many times after the group, is given up.
+MOST_WORKER_ENDS = 5
+MOST_LOSSES = 1
+# The workers of this machine that end within `ANSWER_SECONDS` are started so often again in a row: what takes memory
+# from them for a moment ends no batch.
+MOST_RESTARTS = 12
 # How often the state of the cluster is looked at, and what waits for results told that there are none, s.
-LOOK, TICK = 1.0, 0.25
+# Both cost a message at most, and are soon enough for a person who watches.
+LOOK_SECONDS, TICK_SECONDS = 1.0, 0.25
 
 DASK: Any = distributed
 """Dask, parts of which have no types."""
@@ -62,7 +67,7 @@ class GroupSizes:
         each = seconds / count
         self._seconds = min(each, 0.5 * (each + self._seconds))  # the first of a worker are slow
         fitting = int(GROUP_SECONDS / max(self._seconds, 1e-9))
-        self._size = max(1, min(fitting, MOST_CASES, max(self._size, 2 * count)))
+        self._size = max(1, min(fitting, MOST_GROUP_CASES, max(self._size, 2 * count)))
 
     def next(self, left: int, threads: int) -> int:
         """Return the size of the next group where so many cases are left for so many threads."""
@@ -120,7 +125,7 @@ class Crew:
         while position < len(cases) or left or self._flying:
             self._look()
             threads = max(self.threads, 1)
-            while (position < len(cases) or left) and len(self._flying) < WINDOW * threads:
+            while (position < len(cases) or left) and len(self._flying) < GROUPS_PER_THREAD * threads:
                 if left:
                     self._submit(shipped, *_gather(left.popleft(), record_of))
                     continue
@@ -129,7 +134,7 @@ class Crew:
                 self._submit(shipped, group, records)
                 position += len(group)
             try:
-                future = self._done.get(timeout=TICK)
+                future = self._done.get(timeout=TICK_SECONDS)
             except queue.Empty:
                 yield None
                 continue
@@ -160,7 +165,7 @@ class Crew:
             raise error
         for case in group:
             self._killed[case] = self._killed.get(case, 0) + 1
-        if len(group) > 1 or self._killed[group[0]] <= ROUNDS:
+        if len(group) > 1 or self._killed[group[0]] <= MOST_LOSSES:
             return None
         return GroupResult(given_up=(group[0],))
 
@@ -168,7 +173,7 @@ class Crew:
         """See how many threads there are, and that there is still a scheduler."""
         if self._host is not None:
             self._host.look()
-        if time.monotonic() - self._looked < LOOK:
+        if time.monotonic() - self._looked < LOOK_SECONDS:
             return
         with self._watched():
             self.threads = int(self._client.scheduler_info(n_workers=0)["total_threads"])
@@ -215,9 +220,9 @@ class _LocalWorkers:
         """Start the process again where something has ended it."""
         if self._process.running:
             return
-        if time.monotonic() - self._started > PATIENCE:
+        if time.monotonic() - self._started > ANSWER_SECONDS:
             self._starts = 0
-        if self._starts > STARTS:
+        if self._starts > MOST_RESTARTS:
             said = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
             reason = next((line.strip() for line in reversed(said) if "Error: " in line), "they do not say why")
             raise FmuidError(f"the workers end as soon as they begin: {reason}")
@@ -226,7 +231,7 @@ class _LocalWorkers:
 
     def close(self) -> None:
         """End the process, and with it the workers and all that they have started."""
-        self._process.end(PATIENCE)
+        self._process.end(ANSWER_SECONDS)
 
 
 @contextlib.contextmanager
@@ -254,7 +259,7 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[C
         folder, locks = stack.enter_context(scratch_folder())
         stack.enter_context(dask.config.set({"temporary-directory": str(folder)}))
         options = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"}
-        options["allowed_failures"] = WORKER_ENDS
+        options["allowed_failures"] = MOST_WORKER_ENDS
         cluster = stack.enter_context(
             DASK.SpecCluster(workers={}, scheduler={"cls": DASK.Scheduler, "options": options})
         )
@@ -268,7 +273,7 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[C
 @contextlib.contextmanager
 def _client(address: str) -> Iterator[Client]:
     try:
-        client = DASK.Client(address, timeout=PATIENCE, set_as_default=False)
+        client = DASK.Client(address, timeout=ANSWER_SECONDS, set_as_default=False)
     except (OSError, TimeoutError, ValueError, RuntimeError) as error:
         raise InputError(
             f"there is no Dask scheduler at {address} ({(str(error).splitlines() or ['no answer'])[0]}): check the "
@@ -283,11 +288,11 @@ def _client(address: str) -> Iterator[Client]:
 
 def _check(client: Client, address: str) -> None:
     """Check that a scheduler has workers, and that they and it run what this process runs."""
-    until = time.monotonic() + PATIENCE
+    until = time.monotonic() + ANSWER_SECONDS
     while not client.scheduler_info(n_workers=0)["n_workers"]:
         if time.monotonic() > until:
             raise InputError(f"the scheduler at {address} has no workers: start some, as in dask worker {address}")
-        time.sleep(TICK)
+        time.sleep(TICK_SECONDS)
     found: dict[str, Any] = client.get_versions(packages=["fmuid"])
     here = versions()
     sides = {f"the scheduler at {address}": found["scheduler"]}  # which reads what it passes on

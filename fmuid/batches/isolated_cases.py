@@ -18,7 +18,7 @@ from typing import Any
 from fmuid.batches.parcel import Copies
 from fmuid.batches.run_case import CaseOutcome, CaseRunner
 from fmuid.models import Isolation
-from fmuid.simulation import FIRST_LIMIT, PRINTED_KEPT, End, Host, Keeper, executor_of
+from fmuid.simulation import FIRST_TIME_LIMIT, PRINTED_KEPT_BYTES, End, Host, Keeper, executor_of
 from fmuid.studies import Study
 
 # An order, which costs a third of a millisecond, is of as many cases as take so long, s. Where the process ends over
@@ -49,7 +49,7 @@ def _printed_since(position: int) -> tuple[str, int]:
     if size == position:
         return "", size
     position = position if position < size else 0  # the other side has emptied the file
-    return os.pread(1, min(size - position, PRINTED_KEPT), position).decode("utf-8", errors="replace"), size
+    return os.pread(1, min(size - position, PRINTED_KEPT_BYTES), position).decode("utf-8", errors="replace"), size
 
 
 class IsolatedCases:
@@ -113,5 +113,5 @@ class IsolatedCases:
         return outcomes
 
     def _begin(self, host: Host) -> None:
-        host.order("watch", limit=FIRST_LIMIT)
-        host.order("call", __name__, "open_cases", self._opened, limit=FIRST_LIMIT)
+        host.order("watch", limit=FIRST_TIME_LIMIT)
+        host.order("call", __name__, "open_cases", self._opened, limit=FIRST_TIME_LIMIT)

@@ -19,7 +19,7 @@ from fmuid.version import __version__
 # Keys of a study file that name a file.
 FILE_KEYS = ("fmu", "table", "result")
 # What a study says beside that no row of a batch depends on.
-APART = ("title", "uncertainty", "diagnosis")
+NOT_IN_ROWS = ("title", "uncertainty", "diagnosis")
 CHANGES_TOLD = 4
 _MISSING = object()
 
@@ -121,7 +121,7 @@ class Bundle:
         self._records = {path: f"records/{k:06d}/{path.name}" for k, path in enumerate(found.values())}
         self._names: dict[Path, str] = {}
         self._known = set(study.files())
-        data = _renamed({key: value for key, value in study.data.items() if key not in APART}, self._name_of)
+        data = _renamed({key: value for key, value in study.data.items() if key not in NOT_IN_ROWS}, self._name_of)
         if found:
             data["batch"]["tables"] = {name: self._records[path] for name, path in found.items()}
         self.digests = {path: _digest(path) for path in (*self._names, *self._records)}
@@ -150,7 +150,7 @@ class Bundle:
 
     def manifest(self) -> dict[str, Any]:
         """Return what the rows of the batch depend on, as it can be written as JSON."""
-        told = {key: value for key, value in self.study.data.items() if key not in APART}
+        told = {key: value for key, value in self.study.data.items() if key not in NOT_IN_ROWS}
         files = {_relative(path, self._base): digest for path, digest in self.digests.items()}
         return {"fmuid": __version__, "study": told, "files": files}
 

@@ -38,7 +38,7 @@ Item = TypeVar("Item")
 VOLATILE = ("checked", "elapsed_s", "finished", "worker")
 """The columns that differ from run to run; all others are the same bit for bit."""
 
-KEPT = 4
+SYSTEMS_KEPT = 4
 """Tables, and simulations of the truth, that are kept for the cases that follow."""
 
 WHOLE, NUMBER, TEXT, FLAG, TIMESTAMP = "int64", "float64", "string", "bool", "datetime64[us, UTC]"
@@ -277,7 +277,7 @@ class _Recent(Generic[Key, Item]):
                 self._kept[key] = make()
             except FmuidError as error:
                 self._kept[key] = error.with_traceback(None)  # which holds on to what was being made
-            while len(self._kept) > KEPT:
+            while len(self._kept) > SYSTEMS_KEPT:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
         item = self._kept[key]

@@ -16,15 +16,15 @@ from scipy import special
 from fmuid.arrays import Floats
 
 # Of the intervals that are counted, and half their width in standard deviations.
-LEVEL = 0.95
-HALF_WIDTH = float(special.ndtri(0.5 + LEVEL / 2.0))
+INTERVAL_LEVEL = 0.95
+INTERVAL_STDS = float(special.ndtri(0.5 + INTERVAL_LEVEL / 2.0))
 # Searches end at the same optimum where no estimate differs by more than this share of its standard deviation, or of
 # its own size where that is more; as in `fmuid.estimation.global_search`.
 SAME_STDS, SAME_SHARE = 0.3, 1e-4
 # Two-sided probability behind the limits of a binomial share.
-OUTSIDE = 0.05
+OUTSIDE_PROBABILITY = 0.05
 # Probability, over all that is tested, of a doubt where there is nothing.
-FALSE_DOUBT = 0.01
+FALSE_DOUBT_PROBABILITY = 0.01
 # Less than this is not worth a doubt, however many cases there are: of spread against stated std, and of the bias in
 # stated std (coverage falls from 95 to 94.3 %, and to 94.8 %).
 WORTH_RATIO, WORTH_BIAS, WORTH_COVERAGE = 1.05, 0.15, 0.01
@@ -190,7 +190,7 @@ def _against_truth(x: Floats, s: Floats, truth: float, spread: float, repeated: 
     bias = _mean(x) - truth
     bias_std = spread / math.sqrt(n) if repeated and n > 1 else math.nan
     judged = n if math.isfinite(truth) else 0
-    held = int((np.abs(x - truth) <= HALF_WIDTH * s).sum()) if judged else 0
+    held = int((np.abs(x - truth) <= INTERVAL_STDS * s).sum()) if judged else 0
     limits = _binomial_limits(held, judged) if repeated and judged else (math.nan, math.nan)
     return {
         "bias": bias,
@@ -229,14 +229,14 @@ def _spread_probability(ratio: float, s: Floats) -> float:
 
 
 def _binomial_limits(held: int, n: int) -> tuple[float, float]:
-    lower = float(special.betaincinv(held, n - held + 1, OUTSIDE / 2.0)) if held else 0.0
-    upper = float(special.betaincinv(held + 1, n - held, 1.0 - OUTSIDE / 2.0)) if held < n else 1.0
+    lower = float(special.betaincinv(held, n - held + 1, OUTSIDE_PROBABILITY / 2.0)) if held else 0.0
+    upper = float(special.betaincinv(held + 1, n - held, 1.0 - OUTSIDE_PROBABILITY / 2.0)) if held < n else 1.0
     return lower, upper
 
 
 def _binomial_probability(held: int, n: int) -> float:
-    at_most = float(special.bdtr(held, n, LEVEL))
-    at_least = float(special.bdtrc(held - 1, n, LEVEL)) if held else 1.0
+    at_most = float(special.bdtr(held, n, INTERVAL_LEVEL))
+    at_least = float(special.bdtrc(held - 1, n, INTERVAL_LEVEL)) if held else 1.0
     return min(1.0, 2.0 * min(at_most, at_least))
 
 
@@ -258,14 +258,14 @@ def _doubts(row: Mapping[Any, Any], tests: int) -> tuple[EstimateDoubt, ...]:
     """Return what is sure of one parameter and large enough to matter."""
 
     def sure(name: str) -> bool:
-        return bool(row.get(name, math.nan) * tests < FALSE_DOUBT)
+        return bool(row.get(name, math.nan) * tests < FALSE_DOUBT_PROBABILITY)
 
     ratio, found = row["ratio"], []
     if sure("ratio_p") and max(ratio, 1.0 / ratio if ratio else math.inf) > WORTH_RATIO:
         found.append(EstimateDoubt.STD_TOO_SMALL if ratio > 1.0 else EstimateDoubt.STD_TOO_LARGE)
     if sure("bias_p") and abs(row["bias"]) > WORTH_BIAS * row["stated_std"]:
         found.append(EstimateDoubt.BIASED)
-    if sure("coverage_p") and abs(row["coverage"] - LEVEL) > WORTH_COVERAGE:
+    if sure("coverage_p") and abs(row["coverage"] - INTERVAL_LEVEL) > WORTH_COVERAGE:
         found.append(EstimateDoubt.COVERAGE_OFF)
     return tuple(found)
 

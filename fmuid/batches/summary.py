@@ -28,9 +28,9 @@ from fmuid.estimation import AccuracyOutcome, Determined
 # A setting with more levels than this is no heading of a group; nor are there more groups than that.
 MAX_LEVELS, MAX_GROUPS = 20, 100
 # The spread of fewer cases is uncertain by more than 13 %, which is said.
-FEW = 30
+FEW_CASES = 30
 # Optima whose residuals differ by less than this share fit equally well: 1000 samples cannot tell them apart.
-EQUALLY_WELL = 5e-4
+EQUAL_FIT_SHARE = 5e-4
 
 STATUSES = ["converged", "not converged", "failed"]
 # Columns that no statistics are made of.
@@ -141,12 +141,12 @@ class Summary:
     @property
     def few(self) -> bool:
         """Whether there are so few estimates that their spread says little of their stated std."""
-        return self.most == 1 or (1 < self.most < FEW and bool(self.parameters["ratio"].notna().any()))
+        return self.most == 1 or (1 < self.most < FEW_CASES and bool(self.parameters["ratio"].notna().any()))
 
     @property
     def rivals(self) -> bool:
         """Whether optima with other values than the best fit equally well."""
-        return len(self.optima) > 1 and bool((self.optima["residual"].iloc[1:] < 1.0 + EQUALLY_WELL).any())
+        return len(self.optima) > 1 and bool((self.optima["residual"].iloc[1:] < 1.0 + EQUAL_FIT_SHARE).any())
 
 
 def summarize(

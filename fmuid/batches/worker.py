@@ -25,7 +25,7 @@ from fmuid.simulation import AVAILABLE
 from fmuid.studies import Study
 
 # What must be the same on both sides, to how many places of the version.
-ALIKE = {"python": 2, "fmuid": 9, "dask": 9, "distributed": 9, "numpy": 1, "pandas": 1}
+VERSION_PLACES = {"python": 2, "fmuid": 9, "dask": 9, "distributed": 9, "numpy": 1, "pandas": 1}
 # Sums in another order give other last digits: how many threads a machine has must not show in results.
 SINGLE_THREADED = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -54,13 +54,13 @@ class GroupResult:
 
 def versions() -> dict[str, str | None]:
     """Return what runs in this process, as far as it must be alike on all sides."""
-    found = get_package_info(ALIKE)
-    return {name: found.get(name) for name in ALIKE}
+    found = get_package_info(VERSION_PLACES)
+    return {name: found.get(name) for name in VERSION_PLACES}
 
 
 def difference(here: Mapping[str, str | None], there: Mapping[str, str | None]) -> str | None:
     """Return in words what a worker runs that differs from what runs here; None where all is alike."""
-    for name, places in ALIKE.items():
+    for name, places in VERSION_PLACES.items():
         mine, theirs = here.get(name), there.get(name)
         if theirs is None and mine is not None:
             return f"has no {name}: install {name} {mine} there"

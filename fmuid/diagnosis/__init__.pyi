@@ -1,6 +1,6 @@
 from .baseline import Baseline as Baseline
-from .design import FALSE_ALARM as FALSE_ALARM
-from .design import MISS as MISS
+from .decision import FALSE_ALARM_LEVEL as FALSE_ALARM_LEVEL
+from .design import MISS_PROBABILITY as MISS_PROBABILITY
 from .design import Design as Design
 from .design import trial as trial
 from .faults import Angle as Angle
@@ -13,7 +13,6 @@ from .monitoring.alarms import Rule as Rule
 from .monitoring.monitor import Gap as Gap
 from .monitoring.monitor import Monitor as Monitor
 from .monitoring.window_fit import Extended as Extended
-from .procedure import LEVEL as LEVEL
 from .procedure import DiagnosisSettings as DiagnosisSettings
 from .procedure import diagnose as diagnose
 from .verdict import Diagnosis as Diagnosis

@@ -33,11 +33,13 @@ from fmuid.arrays import Floats
 from fmuid.errors import InputError
 from fmuid.estimation import check_level
 
+# Of calling a fault where there is none, unless said otherwise: one check in a hundred, the habit of the field.
+FALSE_ALARM_LEVEL = 0.01
 # Hypotheses whose information criteria differ by less are not told apart: beyond it the evidence is strong (Kass and
 # Raftery, section 3.2: 6 is a ratio of 20 : 1).
 STRONG_EVIDENCE = 6.0
-# The weights of more than three constrained parameters are counted over so many random draws.
-DRAWS, SEED = 20_000, 0
+# The weights of more than three constrained parameters are counted over so many random draws: to 0.004 at most.
+WEIGHT_DRAWS, WEIGHT_SEED = 20_000, 0
 
 
 @dataclass(frozen=True)
@@ -130,10 +132,10 @@ def _orthant(covariance: Floats) -> float:
 
 def _drawn_weights(factor: Floats) -> tuple[float, ...]:
     """Return how often so many components are positive, by projecting random draws: least squares that keep signs."""
-    k, rng = len(factor), np.random.default_rng(SEED)
+    k, rng = len(factor), np.random.default_rng(WEIGHT_SEED)
     inverse = np.linalg.inv(factor)
-    counts = [int((optimize.nnls(inverse, z)[0] > 0).sum()) for z in rng.standard_normal((DRAWS, k))]
-    return tuple((np.bincount(counts, minlength=k + 1) / DRAWS).tolist())
+    counts = [int((optimize.nnls(inverse, z)[0] > 0).sum()) for z in rng.standard_normal((WEIGHT_DRAWS, k))]
+    return tuple((np.bincount(counts, minlength=k + 1) / WEIGHT_DRAWS).tolist())
 
 
 def at_least_one(probabilities: Sequence[float]) -> tuple[float, ...]:

@@ -20,14 +20,15 @@ from scipy import special
 from fmuid.arrays import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline
+from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.monitoring.belief import Belief
 from fmuid.diagnosis.monitoring.window_fit import Extended
 from fmuid.errors import InputError
 from fmuid.estimation import Result, check_level
 
-FALSE_ALARM, MISS = 0.01, 0.05
-"""Probabilities of an alarm without a fault, and of none with it, unless said otherwise."""
+# Of no alarm where there is a fault of the size, unless said otherwise: the size is found nineteen times of twenty.
+MISS_PROBABILITY = 0.05
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,8 @@ class Design:
         fault: Fault,
         baseline: Baseline | Result | str | Path,
         *,
-        false_alarm: float = FALSE_ALARM,
-        miss: float = MISS,
+        false_alarm: float = FALSE_ALARM_LEVEL,
+        miss: float = MISS_PROBABILITY,
     ) -> None:
         check_level(false_alarm, "a test")
         if not 0 < miss < 0.5:

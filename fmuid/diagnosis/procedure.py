@@ -18,8 +18,8 @@ import numpy as np
 from scipy import special
 
 from fmuid.assessment import (
-    SAME_VARIANCE,
-    SIGNIFICANT,
+    SAME_VARIANCE_RATIO,
+    SIGNIFICANCE_LEVEL,
     WRONG_STD,
     Diagnostics,
     Reading,
@@ -29,7 +29,7 @@ from fmuid.assessment import (
 )
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.baseline import Baseline
-from fmuid.diagnosis.decision import Reference, at_least_one, orthant_weights, rivals
+from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL, Reference, at_least_one, orthant_weights, rivals
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.hypothesis import Hypothesis, Size, Strain
 from fmuid.diagnosis.verdict import Diagnosis, Test
@@ -41,9 +41,6 @@ from fmuid.models import System
 from fmuid.progress import FaultStep, Progress
 from fmuid.text import nearest
 from fmuid.version import __version__
-
-LEVEL = 0.01
-"""Probability of calling a fault where there is none, unless said otherwise."""
 
 # The residual may be larger than the noise for other reasons than the faults that are looked for: this share of the
 # level is spent on it, so that the level as a whole is met.
@@ -69,7 +66,7 @@ class DiagnosisSettings:
         If the level is not between 0 and 1, or there is no such sensitivity.
     """
 
-    level: float = LEVEL
+    level: float = FALSE_ALARM_LEVEL
     search: Marquardt = field(default_factory=Marquardt)
     sensitivity: str = "finite-difference"
 
@@ -227,7 +224,7 @@ class _Diagnosing:
         probability = (
             test.probability if exact else float(special.fdtrc(test.degrees_of_freedom, self.freedom, test.ratio))
         )
-        larger = test.ratio > SAME_VARIANCE and probability < UNEXPLAINED_SHARE * self.level
+        larger = test.ratio > SAME_VARIANCE_RATIO and probability < UNEXPLAINED_SHARE * self.level
         explained = (before - test.ratio) / (before - 1.0) if with_ is not None and before > 1.0 else 0.0
         return Test(test.ratio, probability, bool(larger), float(np.clip(explained, 0.0, 1.0)))
 
@@ -354,7 +351,7 @@ def _size(
 def _strain(reading: Reading) -> Strain | None:
     """Return the nominal parameter that has left what was foreseen, the one that has most."""
     agreement = reading.agreement
-    if agreement is None or agreement.probability >= SIGNIFICANT:
+    if agreement is None or agreement.probability >= SIGNIFICANCE_LEVEL:
         return None
     conflict = np.abs(np.nan_to_num(reading.conflict))
     i = int(np.argmax(conflict))

@@ -41,9 +41,9 @@ ASTRAY_STD = 100.0
 # their direction: where nothing is determined they come out at 0.1 to 1 times what is foreseen of it.
 JACOBIAN_ERRORS = 2.0
 # Parameters with less than this share of a direction's largest component are no part of what is told of it.
-WORTH_NAMING = 0.05
+NAMED_SHARE = 0.05
 # Below this share they are no longer considered part of an undetermined direction.
-INVOLVED = 1e-3
+INVOLVED_SHARE = 1e-3
 
 
 class Determined(Enum):
@@ -108,7 +108,7 @@ class Direction:
     ) -> Direction:
         """Return a direction (N,) that is relative to the magnitudes, without the parameters that hardly move."""
         size = np.abs(relative)
-        main = np.flatnonzero(size >= WORTH_NAMING * size.max()).tolist()
+        main = np.flatnonzero(size >= NAMED_SHARE * size.max()).tolist()
         return cls(
             determined,
             tuple(names[i] for i in main),
@@ -217,7 +217,7 @@ def local_covariance(
     with np.errstate(over="ignore"):  # an infinite variance is what it says
         covariance = root @ _gram(jacobian @ root, spread, unseen, prior_rows) @ root.T
     null = directions[zero]
-    lost = (np.abs(null) > INVOLVED).any(axis=0) if zero.any() else np.zeros(len(names), dtype=np.bool_)
+    lost = (np.abs(null) > INVOLVED_SHARE).any(axis=0) if zero.any() else np.zeros(len(names), dtype=np.bool_)
     covariance[lost, :] = covariance[:, lost] = np.nan
     covariance[lost, lost] = np.inf
     at = magnitudes if theta is None else theta

@@ -36,14 +36,14 @@ from fmuid.estimation.numerical_noise import Predict, usable
 LARGEST_STEP = 0.1
 SMALLEST_STEP = 1e-9
 # A first difference below so many times the noise has no good digit: it is made again with the largest step.
-RESOLVED = 10.0
+RESOLVED_NOISES = 10.0
 # A parameter acts on an output where some sample changes by more than so many times the noise of that output; the
 # largest of 10⁴ normal differences is 5.5 times the noise, and integrators jump more coarsely than that.
-INFLUENCE = 10.0
+INFLUENCE_NOISES = 10.0
 
 # Where steps bend the function by this much of its slope they were too long (the first ones, chosen without knowledge
 # of the curvature, for a strongly oscillating output, say), and the derivative is made again with the planned one.
-TOO_CURVED = 0.5
+LARGEST_BEND = 0.5
 
 # Which points give a derivative, in steps from the point, in the order in which they are tried: away from a bound, and
 # from simulations that fail, first to the other side and then closer.
@@ -170,7 +170,7 @@ class FiniteDifferences:
         before they count as without influence.
         """
         steps, (slopes, bends) = self._checked_central(theta, base)
-        floor = INFLUENCE * np.maximum(self._noise, np.finfo(float).tiny)
+        floor = INFLUENCE_NOISES * np.maximum(self._noise, np.finfo(float).tiny)
         acting = (np.abs(slopes) > floor).any(axis=1) | (np.abs(bends) > floor).any(axis=1)
         return slopes / steps[:, None], acting
 
@@ -187,8 +187,8 @@ class FiniteDifferences:
         steps = self._absolute(theta, self.central_steps)
         found = self._central(theta, base, steps, np.arange(theta.size))
         slope, bend = _rms(found)
-        weak = slope < RESOLVED * self._rms
-        curved = ~weak & (bend > TOO_CURVED * slope)
+        weak = slope < RESOLVED_NOISES * self._rms
+        curved = ~weak & (bend > LARGEST_BEND * slope)
         largest = np.full(theta.size, LARGEST_STEP)
         for which, better in ((weak, largest), (curved, self._plan(theta, steps, slope, bend)[1])):
             other = self._absolute(theta, better)

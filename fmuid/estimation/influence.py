@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
-from fmuid.estimation.finite_differences import INFLUENCE, LARGEST_STEP
+from fmuid.estimation.finite_differences import INFLUENCE_NOISES, LARGEST_STEP
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.numerical_noise import ROUNDING, usable
+from fmuid.estimation.numerical_noise import ROUNDING_SHARE, usable
 
 # Where in its range a bounded parameter is tried, and at how many times its value or magnitude one that is not.
-SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
-MULTIPLES = (0.01, 0.1, 0.3, 3.0, 10.0, -0.1, -1.0, -10.0)
+RANGE_SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98)
+VALUE_MULTIPLES = (0.01, 0.1, 0.3, 3.0, 10.0, -0.1, -1.0, -10.0)
 # Points at random, the seed of the random numbers, and at how many of the best points influence is looked for.
-RANDOM_POINTS, SEED, LOOKED_AT = 16, 0, 8
+RANDOM_POINTS, SEED, BEST_POINTS = 16, 0, 8
 
 
 def idle_parameters(problem: LeastSquares, acting: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -51,11 +51,11 @@ def waking_point(
     points = _points(problem, theta, idle)
     values = problem.predict(np.vstack([theta, points]))
     base, values = values[0], values[1:]
-    floor = INFLUENCE * np.maximum(noise, ROUNDING * np.abs(base))
+    floor = INFLUENCE_NOISES * np.maximum(noise, ROUNDING_SHARE * np.abs(base))
     with np.errstate(invalid="ignore", over="ignore"):  # what failed is NaN, and not different
         different = usable(np.nan_to_num(values, nan=np.inf)) & (np.abs(values - base) > floor).any(axis=1)
         misfits = np.where(different, np.sum(((values - problem.measured) * weights) ** 2, axis=1), np.inf)
-    chosen = np.argsort(misfits, kind="stable")[: min(LOOKED_AT, int(different.sum()))]
+    chosen = np.argsort(misfits, kind="stable")[: min(BEST_POINTS, int(different.sum()))]
     acts = _acting(problem, points[chosen], values[chosen], idle, noise)
     moved = points[different] != theta
     alone = moved[moved.sum(axis=1) == 1].any(axis=0)[idle] if len(moved) else np.zeros(idle.size, dtype=np.bool_)
@@ -99,10 +99,10 @@ def _places(problem: LeastSquares, theta: Floats, i: int) -> Floats:
     parameters = problem.parameters
     lower, upper = parameters.lower[i], parameters.upper[i]
     if np.isfinite(upper - lower):
-        shares = np.array(SHARES)
+        shares = np.array(RANGE_SHARES)
         return np.asarray(lower + shares * (upper - lower))
     size = theta[i] if theta[i] else parameters.scale[i]
-    values = np.unique(np.clip(size * np.array(MULTIPLES), lower, upper))
+    values = np.unique(np.clip(size * np.array(VALUE_MULTIPLES), lower, upper))
     return np.asarray(values[values != theta[i]])
 
 
@@ -121,6 +121,6 @@ def _acting(
             there <= parameters.upper[i], there, np.maximum(points[:, i] - step, parameters.lower[i])
         )
     found = problem.predict(moved.reshape(-1, points.shape[1])).reshape(len(points), idle.size, -1)
-    floor = INFLUENCE * np.maximum(noise, ROUNDING * np.abs(values))[:, None]
+    floor = INFLUENCE_NOISES * np.maximum(noise, ROUNDING_SHARE * np.abs(values))[:, None]
     with np.errstate(invalid="ignore"):
         return np.asarray((np.abs(found - values[:, None]) > floor).any(axis=2))

@@ -24,7 +24,7 @@ from fmuid.data import (
 from fmuid.data import Noise as Noise
 from fmuid.errors import InputError
 from fmuid.estimation.model_derivatives import Sensitivity
-from fmuid.estimation.numerical_noise import HUGE
+from fmuid.estimation.numerical_noise import LARGEST_VALUE
 
 
 class LeastSquares:
@@ -175,7 +175,7 @@ class LeastSquares:
                     "shorten discard or leave the output out"
                 )
             largest = float(np.max(np.abs(self.measured[self.groups == self.output_names.index(name)])))
-            if largest >= HUGE:
+            if largest >= LARGEST_VALUE:
                 raise InputError(
                     f"a sample of output {name!r} is {largest:g} in magnitude; leave it empty or change the unit"
                 )

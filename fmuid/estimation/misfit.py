@@ -16,7 +16,7 @@ LEAST_RESIDUAL = 1e-6
 
 
 # Simulated samples held at a time, 8 MB; but never fewer simulations than keep all processors busy.
-CHUNK, LEAST_BATCH = 1_000_000, 64
+CHUNK_SAMPLES, LEAST_BATCH = 1_000_000, 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def misfits(problem: LeastSquares, thetas: Floats) -> Misfits:
     """
     problem.check_measured()
     members = np.eye(problem.counts.size)[problem.groups]
-    at_a_time = max(LEAST_BATCH, CHUNK // problem.measured.size)
+    at_a_time = max(LEAST_BATCH, CHUNK_SAMPLES // problem.measured.size)
     squares = np.empty((len(thetas), problem.counts.size))
     for first in range(0, len(thetas), at_a_time):
         rows = problem.predict(thetas[first : first + at_a_time])

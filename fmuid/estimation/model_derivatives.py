@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import RefusedError
-from fmuid.estimation.finite_differences import INFLUENCE, LARGEST_STEP, FiniteDifferences
+from fmuid.estimation.finite_differences import INFLUENCE_NOISES, LARGEST_STEP, FiniteDifferences
 
 SENSITIVITIES = ("finite-difference", "forward", "fmu")
 """How the derivatives of the outputs by the parameters are found: by differences of whole simulations, by integrating
@@ -133,7 +133,7 @@ class ModelSensitivities:
         if found is None:
             return self._differences.first_jacobian(theta, base)
         change = np.abs(found) * (LARGEST_STEP * self._magnitudes(theta))[:, None]
-        floor = INFLUENCE * np.maximum(self._noise, np.finfo(float).tiny)
+        floor = INFLUENCE_NOISES * np.maximum(self._noise, np.finfo(float).tiny)
         return found, np.asarray((change > floor).any(axis=1), dtype=np.bool_)
 
     def error(self, theta: Floats, *, central: bool) -> Floats:

@@ -28,16 +28,16 @@ NOISE_POINTS = 7
 # from point to point, narrow enough that sixth differences of the smooth part (its sixth power) drown in rounding.
 NOISE_SPACING = 3e-4
 # Where sixth differences still fall this fast against fifth ones, the smooth part hides the noise ...
-STILL_FALLING = 0.5
+FALLING_RATIO = 0.5
 # ... which matters unless what is left is this small against the output; the table is then laid closer ...
 NEGLIGIBLE_NOISE = 1e-13
-CLOSER = 1.0 / 30.0
+CLOSER_FACTOR = 1.0 / 30.0
 # ... at most this often.
-NOISE_TABLES = 3
+MOST_NOISE_TABLES = 3
 # A value whose derivatives' squares would overflow counts as a simulation that failed.
-HUGE = 1e100
+LARGEST_VALUE = 1e100
 # Rounding of a stored output, half a unit in the last place of double precision.
-ROUNDING = 2.0**-53
+ROUNDING_SHARE = 2.0**-53
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,22 +98,22 @@ def noise_level(
     simulated = 1
     if not usable(base):
         return np.full_like(base, np.nan), NoiseLevel(level, simulated)
-    rounding = ROUNDING * np.sqrt(base**2 @ shares)
-    for _ in range(NOISE_TABLES):
+    rounding = ROUNDING_SHARE * np.sqrt(base**2 @ shares)
+    for _ in range(MOST_NOISE_TABLES):
         points = theta + np.arange(1, NOISE_POINTS)[:, None] * (steps * direction)
         table = np.vstack([base, predict(points)])
         simulated += len(points)
         if usable(table).all():
             deviations = _difference_table(table, shares)
             level = np.maximum(np.minimum(level, deviations.min(axis=0)), rounding)
-            falling = deviations[-1] < STILL_FALLING * deviations[-2]
-            hidden = falling & (level > NEGLIGIBLE_NOISE / ROUNDING * rounding)
+            falling = deviations[-1] < FALLING_RATIO * deviations[-2]
+            hidden = falling & (level > NEGLIGIBLE_NOISE / ROUNDING_SHARE * rounding)
             if not hidden.any():
                 break
-        steps = steps * CLOSER
+        steps = steps * CLOSER_FACTOR
     else:
         # every table met a failing simulation: with nothing known, the rounding of single precision
-        level = np.where(np.isfinite(level), level, np.sqrt(ROUNDING) * np.sqrt(base**2 @ shares))
+        level = np.where(np.isfinite(level), level, np.sqrt(ROUNDING_SHARE) * np.sqrt(base**2 @ shares))
     return base, NoiseLevel(level, simulated)
 
 
@@ -143,7 +143,7 @@ def noise_along(predict: Predict, theta: Floats, base: Floats, steps: Floats, ro
 def table_noise(table: Floats, shares: Floats) -> Floats:
     """Return the noise (count,) of outputs in a table of differences, zero where their smooth part hides it."""
     deviations = _difference_table(table, shares)
-    return np.where(deviations[-1] < STILL_FALLING * deviations[-2], 0.0, deviations.min(axis=0))
+    return np.where(deviations[-1] < FALLING_RATIO * deviations[-2], 0.0, deviations.min(axis=0))
 
 
 def shares_of(groups: NDArray[np.intp], count: int) -> Floats:
@@ -170,4 +170,4 @@ def _difference_table(table: Floats, shares: Floats) -> Floats:
 
 def usable(values: Floats) -> NDArray[np.bool_]:
     """Return whether all values (..., n) are finite, and small enough that their squares are (...)."""
-    return np.asarray((values.max(axis=-1) < HUGE) & (values.min(axis=-1) > -HUGE))
+    return np.asarray((values.max(axis=-1) < LARGEST_VALUE) & (values.min(axis=-1) > -LARGEST_VALUE))

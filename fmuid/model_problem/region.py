@@ -18,7 +18,7 @@ from fmuid.simulation import Refinement
 
 # Cells are so wide, as a share of the parameters or of their magnitudes, whatever is larger: an error that grows with
 # the fourth power of a parameter is known there within a factor of 1.6.
-WIDTH = 0.25
+CELL_WIDTH = 0.25
 # Cells whose errors are kept, the last ones.
 MOST_CELLS = 64
 
@@ -51,11 +51,11 @@ class CheckedRegion:
 
         It counts as no simulation of the problem; NaN where one of the two fails.
         """
-        cell = np.round(np.arcsinh(theta / self.scale) / WIDTH)
+        cell = np.round(np.arcsinh(theta / self.scale) / CELL_WIDTH)
         key = finer, cell.tobytes()
         if key not in self._errors:
             lower, upper = problem.parameters.lower, problem.parameters.upper
-            centre = np.clip(self.scale * np.sinh(WIDTH * cell), lower, upper)
+            centre = np.clip(self.scale * np.sinh(CELL_WIDTH * cell), lower, upper)
             self.checks += 1
             with problem.uncounted():
                 self._errors[key] = problem.predict_finer(finer, centre) - problem.predict(centre[None])[0]

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.assessment import LEVEL
+from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.data import ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import Outcome, Result, optima_table
@@ -74,7 +74,7 @@ def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFram
     return together[["experiment", *together.columns.drop("experiment")]]
 
 
-def estimates_frame(result: Result, units: Sequence[str | None], level: float = LEVEL) -> pd.DataFrame:
+def estimates_frame(result: Result, units: Sequence[str | None], level: float = CONFIDENCE_LEVEL) -> pd.DataFrame:
     """Return ``estimates.csv``: the result's estimates with units and the limits of their intervals."""
     intervals = result.intervals(level)
     frame = result.estimates
@@ -117,7 +117,7 @@ class Findings:
     fits: tuple[Fit, ...]
     diagnostics: Diagnostics
     reading: Reading
-    level: float = LEVEL
+    level: float = CONFIDENCE_LEVEL
     uncertainty: Uncertainty | None = None
     files: tuple[Path, ...] = ()
 

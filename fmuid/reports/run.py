@@ -17,7 +17,7 @@ from fmuid.simulation import parameter_units
 from fmuid.studies import Study
 
 # A search that took longer than this, s, is not repeated with the data alone without a word.
-QUICK = 2.0
+QUICK_SECONDS = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +128,7 @@ class _Run:
 
     def _examined(self, problem: Problem, result: Result) -> Findings:
         """Look at residuals, and at what prior and data say."""
-        if problem.parameters.prior_whitening.size and result.elapsed_s > QUICK:
+        if problem.parameters.prior_whitening.size and result.elapsed_s > QUICK_SECONDS:
             self._tell(DataAloneStep())
         study, diagnostics = self.study, examine_residuals(problem, result)
         return Findings(

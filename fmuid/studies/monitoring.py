@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from fmuid.data import TABLE_SUFFIXES, Experiment
-from fmuid.diagnosis import FALSE_ALARM, MISS, Design, Monitor, Rule
+from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Design, Monitor, Rule
 from fmuid.errors import InputError
 from fmuid.studies.diagnosis import FaultSearch
 from fmuid.studies.study import Study
@@ -42,7 +42,9 @@ def monitor_of(study: Study, rule: Rule) -> Monitor:
         raise InputError(f"{settings.source.where}: {error}") from None
 
 
-def design_of(study: Study, fault: str, *, false_alarm: float = FALSE_ALARM, miss: float = MISS) -> Design:
+def design_of(
+    study: Study, fault: str, *, false_alarm: float = FALSE_ALARM_LEVEL, miss: float = MISS_PROBABILITY
+) -> Design:
     """Return the design of a test for one of the faults that the ``[diagnosis]`` of a study names.
 
     Raises

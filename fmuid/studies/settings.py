@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, Tag
 
-from fmuid.assessment import LEVEL, UncertaintySettings
+from fmuid.assessment import CONFIDENCE_LEVEL, UncertaintySettings
 from fmuid.data import LOSSES, Noise
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
@@ -194,7 +194,7 @@ def _different(value: list[list[str]]) -> list[list[str]]:
 class UncertaintyWords(Words):
     """More than the standard deviations, which are local."""
 
-    level: Share = word(LEVEL, "of all intervals", LEVEL)
+    level: Share = word(CONFIDENCE_LEVEL, "of all intervals", CONFIDENCE_LEVEL)
     profile: Annotated[
         Flag | list[Text], Kind('true (all parameters), false or a list of parameters, ["Rs", "Rr"]')
     ] = word(False, 'profile likelihood of all parameters, or of some: ["a", "b"]', True)

@@ -90,7 +90,7 @@ def test_batches_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = linear()
     thetas = np.random.default_rng(0).normal(size=(50, 3))
     whole = misfits(problem, thetas).squares
-    monkeypatch.setattr(misfit, "CHUNK", 0)
+    monkeypatch.setattr(misfit, "CHUNK_SAMPLES", 0)
     monkeypatch.setattr(misfit, "LEAST_BATCH", 7)
     np.testing.assert_allclose(misfits(problem, thetas).squares, whole, rtol=1e-14)
 

@@ -464,7 +464,7 @@ def test_output_is_a_file(folder: Path, capsys: Any) -> None:
     ],
 )
 def test_wrong_cluster(folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str) -> None:
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(cluster, "ANSWER_SECONDS", 0.5)
     assert told in refused(capsys, folder / "study.toml", "-o", folder / "out", *words)
 
 
@@ -640,8 +640,8 @@ def test_workers_that_cannot_begin(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     python.write_text("#!/bin/sh\necho ImportError: no numpy >&2\necho more >&2\nexit 1\n")
     python.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(python))
-    monkeypatch.setattr(cluster, "STARTS", 3)
-    monkeypatch.setattr(cluster, "PATIENCE", 600.0)
+    monkeypatch.setattr(cluster, "MOST_RESTARTS", 3)
+    monkeypatch.setattr(cluster, "ANSWER_SECONDS", 600.0)
     host, until = cluster._LocalWorkers("tcp://127.0.0.1:9", 1, tmp_path / "workers"), time.monotonic() + 600
     with pytest.raises(FmuidError, match=r"^the workers end as soon as they begin: ImportError: no numpy$"):
         while time.monotonic() < until:
@@ -702,10 +702,10 @@ def test_a_cluster(
 ) -> None:
     """Without workers, with other versions, in peace, and lost meanwhile."""
     address, process = scheduler
-    monkeypatch.setattr(cluster, "PATIENCE", 2.0)
+    monkeypatch.setattr(cluster, "ANSWER_SECONDS", 2.0)
     words = (fleet / "study.toml", "-o", fleet / "out", "--scheduler", address)
     assert f"the scheduler at {address} has no workers" in refused(capsys, *words)
-    monkeypatch.setattr(cluster, "PATIENCE", 600.0)
+    monkeypatch.setattr(cluster, "ANSWER_SECONDS", 600.0)
     with worker(address, fleet / "one"), worker(address, fleet / "two", "--nworkers", "1"):
         with monkeypatch.context() as older:
             older.setattr(cluster, "versions", lambda: versions() | {"fmuid": "0.0.9"})

@@ -69,7 +69,7 @@ def test_without_a_folder_nothing_is_written(study: Path) -> None:
 
 
 def test_events_come_in_their_order(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.reports.run.QUICK", 0.0)
+    monkeypatch.setattr("fmuid.reports.run.QUICK_SECONDS", 0.0)
     events: list[Event] = []
     found = fmuid.run_study(study, progress=events.append)
     tasks = list(dict.fromkeys(event.task for event in events))
@@ -125,7 +125,7 @@ def test_a_search_of_the_whole_box_keeps_its_optima(study: Path, tmp_path: Path)
 
 
 def test_no_word_on_the_data_alone_without_a_prior(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.reports.run.QUICK", 0.0)
+    monkeypatch.setattr("fmuid.reports.run.QUICK_SECONDS", 0.0)
     study.write_text(STUDY)
     events: list[Event] = []
     fmuid.run_study(study, progress=events.append)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.simulation.isolation.channel import HEADER, LARGE, MARK, Channel, GarbledError
+from fmuid.simulation.isolation.channel import HEADER, LARGE_BYTES, MARK, Channel, GarbledError
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
 
@@ -60,7 +60,7 @@ def test_large_arrays_are_there_once(ends: Any) -> None:
     array = np.ones(5_000_000)
     tracemalloc.start()
     try:
-        received, _ = exchanged(ends, [array, array[: LARGE // 8]])
+        received, _ = exchanged(ends, [array, array[: LARGE_BYTES // 8]])
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -12,7 +12,7 @@ import pytest
 
 from fmuid.fmi import codes
 from fmuid.simulation.isolation.family import Condition, condition_of, wants_processor
-from fmuid.simulation.isolation.process import COMPUTED, LONG_LOOK, _Progress
+from fmuid.simulation.isolation.process import COMPUTED_SHARE, STANDSTILL_SECONDS, _Progress
 from tests.support.isolated import wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
@@ -50,16 +50,16 @@ def test_the_limit_is_by_the_clock(monkeypatch: pytest.MonkeyPatch, wants: bool)
 
 def test_what_waits_for_a_processor_is_not_charged(monkeypatch: pytest.MonkeyPatch) -> None:
     watched = Watched(monkeypatch, True)
-    assert not watched.passed(10 * LIMIT, 3.0 + 0.9 * COMPUTED * LIMIT)
-    assert watched.passed(0.1, 3.0 + 1.1 * COMPUTED * LIMIT)
+    assert not watched.passed(10 * LIMIT, 3.0 + 0.9 * COMPUTED_SHARE * LIMIT)
+    assert watched.passed(0.1, 3.0 + 1.1 * COMPUTED_SHARE * LIMIT)
 
 
 def test_the_time_in_which_nobody_looked_is_not_charged(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where the machine stood still, the process that looks and the one that is looked at."""
     watched = Watched(monkeypatch, False)
     assert not watched.passed(10 * LIMIT, 3.0, every=10 * LIMIT)
-    assert not watched.passed(LIMIT - 2 * LONG_LOOK, 3.0)
-    assert watched.passed(2 * LONG_LOOK, 3.0)
+    assert not watched.passed(LIMIT - 2 * STANDSTILL_SECONDS, 3.0)
+    assert watched.passed(2 * STANDSTILL_SECONDS, 3.0)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells")

@@ -11,7 +11,7 @@ import jsonschema
 import pytest
 
 from fmuid.cli.app import run
-from fmuid.diagnosis import LEVEL, Rule
+from fmuid.diagnosis import FALSE_ALARM_LEVEL, Rule
 from fmuid.studies.reference import reference, schema
 from tests.support.paths import ROOT
 
@@ -38,7 +38,7 @@ def test_the_page_has_what_a_word_takes() -> None:
 
 def test_defaults_are_those_of_the_program() -> None:
     """The words take the level of a test from a rule, which loads faster."""
-    assert Rule().level == LEVEL
+    assert Rule().level == FALSE_ALARM_LEVEL
 
 
 def test_the_command_prints_the_schema(capsys: pytest.CaptureFixture[str]) -> None:

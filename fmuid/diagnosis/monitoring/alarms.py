@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL
 from fmuid.errors import InputError
 from fmuid.estimation import check_level
 
@@ -45,7 +46,7 @@ class Rule:
 
     window: float | None = None
     transient: float = 0.0
-    level: float = 0.01
+    level: float = FALSE_ALARM_LEVEL
     needed: int = 3
     among: int = 4
     forgetting: float = 0.0

@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from fmuid.assessment import SAME_VARIANCE
+from fmuid.assessment import SAME_VARIANCE_RATIO
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.decision import at_least_one, rivals
@@ -43,7 +43,7 @@ from fmuid.version import __version__
 TABLE_FILE, STATE_FILE = "monitoring.csv", "monitoring.json"
 
 # The verdict names sizes that are so many standard deviations from zero.
-STANDS_OUT = 3.0
+STANDS_OUT_STDS = 3.0
 # Simulations from an early and from a late start agree after the transient to this share of the noise's deviation.
 TRANSIENT_SHARE = 0.2
 
@@ -215,7 +215,7 @@ class Monitor:
             "significant": " or ".join(names[i] for i in sorted(best)),
             "probability": min(adjusted),
             "variance_ratio": ratio,
-            "unexplained": ratio > SAME_VARIANCE and chance < UNEXPLAINED_SHARE * self.rule.level,
+            "unexplained": ratio > SAME_VARIANCE_RATIO and chance < UNEXPLAINED_SHARE * self.rule.level,
         }
         for model, p in zip(self.models, chances, strict=True):
             found = fits[model.name]
@@ -276,7 +276,7 @@ class Monitor:
         model = next(each for each in self.models if each.name == fault)
         found = {name: (float(row[f"{fault}.{name}"]), float(row[f"{fault}.{name}.std"])) for name in model.fault.sizes}
         ratios = {name: abs(value) / std for name, (value, std) in found.items()}
-        kept = [name for name in ratios if ratios[name] >= min(STANDS_OUT, max(ratios.values()))]
+        kept = [name for name in ratios if ratios[name] >= min(STANDS_OUT_STDS, max(ratios.values()))]
         return tuple(Size(name, *found[name], model.system.unit(name) or "", math.nan) for name in kept)
 
     def false_alarm_rates(self) -> tuple[float, float]:

@@ -25,12 +25,12 @@ from fmuid.models import System
 from fmuid.simulation import Simulator
 
 # Differences are central, over this share of a parameter's magnitude: their error is of its square.
-STEP = 1e-3
+DIFFERENCE_STEP = 1e-3
 # A fit has ended where the last step is shorter than this in standard deviations; what is left is of its square.
-ENDED, MOST_STEPS, MOST_HALVINGS = 0.1, 12, 6
+ENDED_STDS, MOST_STEPS, MOST_HALVINGS = 0.1, 12, 6
 # Directions of parameters with unit information that have less than this are not determined: differences leave about
 # their own error, STEP², squared.
-SINGULAR = 1e-9
+LEAST_INFORMATION = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ class Extended:
         SimulationError
             If a simulation fails.
         """
-        experiment, count, step = simulator.experiment, point.size, STEP * self.scale
+        experiment, count, step = simulator.experiment, point.size, DIFFERENCE_STEP * self.scale
         # beside a bound both points lie on the other side of it
         offsets = np.tile([-1.0, 1.0], (count, 1))
         offsets[point - step < self.lower] = [1.0, 2.0]
@@ -242,7 +242,7 @@ class Extended:
             free = point + np.linalg.solve(information, gradient)
             target = self._within(free, information)
             move = target - point
-            ended = float(np.sqrt(move @ information @ move)) < ENDED
+            ended = float(np.sqrt(move @ information @ move)) < ENDED_STDS
             if ended:
                 break
             last, point, halvings = (point, criterion), target, 0
@@ -263,7 +263,7 @@ class Extended:
         alone = np.sqrt(np.diag(information))
         if not (alone > 0).all():
             return False
-        return bool(np.linalg.eigvalsh(information / np.outer(alone, alone))[0] > SINGULAR)
+        return bool(np.linalg.eigvalsh(information / np.outer(alone, alone))[0] > LEAST_INFORMATION)
 
     def _within(self, free: Floats, information: Floats) -> Floats:
         """Return the minimum of the parabola within the bounds (N,)."""

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from fmuid.estimation.global_search.search import GlobalSearch
 
 # Points whose simulation fails are replaced by further points of the sequence, until so many times `starts` are tried.
-TRIES = 10
+MOST_TRIES_RATIO = 10
 # The generation agrees where the criterion varies by this share of itself (1 % of the residual variance) ...
-AGREED = 0.01
+AGREED_SPREAD = 0.01
 # ... or no parameter by more than this share of the box: from here on Marquardt's search is much faster.
-COLLAPSED = 1e-3
+COLLAPSED_SHARE = 1e-3
 
 
 class Exploration:
@@ -78,7 +78,7 @@ class Exploration:
     def spread(self) -> Floats:
         """Return as many points (m, N) whose simulation succeeds as there are starts, as far as they can be found."""
         wanted = self.settings.starts
-        points = self._points(TRIES * wanted)
+        points = self._points(MOST_TRIES_RATIO * wanted)
         while np.isfinite(self.values).sum() < wanted and len(self.values) < len(points):
             done = len(self.values)
             self.evaluate(points[done : done + wanted])
@@ -123,7 +123,7 @@ class Exploration:
             return not good.any()
         given = ~np.isnan(self.problem.variance)
         size = self.problem.counts[~given].sum() + (values.min() if given.all() else 0.0)
-        return bool(values.std() <= AGREED * size or population.std(axis=0).max() <= COLLAPSED)
+        return bool(values.std() <= AGREED_SPREAD * size or population.std(axis=0).max() <= COLLAPSED_SHARE)
 
     def _topograph(self) -> Floats:
         """Return the best point tried and the best of those that are better than all their nearest neighbours."""

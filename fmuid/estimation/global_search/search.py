@@ -26,15 +26,15 @@ from fmuid.text import nearest
 
 Strategy = Literal["evolution", "multistart"]
 
-STARTS = 50
+DEFAULT_STARTS = 50
 # A generation of 50 agrees after 30 to 50 generations on problems of four parameters.
-GENERATIONS = 300
+MOST_GENERATIONS = 300
 # Fewer are too few to cross (scipy refuses them).
 LEAST_POPULATION = 5
 # From the points of an evolution that are better than their neighbours, at most so many fits are made ...
 MAX_TOPOGRAPH_FITS = 10
 # ... and none from where the criterion rises at none of these points of the way to an optimum found before.
-WAY = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+WAY_SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 # Fits from hopeless starts crawl; one that needs more steps than this is given up unless it is the best of all.
 FIT_ITERATIONS = 300
 
@@ -63,9 +63,9 @@ class GlobalSearch:
     """
 
     method: Strategy = "evolution"
-    starts: int = STARTS
+    starts: int = DEFAULT_STARTS
     seed: int = 0
-    generations: int = GENERATIONS
+    generations: int = MOST_GENERATIONS
     marquardt: Marquardt = field(default_factory=Marquardt)
 
     def __post_init__(self) -> None:
@@ -188,8 +188,8 @@ class _Search:
             return bool(self.fits)
         box = self.explored.box
         here, ends = box.units(start[None]), box.units(np.array([fit.result.values for fit in self.fits]))
-        way = here + WAY[:, None, None] * (ends - here)
-        values = self.explored.evaluate(box.thetas(way.reshape(-1, start.size))).reshape(WAY.size, -1)
+        way = here + WAY_SHARES[:, None, None] * (ends - here)
+        values = self.explored.evaluate(box.thetas(way.reshape(-1, start.size))).reshape(WAY_SHARES.size, -1)
         return bool((values <= self.explored.evaluate(start[None])).all(axis=0).any())
 
     def _finish(self) -> None:

@@ -28,7 +28,7 @@ from fmuid.estimation.marquardt.records import Iteration as Iteration
 from fmuid.estimation.marquardt.records import Marquardt as Marquardt
 from fmuid.estimation.marquardt.records import ResidualFunction
 from fmuid.estimation.marquardt.records import State as State
-from fmuid.estimation.marquardt.stagnation import SLOW, WORTHLESS, Stagnation
+from fmuid.estimation.marquardt.stagnation import SLOW_SHARE, WORTHLESS_SHARE, Stagnation
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
 
 # The search ends where, all together, the parameters have no more than this share of their standard deviations to go.
@@ -40,7 +40,7 @@ ROUGH_OFFSET = 0.1
 NEAR_OFFSET = 0.03
 # Where the criterion's fall drowns in the simulation's noise and new Jacobians bring the optimum no nearer than by this
 # factor, nothing more can be gained.
-SETTLED = 0.8
+SETTLED_RATIO = 0.8
 # After so many rejected steps in a row the forward differences are suspected, and central ones tried.
 SUSPICIOUS_REJECTIONS = 6
 # After so many failing simulations in a row the search feels its way along the edge of what can be simulated, with one
@@ -48,7 +48,7 @@ SUSPICIOUS_REJECTIONS = 6
 EDGE_FAILURES, HOPELESS_FAILURES = 2, 12
 # A search that no longer gains anything has converged where the linear model leaves no more than this share of the
 # standard deviations to go: what makes it no better is the simulation, not the way.
-IN_VAIN = 0.3
+IN_VAIN_OFFSET = 0.3
 # Where a search is doubted, the simulation's noise is measured as far apart as the way that is left, or one standard
 # deviation, along what the data determine least, but no farther than this against the parameters.
 WIDEST_NOISE, CLOSEST_NOISE = 3e-3, 1e-9
@@ -58,7 +58,7 @@ VANISHING_STEP = 1e-13
 NOISE_MARGIN = 3.0
 # A parameter runs away where it has grown so many times, and the criterion has fallen meanwhile by less than one
 # standard deviation of the parameters is worth, but no more than this share.
-RUNAWAY, NO_GAIN = 100.0, 0.01
+RUNAWAY_GROWTH, RUNAWAY_GAIN = 100.0, 0.01
 
 
 def search(problem: ResidualFunction, state: State, settings: Marquardt, *, rough: bool = False) -> Iterator[Iteration]:
@@ -231,7 +231,7 @@ class _Descent:
         self.state.fresh = False
         if self.near:
             self.reduced = triangle(self.state.jacobian, residual)
-        if self.gained_at - square > min(1.0 / self.free, NO_GAIN) * self.gained_at:
+        if self.gained_at - square > min(1.0 / self.free, RUNAWAY_GAIN) * self.gained_at:
             self.grown_from, self.gained_at = np.maximum(self.grown_from, np.abs(theta)), square
 
     # --- the doubt
@@ -239,7 +239,7 @@ class _Descent:
     def _watch(self, step: Step) -> None:
         """Take note of what the last step has brought."""
         if not self.radius.failures:
-            worth = max(self._worthless(), SLOW * self.predicted)
+            worth = max(self._worthless(), SLOW_SHARE * self.predicted)
             self.stagnation.note(step.predicted, self.square, worth)
 
     def _doubt(self) -> None:
@@ -265,7 +265,7 @@ class _Descent:
 
     def _worthless(self) -> float:
         """Return what fall of the criterion is no gain: its noise, or a hundredth of a standard deviation."""
-        return max(self._criterion_noise(), WORTHLESS * self.square / self.free)
+        return max(self._criterion_noise(), WORTHLESS_SHARE * self.square / self.free)
 
     # --- the end
 
@@ -300,11 +300,11 @@ class _Descent:
         if self.accurate and offset <= OFFSET_TOLERANCE and change <= self.settings.tolerance:
             return Outcome.CONVERGED
         if self.accurate and self.predicted <= self._criterion_noise():
-            settled = state.fresh and self.offset > SETTLED * self.previous_offset
+            settled = state.fresh and self.offset > SETTLED_RATIO * self.previous_offset
             if settled or offset <= NOISE_MARGIN * self._offset_noise():
                 return Outcome.CONVERGED if self.offset <= NEAR_OFFSET else Outcome.ACCURACY
         if self._in_vain():
-            little = self.offset <= IN_VAIN or self.predicted <= NOISE_SURPRISE * self._criterion_noise()
+            little = self.offset <= IN_VAIN_OFFSET or self.predicted <= NOISE_SURPRISE * self._criterion_noise()
             return Outcome.ACCURACY if little else Outcome.STALLED
         if self.radius.failures >= HOPELESS_FAILURES:
             return Outcome.FAILING
@@ -313,7 +313,7 @@ class _Descent:
         size = self._length(self.problem.magnitudes(state.theta))
         if state.central and rejections and self.radius.value <= VANISHING_STEP * size:
             return Outcome.ACCURACY if self.predicted <= NOISE_SURPRISE * self._criterion_noise() else Outcome.STALLED
-        if (np.abs(state.theta) > RUNAWAY * self.grown_from).any():
+        if (np.abs(state.theta) > RUNAWAY_GROWTH * self.grown_from).any():
             return Outcome.RUNAWAY
         return Outcome.ITERATION_LIMIT if state.iterations >= self.settings.max_iterations else None
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 # Steps that are granted before a search without gain is doubted.
 PATIENT_STEPS = 10
 # What is not a gain: this share of what one standard deviation of the parameters is worth (1 % of one, squared) ...
-WORTHLESS = 1e-4
+WORTHLESS_SHARE = 1e-4
 # ... and, where it only matters whether the linear model can be trusted, this share of the fall that it predicts.
-SLOW = 1e-2
+SLOW_SHARE = 1e-2
 # Steps that bring less than this share of what they promised are useless, not merely slow.
-VAIN = 0.25
+VAIN_SHARE = 0.25
 
 
 class Stagnation:
@@ -56,7 +56,7 @@ class Stagnation:
     @property
     def vain(self) -> bool:
         """Whether the steps since the last gain have brought next to nothing of what they promised."""
-        return self.fall < VAIN * self._promised
+        return self.fall < VAIN_SHARE * self._promised
 
     def doubt(self) -> None:
         """Grant as many steps again, and next time twice as many."""

@@ -28,9 +28,9 @@ from fmuid.arrays import Floats
 
 # Steps need not have the length Δ more precisely than this.
 RADIUS_TOLERANCE = 0.1
-SECULAR_ITERATIONS = 30
+MOST_SECULAR_ITERATIONS = 30
 # Singular values below this one are zero whatever the accuracy, or quotients overflow.
-SMALLEST = 1e-100
+SMALLEST_SINGULAR_VALUE = 1e-100
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +104,9 @@ def _damped(matrix: Floats, vector: Floats, radius: float, least: float) -> tupl
     u, s, vt = np.linalg.svd(matrix, full_matrices=False)
     sz = s * (u.T @ vector)
     least = min(max(least, np.finfo(float).eps * max(matrix.shape) * s[0]), s[0] / 2.0)
-    square = np.where(s > max(least, SMALLEST), s**2, np.inf)
+    square = np.where(s > max(least, SMALLEST_SINGULAR_VALUE), s**2, np.inf)
     damping = 0.0
-    for _ in range(SECULAR_ITERATIONS):
+    for _ in range(MOST_SECULAR_ITERATIONS):
         parts = sz / (square + damping)
         length = math.hypot(*parts.tolist())
         if length <= radius * (1.0 + RADIUS_TOLERANCE):

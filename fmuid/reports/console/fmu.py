@@ -29,7 +29,7 @@ TERMINAL_REMARKS, REMARK_LENGTH = 5, 300
 # Letters that a description has at least on a terminal; it ends where the line does.
 SHORT_DESCRIPTION = 25
 # Between two columns.
-GAP = 3
+COLUMN_GAP = 3
 # Letters of a name, and of any other text: an FMU can have names of any length.
 NAME_LENGTH, TEXT_LENGTH = 200, 1000
 # Into a pipe, where lines are searched: one line a variable, however long.
@@ -125,7 +125,7 @@ def _show_variables(out: Console, title: str, variables: Sequence[Variable], mor
     right = ("start", "min", "max")
     if out.is_terminal:
         widths = [max(map(len, [head, *texts])) for head, texts in zip(heads, cells, strict=True)]
-        room = max(out.width - sum(widths[:-1]) - GAP * (len(widths) - 1), SHORT_DESCRIPTION)
+        room = max(out.width - sum(widths[:-1]) - COLUMN_GAP * (len(widths) - 1), SHORT_DESCRIPTION)
         cells[-1] = [shorten(text, room, placeholder="…") for text in cells[-1]]
         table = table_of("", heads, right)
         for row in zip(*cells, strict=True):
@@ -142,7 +142,7 @@ def _plain_table(heads: Sequence[str], columns: Sequence[Sequence[str]], right: 
     """Yield the lines of a table: of a hundred thousand, Rich takes a minute for them."""
     filled = [_filled([head, *texts], flush_right=head in right) for head, texts in zip(heads, columns, strict=True)]
     for number, row in enumerate(zip(*filled, strict=True)):
-        line = (" " * GAP).join(row)
+        line = (" " * COLUMN_GAP).join(row)
         yield line.rstrip() + "\n"
         if number == 0:
             yield "─" * cell_len(line) + "\n"

@@ -34,7 +34,7 @@ RIVAL = 3.84
 SHIFT = "numerical shift"
 """The column of what the error of the simulation moves each estimate by, in its standard deviations."""
 # To ask how wide a table would be.
-UNLIMITED = 10_000
+UNLIMITED_WIDTH = 10_000
 
 
 def show_result(found: Findings) -> None:
@@ -156,7 +156,7 @@ def _filled(
 
 
 def _fits(out: Console, columns: Mapping[str, Sequence[str]]) -> bool:
-    unlimited = out.options.update(max_width=UNLIMITED)
+    unlimited = out.options.update(max_width=UNLIMITED_WIDTH)
     return Measurement.get(out, unlimited, _filled(columns)).maximum <= out.width
 
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from fmuid.arrays import Floats
-from fmuid.batches import HALF_WIDTH, Columns, estimates, is_repetition
+from fmuid.batches import INTERVAL_STDS, Columns, estimates, is_repetition
 from fmuid.files import file_name
 from fmuid.reports.figures.panels import (
     MAX_DOTS,
@@ -103,7 +103,7 @@ def over_cases(frame: pd.DataFrame, truth: Truth, units: Units) -> Figure:
 
     def panel(axes: Axes, name: str) -> None:
         value = frame[f"value.{name}"].to_numpy(np.float64)
-        half = HALF_WIDTH * frame[f"std.{name}"].to_numpy(np.float64)
+        half = INTERVAL_STDS * frame[f"std.{name}"].to_numpy(np.float64)
         good = (status == "converged") & np.isfinite(value)
         ends = np.concatenate([value[good] - half[good], value[good] + half[good]]) if bars else value[good]
         limits = limits_of(ends if np.isfinite(ends).any() else value[good], truth.get(name))
@@ -246,8 +246,8 @@ def _means(axes: Axes, x: Floats, value: Floats, std: Floats, line: tuple[str, A
     text, color = line
     parts = [np.flatnonzero(where == k) for k in range(levels.size)]
     mean = np.array([value[rows].mean() for rows in parts])
-    spread = HALF_WIDTH * np.array([value[rows].std(ddof=1) for rows in parts])
-    stated = HALF_WIDTH * np.array([math.sqrt(np.mean(std[rows] ** 2)) for rows in parts])
+    spread = INTERVAL_STDS * np.array([value[rows].std(ddof=1) for rows in parts])
+    stated = INTERVAL_STDS * np.array([math.sqrt(np.mean(std[rows] ** 2)) for rows in parts])
     words = "± 1.96 spread", "± 1.96 stated std"
     if joined:
         axes.fill_between(levels, mean - spread, mean + spread, color=color, alpha=0.18, lw=0, label=words[0])
@@ -270,7 +270,7 @@ def _singles(
         cloud(axes, x, value, text or "estimate")
         return
     if x.size <= MAX_BARS:
-        half = np.where(np.isfinite(std), HALF_WIDTH * std, 0.0)
+        half = np.where(np.isfinite(std), INTERVAL_STDS * std, 0.0)
         axes.vlines(x, value - half, value + half, color=color, lw=1, alpha=0.6, label="interval of 95 %")
     points(axes, x, value, color, text or "estimate")
 

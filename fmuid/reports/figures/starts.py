@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fmuid.arrays import Floats
-from fmuid.batches import HALF_WIDTH, Columns, data_sets, misfit, optimum_numbers
+from fmuid.batches import INTERVAL_STDS, Columns, data_sets, misfit, optimum_numbers
 from fmuid.reports.figures.panels import MAX_DOTS, Truth, Units, mark_cases, mark_truth, panels, points, say_outside
 from fmuid.reports.figures.style import AMBER, BLUE, RED
 from fmuid.text import label
@@ -45,7 +45,7 @@ def over_starts(frame: pd.DataFrame, truth: Truth, units: Units, *, given_noise:
             _waterfall(axes, excess, number, lost, given_noise=given_noise)
             return
         begin, end = (frame[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("start", "value"))
-        limits = _limits(end, HALF_WIDTH * frame[f"std.{name}"].to_numpy(np.float64), number)
+        limits = _limits(end, INTERVAL_STDS * frame[f"std.{name}"].to_numpy(np.float64), number)
         axes.set_ylim(limits)
         mark_truth(axes, name, truth)
         for which, color, text in ((number > 1, RED, "another optimum"), (number == 1, BLUE, "best optimum")):

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import psutil
 
-REMOVAL_TAKES = 1.0  # s at most; a group can be removed when all in it have ended
+REMOVAL_SECONDS = 1.0  # s at most; a group can be removed when all in it have ended
 
 
 def own(process: Path = Path("/proc/self")) -> Path | None:
@@ -62,7 +62,7 @@ def kill(group: Path | None) -> None:
 
 def remove(group: Path | None) -> None:
     """Remove a group whose processes have ended, or do so within a moment, and those below it."""
-    until = time.monotonic() + REMOVAL_TAKES
+    until = time.monotonic() + REMOVAL_SECONDS
     while group is not None and group.exists():
         try:
             for folder, _, _ in os.walk(group, topdown=False):

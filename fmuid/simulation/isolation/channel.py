@@ -13,7 +13,7 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-LARGE = 1 << 16
+LARGE_BYTES = 1 << 16
 """Arrays of so many bytes or more travel beside the pickle."""
 HEADER = struct.Struct("<8sQQ")
 """The mark of a message, the bytes of its pickle, and the number of arrays beside it, whose bytes follow (``<Q``)."""
@@ -59,9 +59,9 @@ class Channel:
 
         def keep_small(buffer: pickle.PickleBuffer) -> bool:
             raw = buffer.raw()
-            if raw.nbytes >= LARGE:
+            if raw.nbytes >= LARGE_BYTES:
                 beside.append(raw)
-            return raw.nbytes < LARGE
+            return raw.nbytes < LARGE_BYTES
 
         data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL, buffer_callback=keep_small)
         sizes = struct.pack(f"<{len(beside)}Q", *(each.nbytes for each in beside))

@@ -21,7 +21,7 @@ import psutil
 from fmuid.simulation.isolation import cgroup
 
 SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
-SHARE = 0.1  # of the time that reading the proportional set size may take, at most
+MEASURING_SHARE = 0.1  # of all time, that reading the proportional set size may take, at most
 
 
 def adopt_orphans() -> None:
@@ -118,7 +118,7 @@ class Footprint:
         began = time.monotonic()
         self._resident, self._proportional = resident, sum(map(_proportional, relatives))
         now = time.monotonic()
-        self._next = now + (now - began) / SHARE
+        self._next = now + (now - began) / MEASURING_SHARE
         return self._proportional
 
 

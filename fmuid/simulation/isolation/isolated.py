@@ -24,12 +24,12 @@ from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmi import Run, codes, shares
 from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
 from fmuid.simulation.isolation.ends import GREW, HUNG, KILLED, End
-from fmuid.simulation.isolation.keeper import FIRST_LIMIT, MOST_KILLS, Keeper, left
-from fmuid.simulation.isolation.process import MEASURE_EVERY, Host
+from fmuid.simulation.isolation.keeper import FIRST_TIME_LIMIT, MOST_KILLS, Keeper, left
+from fmuid.simulation.isolation.process import MEASURE_SECONDS, Host
 
 STEP_LIMIT = 1e-4
-"""What is added to `FIRST_LIMIT` for each communication step, s: far more than one takes, but of a slow model."""
-CHUNK = 1 << 25  # bytes of outputs that are shared at a time
+"""What is added to `FIRST_TIME_LIMIT` for each communication step, s: far more than one takes, but of a slow model."""
+CHUNK_BYTES = 1 << 25  # of outputs that are shared at a time: small beside the memory of any machine
 _log = logging.getLogger("fmuid.fmu")
 _living: weakref.WeakSet[IsolatedExecutor] = weakref.WeakSet()
 
@@ -80,11 +80,11 @@ class IsolatedExecutor:
             self._run_chunks(run, thetas, outputs, reports)
 
     def _run_chunks(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
-        first, largest = 0, max(1, CHUNK // max(1, outputs[:1].nbytes))
+        first, largest = 0, max(1, CHUNK_BYTES // max(1, outputs[:1].nbytes))
         while first < len(thetas):
             # the first ones by themselves, so that what they need is known and not taken for growth
             before, recycle = self._host().simulations, self._settings.recycle
-            often = 1 if not before else max(1, int(MEASURE_EVERY / max(self._keeper.longest, 1e-6)))
+            often = 1 if not before else max(1, int(MEASURE_SECONDS / max(self._keeper.longest, 1e-6)))
             most = min(largest, self._limit * often, max(1, recycle - before) if recycle else largest)
             part = slice(first, first + most)
             self._run_part(run, thetas[part], outputs[part], reports[part])
@@ -167,7 +167,7 @@ class IsolatedExecutor:
         """Return how long a simulation may take, s; one of more steps than all before is like the first of all."""
         if self._settings.time_limit:
             return self._settings.time_limit
-        first = FIRST_LIMIT + STEP_LIMIT * _steps(run) if _steps(run) > self._steps else 0.0
+        first = FIRST_TIME_LIMIT + STEP_LIMIT * _steps(run) if _steps(run) > self._steps else 0.0
         return max(first, self._keeper.time_limit)
 
     def failure(
@@ -221,7 +221,7 @@ class IsolatedExecutor:
         for _, model in self._models:
             model.fmu.unpack()  # here, where what is wrong with it can be said
         self._known.clear()
-        host.order("start", self._components, self._limit, self._resets, limit=FIRST_LIMIT)
+        host.order("start", self._components, self._limit, self._resets, limit=FIRST_TIME_LIMIT)
 
     def _tell(self, host: Host, run: Run) -> int:
         """Return the number of a run, which the process knows now."""
@@ -232,7 +232,7 @@ class IsolatedExecutor:
             weakref.finalize(run, self._forgotten.append, number).atexit = False
         if number not in self._known:
             forgotten = self._forgotten[:]
-            host.order("know", number, run, forgotten, limit=FIRST_LIMIT)
+            host.order("know", number, run, forgotten, limit=FIRST_TIME_LIMIT)
             host.records[number] = host.sent
             for each in forgotten:
                 host.records.pop(each, None)

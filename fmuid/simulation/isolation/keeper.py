@@ -14,11 +14,11 @@ from fmuid.models import Isolation
 from fmuid.simulation.isolation.ends import End
 from fmuid.simulation.isolation.process import Host
 
-SLOWER = 100.0
+SLOWER_FACTOR = 100.0
 """How much longer than all before a simulation may take by default."""
-LEAST_LIMIT = 5.0
+LEAST_TIME_LIMIT = 5.0
 """The shortest default time limit, s: machines are busy at times."""
-FIRST_LIMIT = 60.0
+FIRST_TIME_LIMIT = 60.0
 """The default time limit before any simulation has ended, or one of more steps than all before, s."""
 LEAST_MEMORY = 1e9  # bytes that a process may take by default even on a small machine
 MOST_KILLS = 3  # in a row from outside; then it is not by chance
@@ -83,7 +83,7 @@ class Keeper:
         """How long a simulation like those before may take, s."""
         if self._settings.time_limit:
             return self._settings.time_limit
-        return max(LEAST_LIMIT, SLOWER * self.longest) if self.longest else FIRST_LIMIT
+        return max(LEAST_TIME_LIMIT, SLOWER_FACTOR * self.longest) if self.longest else FIRST_TIME_LIMIT
 
     def bury(self) -> NDArray[np.intp]:
         """Part with a process that has come to its end; return what its threads were doing, nothing without one."""

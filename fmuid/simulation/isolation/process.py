@@ -37,20 +37,23 @@ from fmuid.simulation.isolation.channel import Channel, GarbledError
 from fmuid.simulation.isolation.ends import CRASHED, EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, End
 from fmuid.simulation.isolation.family import Condition, Footprint, condition_of, family, numbered, wants_processor
 
-GROWTH = 256e6
-"""Growth of a process beyond its size after its first simulations at which it is replaced, bytes."""
+LARGEST_GROWTH = 256e6
+"""Growth of a process beyond its size after its first simulations at which it is replaced, bytes.
 
-PREPARATION_LIMIT = 120.0  # s; instantiation, and loading code
-CLOSING_LIMIT = 2.0  # s; for freeing instances, after which the process is killed
-LOOK_EVERY = 0.05  # s, whether all is well with a host that works
+Far above what buffers and caches of a sound FMU take up, far below what a machine of today has for each processor.
+"""
+
+PREPARATION_LIMIT = 120.0  # s for instantiation and loading code: some FMUs read large files
+CLOSING_LIMIT = 2.0  # s for freeing instances, after which the process is killed: nothing of it is needed any more
+LOOK_SECONDS = 0.05  # between looks whether all is well with a host that works
 MOST_STARTS = 6  # of the server, which may be killed from outside while it loads
-DEATH = 2.0  # s that a process which has closed its socket may take to end
-PRINTED_KEPT = 1 << 16  # bytes of what FMUs print that are kept until they are read
-PRINTED_LARGEST = 1 << 20  # bytes that may pile up in the file before it is cut
+ENDING_LIMIT = 2.0  # s that a process which has closed its socket may take to end
+PRINTED_KEPT_BYTES = 1 << 16  # of what FMUs print that are kept until they are read: a thousand lines
+PRINTED_LARGEST_BYTES = 1 << 20  # that may pile up in the file before it is cut
 MOST_RELATIVES = 100  # processes below it, also ended ones, for which nobody there waits
-MEASURE_EVERY = 0.25  # s, its memory while simulations come and go
-LONG_LOOK = 0.5  # s between looks at which this process has stood still, and the machine with it
-COMPUTED = 0.5  # of a time limit: what computes for less than that is not hung but waits for a processor
+MEASURE_SECONDS = 0.25  # between looks at its memory while simulations come and go
+STANDSTILL_SECONDS = 0.5  # between looks at which this process has stood still, and the machine with it
+COMPUTED_SHARE = 0.5  # of a time limit: what computes for less than that is not hung but waits for a processor
 
 
 class ForkServer:
@@ -103,7 +106,7 @@ class ForkServer:
             if self._channel is None or self._asking:  # by a collection of garbage in the middle of another question
                 return None
             try:
-                status: int | None = self._ask("wait", pid, DEATH)
+                status: int | None = self._ask("wait", pid, ENDING_LIMIT)
             except (EOFError, ConnectionError):
                 return None
             return status
@@ -158,7 +161,7 @@ class _Progress:
         """Return the limit that has passed, s, if one has."""
         undone = 0 if self.reports is None else int((self.reports[:, 2] == codes.UNDONE).sum())
         state, now = (doing.tobytes(), undone), time.monotonic()
-        self.since += max(0.0, now - self.looked - LONG_LOOK)
+        self.since += max(0.0, now - self.looked - STANDSTILL_SECONDS)
         self.looked = now
         if state != self.state:
             self.state, self.since, self.computed = state, now, condition.computed
@@ -168,7 +171,7 @@ class _Progress:
             allowed = self.idle_limit
         if now - self.since <= allowed:
             return None
-        waits = condition.computed - self.computed < COMPUTED * allowed and wants_processor(condition.pid)
+        waits = condition.computed - self.computed < COMPUTED_SHARE * allowed and wants_processor(condition.pid)
         return None if waits else allowed
 
 
@@ -184,7 +187,7 @@ class Host:
 
     Attributes
     ----------
-    doing : (`host.DOING`,) array of intp
+    doing : (`host.DOING_WORDS`,) array of intp
         What each of its threads is doing, and how often it has begun.
     simulations : int
         How many it was given.
@@ -203,21 +206,21 @@ class Host:
             self._file, self._printed = (_file(made, name) for name in ("memory", "printed"))
             os.set_blocking(self._printed, True)
             fcntl.fcntl(self._printed, fcntl.F_SETFL, fcntl.fcntl(self._printed, fcntl.F_GETFL) | os.O_APPEND)
-            self._memory, self.doing = self._mapped(8 * far.DOING)
+            self._memory, self.doing = self._mapped(8 * far.DOING_WORDS)
             own, other = socket.socketpair()
             made.callback(own.close)
             with other:
                 self.pid, self._group = SERVER.fork(modules, [other.fileno(), self._file, self._printed])
             made.pop_all()
         self._numbered = numbered(self.pid)
-        self._channel, self._footprint = Channel(own, LOOK_EVERY), Footprint(self.pid, self._group)
+        self._channel, self._footprint = Channel(own, LOOK_SECONDS), Footprint(self.pid, self._group)
         self.records: dict[int, int] = {}
         self.sent = 0
 
     def _mapped(self, size: int) -> tuple[mmap.mmap, NDArray[np.intp]]:
         os.ftruncate(self._file, size)
         memory = mmap.mmap(self._file, size)
-        return memory, np.frombuffer(memory, np.intp, far.DOING)
+        return memory, np.frombuffer(memory, np.intp, far.DOING_WORDS)
 
     @property
     def states(self) -> NDArray[np.intp]:
@@ -296,12 +299,12 @@ class Host:
         if recycle is not None and self.simulations >= recycle:
             return True
         now = time.monotonic()
-        if self.baseline and now - self._measured < MEASURE_EVERY:
+        if self.baseline and now - self._measured < MEASURE_SECONDS:
             return False
         self._measured = now
         if not self.baseline:
             self.baseline = max(1.0, self._footprint.read() - self._given)
-        grown = self._footprint.exceeds(self.baseline + GROWTH + self._given)
+        grown = self._footprint.exceeds(self.baseline + LARGEST_GROWTH + self._given)
         return grown or len(family(self.pid)) > MOST_RELATIVES
 
     def _stopped(self, kind: int, number: int) -> End:
@@ -362,14 +365,14 @@ class Host:
         size = os.fstat(self._printed).st_size
         if not size:
             return
-        data = os.pread(self._printed, PRINTED_KEPT, 0)
+        data = os.pread(self._printed, PRINTED_KEPT_BYTES, 0)
         os.ftruncate(self._printed, 0)
-        lost = "" if size <= PRINTED_KEPT else f"\n[{size - PRINTED_KEPT} bytes more]\n"
-        room = max(0, PRINTED_KEPT - len(self._text))
+        lost = "" if size <= PRINTED_KEPT_BYTES else f"\n[{size - PRINTED_KEPT_BYTES} bytes more]\n"
+        room = max(0, PRINTED_KEPT_BYTES - len(self._text))
         self._text += (data.decode("utf-8", errors="replace") + lost)[:room]
 
     def _cut_printed(self) -> None:
-        if os.fstat(self._printed).st_size > PRINTED_LARGEST:
+        if os.fstat(self._printed).st_size > PRINTED_LARGEST_BYTES:
             self._read_printed()
 
 

@@ -38,18 +38,18 @@ if TYPE_CHECKING:
 AVAILABLE = hasattr(os, "fork") and hasattr(socket, "send_fds")
 """Whether this platform can fork processes and pass files to them: Linux and macOS can."""
 
-DOING = 512
+DOING_WORDS = 512
 """Words at the beginning of the shared memory: two for each thread, what it is doing and how often it has begun."""
 
 ORDER_BYTES = 4096  # of an order to the server
-ORPHANS_TAKE = 2.0  # s at most to end
+ORPHANS_SECONDS = 2.0  # s at most to end
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 _IOLBF = 1  # of setvbuf: lines are written when they are complete
 
 
 def layout(m: int, n_theta: int, n_times: int, n_outputs: int) -> tuple[int, int, int, int]:
     """Return where reports, thetas and outputs begin in the shared memory, and its size, bytes."""
-    reports = 8 * DOING
+    reports = 8 * DOING_WORDS
     thetas = reports + 8 * REPORT * m
     outputs = thetas + 8 * m * n_theta
     return reports, thetas, outputs, outputs + 8 * m * n_times * n_outputs
@@ -155,7 +155,7 @@ class Service:
         run = self._runs[number]
         if len(self._memory) != size:
             self._memory = mmap.mmap(self._file, size)
-            self._own.show_doing(np.frombuffer(self._memory, np.intp, DOING))
+            self._own.show_doing(np.frombuffer(self._memory, np.intp, DOING_WORDS))
         for given, new in zip(run.varying, varying, strict=True):
             for array, values in zip((given.magnitudes, given.initial, given.steps), new, strict=True):
                 array[:] = values
@@ -176,8 +176,8 @@ class Service:
         """Let all threads of this process write what they are doing where the other side sees it."""
         from fmuid.simulation.simulation_thread import shared_words
 
-        self._memory = mmap.mmap(self._file, 8 * DOING)
-        shared_words.append(np.frombuffer(self._memory, np.intp, DOING))
+        self._memory = mmap.mmap(self._file, 8 * DOING_WORDS)
+        shared_words.append(np.frombuffer(self._memory, np.intp, DOING_WORDS))
 
     def _call(self, module: str, name: str, arguments: Sequence[Any]) -> Any:
         """Call a function of a module; what it logs is its own affair."""
@@ -297,7 +297,7 @@ class Server:
 
         A host that lives adopts what is below itself.
         """
-        until = time.monotonic() + ORPHANS_TAKE
+        until = time.monotonic() + ORPHANS_SECONDS
         while time.monotonic() < until:
             orphans = [pid for pid in children(os.getpid()) if pid not in self._hosts]
             if not orphans:
