@@ -6,6 +6,7 @@ Needs ``fmuid[export]`` (for the C compiler of the comparison with C). Every fig
 from __future__ import annotations
 
 import ctypes
+import os
 import subprocess
 import sys
 import tempfile
@@ -321,8 +322,21 @@ def _often(task: Callable[[], object], times: int) -> None:
         task()
 
 
+FIRST_SIMULATION = f"""
+import fmuid, pandas
+table = pandas.DataFrame({{"time": [0.0, 0.1, 0.2], "u": [0.0, 1.0, 1.0], "i": [0.0, 0.0, 0.0]}})
+model = {str(FMU_FILE.parents[1] / "Coil" / "Coil.fmu")!r}
+fmuid.Simulator(model, fmuid.Experiment(table, ["u"], ["i"]), ["R"])([4.0])
+"""
+
+
 def compare_starts() -> None:
-    """Print how long the commands take in a process of their own."""
+    """Print how long the commands take in a process of their own, their code compiled as an installation has it."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    run = partial(subprocess.run, check=True, capture_output=True)
+    programs = (FIRST_SIMULATION, "import numpy, pandas")
+    first, packages = alternating(7, *(partial(run, [sys.executable, "-c", each]) for each in programs))
+    print(f"import fmuid and a first simulation: {first:.2f} s, of which numpy and pandas {packages:.2f} s")
     command = [sys.executable, "-m", "fmuid"]
     (helped,) = alternating(5, partial(subprocess.run, [*command, "--help"], check=True, capture_output=True))
     print(f"fmuid --help: {helped:.2f} s")

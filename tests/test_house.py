@@ -131,6 +131,15 @@ def test_imports_nothing_heavy(module: str) -> None:
     assert not loaded & {"numpy", "pandas", "matplotlib", "fmpy", "scipy", "pyarrow", "pydantic", *EXTRAS}
 
 
+def test_simulating_imports_nothing_that_only_others_need() -> None:
+    faces = "fmuid.Simulator, fmuid.Experiment, fmuid.simulation.executor_of, fmuid.simulation.in_process"
+    code = f"import sys, fmuid, fmuid.simulation.in_process; {faces}; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(run.stdout.split())
+    assert {"fmuid.fmi.native", "pandas", "fmpy"} <= loaded
+    assert not loaded & {"scipy", "pydantic", "matplotlib", "psutil", "urllib.request"}
+
+
 def test_tests_mirror_the_packages() -> None:
     tests = Path(__file__).parent
     packages = {path.parent.name for path in PACKAGE.glob("*/__init__.py")} | {"support", "experiments", "fmus"}

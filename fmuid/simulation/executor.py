@@ -6,7 +6,6 @@ import logging
 import os
 
 from fmuid.models import Executor, System
-from fmuid.simulation.isolation.server import AVAILABLE
 
 _log = logging.getLogger("fmuid.fmu")
 
@@ -26,6 +25,8 @@ def _made_for(system: System) -> Executor:
     in_threads = system.can_run_in_threads
     limit = threads() if in_threads else 1
     if system.isolation is not None:
+        from fmuid.simulation.isolation.server import AVAILABLE
+
         if AVAILABLE:
             from fmuid.simulation.isolation.isolated import IsolatedExecutor  # for Linux and macOS only
             from fmuid.simulation.isolation.spread import SpreadExecutor

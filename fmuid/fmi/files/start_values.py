@@ -12,7 +12,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from xml.parsers import expat
-from xml.sax.saxutils import quoteattr
 
 from fmuid.errors import InputError
 from fmuid.fmi.files.safe_xml import xml_parser
@@ -130,6 +129,8 @@ class _Scan:
 
     def annotation(self, names: list[str]) -> tuple[int, int, str]:
         """Return an edit (begin, end, new text) after which the annotation lists these names."""
+        from xml.sax.saxutils import quoteattr  # and with it urllib: who simulates needs neither
+
         listed = "".join(f"<Start name={quoteattr(name)}/>" for name in names)
         old = self.version.startswith("2")
         tag, mark = ("Tool", f'name="{TOOL}"') if old else ("Annotation", f'type="{ANNOTATION}"')
