@@ -1,0 +1,182 @@
+"""Which cause it is: odds between single causes and pairs, and what cannot be told apart from what."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special, stats
+
+from fmuid.arrays import Floats
+from fmuid.diagnosis.evidence.causes import Cause
+from fmuid.diagnosis.evidence.detection import Chance, Fit, fit, probability
+from fmuid.diagnosis.evidence.information import News
+
+# Causes within these odds of the best one are all named: beyond it evidence is strong (Kass and Raftery, section 3.2)
+ODDS = 20.0
+# ... and excluded in this share of records.
+SURE = 0.9
+# How much of its effect a fault model has wrong along any other cause's signature, where no trials tell.
+MODEL_ERROR = 0.05
+# Pairs whose statistic is so much below the best pair's cannot come within the odds.
+HOPELESS = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A cause, or two of them, that explains what is new.
+
+    Attributes
+    ----------
+    causes : tuple of Cause
+    odds : float
+        Against the best explanation: 1 for that itself, less for others.
+    fit : Fit
+        Sizes and their covariance, the models' error included.
+    """
+
+    causes: tuple[Cause, ...]
+    odds: float
+    fit: Fit
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its causes."""
+        return tuple(cause.name for cause in self.causes)
+
+
+@dataclass(frozen=True, eq=False)
+class Naming:
+    """What is new in a record.
+
+    Attributes
+    ----------
+    statistics : dict of str to float
+        D of each cause alone.
+    probability : float
+        That chance makes any cause as likely.
+    alarm : bool
+        Whether that is below the level.
+    named : tuple of Explanation
+        The best one, and those that the data do not exclude beside it; empty without an alarm.
+    temper : float
+        Factor on variances and on all that is asked after the alarm: 1 + κ² D of the strongest cause.
+    """
+
+    statistics: dict[str, float]
+    probability: float
+    alarm: bool
+    named: tuple[Explanation, ...] = ()
+    temper: float = 1.0
+
+
+def name(
+    news: News,
+    causes: Sequence[Cause],
+    level: float,
+    *,
+    chance: Chance | None = None,
+    model_error: float = MODEL_ERROR,
+) -> Naming:
+    """Decide whether anything is new, and which cause or pair of causes it is.
+
+    Parameters
+    ----------
+    news : News
+    causes : sequence of Cause
+    level : float
+        Probability of an alarm where nothing is new; pairs have the same beside single causes.
+    chance : Chance, optional
+        Of records like this one; drawn where it is not given.
+    model_error : float
+        κ: the fault models' error along any other signature, as a share of their own effect.
+    """
+    chance = chance or Chance.of(news, causes)
+    statistics = np.array([fit(news, (cause,)).statistic for cause in causes])
+    smallest = min(probability(d, cause) for d, cause in zip(statistics.tolist(), causes, strict=True))
+    by_name = dict(zip((cause.name for cause in causes), statistics.tolist(), strict=True))
+    adjusted = chance.adjusted(smallest)
+    if smallest > chance.limit(level):
+        return Naming(by_name, adjusted, False)
+    temper = 1.0 + model_error**2 * float(statistics.max())
+    sets = _pairs(news, causes, float(statistics.max()), temper, level) or [(cause,) for cause in causes]
+    return Naming(by_name, adjusted, True, _likely(news.tempered(temper), sets), temper)
+
+
+def _pairs(news: News, causes: Sequence[Cause], single: float, temper: float, level: float) -> list[tuple[Cause, ...]]:
+    """Return the pairs that may be it, none where the best one explains no more than a single cause does."""
+    pairs = list(itertools.combinations(causes, 2))
+    if not pairs:
+        return []
+    gains = [(fit(news, pair).statistic - single) / temper for pair in pairs]
+    best = int(np.argmax(gains))
+    more = max(len(cause.columns) for cause in pairs[best])
+    if special.chdtrc(more, max(gains[best], 0.0)) * len(pairs) > level:
+        return []
+    return [pair for pair, gain in zip(pairs, gains, strict=True) if gain > gains[best] - HOPELESS]
+
+
+def _likely(news: News, sets: Sequence[tuple[Cause, ...]]) -> tuple[Explanation, ...]:
+    """Return the sets of causes within the odds of the best, the best first."""
+    evidence = np.array([log_bayes_factor(news, each) + sum(math.log(c.probability) for c in each) for each in sets])
+    odds = np.exp(evidence - evidence.max())
+    order = np.argsort(-odds, kind="stable")
+    return tuple(Explanation(sets[i], float(odds[i]), fit(news, sets[i])) for i in order if odds[i] * ODDS > 1.0)
+
+
+def log_bayes_factor(news: News, causes: Sequence[Cause]) -> float:
+    """Return the logarithm of the Bayes factor of some causes against nothing new.
+
+    Their sizes are N(0, size²), half-normal where the sign is known: ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|, and the ratio
+    of the probabilities that all signs are right, after the record and before.
+    """
+    columns = [i for cause in causes for i in cause.columns]
+    slab = np.array([cause.size for cause in causes for _ in cause.columns])
+    information, score = news.part(columns)
+    precision = slab[:, None] * information * slab + np.eye(slab.size)
+    covariance = np.linalg.inv(precision)
+    mean = covariance @ (slab * score)
+    found = 0.5 * float(slab * score @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
+    signs = np.array([cause.sign for cause in causes for _ in cause.columns])
+    signed = np.flatnonzero(signs)
+    return found + signed.size * math.log(2.0) + _log_right_signs(mean, covariance, signs, signed)
+
+
+def _log_right_signs(mean: Floats, covariance: Floats, signs: Floats, signed: np.ndarray) -> float:
+    """Return the log-probability that the signed sizes have their signs."""
+    if not signed.size:
+        return 0.0
+    own = (mean * signs)[signed] / np.sqrt(np.diag(covariance)[signed])
+    if signed.size == 1:
+        return float(special.log_ndtr(own[0]))
+    part = covariance[np.ix_(signed, signed)] * np.outer(signs[signed], signs[signed])
+    std = np.sqrt(np.diag(part))
+    both = float(stats.multivariate_normal.cdf(own, cov=part / np.outer(std, std)))
+    return math.log(both) if both > 0.0 else float(special.log_ndtr(own).sum())
+
+
+def angle(news: News, one: Cause, other: Cause) -> float:
+    """Return the smallest angle between the signatures of two causes, beside all that may change, in rad."""
+    roots = [np.linalg.cholesky(news.part(cause.columns)[0]) for cause in (one, other)]
+    between = news.information[np.ix_(list(one.columns), list(other.columns))]
+    cosines = np.linalg.solve(roots[0], np.linalg.solve(roots[1], between.T).T)
+    return float(math.acos(min(1.0, float(np.linalg.svd(cosines, compute_uv=False)[0]))))
+
+
+def told_apart_from(news: News, one: Cause, other: Cause, model_error: float = MODEL_ERROR) -> float:
+    """Return the size from which the other cause is excluded by the odds in 90 % of records; infinite if never.
+
+    What tells them apart, D sin²φ, scatters by its root, and both are divided by 1 + κ² D: ½ D sin²φ − z √D sin φ >
+    ln 20 (1 + κ² D), where z is the 90 % point of the normal distribution.
+    """
+    sine = math.sin(angle(news, one, other))
+    z, strong = float(special.ndtri(SURE)), math.log(ODDS)
+    room = 0.5 * sine**2 - strong * model_error**2
+    if room <= 0.0:
+        return math.inf
+    root = (z * sine + math.sqrt((z * sine) ** 2 + 4.0 * room * strong)) / (2.0 * room)
+    information, _ = news.part(one.columns)
+    return root / math.sqrt(float(np.linalg.eigvalsh(information)[0]))

@@ -1,0 +1,69 @@
+"""Something else: a change that no listed cause explains, by what the residual still owes to the inputs.
+
+The variance of the residual hardly shows it: a change that is small against the noise but goes with the inputs is
+seen in the regression of the residual on lagged inputs and a constant, the model's own columns projected out. Only the
+*change* of the coefficients from the healthy record to the new one counts, so that what the healthy model does not
+know is no alarm.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import special
+
+from fmuid.arrays import Floats
+from fmuid.diagnosis.evidence.information import Information
+
+# Samples back to which the inputs are looked at: short delays and the fast part of any response.
+LAGS = 20
+# Directions of the regressors with so little information, against the best, say nothing.
+NOTHING = 1e-8
+
+
+def lagged(inputs: Floats, lags: int = LAGS) -> Floats:
+    """Return the inputs (n, m) at this sample and those before, and a constant: (n, lags · m + 1)."""
+    columns = [np.ones((len(inputs), 1))]
+    for lag in range(min(lags, len(inputs))):
+        late = np.zeros_like(inputs)
+        late[lag:] = inputs[: len(inputs) - lag]
+        columns.append(late)
+    return np.hstack(columns)
+
+
+def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> Information:
+    """Return what a residual says of its regression on some columns, beside the model's own.
+
+    Parameters
+    ----------
+    residual : (n,) array
+        Whitened.
+    regressors : (n, k) array
+        Whitened like it.
+    jacobian : (n, N) array
+        Of the fitted coordinates, whitened: what they could have taken out of the residual.
+    """
+    beside = regressors - jacobian @ np.linalg.lstsq(jacobian, regressors, rcond=None)[0]
+    return Information.of(beside, residual)
+
+
+def change(healthy: Information, new: Information) -> tuple[float, int]:
+    """Return the χ² of the change of the coefficients between two records, and its degrees of freedom.
+
+    Directions that either record does not determine are left out.
+    """
+    basis = np.eye(healthy.score.size)
+    for matrix in (healthy.matrix + new.matrix, healthy.matrix, new.matrix):
+        values, vectors = np.linalg.eigh(basis.T @ matrix @ basis)
+        basis = basis @ vectors[:, values > NOTHING * max(float(values[-1]), np.finfo(float).tiny)]
+        if not basis.size:
+            return 0.0, 0
+    found, spread = np.zeros(basis.shape[1]), np.zeros((basis.shape[1],) * 2)
+    for each, sign in ((new, 1.0), (healthy, -1.0)):
+        covariance = np.linalg.inv(basis.T @ each.matrix @ basis)
+        found, spread = found + sign * covariance @ (basis.T @ each.score), spread + covariance
+    return float(found @ np.linalg.solve(spread, found)), found.size
+
+
+def probability(statistic: float, degrees: int) -> float:
+    """Return how likely chance alone changes the coefficients so much."""
+    return float(special.chdtrc(degrees, statistic)) if degrees else 1.0

@@ -1,0 +1,116 @@
+"""Odds against integrals over the sizes, angles against vectors, and how often names are right."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from fmuid.diagnosis.evidence.causes import Cause
+from fmuid.diagnosis.evidence.detection import Chance
+from fmuid.diagnosis.evidence.information import News
+from fmuid.diagnosis.evidence.naming import angle, log_bayes_factor, name, told_apart_from
+
+INFORMATION = np.array([[4.0, 1.2, 0.3], [1.2, 2.0, -0.5], [0.3, -0.5, 3.0]])
+GIVEN = News(INFORMATION, np.array([3.0, -0.4, 1.5]))
+
+
+def likelihood(columns: list[int], *sizes: float) -> float:
+    """Return the likelihood ratio of some sizes against none."""
+    size = np.array(sizes)
+    return math.exp(GIVEN.score[columns] @ size - 0.5 * size @ INFORMATION[np.ix_(columns, columns)] @ size)
+
+
+@pytest.mark.parametrize("sign", [1, -1, 0])
+def test_evidence_of_one_cause_is_the_mean_likelihood_over_its_sizes(sign: int) -> None:
+    cause, slab = Cause("one", (0,), 0.7, sign), stats.norm(0.0, 0.7)
+    low, high = (0.0 if sign > 0 else -8.0), (0.0 if sign < 0 else 8.0)
+    found = integrate.quad(lambda s: likelihood([0], s) * slab.pdf(s) * (2 if sign else 1), low, high)[0]
+    assert log_bayes_factor(GIVEN, (cause,)) == pytest.approx(math.log(found), rel=1e-7)
+
+
+@pytest.mark.parametrize("signs", [(1, -1), (1, 1), (0, 1), (0, 0)])
+def test_evidence_of_two_causes(signs: tuple[int, int]) -> None:
+    causes = (Cause("one", (0,), 0.7, signs[0]), Cause("two", (1,), 1.3, signs[1]))
+    slabs = (stats.norm(0.0, 0.7), stats.norm(0.0, 1.3))
+    share = 2 ** sum(bool(sign) for sign in signs)
+    x, y = (np.linspace(0 if s > 0 else -9, 0 if s < 0 else 9, 401) for s in signs)
+    both = np.stack(np.broadcast_arrays(x[:, None], y), axis=-1)
+    exponent = both @ GIVEN.score[:2] - 0.5 * np.einsum("xyi,ij,xyj->xy", both, INFORMATION[:2, :2], both)
+    density = np.exp(exponent) * slabs[0].pdf(x)[:, None] * slabs[1].pdf(y) * share
+    found = integrate.simpson(integrate.simpson(density, x=y), x=x)
+    assert log_bayes_factor(GIVEN, causes) == pytest.approx(math.log(found), abs=2e-4)
+
+
+def test_angles_are_those_of_the_signatures() -> None:
+    """Of columns of a Jacobian, also of a column and a plane."""
+    jacobian = np.zeros((5, 4))
+    jacobian[:2, 0] = (2.0, 0.0)
+    jacobian[:2, 1] = (3.0 * math.cos(0.4), 3.0 * math.sin(0.4))
+    jacobian[2, 2], jacobian[:, 3] = 1.0, (0.0, math.sin(0.3), math.cos(0.3), 0.0, 0.0)
+    news = News(jacobian.T @ jacobian + 1e-13 * np.eye(4), np.zeros(4))
+    one, two = Cause("one", (0,), 1.0), Cause("two", (1,), 1.0)
+    assert angle(news, one, two) == pytest.approx(0.4)
+    assert angle(news, Cause("plane", (0, 2), 1.0), Cause("line", (3,), 1.0)) == pytest.approx(0.3)
+    assert angle(news, one, one) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("model_error", [0.0, 0.05])
+def test_the_size_from_which_a_rival_is_excluded(model_error: float) -> None:
+    """Of records with that size, drawn, nine of ten exclude the rival; smaller angles than the models' error never."""
+    sine = math.sin(0.6)
+    information = np.array([[1.0, math.sqrt(1 - sine**2)], [math.sqrt(1 - sine**2), 1.0]])
+    causes = (Cause("one", (0,), 1e6), Cause("two", (1,), 1e6))
+    blank = News(information, np.zeros(2))
+    size = told_apart_from(blank, *causes, model_error=model_error)
+    chance, root = Chance.of(blank, causes, draws=1000), np.linalg.cholesky(information)
+    excluded = []
+    for z in np.random.default_rng(1).standard_normal((600, 2)):
+        found = name(News(information, information[0] * size + root @ z), causes, 0.01, chance=chance,
+                     model_error=model_error)  # fmt: skip
+        excluded.append([each.names for each in found.named] == [("one",)])
+    assert np.mean(excluded) == pytest.approx(0.9, abs=0.05)
+    assert told_apart_from(blank, *causes, model_error=sine / 2) == math.inf
+
+
+def causes_of(angles: list[float]) -> tuple[np.ndarray, tuple[Cause, ...]]:
+    """Return the information of causes whose signatures lie in a plane and its normal."""
+    columns = np.array([[math.cos(a), math.sin(a), 0.0] for a in angles] + [[0.0, 0.0, 1.0]])
+    return columns @ columns.T + 1e-9 * np.eye(len(columns)), tuple(
+        Cause(str(i), (i,), 8.0) for i in range(len(columns))
+    )
+
+
+def test_level_names_and_pairs() -> None:
+    """Nothing new: an alarm in one of a hundred; near rivals named together; two at once named as a pair."""
+    information, causes = causes_of([0.0, 0.2])
+    chance = Chance.of(News(information, np.zeros(3)), causes)
+    values, vectors = np.linalg.eigh(information)
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    draws = np.random.default_rng(2).standard_normal((1200, 3))
+
+    def named(sizes: tuple[float, ...], count: int) -> list[list[tuple[str, ...]]]:
+        scores = information @ np.array(sizes) + draws[:count] @ root.T
+        found = [name(News(information, score), causes, 0.01, chance=chance) for score in scores]
+        return [[each.names for each in one.named] for one in found]
+
+    assert np.mean([bool(each) for each in named((0.0, 0.0, 0.0), 1200)]) == pytest.approx(0.01, abs=0.009)
+    near = named((8.0, 0.0, 0.0), 200)
+    assert np.mean([("0",) in each for each in near]) >= 0.95
+    assert np.mean([("1",) in each for each in near]) > 0.5
+    assert np.mean([each[:1] == [("2",)] and len(each) == 1 for each in named((0.0, 0.0, 8.0), 200)]) >= 0.9
+    both = named((0.0, 10.0, 10.0), 200)
+    assert np.mean([("1", "2") in each for each in both]) >= 0.95
+
+
+def test_the_models_own_error_names_no_second_cause() -> None:
+    """A strong fault whose model is off by 3 % along another signature: alone with that error stated, two without."""
+    information, causes = causes_of([0.0, 1.2])
+    score = information @ np.array([200.0, 0.0, 6.0])
+    assert [each.names for each in name(News(information, score), causes, 0.01).named] == [("0",)]
+    strict = name(News(information, score), causes, 0.01, model_error=0.0)
+    assert strict.named[0].names == ("0", "2")
+    assert strict.temper == 1.0
+    assert name(News(information, score), causes, 0.01).temper == pytest.approx(1 + 0.05**2 * 200**2, rel=0.05)
