@@ -3,6 +3,7 @@ from .accuracy.check import fits_worse as fits_worse
 from .accuracy.check import misfit_of as misfit_of
 from .accuracy.check import simulated as simulated
 from .accuracy.check import with_shift as with_shift
+from .accuracy.check import would_fit_better as would_fit_better
 from .accuracy.outcome import SHIFT_LIMIT as SHIFT_LIMIT
 from .accuracy.outcome import Accuracy as Accuracy
 from .accuracy.outcome import AccuracyOutcome as AccuracyOutcome

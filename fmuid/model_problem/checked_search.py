@@ -35,6 +35,7 @@ from fmuid.estimation import (
     merged,
     simulated,
     with_shift,
+    would_fit_better,
 )
 from fmuid.model_problem.problem import Problem
 from fmuid.model_problem.region import CheckedRegion, Verdict
@@ -127,6 +128,7 @@ class _CheckedSearch:
         self.clock, self.before = time.perf_counter(), problem.simulations
         self.switches: list[Switch] = []
         self.refused = self.foreseen = 0
+        self.origin, self.returned = problem.refinement, False
 
     def run(self, start: ArrayLike | None) -> Result:
         """Compare at the start, search, check."""
@@ -139,6 +141,7 @@ class _CheckedSearch:
         if first.local is not None and first.outcome is not Outcome.INTERRUPTED:
             try:
                 self._settle()
+                self._return()
             except KeyboardInterrupt:
                 self.found = replace(self.found, outcome=AccuracyOutcome.INTERRUPTED)
         return self._concluded(first)
@@ -166,7 +169,7 @@ class _CheckedSearch:
 
     def _wrong_start(self, finer: Refinement, at: Floats, predicted: Floats) -> Verdict:
         """Return why the start (N,), simulated as `predicted` (n,), should not be simulated that way."""
-        exact = self.problem.predict_finer(replace(finer, tolerance=START_TOLERANCE), at)
+        exact = self.problem.predict_by(replace(finer, tolerance=START_TOLERANCE), at)
         if not np.isfinite(exact).all():
             return None
         if not np.isfinite(predicted).all():
@@ -220,13 +223,13 @@ class _CheckedSearch:
                 return replace(found, finer=problem.how_run(finer))
         # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
         predicted = simulated(fit) if finer.tolerance else problem.predict(fit.values[None])[0]
-        found = checked(problem, fit, problem.predict_finer(finer, fit.values) - predicted)
+        found = checked(problem, fit, problem.predict_by(finer, fit.values) - predicted)
         found = replace(found, finer=problem.how_run(finer))
         sure = problem.next_sure_refinement
         if not found.doubtful or sure == finer:
             return found
         if sure is not None:
-            inside = checked(problem, fit, problem.predict_finer(sure, fit.values) - predicted)
+            inside = checked(problem, fit, problem.predict_by(sure, fit.values) - predicted)
             if inside.doubtful:
                 return replace(inside, finer=problem.how_run(sure))
         return replace(found, outcome=AccuracyOutcome.COUPLED)
@@ -239,9 +242,8 @@ class _CheckedSearch:
         if finer is None or problem.refined(finer).next_sure_refinement is None:
             return Kept.FINEST
         other = problem.refined(finer)
-        fits = [fit for each in self.optima[:MOST_OPTIMA] if (fit := self._searched(other, each.fit)) is not None]
+        better, spent = self._optima_by(other)
         problem.count(other)
-        better = merged(other, fits) if problem.loss is None else _single(fits)
         if not better:
             return Kept.NO_SEARCH
         # what it is kept from by a bound is no fault of a simulation
@@ -249,11 +251,33 @@ class _CheckedSearch:
         if fits_worse(problem, better[0].fit, self.optima[0].fit) and not bounded:
             return Kept.FITS_BETTER
         self.optima = better
-        self._switch(finer, Cause.SHIFT, self.found.largest, sum(fit.simulations for fit in fits))
+        self._switch(finer, Cause.SHIFT, self.found.largest, spent)
         return None
 
+    def _optima_by(self, other: Problem) -> tuple[tuple[Optimum, ...], int]:
+        """Search on from the optima by another simulation; return where that ends, and what it took."""
+        fits = [fit for each in self.optima[:MOST_OPTIMA] if (fit := self._searched(other, each.fit)) is not None]
+        found = merged(other, fits) if self.problem.loss is None else _single(fits)
+        return found, sum(fit.simulations for fit in fits)
+
+    def _return(self) -> None:
+        """Go back to the simulation that was left at the start, if that fits clearly better after all."""
+        problem, best = self.problem, self.optima[0].fit
+        if not self.switches or self.switches[0].cause is Cause.SHIFT or not best.converged or best.at_bounds:
+            return
+        other = problem.refined(self.origin)
+        error = problem.predict_by(self.origin, best.values) - simulated(best)
+        if would_fit_better(problem, best, other, checked(problem, best, error).shift):
+            found, _ = self._optima_by(other)
+            if found and fits_worse(problem, best, found[0].fit):
+                problem.simulate_by(self.origin)
+                self.optima, self.switches, self.returned = found, [], True
+                self.found = self._check(found[0].fit)
+                self.found = replace(self.found, kept=Kept.FITS_BETTER if self.found.doubtful else None)
+        problem.count(other)
+
     def _searched(self, other: Problem, fit: Result) -> Result | None:
-        """Go on from a fit by a finer simulation; None where that comes to no better end."""
+        """Go on from a fit by another simulation; None where that comes to no better end."""
         try:
             found = self.method.marquardt.search(other, self.progress, fit.values)
         except (InputError, SimulationError):
@@ -275,7 +299,7 @@ class _CheckedSearch:
 
     def _concluded(self, first: Result) -> Result:
         """Return the best fit with all that was found out about its simulation."""
-        problem, best = self.problem, self.optima[0].fit if self.switches or self.refused else first
+        problem, best = self.problem, self.optima[0].fit if self.switches or self.refused or self.returned else first
         spent = problem.simulations - self.before
         found = replace(
             self.found,

@@ -167,10 +167,10 @@ class Problem(LeastSquares):
         self._simulators, self._predictors, self._derivatives = other._simulators, other._predictors, other._derivatives
         self.refinement, self._finer, self._known, self._reasons = refinement, {}, None, {}
 
-    def predict_finer(self, finer: Refinement, theta: Floats) -> Floats:
-        """Return the counted samples (n,) of a finer simulation at theta (N,), NaN where it fails."""
+    def predict_by(self, refinement: Refinement, theta: Floats) -> Floats:
+        """Return the counted samples (n,) of another simulation at theta (N,), NaN where it fails."""
         try:
-            other = self.refined(finer)
+            other = self.refined(refinement)
         except InputError:  # an FMU that takes no such steps
             return np.full(self.measured.size, np.nan)
         exact: Floats = other.predict(theta[None])[0]

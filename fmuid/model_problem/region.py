@@ -58,7 +58,7 @@ class CheckedRegion:
             centre = np.clip(self.scale * np.sinh(CELL_WIDTH * cell), lower, upper)
             self.checks += 1
             with problem.uncounted():
-                self._errors[key] = problem.predict_finer(finer, centre) - problem.predict(centre[None])[0]
+                self._errors[key] = problem.predict_by(finer, centre) - problem.predict(centre[None])[0]
             while len(self._errors) > MOST_CELLS:
                 self._errors.popitem(last=False)
         self._errors.move_to_end(key)

@@ -164,6 +164,21 @@ def test_a_table_made_by_this_very_solver(folder: Path) -> None:
     assert "fits clearly worse" in fmuid.describe(result)
 
 
+def test_a_table_made_by_this_very_solver_that_differs_at_the_start(folder: Path) -> None:
+    """The search goes by model exchange first, which fits clearly worse than the co-simulation that it left."""
+    table, fmu = lag_table(5e-4, 1.0 - TRUTH * STEP), stepping_fmu(folder, LAG, exchange=True)
+    plain = fmuid.identify(fmuid.Problem(fmu, table, START), accuracy="off")
+    problem = fmuid.Problem(fmu, table, START)
+    result = fmuid.identify(problem)
+    found = result.accuracy
+    assert found is not None
+    assert (found.outcome, found.kept, found.switches) == (AccuracyOutcome.SHIFTED, Kept.FITS_BETTER, ())
+    assert not problem.refinement.any
+    assert result["k"] == pytest.approx(plain["k"], abs=1e-3 * plain.std[0])
+    assert result.std[0] == pytest.approx(plain.std[0] * np.hypot(1.0, found.shift[0]), rel=1e-3)
+    assert plain.simulations < result.simulations == problem.simulations
+
+
 def test_what_was_asked_for_is_kept(folder: Path) -> None:
     fmu = stepping_fmu(folder, LAG, exchange=True)
     asked = fmuid.System(fmu, numerics=fmuid.Numerics(interface="co-simulation"))

@@ -15,7 +15,7 @@ from fmuid.arrays import Floats
 from fmuid.estimation.accuracy.outcome import SHIFT_LIMIT, Accuracy, AccuracyOutcome
 from fmuid.estimation.identification import LEAST_CURVATURE
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.misfit import fitted
+from fmuid.estimation.misfit import fitted, misfits
 from fmuid.estimation.result import Result
 
 CLEARLY = 10.0
@@ -88,6 +88,26 @@ def fits_worse(problem: LeastSquares, result: Result, other: Result) -> bool:
     deviation of 2‖e‖: that a wrong simulation is better by `CLEARLY` happens in less than one of 1000 cases.
     """
     return misfit_of(problem, result) - misfit_of(problem, other) > CLEARLY
+
+
+def would_fit_better(problem: LeastSquares, result: Result, other: LeastSquares, shift: Floats) -> bool:
+    """Return whether another simulation of a problem may fit the data better than a result does.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    result : Result
+        Its optimum.
+    other : LeastSquares
+        The same problem, simulated in another way; once more for this.
+    shift : (N,) array
+        By which the other simulation moves the estimates, in their standard deviations (`checked`).
+    """
+    if not np.isfinite(shift).all():
+        return False
+    there = np.clip(result.values + shift * result.std, problem.parameters.lower, problem.parameters.upper)
+    reached, here = misfits(other, there[None]), fitted(problem, result)
+    return bool(reached.concentrated(problem)[0] < here.concentrated(problem)[0])
 
 
 def misfit_of(problem: LeastSquares, result: Result) -> float:
