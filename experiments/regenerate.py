@@ -20,6 +20,7 @@ from pathlib import Path
 from experiments import pages
 from experiments.closed_loop_bias import study as closed_loop_bias
 from experiments.coil import study as coil
+from experiments.equation_error import study as equation_error
 from experiments.induction_machine import chapter
 from experiments.machine_faults import study as machine_faults
 
@@ -65,6 +66,7 @@ PAGES: dict[str, Callable[[], None]] = {
     "batches": batches,
     "closed_loop_bias": closed_loop_bias.main,
     "coil": coil.main,
+    "equation_error": equation_error.main,
     "machine_faults": machine_faults.main,
 }
 

@@ -33,8 +33,13 @@ from .errors import ModelicaError as ModelicaError
 from .errors import SimulationError as SimulationError
 from .estimation import GlobalSearch as GlobalSearch
 from .estimation import LeastSquares as LeastSquares
+from .estimation import LinearEstimate as LinearEstimate
 from .estimation import Marquardt as Marquardt
 from .estimation import Result as Result
+from .estimation import Term as Term
+from .estimation import equation_error as equation_error
+from .estimation import instrumental_variables as instrumental_variables
+from .estimation import linear_least_squares as linear_least_squares
 from .fmi import FMU as FMU
 from .model_problem import Problem as Problem
 from .model_problem import identify as identify

@@ -26,6 +26,12 @@ from .global_search.search import GlobalSearch as GlobalSearch
 from .identification import Method as Method
 from .identification import identify as identify
 from .least_squares import LeastSquares as LeastSquares
+from .linear_models.equations import equation_error as equation_error
+from .linear_models.equations import instrumental_variables as instrumental_variables
+from .linear_models.estimate import Estimator as Estimator
+from .linear_models.estimate import LinearEstimate as LinearEstimate
+from .linear_models.estimate import linear_least_squares as linear_least_squares
+from .linear_models.filters import Term as Term
 from .local_model import LocalModel as LocalModel
 from .marquardt.outcome import Outcome as Outcome
 from .marquardt.search import Marquardt as Marquardt

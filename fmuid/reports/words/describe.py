@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from fmuid.assessment import Diagnostics, Posterior, Reading, Uncertainty
 from fmuid.diagnosis import Diagnosis, Monitor
-from fmuid.estimation import Result
+from fmuid.estimation import LinearEstimate, Result
 from fmuid.reports.words.diagnosis import diagnosis_words
+from fmuid.reports.words.linear_models import linear_words
 from fmuid.reports.words.monitoring import monitoring_words
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
 from fmuid.reports.words.result import capitalised, result_words
 from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
 
-Found = Result | Diagnostics | Reading | Uncertainty | Posterior | Diagnosis | Monitor
+Found = Result | LinearEstimate | Diagnostics | Reading | Uncertainty | Posterior | Diagnosis | Monitor
 
 
 def describe(found: Found) -> str:
@@ -20,9 +21,9 @@ def describe(found: Found) -> str:
 
     Parameters
     ----------
-    found : Result, Diagnostics, Reading, Uncertainty, Posterior, Diagnosis or Monitor
-        Of `fmuid.identify`, `fmuid.examine_residuals`, `fmuid.read_result`, `fmuid.sample`, `fmuid.diagnose`, or a
-        `fmuid.Monitor`.
+    found : Result, LinearEstimate, Diagnostics, Reading, Uncertainty, Posterior, Diagnosis or Monitor
+        Of `fmuid.identify`, `fmuid.equation_error` and its like, `fmuid.examine_residuals`, `fmuid.read_result`,
+        `fmuid.sample`, `fmuid.diagnose`, or a `fmuid.Monitor`.
     """
     return "\n".join(map(capitalised, _sentences(found)))
 
@@ -31,6 +32,8 @@ def _sentences(found: Found) -> tuple[str, ...]:
     match found:
         case Result():
             return result_words(found)
+        case LinearEstimate():
+            return linear_words(found)
         case Diagnostics():
             return residual_words(found)
         case Reading():

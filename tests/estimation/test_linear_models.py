@@ -1,0 +1,278 @@
+"""Estimates of linear models: closed forms, filters against scipy's, biases against their own formulas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pytest
+from scipy import signal
+
+import fmuid
+from fmuid.arrays import Floats
+from fmuid.estimation import Estimator
+from fmuid.estimation.linear_models.filters import StateVariableFilter
+
+R, L = 4.0, 0.1
+STEP, SAMPLES = 1e-3, 1200
+TIMES = STEP * np.arange(SAMPLES)
+BITS = np.random.default_rng(7).integers(0, 2, SAMPLES // 15) * 2.0 - 1.0
+VOLTAGE = fmuid.Term(np.repeat(BITS, 15), interpolation="hold")
+
+
+def current(theta: Floats, first: float = 0.0) -> Floats:
+    """The closed form of R i + L di/dt = u at the samples, the voltage held."""
+    decay = math.exp(-theta[0] / theta[1] * STEP)
+    driven = signal.lfilter([0.0, (1.0 - decay) / theta[0]], [1.0, -decay], np.asarray(VOLTAGE.values))
+    return np.asarray(driven + first * decay ** np.arange(SAMPLES))
+
+
+def terms(i: Floats) -> dict[str, fmuid.Term]:
+    return {"R": fmuid.Term(i), "L": fmuid.Term(i, derivative=1)}
+
+
+CLEAN = current(np.array([R, L]))
+NOISE = math.sqrt(float(np.mean(CLEAN**2)) / 10.0)
+
+
+# --- linear least squares
+
+
+def test_a_straight_line_in_closed_form() -> None:
+    x = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    y = np.array([1.1, 2.9, 5.2, 6.8, 9.1])
+    found = fmuid.linear_least_squares(np.column_stack([x, np.ones(5)]), y, ["slope", "offset"])
+    spread = x - x.mean()
+    slope = (spread @ y) / (spread @ spread)
+    left = y - y.mean() - slope * spread
+    variance = (left @ left) / 3
+    assert found["slope"] == pytest.approx(slope, rel=1e-12)
+    assert found["offset"] == pytest.approx(y.mean() - slope * x.mean(), rel=1e-12)
+    assert found.variance == pytest.approx(variance, rel=1e-12)
+    assert found.std[0] == pytest.approx(math.sqrt(variance / (spread @ spread)), rel=1e-12)
+    assert found.degrees_of_freedom == 3
+    assert found.residual == pytest.approx(left, abs=1e-12)
+    t95 = 3.182446  # Student's t of 3 degrees of freedom, from tables
+    assert found.intervals().loc["slope", "upper"] == pytest.approx(slope + t95 * found.std[0], rel=1e-6)
+
+
+def test_missing_samples_do_not_count() -> None:
+    rng = np.random.default_rng(0)
+    rows, y = rng.standard_normal((50, 2)), rng.standard_normal(50)
+    kept = np.ones(50, dtype=bool)
+    kept[[3, 20]] = False
+    less = fmuid.linear_least_squares(rows[kept], y[kept])
+    y[3], rows[20, 1] = np.nan, np.nan
+    whole = fmuid.linear_least_squares(rows, y)
+    assert whole.values == pytest.approx(less.values, rel=1e-12)
+    assert whole.covariance == pytest.approx(less.covariance, rel=1e-12)
+    assert (np.isnan(whole.residual) == ~kept).all()
+    assert whole.names == ("theta1", "theta2")
+
+
+def test_no_normal_equations() -> None:
+    """Of columns nearly parallel, whose normal equations are singular in double precision, QR still finds the truth."""
+    x = np.linspace(0.0, 1.0, 200)
+    rows = np.column_stack([np.ones(200), 1.0 + 1e-8 * x])
+    found = fmuid.linear_least_squares(rows, rows @ [1.0, 2.0])
+    assert found.values == pytest.approx([1.0, 2.0], rel=1e-6)
+
+
+def test_the_difference_equation_of_the_coil_is_biased_as_theory_says() -> None:
+    """plim θ̂ = (M + diag(σ², 0))⁻¹ M θ with M = Σ φφᵀ/K of the clean record."""
+    u = np.asarray(VOLTAGE.values)
+    decay = math.exp(-R / L * STEP)
+    clean = np.column_stack([CLEAN[:-1], u[:-1]])
+    moments = clean.T @ clean / (SAMPLES - 1)
+    expected = np.linalg.solve(moments + np.diag([NOISE**2, 0.0]), moments @ [decay, (1.0 - decay) / R])
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(20):
+        y = CLEAN + NOISE * rng.standard_normal(SAMPLES)
+        found.append(fmuid.linear_least_squares(np.column_stack([y[:-1], u[:-1]]), y[1:], ["a", "b"]).values)
+    assert np.mean(found, axis=0) == pytest.approx(expected, rel=0.01)
+    assert (1.0 - expected[0]) / expected[1] > 1.8 * R  # which is no small matter
+
+
+@pytest.mark.parametrize(
+    ("rows", "measured", "names", "words"),
+    [
+        (np.ones((3, 2)), np.ones(4), [], "their shapes are"),
+        (np.ones((3, 2)), np.ones(3), ["a"], "1 names were given for 2 regressors"),
+        (np.array([[1.0], [np.inf]]), np.ones(2), [], "must be finite"),
+        (np.eye(2), np.ones(2), [], "2 samples are too few for 2 coefficients"),
+        (np.column_stack([np.ones(4), np.zeros(4)]), np.ones(4), ["a", "b"], "the regressor of 'b' is zero"),
+        (np.outer(np.arange(1.0, 5), [1, 2]), np.ones(4), ["a", "b"], "of 'a' and 'b' depend on each other"),
+    ],
+)
+def test_what_cannot_be_estimated(rows: Floats, measured: Floats, names: list[str], words: str) -> None:
+    with pytest.raises(fmuid.InputError, match=words):
+        fmuid.linear_least_squares(rows, measured, names)
+
+
+# --- filters
+
+
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+def test_filters_are_those_of_scipy(interpolation: str, derivative: int) -> None:
+    values = np.random.default_rng(2).standard_normal(200)
+    own = StateVariableFilter(TIMES[:200], 300.0, 2).columns([fmuid.Term(values, derivative, interpolation)])[:, 0]
+    numerator = [300.0**2] + derivative * [0.0]
+    system = (numerator, np.poly([-300.0, -300.0]))
+    _, reference, _ = signal.lsim(system, values, TIMES[:200], interp=interpolation == "linear")
+    assert own == pytest.approx(reference, abs=1e-9 * np.abs(reference).max())
+
+
+def test_irregular_times_follow_the_closed_form() -> None:
+    """A ramp through 1/(s/λ + 1)², at times of any distances: t − 2/λ + (t + 2/λ) e^(−λt)."""
+    times = np.concatenate([[0.0], np.cumsum(np.random.default_rng(3).uniform(0.2, 3.0, 100) * 1e-2)])
+    found = StateVariableFilter(times, 5.0, 2).columns([fmuid.Term(times), fmuid.Term(times, 1)])
+    fade = np.exp(-5.0 * times)
+    assert found[:, 0] == pytest.approx(times - 0.4 + (times + 0.4) * fade, abs=1e-12)
+    assert found[:, 1] == pytest.approx(1.0 - (1.0 + 5.0 * times) * fade, abs=1e-12)
+
+
+# --- filtered equations
+
+
+@pytest.mark.parametrize("first", [0.0, 0.7])
+def test_the_coil_without_noise(first: float) -> None:
+    """The filter is exact, the current nearly linear between samples, and what it was at the start does not count."""
+    found = fmuid.equation_error(TIMES, VOLTAGE, terms(current(np.array([R, L]), first)), cutoff=40.0)
+    assert found.values == pytest.approx([R, L], rel=2e-4)
+    assert found.estimator is Estimator.EQUATION_ERROR
+
+
+def test_an_oscillator_from_anywhere_at_irregular_times_with_holes() -> None:
+    """y″ + 2 ζω y′ + ω² y = 0, of which position and speed at the start are not known: no input at all."""
+    rng = np.random.default_rng(4)
+    times = np.cumsum(rng.uniform(0.4, 1.6, 4000) * 1e-3)
+    omega, zeta = 6.0, 0.1
+    damped = omega * math.sqrt(1.0 - zeta**2)
+    y = np.exp(-zeta * omega * times) * np.cos(damped * times + 0.3)
+    y[rng.random(times.size) < 0.2] = np.nan
+    found = fmuid.equation_error(
+        times, fmuid.Term(-y, derivative=2), {"damping": fmuid.Term(y, 1), "stiffness": fmuid.Term(y)}, cutoff=6.0
+    )
+    assert found.values == pytest.approx([2.0 * zeta * omega, omega**2], rel=1e-3)
+
+
+def limits(cutoff: float) -> tuple[Floats, Floats]:
+    """Where filtered estimates end up, and how instruments scatter, by the filter's answers g to a sample's noise.
+
+    plim θ̂ = (M + σ² Σ g gᵀ)⁻¹ M θ; the residual is the noise through θᵀg, as a Toeplitz matrix H, so that the
+    covariance with instruments Z is σ² (ZᵀZ)⁻¹ ZᵀHHᵀZ (ZᵀZ)⁻¹.
+    """
+    pulse = np.zeros(SAMPLES)
+    pulse[1] = 1.0
+    svf = StateVariableFilter(TIMES, cutoff, 2)
+    answers, clean = (svf.columns([*terms(signal_).values()]) for signal_ in (pulse, CLEAN))
+    moments = clean.T @ clean
+    found = np.linalg.solve(moments + SAMPLES * NOISE**2 * answers.T @ answers, moments @ [R, L])
+    response = (answers @ [R, L])[1:]
+    backward = np.column_stack([np.correlate(z, response, "full")[response.size - 1 :] for z in clean.T])
+    inverse = np.linalg.inv(moments)
+    return np.asarray(found, dtype=np.float64), NOISE * np.sqrt(np.diag(inverse @ backward.T @ backward @ inverse))
+
+
+@pytest.mark.parametrize("cutoff", [40.0, 400.0])
+def test_filtered_equations_are_biased_as_theory_says_and_instruments_are_not(cutoff: float) -> None:
+    rng, count = np.random.default_rng(5), 10
+    lp, iv, stated = [], [], []
+    for _ in range(count):
+        mine = terms(CLEAN + NOISE * rng.standard_normal(SAMPLES))
+        lp.append(fmuid.equation_error(TIMES, VOLTAGE, mine, cutoff=cutoff).values)
+        found = fmuid.instrumental_variables(TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=cutoff)
+        assert found.converged
+        iv.append(found.values)
+        stated.append(found.std)
+    limit, scatter = limits(cutoff)
+    mean = scatter / math.sqrt(count)
+    assert (np.abs(np.mean(lp, axis=0) - limit) < 3.0 * mean).all()
+    assert (np.abs(np.mean(iv, axis=0) - [R, L]) < 3.0 * mean).all()
+    assert np.mean(stated, axis=0) == pytest.approx(scatter, rel=0.2)
+    if cutoff == 400.0:
+        assert np.mean(lp, axis=0)[1] < 0.85 * L
+
+
+def test_instruments_set_out_from_where_they_are_told() -> None:
+    mine = terms(CLEAN + NOISE * np.random.default_rng(6).standard_normal(SAMPLES))
+    near = fmuid.instrumental_variables(TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=40.0)
+    far = fmuid.instrumental_variables(
+        TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=40.0, start=[20.0, 0.02]
+    )
+    assert far.rounds > near.rounds
+    assert (np.abs(far.values - near.values) < 0.01 * near.std).all()
+
+
+def test_instruments_that_never_settle_are_told() -> None:
+    mine = terms(CLEAN + NOISE * np.random.default_rng(6).standard_normal(SAMPLES))
+    rng = np.random.default_rng(0)
+
+    def restless(_: Floats) -> Mapping[str, fmuid.Term]:
+        return terms(CLEAN + 0.1 * rng.standard_normal(SAMPLES))
+
+    found = fmuid.instrumental_variables(TIMES, VOLTAGE, mine, restless, cutoff=40.0)
+    assert (found.converged, found.rounds) == (False, 20)
+    assert "The instruments had not settled after 20 rounds" in fmuid.describe(found)
+
+
+@pytest.mark.parametrize("estimator", Estimator)
+def test_every_estimator_has_words(estimator: Estimator) -> None:
+    calls: dict[Estimator, Callable[[], fmuid.LinearEstimate]] = {
+        Estimator.LEAST_SQUARES: lambda: fmuid.linear_least_squares(CLEAN[:, None], 2.0 * CLEAN, ["R"]),
+        Estimator.EQUATION_ERROR: lambda: fmuid.equation_error(TIMES, VOLTAGE, terms(CLEAN), cutoff=40.0),
+        Estimator.INSTRUMENTAL_VARIABLES: lambda: fmuid.instrumental_variables(
+            TIMES, VOLTAGE, terms(CLEAN), lambda theta: terms(current(theta)), cutoff=40.0
+        ),
+    }
+    found = calls[estimator]()
+    assert found.estimator is estimator
+    said = fmuid.describe(found)
+    assert said.startswith("R = ")
+    assert ("a start for identify, not a result" in said) == (estimator is Estimator.EQUATION_ERROR)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"times": TIMES[::-1]}, "times must be"),
+        ({"cutoff": 0.0}, "cutoff must be a positive number"),
+        ({"order": 0}, "order must be at least 1"),
+        ({"order": 1, "target": fmuid.Term(CLEAN, 2)}, "of order 1 knows no derivative 2"),
+        ({"target": fmuid.Term(CLEAN[1:])}, "a term needs 1200 values"),
+        ({"target": fmuid.Term(np.full(SAMPLES, np.nan))}, "a term needs finite values"),
+        ({"terms": {}}, "terms are missing"),
+        ({"terms": {"R": fmuid.Term(CLEAN), "S": fmuid.Term(2.0 * CLEAN)}}, "'R' and 'S' depend on each other"),
+    ],
+)
+def test_what_no_filter_takes(change: dict[str, object], words: str) -> None:
+    given: dict[str, object] = {"times": TIMES, "target": VOLTAGE, "terms": terms(CLEAN), "cutoff": 40.0}
+    with pytest.raises(fmuid.InputError, match=words):
+        fmuid.equation_error(**(given | change))  # type: ignore[arg-type]
+
+
+def test_what_no_term_is() -> None:
+    with pytest.raises(fmuid.InputError, match=r"interpolation 'held' is not known.*: give linear or hold"):
+        fmuid.Term(CLEAN, interpolation="held")
+    with pytest.raises(fmuid.InputError, match="derivative must be 0, 1, 2"):
+        fmuid.Term(CLEAN, derivative=-1)
+
+
+def test_what_no_instruments_are() -> None:
+    def wrong(_: Floats) -> dict[str, fmuid.Term]:
+        return {"R": fmuid.Term(CLEAN), "l": fmuid.Term(CLEAN, 1)}
+
+    def exploding(theta: Floats) -> dict[str, fmuid.Term]:
+        return terms(np.full(SAMPLES, np.inf) * theta[0])
+
+    with pytest.raises(fmuid.InputError, match="have none for 'L'"):
+        fmuid.instrumental_variables(TIMES, VOLTAGE, terms(CLEAN), wrong, cutoff=40.0)
+    with pytest.raises(fmuid.InputError, match=r"term of 'R' is not finite with R = "):
+        fmuid.instrumental_variables(TIMES, VOLTAGE, terms(CLEAN), exploding, cutoff=40.0)
+    with pytest.raises(fmuid.InputError, match="start needs 2 values"):
+        fmuid.instrumental_variables(TIMES, VOLTAGE, terms(CLEAN), wrong, cutoff=40.0, start=[1.0])
+    with pytest.raises(fmuid.InputError, match="has no parameter 'Q'"):
+        fmuid.equation_error(TIMES, VOLTAGE, terms(CLEAN), cutoff=40.0)["Q"]
