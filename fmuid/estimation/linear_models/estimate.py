@@ -23,12 +23,13 @@ from scipy import fft, linalg, special
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
-from fmuid.estimation.covariance import WORTH_NAMING
 from fmuid.estimation.result import check_level
 from fmuid.text import listed
 
 # Regressors, each of length 1, are dependent where a combination of them is shorter than this.
 DEPENDENT = 1e-10
+# Those with less than this share of the largest one's part in such a combination are not named.
+WORTH_NAMING = 0.05
 # A coloured residual is correlated over this part of the record at most.
 LAGS_SHARE = 8
 
