@@ -43,19 +43,56 @@ def validate(fmu: FmuFile) -> int:
 
 def init(
     fmu: FmuFile,
-    table: Annotated[
-        Path, typer.Argument(metavar="TABLE", help="The table: .csv, .parquet or .mat.", show_default=False)
+    tables: Annotated[
+        list[Path], typer.Argument(metavar="TABLE", help="The tables, one an experiment.", show_default=False)
     ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The study file to write.")] = Path(
         "study.toml"
     ),
+    map_: Annotated[
+        list[str] | None,
+        typer.Option("--map", metavar="VARIABLE=COLUMN", help="Which column a variable of the FMU is; repeatable."),
+    ] = None,
+    time: Annotated[str, typer.Option(metavar="COLUMN", help="The column of time, or its place from 1.")] = "time",
+    time_unit: Annotated[
+        str | None, typer.Option(metavar="UNIT", help="s, ms, us, ns, min, h or d; default: what the table says.")
+    ] = None,
+    sample_rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Samples per second, of a table without times.")
+    ] = None,
+    sheet: Annotated[str | None, typer.Option(metavar="SHEET", help="Of a spreadsheet, or its place from 1.")] = None,
 ) -> int:
-    """Write a commented study file for an FMU and a table, to start from."""
-    from fmuid.reports.console import layout as console
-    from fmuid.studies import write_draft
+    """Write a commented study file for an FMU and tables, to start from; in a terminal it asks what is in doubt."""
+    from fmuid.reports.console.draft import asked_about, show_draft
+    from fmuid.studies import Asked, begin, check_output, draft, write_draft
 
-    console.show_draft(write_draft(fmu, table, output), output)
-    return DONE
+    check_output(output)
+    asked = Asked(
+        _placed(time), time_unit, sample_rate, None if sheet is None else _placed(sheet), _columns(map_ or ())
+    )
+    records = [asked_about(record) for record in begin(fmu, tables, asked)]
+    made = draft(fmu, records, output)
+    write_draft(made, output)
+    show_draft(output)
+    return NOT_SUCCEEDED if made.lacking else DONE
+
+
+def _placed(name: str) -> str | int:
+    """Return a place where that is given and not a name."""
+    return int(name) if name.isdecimal() and int(name) > 0 else name
+
+
+def _columns(given: Sequence[str]) -> dict[str, str]:
+    """Return the columns that ``--map`` gives."""
+    from fmuid.errors import InputError
+
+    found = {}
+    for each in given:
+        variable, equals, column = (part.strip() for part in each.partition("="))
+        if not equals or not variable:
+            raise InputError(f"--map {each}: write --map variable=column, such as --map ids=Id_meas")
+        found[variable] = column
+    return found
 
 
 def schema() -> int:

@@ -150,6 +150,7 @@ class Experiment:
         time: str = "time",
         time_unit: str | None = None,
         sample_rate: float | None = None,
+        sheet: str | int | None = None,
         interpolation: str | Mapping[str, str] = "linear",
         discard: float = 0.0,
         units: Mapping[str, str] | None = None,
@@ -169,7 +170,7 @@ class Experiment:
         """
         path = Path(path)
         return cls(
-            read_table(path, time, time_unit=time_unit, sample_rate=sample_rate),
+            read_table(path, time, time_unit=time_unit, sample_rate=sample_rate, sheet=sheet),
             inputs,
             outputs,
             time=time,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.data.formats import TABLE_SUFFIXES, is_number, reader_of
+from fmuid.data.formats import SPREADSHEETS, TABLE_SUFFIXES, is_number, reader_of
 from fmuid.data.times import with_time
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder
@@ -25,6 +25,7 @@ def read_table(
     *,
     time_unit: str | None = None,
     sample_rate: float | None = None,
+    sheet: str | int | None = None,
     source: str | None = None,
 ) -> pd.DataFrame:
     """Read a table of measurements.
@@ -54,6 +55,8 @@ def read_table(
         Its unit: s, ms, us, ns, min, h or d; default: what the table says, else s.
     sample_rate : float, optional
         Samples per second, of a table without times.
+    sheet : str or int, optional
+        Of a spreadsheet, by its name or its place from 1; default: the first with a table.
     source : str, optional
         What the table is called in messages; default: its path.
 
@@ -70,12 +73,14 @@ def read_table(
     """
     path = Path(path)
     source = source or str(path)
-    reader = reader_of(path)
+    reader = reader_of(path, sheet)
     if reader is None:
         raise InputError(
             f"{source}: tables of the kind {path.suffix or 'without suffix'!r} are not read: "
             f"save it as one of {', '.join(TABLE_SUFFIXES)}"
         )
+    if sheet is not None and path.suffix.lower() not in SPREADSHEETS:
+        raise InputError(f"{source}: the sheet {sheet!r} is asked for, and only spreadsheets have sheets: leave it out")
     if not is_file(path):
         raise InputError(
             f"{source}: {'this is a folder' if is_folder(path) else 'there is no such file'}: give a table"

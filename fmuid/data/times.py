@@ -81,10 +81,13 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
     if time == "time":
         if raw.time is not None:
             return raw.time
+        timely = [name for name in names if raw.units.get(name) in (None, *SECONDS)]
         for known in TIME_NAMES:
-            near = [name for name in names if _bare(name).lower() == known]
+            near = [name for name in timely if _bare(name).lower() == known and name != "T"]
             if len(near) == 1:
                 return near[0]
+        if "T" in timely:  # which is a temperature where there is another time
+            return "T"
     raise InputError(f"{source}: {missing_column('time', time, names)}")
 
 

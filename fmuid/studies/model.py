@@ -28,6 +28,7 @@ from fmuid.studies.words import (
     Entries,
     File,
     Flag,
+    NameOrPlace,
     Names,
     NotNegative,
     Number,
@@ -37,7 +38,6 @@ from fmuid.studies.words import (
     Share,
     Text,
     Texts,
-    TimeColumn,
     Words,
     as_list,
     one_of,
@@ -231,11 +231,12 @@ class ExperimentSettings(Words):
 
     table: File = word(..., "the file of measurements")
     name: Text = word("", "what messages and figures call it; default: the table's name without suffix")
-    time: TimeColumn = word("time", "the column of time, by its name or its place from 1")
+    time: NameOrPlace = word("time", "the column of time, by its name or its place from 1")
     time_unit: Annotated[str, one_of(TIME_UNITS)] | None = word(
         None, "unit of the time column; default: what the table says, else s"
     )
     sample_rate: Positive | None = word(None, "samples per second, of a table without times")
+    sheet: NameOrPlace | None = word(None, "of a spreadsheet, by name or place from 1; default: the first with a table")
     inputs: Columns = word({}, "variables of the FMU that columns drive")
     outputs: Columns = word(..., "the measured outputs, a list of names")
     interpolation: Annotated[
@@ -251,7 +252,8 @@ class ExperimentSettings(Words):
         from fmuid.data import read_table
 
         source = source or str(table)
-        frame = read_table(table, self.time, time_unit=self.time_unit, sample_rate=self.sample_rate, source=source)
+        how = {key: getattr(self, key) for key in ("time_unit", "sample_rate", "sheet")}
+        frame = read_table(table, self.time, **how, source=source)
         return self.experiment(frame, source, measured=measured)
 
     def experiment(self, frame: pd.DataFrame, source: str, *, measured: bool = True) -> Experiment:

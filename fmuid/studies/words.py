@@ -319,9 +319,9 @@ def _columns(value: Any) -> Any:
     return value
 
 
-def _column(value: str | int) -> str | int:
+def _named_or_placed(value: str | int) -> str | int:
     if isinstance(value, bool) or not value or (isinstance(value, int) and value < 1):
-        raise must_be("the name of a column, or its place from 1")
+        raise must_be("a name, or a place from 1")
     return value
 
 
@@ -370,7 +370,7 @@ Columns = Annotated[
     BeforeValidator(_columns, json_schema_input_type=list[str] | dict[str, str]),
     Kind('a list of names, ["u", "w"], or a table { fmu_variable = "column" }'),
 ]
-TimeColumn = Annotated[str | int, AfterValidator(_column), Kind("the name of a column, or its place from 1")]
+NameOrPlace = Annotated[str | int, AfterValidator(_named_or_placed), Kind("a name, or a place from 1")]
 Texts = Annotated[dict[str, Text], Entries("a table { name = text }")]
 Scalars = Annotated[dict[str, Scalar], Entries("a table { name = value }")]
 Finites = Annotated[dict[str, Finite], Entries("a table { name = number }")]

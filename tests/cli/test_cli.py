@@ -22,7 +22,7 @@ from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import ModelicaWarning
 from fmuid.progress import Event, SearchStep
 from fmuid.reports.console import progress
-from fmuid.studies import draft as study_init
+from fmuid.studies import begin, draft
 from fmuid.studies.study import Study
 from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_, result
 from tests.support.paths import FMUS
@@ -479,8 +479,7 @@ def test_init_gives_a_study_that_needs_only_its_parameters(folder: Path, capsys:
     study = folder / "new.toml"
     assert fmuid_("init", COIL, folder / "first.csv", "--output", study) == DONE
     out = capsys.readouterr().out
-    assert "inputs: u" in out
-    assert "outputs: i" in out
+    assert out.count("same name") == 2
     assert "temperature" in out
     text = study.read_text()
     content = tomllib.loads(text)
@@ -514,12 +513,12 @@ def test_every_line_of_a_draft_is_valid(folder: Path) -> None:
     """All parameters, taken out of their comments, are a valid study."""
     machine = FMUS / "InductionMachine/InductionMachine.fmu"
     pd.DataFrame({"time": [0.0, 1.0], "uds": 1.0, "w": 0.0, "ids": 0.1}).to_csv(folder / "run.csv", index=False)
-    draft = study_init.draft(machine, folder / "run.csv", folder / "sub/study.toml")
-    assert draft.missing_inputs == ("uqs",)
-    assert draft.missing_outputs == ("iqs",)
+    made = draft(machine, begin(machine, [folder / "run.csv"]), folder / "sub/study.toml")
+    assert made.records[0].lacking("input") == ("uqs",)
+    assert made.records[0].lacking("output") == ("iqs",)
     lines = [
         line.removeprefix("# ") if line.startswith("# ") and " = { start" in line else line
-        for line in draft.text.splitlines()
+        for line in made.text.splitlines()
     ]
     (folder / "sub").mkdir()
     study = folder / "sub/study.toml"
@@ -532,10 +531,10 @@ def test_every_line_of_a_draft_is_valid(folder: Path) -> None:
 def test_every_word_that_init_comments_on_is_one(folder: Path) -> None:
     """With all its comments uncommented, what `fmuid init` writes is a study still."""
     assert fmuid_("identify", folder / "study.toml", "--output", folder / "healthy") == DONE
-    draft = study_init.draft(COIL, folder / "first.csv", folder / "study.toml").text.replace('"a", "b"', '"R", "L"')
-    draft = draft.replace('"marquardt"', '"global"').replace('"soft_l1"', '"linear"')
+    made = draft(COIL, begin(COIL, [folder / "first.csv"]), folder / "study.toml")
+    text = made.text.replace('"a", "b"', '"R", "L"').replace('"marquardt"', '"global"').replace('"soft_l1"', '"linear"')
     words = re.compile(r"^# (?=\[?(?!prior |per_experiment )[a-zA-Z_]+\]?( = |  #))")
-    (folder / "study.toml").write_text("\n".join(words.sub("", line) for line in draft.splitlines()))
+    (folder / "study.toml").write_text("\n".join(words.sub("", line) for line in text.splitlines()))
     read = Study.read(folder / "study.toml")
     assert read.joint_prior is not None
     assert read.noise.start == 0.01

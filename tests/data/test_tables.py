@@ -64,7 +64,7 @@ def test_a_time_column_of_another_name(tmp_path: Path) -> None:
         ('time,u,text\n0,1,"a\nb,"\n1,2\n', "the header has 3 names but row 2 has 2 cells"),
         ("0,1\n1,2\n", "the first line holds numbers: put the names there, that of the time among them"),
         ("Times,u\n0,1\n", r"the time column 'time' is missing \(did you mean 'Times'\?\)"),
-        ("t,T,u\n0,1,2\n", r"the time column 'time' is missing \(there is t, T, u\)"),
+        ("TIME,Time,u\n0,1,2\n", r"the time column 'time' is missing \(did you mean 'Time'"),
         ("This is\nno table\n", r"the time column 'time' is missing \(did you mean 'This is'|there is This is\)"),
         ("time,u,u\n0,1,2\n", "the column 'u' is there twice: rename or remove one"),
         ("time,u\nstart,V\n0,1\n", r"the time column 'time' is missing \(there is start, V\)"),

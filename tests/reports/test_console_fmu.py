@@ -21,7 +21,7 @@ from fmuid.models.facts import Facts, facts, lines
 from fmuid.reports.console import fmu as console_fmu
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of
 from fmuid.reports.words.models import capability_words, run_words
-from fmuid.studies.draft import skeleton
+from fmuid.studies import skeleton
 from fmuid.text import bounded
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS

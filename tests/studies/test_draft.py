@@ -12,7 +12,8 @@ import pytest
 
 import fmuid
 from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS, Numerics
-from fmuid.studies.draft import LINE_LENGTH, draft
+from fmuid.studies.drafting.draft import begin, draft
+from fmuid.studies.drafting.lines import LINE_LENGTH
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS
 
@@ -20,7 +21,7 @@ from tests.support.paths import FMUS
 def drafted(fmu: Path, *columns: str) -> str:
     table = fmu.parent / "table.csv"
     pd.DataFrame({"time": [0.0, 1.0], **dict.fromkeys(columns, 0.0)}).to_csv(table, index=False)
-    return draft(fmu, table, fmu.parent / "study.toml").text
+    return draft(fmu, begin(fmu, [table]), fmu.parent / "study.toml").text
 
 
 def freed(text: str) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -13,8 +14,8 @@ from fmuid.errors import InputError
 Reader = Callable[[Path, str], RawTable]
 
 
-def reader_of(path: Path) -> Reader | None:
-    """Return what reads files of this suffix, None where nothing does."""
+def reader_of(path: Path, sheet: str | int | None = None) -> Reader | None:
+    """Return what reads files of this suffix, None where nothing does; a sheet is one of spreadsheets."""
     from fmuid.data.formats.hdf import read_hdf
     from fmuid.data.formats.matlab import read_mat
     from fmuid.data.formats.recorders import read_mdf, read_tdms
@@ -22,13 +23,14 @@ def reader_of(path: Path) -> Reader | None:
     from fmuid.data.formats.text import read_text
 
     suffix = path.suffix.lower()
+    if suffix in SPREADSHEETS:
+        return partial(read_spreadsheet, sheet=sheet)
     inner = Path(path.stem).suffix.lower()
     if suffix in (".gz", ".zip"):
         return read_text if inner in TEXT or not inner else None
     readers: dict[str, Reader] = {
         **dict.fromkeys(TEXT, read_text),
         **dict.fromkeys(_OF_PANDAS, _read_with_pandas),
-        **dict.fromkeys((".xlsx", ".xlsm", ".xls", ".ods"), read_spreadsheet),
         **dict.fromkeys((".h5", ".hdf5", ".hdf"), read_hdf),
         ".mat": read_mat,
         ".tdms": read_tdms,
@@ -39,6 +41,8 @@ def reader_of(path: Path) -> Reader | None:
 
 TEXT = (".csv", ".txt", ".tsv", ".asc", ".dat")
 """Suffixes of delimited text; packed it has .gz or .zip after them."""
+SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
+"""Suffixes of files that have sheets."""
 TABLE_SUFFIXES = (
     *TEXT,
     ".parquet",
@@ -79,4 +83,4 @@ def _read_with_pandas(path: Path, source: str) -> RawTable:
     return RawTable(frame.set_axis(names, axis="columns"), units, "time" if dated and "time" in names else None)
 
 
-__all__ = ["TABLE_SUFFIXES", "TIME_NAMES", "RawTable", "is_number", "reader_of", "split_header"]
+__all__ = ["SPREADSHEETS", "TABLE_SUFFIXES", "TIME_NAMES", "RawTable", "is_number", "reader_of", "split_header"]

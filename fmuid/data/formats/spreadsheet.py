@@ -9,15 +9,16 @@ import pandas as pd
 from fmuid.data.formats.columns import Cell, Head, RawTable, check_once, find_head, is_missing, named
 from fmuid.data.formats.libraries import library
 from fmuid.errors import InputError
+from fmuid.text import nearest
 
 
-def read_spreadsheet(path: Path, source: str) -> RawTable:
-    """Read the first sheet with a table.
+def read_spreadsheet(path: Path, source: str, sheet: str | int | None = None) -> RawTable:
+    """Read a sheet by its name or its place from 1; default: the first with a table.
 
     Raises
     ------
     InputError
-        Where the file cannot be read, has no table.
+        Where the file cannot be read, has no table or no such sheet.
     """
     calamine = library("python_calamine", "excel", source)
     try:
@@ -26,12 +27,23 @@ def read_spreadsheet(path: Path, source: str) -> RawTable:
         raise
     except Exception:  # calamine has an error of its own for each format
         raise InputError(f"{source}: the file is no readable spreadsheet: save it again") from None
-    for name in book.sheet_names:
+    for name in book.sheet_names if sheet is None else [_sheet(book.sheet_names, sheet, source)]:
         rows = _without_margins(book.get_sheet_by_name(name).to_python())
         head = find_head(rows)
         if head is not None:
             return _table(source, rows, head)
-    raise InputError(f"{source}: no sheet holds a table: give a header with the names and rows of samples")
+    which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
+    raise InputError(f"{source}: {which} a table: give a header with the names and rows of samples")
+
+
+def _sheet(names: list[str], wanted: str | int, source: str) -> str:
+    """Return the name of a sheet."""
+    if isinstance(wanted, int) and 1 <= wanted <= len(names):
+        return names[wanted - 1]
+    if isinstance(wanted, str) and wanted in names:
+        return wanted
+    near = nearest(wanted, names) if isinstance(wanted, str) else ""
+    raise InputError(f"{source}: there is no sheet {wanted!r}{near}: the file has {', '.join(names)}")
 
 
 def _without_margins(rows: list[list[Cell]]) -> list[list[Cell]]:

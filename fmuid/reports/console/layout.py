@@ -16,7 +16,7 @@ from fmuid.text import has_unit, label, visible
 
 if TYPE_CHECKING:
     from fmuid.simulation import Fit, Simulator
-    from fmuid.studies import Draft, Study
+    from fmuid.studies import Study
 
 # Into a file or a pipe, where nobody can widen the window: what a README shows without scrolling.
 PLAIN_WIDTH = 110
@@ -72,27 +72,6 @@ def table_of(title: str, heads: Iterable[str], right: Sequence[str] = ()) -> Tab
     for head in heads:
         table.add_column(head, justify="right" if head in right else "left", overflow="fold")
     return table
-
-
-# --- fmuid init -------------------------------------------------------------------------
-
-
-def show_draft(draft: Draft, output: Path) -> None:
-    """Say what was matched and what comes next."""
-    out = console()
-    for word, matched, missing in (
-        ("inputs", draft.inputs, draft.missing_inputs),
-        ("outputs", draft.outputs, draft.missing_outputs),
-    ):
-        out.print(f"{word}: {escape(', '.join(matched)) or 'none'}", soft_wrap=True)
-        if missing:
-            out.print(f"  no column of the table: {escape(', '.join(missing))}", soft_wrap=True)
-    if draft.unused:
-        out.print(f"columns that are no input or output: {escape(', '.join(draft.unused))}", soft_wrap=True)
-    out.print(
-        f"Written: [bold]{escape(str(output))}[/]. Next: free the parameters to identify in it, under \\[parameters].",
-        soft_wrap=True,
-    )
 
 
 # --- fmuid simulate ---------------------------------------------------------------------

@@ -1,0 +1,100 @@
+"""What `fmuid init` shows and asks: which columns are which variables, and what is wrong with the table."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from rich.markup import escape
+from rich.prompt import Prompt
+
+from fmuid.errors import InputError
+from fmuid.reports.console.layout import console, show_remarks, table_of
+from fmuid.studies import Link, Reason, Record
+from fmuid.text import has_unit
+
+REASONS: Mapping[Reason, str] = {
+    Reason.GIVEN: "given",
+    Reason.NAME: "same name",
+    Reason.SPELLING: "same name but for case and separators",
+    Reason.ADDITION: "same name but for an addition",
+    Reason.BEGINNING: "same beginning, and the units convert",
+    Reason.QUANTITY: "the only one of its quantity",
+}
+QUESTION = "Is this right? Enter to go on, or variable=column to change it (variable= for none)"
+
+
+def show_record(record: Record) -> None:
+    """Print which columns are which variables, and what is wrong with the table."""
+    span = record.frame[record.time]
+    title = f"{record.path}: {len(record.frame)} samples, {span.min():.6g} to {span.max():.6g} s"
+    table = table_of(escape(title), ["variable", "unit", "is the", "column", "unit of the column", "because"])
+    for link in record.links:
+        table.add_row(*(escape(cell) for cell in _cells(link)))
+    out = console()
+    out.print(table)
+    if record.unused:
+        out.print(f"columns that are no input or output: {escape(', '.join(record.unused))}", soft_wrap=True)
+    show_remarks(remarks(record))
+
+
+def _cells(link: Link) -> tuple[str, ...]:
+    unit = link.unit if link.unit is not None and has_unit(link.unit) else ""
+    if link.column is None or link.reason is None:
+        why = f"undecided between {', '.join(link.choices)}" if link.choices else "no such column"
+        return link.variable, unit, link.role, "", "", why
+    said = link.column_unit or (f"taken for {unit}" if unit else "")
+    return link.variable, unit, link.role, link.column, said, REASONS[link.reason]
+
+
+def remarks(record: Record) -> list[str]:
+    """Return what is to be said of a table, a sentence each."""
+    said = [record.refusal] if record.refusal else []
+    for role in ("input", "output"):
+        lacking = record.lacking(role)
+        if lacking and (role == "input" or not record.roles(role)):
+            said.append(
+                f"{record.path}: no column is the {role} {', '.join(lacking)}: "
+                f"say which is by --map {lacking[0]}=COLUMN"
+            )
+    if not record.roles("output") and not record.lacking("output"):
+        said.append(
+            f"{record.path}: the FMU declares no outputs, and no column is called like one of its variables: say which "
+            "is measured by --map VARIABLE=COLUMN"
+        )
+    rows = len(record.frame)
+    said += [
+        f"{record.path}: {count} of {rows} samples of {column!r} are missing; they do not count"
+        for column, count in record.missing.items()
+    ]
+    return said
+
+
+def on_terminal() -> bool:
+    """Return whether somebody sits there who can be asked."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def asked_about(record: Record) -> Record:
+    """Show what the columns are taken for, and let who sits at a terminal correct it where it is a guess."""
+    show_record(record)
+    if not on_terminal() or all(link.sure for link in record.links):
+        return record
+    while answer := Prompt.ask(escape(QUESTION), default="", show_default=False, console=console()).strip():
+        variable, equals, column = (part.strip() for part in answer.partition("="))
+        try:
+            if not equals:
+                raise InputError(f"{answer!r} is not understood: write variable=column")
+            changed = record.with_columns({variable: column})
+            show_record(changed)
+            record = changed
+        except InputError as error:
+            show_remarks([str(error).removeprefix("--map ")])
+    return record
+
+
+def show_draft(output: Path) -> None:
+    """Say what comes next."""
+    text = "free the parameters to identify in it, under \\[parameters]."
+    console().print(f"Written: [bold]{escape(str(output))}[/]. Next: {text}", soft_wrap=True)

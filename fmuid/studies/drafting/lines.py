@@ -1,0 +1,156 @@
+"""The lines of a study file that an FMU can say of itself, most of them commented out."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from textwrap import shorten
+from typing import TYPE_CHECKING
+
+from fmuid.studies.drafting.mapping import of_tables
+
+if TYPE_CHECKING:
+    from fmuid.fmi import FMU, Description, Variable
+    from fmuid.studies.words import Words
+
+# What an output of an experiment can be.
+OBSERVED = ("output", "local")
+# How many names a comment lists, and how many parameters a skeleton: what can be read at a glance.
+NAMES_LISTED, PARAMETERS_LISTED = 20, 12
+LINE_LENGTH, REMARK_LENGTH = 110, 80
+# Modelica tools write their largest numbers for bounds that are none.
+NO_BOUND = 1e60
+
+
+def skeleton(fmu: FMU) -> str:
+    """Return a short study of an FMU and a table that is still to come: what `fmuid info` shows to be pasted.
+
+    An FMU without outputs is observed by its states, which may be measured like any local variable.
+    """
+    description = fmu.description
+    outputs, remark = of_tables(description, "output"), ""
+    if not outputs:
+        outputs = [name for name in description.states if description.variables[name].causality in OBSERVED]
+        remark = "  # the FMU declares no outputs: states or other local variables that are measured"
+    lines = [
+        "[model]",
+        f"fmu = {text(fmu.path.name)}  # relative to the study file",
+        *numerics(description),
+        "",
+        "[[experiments]]",
+        'table = "table.csv"  # its first column is time, s',
+        role("inputs", {name: name for name in of_tables(description, "input")}),
+        role("outputs", {name: name for name in outputs}) + remark,
+        "",
+    ]
+    freed = free(description)
+    lines.append("[parameters]  # " + ("remove the # before those to identify" if freed else "none can be set"))
+    lines += ["# " + parameter(variable) for variable in freed[:PARAMETERS_LISTED]]
+    if len(freed) > PARAMETERS_LISTED:
+        lines.append(f"# and {len(freed) - PARAMETERS_LISTED} more, all of which `fmuid init` writes")
+    return "\n".join(lines) + "\n"
+
+
+def numerics(description: Description) -> list[str]:
+    """Return the words on how the FMU is run, commented out, as far as its interfaces have use for them."""
+    from fmuid.studies.model import NumericsWords
+
+    words = ["interface"] if len(description.interfaces) > 1 else []
+    words += ["integrator"] if "model-exchange" in description.interfaces else []
+    return [NumericsWords.example_line(word) for word in (*words, "tolerance", "step_size")]
+
+
+def rest() -> list[str]:
+    """Return what does not depend on FMU and table; the tables that few studies need are commented out."""
+    from fmuid.studies.parameters import JointPriorWords
+    from fmuid.studies.settings import EstimatorWords, NoiseWords, UncertaintyWords
+
+    return [
+        *_table(JointPriorWords, "prior", asked=False),
+        "",
+        *_table(NoiseWords, "noise", asked=True),
+        "",
+        *_table(EstimatorWords, "estimator", asked=True),
+        "",
+        *_table(UncertaintyWords, "uncertainty", asked=False),
+    ]
+
+
+def _table(table: type[Words], name: str, *, asked: bool) -> list[str]:
+    """Return those words of a table that have an example; all commented out where it is not asked for."""
+    lines = [table.example_line(key) for key, field in table.model_fields.items() if field.examples]
+    if asked:
+        return [f"[{name}]", *lines]
+    meaning = (table.__doc__ or "").rstrip(".")
+    return [f"# [{name}]  # {meaning[0].lower()}{meaning[1:]}", *(f"# {line.removeprefix('# ')}" for line in lines)]
+
+
+def role(word: str, columns: Mapping[str, str]) -> str:
+    """Return inputs or outputs: a list of names, on several lines where it is long, or a table where columns differ."""
+    if any(variable != column for variable, column in columns.items()):
+        return f"{word} = {{ " + ", ".join(f"{key(name)} = {text(column)}" for name, column in columns.items()) + " }"
+    lines = [f"{word} = ["]
+    for name in columns:
+        item = text(name) + ", "
+        if len(lines[-1] + item) > LINE_LENGTH:
+            lines.append("    ")
+        lines[-1] += item
+    if len(lines) == 1:
+        return lines[0].removesuffix(", ") + "]"
+    return "\n".join([*(line.rstrip() for line in lines), "]"])
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first names and how many more there are."""
+    more = len(names) - NAMES_LISTED
+    return ", ".join(names[:NAMES_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def free(description: Description) -> list[Variable]:
+    """Return all that can be identified: Real parameters, then other variables whose start values can be set."""
+    settable = [
+        variable
+        for variable in description.variables.values()
+        if variable.type == "Real" and variable.settable and variable.causality not in ("input", "structuralParameter")
+    ]
+    return sorted(settable, key=lambda variable: variable.causality != "parameter")
+
+
+def parameter(variable: Variable) -> str:
+    """Return the line of one parameter as the FMU has it."""
+    start = float(variable.start) if isinstance(variable.start, int | float) else 0.0
+    keys = {"start": start}
+    for word in ("min", "max"):
+        bound = getattr(variable, word)
+        # a bound that the FMU's own start breaks would only be refused
+        if bound is not None and abs(bound) < NO_BOUND and (start >= bound if word == "min" else start <= bound):
+            keys[word] = bound
+    if "min" in keys and keys["min"] == keys.get("max"):
+        del keys["min"], keys["max"]
+    if start == 0:
+        keys["nominal"] = abs(variable.nominal or 1.0)
+    given = ", ".join(f"{key} = {value!r}" for key, value in keys.items())
+    unit = variable.unit if variable.unit not in (None, "1") else ""
+    remark = shorten(": ".join(part for part in (unit, variable.description) if part), REMARK_LENGTH, placeholder="…")
+    return f"{key(variable.name)} = {{ {given} }}" + (f"  # {remark}" if remark else "")
+
+
+def relative(path: Path, output: Path) -> str:
+    """Return a path as a study file at `output` names it."""
+    try:
+        return Path(os.path.relpath(path.resolve(), output.resolve().parent)).as_posix()
+    except ValueError:  # another drive
+        return path.resolve().as_posix()
+
+
+def text(given: str | float) -> str:
+    """Return a text or a number as TOML has it."""
+    return json.dumps(given, ensure_ascii=False)
+
+
+def key(name: str) -> str:
+    """Return a name as the key of a TOML table."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else text(name)

@@ -1,0 +1,141 @@
+"""A table that a study is begun with: what its columns are taken for, and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmuid.data import Experiment, read_table
+from fmuid.errors import InputError
+from fmuid.studies.drafting.mapping import Link, guess
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.fmi import Description
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What who begins a study knows of its tables; the words are those of ``[[experiments]]``.
+
+    Attributes
+    ----------
+    time : str or int
+        The column of time, by its name or its place from 1.
+    time_unit : str or None
+    sample_rate : float or None
+    sheet : str, int or None
+    columns : mapping of str to str
+        Variables of the FMU whose columns are known; an empty text for none.
+    """
+
+    time: str | int = "time"
+    time_unit: str | None = None
+    sample_rate: float | None = None
+    sheet: str | int | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A table as it was read, and which column is which variable.
+
+    Attributes
+    ----------
+    path : Path
+    asked : Asked
+    description : Description
+        Of the FMU.
+    frame : pandas.DataFrame
+    """
+
+    path: Path
+    asked: Asked
+    description: Description = field(repr=False)
+    frame: pd.DataFrame = field(repr=False)
+
+    @classmethod
+    def read(cls, path: Path, description: Description, asked: Asked) -> Record:
+        """Read a table.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or has no times.
+        """
+        how = {word: getattr(asked, word) for word in ("time_unit", "sample_rate", "sheet")}
+        return cls(path, asked, description, read_table(path, asked.time, **how))
+
+    def with_columns(self, columns: Mapping[str, str]) -> Record:
+        """Return the same where more is known of the columns."""
+        return replace(self, asked=replace(self.asked, columns={**self.asked.columns, **columns}))
+
+    @property
+    def time(self) -> str:
+        """Name of the time column."""
+        return self.asked.time if isinstance(self.asked.time, str) else "time"
+
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """All columns but that of time."""
+        return tuple(str(column) for column in self.frame.columns if column != self.time)
+
+    @cached_property
+    def links(self) -> tuple[Link, ...]:
+        """What the columns are taken for.
+
+        Raises
+        ------
+        InputError
+            If a variable or column that is given is not there.
+        """
+        return guess(self.description, self.columns, self.frame.attrs.get("units", {}), self.asked.columns)
+
+    def roles(self, role: str) -> dict[str, str]:
+        """Return variables and their columns of one role."""
+        return {link.variable: link.column for link in self.links if link.role == role and link.column is not None}
+
+    def lacking(self, role: str) -> tuple[str, ...]:
+        """Return the variables of one role that are no column."""
+        return tuple(link.variable for link in self.links if link.role == role and link.column is None)
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """The columns that are taken for nothing."""
+        used = {link.column for link in self.links}
+        return tuple(column for column in self.columns if column not in used)
+
+    @cached_property
+    def experiment(self) -> Experiment | None:
+        """The experiment that the table is; None where something is wrong with it (`refusal`)."""
+        return self._made[0]
+
+    @property
+    def refusal(self) -> str:
+        """What is wrong with the table, empty where nothing is."""
+        return self._made[1]
+
+    @cached_property
+    def _made(self) -> tuple[Experiment | None, str]:
+        inputs, outputs = self.roles("input"), self.roles("output")
+        if not outputs:
+            return None, ""
+        try:
+            return Experiment(self.frame, inputs, outputs, self.time, name=self.path.stem, source=str(self.path)), ""
+        except InputError as error:
+            return None, str(error)
+
+    @property
+    def missing(self) -> dict[str, int]:
+        """How many samples are missing of the outputs that lack some."""
+        if self.experiment is None:
+            return {}
+        values = self.experiment.output_values
+        counts = zip(self.roles("output").values(), np.isnan(values).sum(axis=0).tolist(), strict=True)
+        return {column: count for column, count in counts if count}
