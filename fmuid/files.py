@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fmuid.errors import InputError
+from fmuid.version import __version__
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,6 +132,65 @@ def write_json(path: Path, content: Mapping[str, Any]) -> Path:
     with replacing(path) as draft:
         draft.write_text(json.dumps(as_json(content), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     return path
+
+
+class Content(dict[str, Any]):
+    """The object of a JSON file; it remembers which of its keys was asked for last."""
+
+    asked = ""
+
+    def __getitem__(self, key: str) -> Any:
+        self.asked = key
+        return super().__getitem__(key)
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """Return the value of a key, `default` where there is none."""
+        self.asked = key
+        return super().get(key, default)
+
+
+class ContentError(ValueError):
+    """What a file has contradicts itself; the text says how."""
+
+
+@contextmanager
+def content_of(path: Path, kind: str, remedy: str) -> Iterator[Content]:
+    """Provide what fmuid has written to a JSON file; what does not fit while it is read becomes one sentence.
+
+    Parameters
+    ----------
+    path : Path
+    kind : str
+        What the file should be, for messages.
+    remedy : str
+        What to do where it is something else, or of another version.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is something else, or an error in the block tells that its content does not fit.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not JSON: {error}; give {kind}, or {remedy}") from None
+    content = Content(found if isinstance(found, dict) else {})
+    if not isinstance(content.get("version"), str):
+        raise InputError(f"{path} does not say which fmuid has written it: give {kind}, or {remedy}")
+    written = f"{path}, which fmuid {content['version']} has written,"
+    try:
+        yield content
+    except ContentError as error:
+        raise InputError(f"{written} cannot be right: {error}; {remedy}") from None
+    except KeyError as error:
+        place = "" if error.args == (content.asked,) else f" in {content.asked!r}"
+        raise InputError(f"{written} has no {error}{place}, which fmuid {__version__} needs: {remedy}") from None
+    except (TypeError, ValueError, AttributeError, OverflowError):
+        raise InputError(
+            f"{written} has something in {content.asked!r} that fmuid {__version__} cannot read: {remedy}"
+        ) from None
 
 
 def file_name(text: str) -> str:

@@ -312,7 +312,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         if isinstance(found, dict):
             return found
         said = "no table"
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         said = str(error)
     raise InputError(
         f"{path} cannot be read ({said}): choose another folder with --output, or begin anew with --no-resume"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import re
 import shutil
 import socket
 from collections.abc import Iterator, Mapping, Sequence
@@ -34,6 +35,7 @@ LOOSE_PARTS = 64
 LOG_BYTES = 64 * 1024
 _TYPES = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_(), "str": pa.string()}
 _TYPES |= {"string": pa.string(), "datetime64[us, UTC]": pa.timestamp("us", "UTC")}
+_PART_NAME = re.compile(r"part-(\d{9,})-[0-9a-f]{12}\.parquet")
 _DAMAGED = (pa.ArrowException, OSError, ValueError, KeyError)
 
 
@@ -83,8 +85,8 @@ class Dataset:
     # --- reading
 
     def parts(self) -> list[Path]:
-        """Return the parts, in the order of their names."""
-        return sorted(self.cases.glob("part-*.parquet"))
+        """Return the parts, in the order of their names; files that others have put there are none."""
+        return sorted(path for path in self.cases.glob("part-*.parquet") if _PART_NAME.fullmatch(path.name))
 
     def read(self) -> pd.DataFrame:
         """Return all rows, sorted by case, each case once.

@@ -185,7 +185,8 @@ def changes(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
             found.append(
                 f"{key} was not given" if was is _MISSING else f"{key} was {json.dumps(was, ensure_ascii=False)}"
             )
-    files: Mapping[str, str | None] = earlier.get("files", {})
+    written = earlier.get("files")
+    files: Mapping[str, str | None] = written if isinstance(written, dict) else {}
     for name in dict.fromkeys([*now["files"], *files]):
         if name not in files:
             found.append(f"{name} is new")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import pandas as pd
 from fmuid.diagnosis.hypothesis import Estimate, Hypothesis, Strain, estimates_of
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.files import as_json, write_json
+from fmuid.files import as_json, content_of, write_json
 
 # A fault whose model explains less than this share of what exceeds the noise is not what is wrong.
 EXPLAINED_SHARE = 0.5
@@ -169,9 +168,7 @@ class Diagnosis:
         InputError
             If the file cannot be read or is no such file.
         """
-        path = Path(path)
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
+        with content_of(Path(path), "the diagnosis.json of a diagnosis", "run fmuid diagnose again") as data:
             return cls(
                 level=float(data["level"]),
                 hypotheses=tuple(Hypothesis.of_json(name, each) for name, each in data["faults"].items()),
@@ -185,8 +182,3 @@ class Diagnosis:
                 strain=None if data["strain"] is None else Strain(**data["strain"]),
                 version=str(data["version"]),
             )
-        except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
-            raise InputError(f"{path} is no diagnosis of fmuid: {what}; give a diagnosis.json") from None

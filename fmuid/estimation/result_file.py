@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.errors import InputError
 from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
-from fmuid.files import as_json
+from fmuid.files import ContentError, as_json, content_of
 
 if TYPE_CHECKING:
     from fmuid.estimation.result import Result
@@ -68,40 +67,27 @@ def read(path: Path) -> dict[str, Any]:
     InputError
         If the file cannot be read or is not such a result.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not JSON: {error}; give the result.json of an identification") from None
-    try:
+    with content_of(path, "the result.json of an identification", "run fmuid identify again") as data:
         return _fields(data)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(
-            f"{path} is not a result of fmuid: {what}; give the result.json of an identification"
-        ) from None
 
 
-def _fields(data: Any) -> dict[str, Any]:
+def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
     parameters = data["parameters"]
     names = tuple(parameters)
-    if list(names) != data["covariance"]["names"]:
-        raise ValueError("the names of parameters and covariance differ")
-    covariance = _array(data["covariance"]["matrix"], np.nan).reshape(len(names), len(names))
-    lost = np.isnan(np.diag(covariance))
-    outcome = Outcome(data["outcome"])
-    covariance[lost, lost] = np.nan if outcome is Outcome.STALLED else np.inf
     column = {
         key: _array([parameters[name].get(key) for name in names], np.nan)
         for key in ("value", "start", "prior_mean", "prior_std", "numerical_shift")
     }
     if any(found.shape != (len(names),) for found in column.values()):
-        raise ValueError("a value of a parameter is no number")
+        raise ContentError("a value of a parameter is no number")
+    if list(names) != data["covariance"]["names"]:
+        raise ContentError("the names of parameters and covariance differ")
+    covariance = _array(data["covariance"]["matrix"], np.nan).reshape(len(names), len(names))
     if (np.diag(covariance) < 0).any():
-        raise ValueError("a variance is negative")
-    accuracy = data.get("accuracy")
-    freedom, likelihood = data.get("degrees_of_freedom"), data.get("log_likelihood")
+        raise ContentError("a variance is negative")
+    lost = np.isnan(np.diag(covariance))
+    outcome = Outcome(data["outcome"])
+    covariance[lost, lost] = np.nan if outcome is Outcome.STALLED else np.inf
     return {
         "outcome": outcome,
         "names": names,
@@ -112,9 +98,9 @@ def _fields(data: Any) -> dict[str, Any]:
         "covariance": covariance,
         "noise_variance": _floats(data["noise_variance"]),
         "given_variance": _floats(data.get("given_variance", {})),
-        "criterion": math.nan if data["criterion"] is None else float(data["criterion"]),
-        "log_likelihood": math.nan if likelihood is None else float(likelihood),
-        "degrees_of_freedom": math.inf if freedom is None else float(freedom),
+        "criterion": _number(data["criterion"], math.nan),
+        "log_likelihood": _number(data.get("log_likelihood"), math.nan),
+        "degrees_of_freedom": _number(data.get("degrees_of_freedom"), math.inf),
         "iterations": int(data["iterations"]),
         "simulations": int(data["simulations"]),
         "elapsed_s": float(data["elapsed_s"]),
@@ -129,8 +115,12 @@ def _fields(data: Any) -> dict[str, Any]:
         },
         "sensitivity": Sensitivity(**data["sensitivity"]) if data.get("sensitivity") else None,
         "moved_start": tuple(map(str, data.get("moved_start", ()))),
-        "accuracy": None if accuracy is None else Accuracy.of_json(accuracy, column["numerical_shift"]),
+        "accuracy": Accuracy.of_json(data["accuracy"], column["numerical_shift"]) if data.get("accuracy") else None,
     }
+
+
+def _number(value: float | None, missing: float) -> float:
+    return missing if value is None else float(value)
 
 
 def _floats(values: Any) -> dict[str, float]:

@@ -445,8 +445,15 @@ def test_rows_of_nobody(folder: Path, here: Any, capsys: Any) -> None:
     run(folder)
     (folder / "out" / "batch.json").unlink()
     assert "has cases and no batch.json" in refused(capsys, folder / "study.toml", "-o", folder / "out")
-    (folder / "out" / "batch.json").write_text("[]")
-    assert "batch.json cannot be read (no table)" in refused(capsys, folder / "study.toml", "-o", folder / "out")
+    for spoilt, told in (
+        ("[]", "batch.json cannot be read (no table)"),
+        ('{"fmuid": "0.1.0", "stu', "batch.json cannot be read (Unterminated string"),
+        ("[" * 100_000, "batch.json cannot be read ("),
+        ('{"fmuid": "0.0.9", "study": [], "files": ["a"]}', "it was run by fmuid 0.0.9, this is "),
+    ):
+        (folder / "out" / "batch.json").write_text(spoilt)
+        said = refused(capsys, folder / "study.toml", "-o", folder / "out")
+        assert told in said and "--no-resume" in said and "--output" in said
 
 
 def test_output_is_a_file(folder: Path, capsys: Any) -> None:

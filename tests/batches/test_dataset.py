@@ -176,6 +176,17 @@ def test_drafts_are_not_read_and_are_removed(tmp_path: Path) -> None:
     assert not draft.exists()
 
 
+@pytest.mark.parametrize("name", ["part-0.parquet", "part-mine.parquet", "part-000000001-copy.parquet"])
+def test_files_of_others_are_no_parts(tmp_path: Path, name: str) -> None:
+    found = filled(tmp_path, [0, 1], each=1)
+    (found.cases / name).write_bytes(b"PAR1")
+    same(found.read(), expected([0, 1]))
+    assert found.repair() == ()
+    found.compact()
+    assert len(found.parts()) == 1
+    assert (found.cases / name).is_file()
+
+
 def test_two_writers(tmp_path: Path) -> None:
     first, second = Dataset(tmp_path, COLUMNS), Dataset(tmp_path, COLUMNS)
     with first.locked(), pytest.raises(InputError, match=rf"written to by another batch \(process {os.getpid()} on"):

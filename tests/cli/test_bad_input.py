@@ -394,7 +394,8 @@ def test_damaged_results(folder: Path, capsys: pytest.CaptureFixture[str], old: 
     assert run([str(word) for word in command]) == 0
     capsys.readouterr()
     (folder / "result.json").write_text(RESULT.replace(old, new))
-    assert "result.json is not" in refused(capsys, *command)
+    said = refused(capsys, *command)
+    assert "result.json" in said and "run fmuid identify again" in said
 
 
 def test_columns_of_lists(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -217,8 +218,13 @@ def test_a_file_keeps_the_diagnosis(look: Look, tmp_path: Path) -> None:
     assert verdict(read) == verdict(found)
     assert read["rotor"].reference == found["rotor"].reference
     (tmp_path / "other.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(fmuid.InputError, match=r"other\.json is no diagnosis of fmuid: it has no 'level'"):
+    with pytest.raises(fmuid.InputError, match=r"other\.json does not say which fmuid .*give the diagnosis\.json of a"):
         fmuid.Diagnosis.from_json(tmp_path / "other.json")
+    for key in ("faults", "unexplained", "nominal"):
+        old = {**found.to_json_dict(), key: ["of old"]}
+        (tmp_path / "other.json").write_text(json.dumps(old), encoding="utf-8")
+        with pytest.raises(fmuid.InputError, match=rf"has something in '{key}' that .*: run fmuid diagnose again$"):
+            fmuid.Diagnosis.from_json(tmp_path / "other.json")
 
 
 # --- bad input --------------------------------------------------------------------------

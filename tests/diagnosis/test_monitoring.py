@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 from dataclasses import replace
@@ -334,6 +335,24 @@ def test_appending_gives_what_one_run_gives(
     capsys.readouterr()
     assert run(["monitor", study, str(records), *other]) == 2
     assert "another rule" in capsys.readouterr().err
+    table, state = folder / "grown" / "monitoring.csv", folder / "grown" / "monitoring.json"
+    whole = {path: path.read_text(encoding="utf-8") for path in (table, state)}
+    later = json.loads(whole[state])
+    for path, spoilt, said in (
+        (table, whole[table][:-400], "is no table of fmuid monitor, or not whole"),
+        (table, "\n".join(whole[table].split("\n")[:4]), "it has not the 12 windows"),
+        (table, "time,u\n0,1\n", "is no table of fmuid monitor"),
+        (table, "", "is no table of fmuid monitor"),
+        (state, whole[state][:-400], "is not JSON"),
+        (state, "{}", "give the monitoring.json of fmuid monitor"),
+        (state, json.dumps({k: v for k, v in later.items() if k != "windows"}), "has no 'windows'"),
+        (state, json.dumps(later | {"beliefs": []}), "has something in 'beliefs'"),
+    ):
+        path.write_text(spoilt, encoding="utf-8")
+        assert run(["monitor", study, str(records), *words, *grown, "--append"]) == 2
+        error = capsys.readouterr().err
+        assert said in error and str(path) in error and "monitor without appending" in error and error.count("\n") == 1
+        path.write_text(whole[path], encoding="utf-8")
 
 
 def test_from_python_it_is_what_the_command_does(folder: Path) -> None:
@@ -440,10 +459,6 @@ def test_wrong_records_are_one_sentence(folder: Path, capsys: pytest.CaptureFixt
     assert len(pd.read_csv(folder / "results" / "monitoring.csv")) == 4
     assert run(["monitor", study, str(folder / "records"), *told(window=1, transient=0.02)]) == 2
     assert len(pd.read_csv(folder / "results" / "monitoring.csv")) == 4
-    (folder / "results" / "monitoring.json").write_text("{}", encoding="utf-8")
-    capsys.readouterr()
-    assert run(["monitor", study, str(folder / "records"), *words, "--append"]) == 2
-    assert "cannot be read" in capsys.readouterr().err
 
 
 def test_a_study_without_diagnosis_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -30,6 +30,7 @@ from fmuid.progress import Event, SearchStep
 from fmuid.reports.findings import at_minimum
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.result import ending
+from fmuid.version import __version__
 from tests.support.problems import Fake, coil_problem
 
 TIMES = np.linspace(0.0, 3.0, 100)
@@ -394,9 +395,10 @@ def test_a_result_as_prior() -> None:
     ("text", "said"),
     [
         ("{", "not JSON"),
-        ("{}", "not a result of fmuid: it has no 'parameters'"),
-        ('{"parameters": [], "covariance": 3}', "not a result"),
-        ("[]", "not a result"),
+        ("{}", "does not say which fmuid has written it: give the result.json of .*, or run fmuid identify again$"),
+        ('{"version": 1}', "does not say which fmuid has written it"),
+        ("[]", "does not say which fmuid has written it"),
+        ('{"version": "0.1.0"}', r"which fmuid 0\.1\.0 has written, has no 'parameters', .*: run fmuid identify again"),
     ],
 )
 def test_files_that_are_no_results(tmp_path: Path, text: str, said: str) -> None:
@@ -406,6 +408,33 @@ def test_files_that_are_no_results(tmp_path: Path, text: str, said: str) -> None
         Result.from_json(path)
     with pytest.raises(InputError, match="cannot be read"):
         Result.from_json(tmp_path / "missing.json")
+
+
+def test_results_of_other_versions_are_one_sentence(tmp_path: Path) -> None:
+    path, whole = tmp_path / "result.json", identify(two_output_problem()).to_json_dict() | {"version": "0.0.9"}
+
+    def said(content: object) -> str:
+        path.write_text(json.dumps(content), encoding="utf-8")
+        with pytest.raises(InputError) as caught:
+            Result.from_json(path)
+        text = str(caught.value)
+        assert text.startswith(f"{path}, which fmuid 0.0.9 has written, ")
+        assert text.endswith("run fmuid identify again") and "\n" not in text
+        return text
+
+    for key in ("outcome", "parameters", "covariance", "noise_variance", "criterion", "iterations", "elapsed_s"):
+        assert f"has no '{key}', which fmuid {__version__} needs" in said({k: v for k, v in whole.items() if k != key})
+    for key in whole.keys() - {"version", "converged", "moved_start"}:
+        assert f"has something in '{key}' that fmuid {__version__} cannot read" in said(whole | {key: "of old"})
+    models = {"": {"name": "Coil", "digest": "1", "run": "co-simulation"}}
+    assert "has something in 'models'" in said(whole | {"models": models})
+    direction = {"names": ["k"], "coefficients": [1.0], "values": [1.0], "magnitudes": [1.0], "std": 1.0}
+    assert "has no 'determined' in 'weak'" in said(whole | {"weak": [direction]})
+    negative = {"names": list(whole["parameters"]), "matrix": np.diag([1.0, -1.0]).tolist()}
+    assert "cannot be right: a variance is negative" in said(whole | {"covariance": negative})
+    assert "the names of parameters and covariance differ" in said(
+        whole | {"covariance": negative | {"names": ["x", "y"]}}
+    )
 
 
 def test_the_level_of_an_interval() -> None:

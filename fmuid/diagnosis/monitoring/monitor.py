@@ -11,7 +11,6 @@ forgotten and no sample is lost (docs/method.md section 5).
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -35,7 +34,7 @@ from fmuid.diagnosis.monitoring.windows import cut, end_of, part_of
 from fmuid.diagnosis.procedure import UNEXPLAINED_SHARE
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
-from fmuid.files import write_json, write_table
+from fmuid.files import content_of, is_file, write_json, write_table
 from fmuid.progress import Progress, WindowStep
 from fmuid.simulation import Simulator
 from fmuid.version import __version__
@@ -317,6 +316,7 @@ class Monitor:
             "names": {model.name: list(model.names) for model in self.models},
             "beliefs": self._beliefs,
             "points": self._points,
+            "windows": len(self._rows),
             "version": __version__,
         }
         return [write_json(folder / STATE_FILE, content), write_table(folder / TABLE_FILE, self.table)]
@@ -329,32 +329,35 @@ class Monitor:
         InputError
             If there is none, or it had another rule, other faults or another healthy machine.
         """
-        path = Path(folder) / STATE_FILE
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            table = pd.read_csv(path.with_name(TABLE_FILE), dtype=str, keep_default_na=False).drop(columns="alarm")
-            same = content["rule"] == asdict(self.rule) and content["names"] == {
-                m.name: list(m.names) for m in self.models
-            }
-            same = same and all(
-                Belief.of_json(content["priors"][model.name]).like(model.prior) for model in self.models
-            )
-            beliefs = (
-                {model.name: Belief.of_json(content["beliefs"][model.name]) for model in self.models} if same else {}
-            )
-            points = {model.name: np.array(content["points"][model.name]) for model in self.models} if same else {}
-            rows = [{str(key): _cell(str(key), text) for key, text in row.items()} for row in table.to_dict("records")]
-        except FileNotFoundError:
-            raise InputError(f"{folder} has no earlier run to append to: monitor without appending first") from None
-        except (OSError, KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path} cannot be read ({error}): monitor without appending") from None
-        if not same:
-            raise InputError(
-                f"{path} is of a run with another rule, other faults or another healthy machine: use the same, or "
-                "another output folder"
-            )
+        path, remedy = Path(folder) / STATE_FILE, "monitor without appending"
+        if not is_file(path):
+            raise InputError(f"{folder} has no earlier run to append to: {remedy} first")
+        with content_of(path, "the monitoring.json of fmuid monitor", remedy) as content:
+            same = content["rule"] == asdict(self.rule)
+            same &= content["names"] == {model.name: list(model.names) for model in self.models}
+            priors = content["priors"]
+            if not same or not all(Belief.of_json(priors[each.name]).like(each.prior) for each in self.models):
+                raise InputError(
+                    f"{path} is of a run with another rule, other faults or another healthy machine: use the same, or "
+                    "another output folder"
+                )
+            beliefs = {model.name: Belief.of_json(content["beliefs"][model.name]) for model in self.models}
+            points = {model.name: np.array(content["points"][model.name], np.float64) for model in self.models}
+            windows = int(content["windows"])
+        self._rows = _rows(path.with_name(TABLE_FILE), windows, remedy)
         self._beliefs, self._points = beliefs, points
-        self._rows = rows
+
+
+def _rows(path: Path, count: int, remedy: str) -> list[dict[str, Any]]:
+    """Return the rows of a written table, which must be so many."""
+    try:
+        table = pd.read_csv(path, dtype=str, keep_default_na=False).drop(columns="alarm")
+        if len(table) != count or table.isna().to_numpy().any():
+            raise ValueError(f"it has not the {count} windows that {STATE_FILE} is of")
+        return [{str(key): _cell(str(key), text) for key, text in row.items()} for row in table.to_dict("records")]
+    except (OSError, KeyError, ValueError) as error:
+        said = str(error).splitlines()[0]
+        raise InputError(f"{path} is no table of fmuid monitor, or not whole ({said}): {remedy}") from None
 
 
 def _cell(column: str, text: str) -> Any:
