@@ -41,8 +41,10 @@ from .estimation import equation_error as equation_error
 from .estimation import instrumental_variables as instrumental_variables
 from .estimation import linear_least_squares as linear_least_squares
 from .fmi import FMU as FMU
+from .model_problem import Prediction as Prediction
 from .model_problem import Problem as Problem
 from .model_problem import identify as identify
+from .model_problem import predict as predict
 from .models import Component as Component
 from .models import Isolation as Isolation
 from .models import Numerics as Numerics
@@ -51,6 +53,7 @@ from .reports import Findings as Findings
 from .reports import describe as describe
 from .reports import run_diagnosis as run_diagnosis
 from .reports import run_monitoring as run_monitoring
+from .reports import run_prediction as run_prediction
 from .reports import run_study as run_study
 from .simulation import Simulator as Simulator
 from .simulation import validate as validate

@@ -28,6 +28,7 @@ from .residuals import Finding as Finding
 from .residuals import Stated as Stated
 from .residuals import Trait as Trait
 from .residuals import examine_residuals as examine_residuals
+from .residuals import residuals_of as residuals_of
 from .sampler import sample as sample
 from .series import coloured_gram as coloured_gram
 from .series import noise_model as noise_model

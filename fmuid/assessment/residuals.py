@@ -32,6 +32,7 @@ import pandas as pd
 from fmuid.arrays import Floats
 from fmuid.assessment.residual_series import InputCorrelation, ResidualSeries, examine_outputs
 from fmuid.assessment.series import coloured_gram
+from fmuid.data import Measurements
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result
 from fmuid.files import as_json
@@ -212,14 +213,27 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     series: list[ResidualSeries] = []
     first = 0
     for experiment, fit in zip(problem.experiments, result.fit, strict=True):
-        counted, outputs = np.flatnonzero(experiment.counted), experiment.output_names
-        rows = [first + np.flatnonzero(counted % len(outputs) == column) for column in range(len(outputs))]
-        simulated = fit[[f"simulated.{output}" for output in outputs]].to_numpy(np.float64)
-        series += examine_outputs(experiment, simulated, rows)
-        first += counted.size
+        simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
+        series += residuals_of(experiment, simulated, first)
+        first += int(experiment.counted.sum())
     white = Diagnostics(tuple(series), {})
     local = result.local
     columns = local.noisy(local.jacobian @ local.root)
     coloured, stated = (np.diag(local.covariance_with(spread)) for spread in (white.gram(columns), columns.T @ columns))
     ratio = np.sqrt(coloured / stated)
     return Diagnostics(white.series, dict(zip(result.names, ratio.tolist(), strict=True)))
+
+
+def residuals_of(experiment: Measurements, simulated: Floats, first: int = 0) -> list[ResidualSeries]:
+    """Examine measured − simulated of an experiment, output by output.
+
+    Parameters
+    ----------
+    experiment : Measurements
+    simulated : (K, n_outputs) array
+    first : int
+        Which row of a problem's residual the first of its counted samples is.
+    """
+    counted, outputs = np.flatnonzero(experiment.counted), len(experiment.output_names)
+    rows = [first + np.flatnonzero(counted % outputs == column) for column in range(outputs)]
+    return examine_outputs(experiment, simulated, rows)

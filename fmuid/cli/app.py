@@ -14,6 +14,7 @@ import typer
 
 from fmuid.cli import batch as cli_batch
 from fmuid.cli import models as cli_models
+from fmuid.cli import results as cli_results
 from fmuid.cli import studies as cli_studies
 from fmuid.cli.interruption import handled
 from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
@@ -56,6 +57,7 @@ for command in (
     cli_studies.diagnose,
     cli_studies.monitor,
     cli_batch.batch,
+    cli_results.predict,
     cli_models.apply,
     cli_models.export,
 ):

@@ -179,25 +179,31 @@ def _show_judged(display: Display, event: Event, /) -> None:
 @contextmanager
 def _opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path) -> Iterator[Study]:
     """Read a study whose FMUs run in a process of their own; what they print goes into the output folder."""
+    with logged(folder, in_process) as isolated:
+        from fmuid.studies import Study
+
+        yield Study.read(study, set_ or (), isolated=isolated)
+
+
+@contextmanager
+def logged(folder: Path, in_process: bool) -> Iterator[bool]:
+    """Say whether FMUs run in a process of their own, as they do unless asked otherwise; their output goes to a log."""
     from fmuid.simulation import AVAILABLE
 
     if in_process or not AVAILABLE:
-        from fmuid.studies import Study
-
         with telling_files():
-            yield Study.read(study, set_ or (), isolated=not in_process)
+            yield not in_process
         return
     from fmuid.reports.console.layout import show_notes
     from fmuid.simulation import SERVER
 
     SERVER.start()  # it loads its code while this process loads its own
     from fmuid.simulation import printed
-    from fmuid.studies import Study
 
     printed()
     try:
         with telling_files():
-            yield Study.read(study, set_ or (), isolated=True)
+            yield True
     finally:
         show_notes(_write_log(folder / FMU_LOG, printed()))
 

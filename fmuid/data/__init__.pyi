@@ -7,6 +7,8 @@ from .losses import LOSSES as LOSSES
 from .losses import Loss as Loss
 from .losses import loss_of as loss_of
 from .losses import robust_variance as robust_variance
+from .measured import MeasuredSeries as MeasuredSeries
+from .measured import measured_series as measured_series
 from .noise import Noise as Noise
 from .parameters import JointPrior as JointPrior
 from .parameters import Normal as Normal

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -55,6 +55,10 @@ class Measurements(Protocol):
     def counted(self) -> NDArray[np.bool_]:
         """Which samples take part in the criterion (K, n_outputs)."""
 
+    @property
+    def units(self) -> Mapping[str, str]:
+        """The units of outputs that are not in the model's."""
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -65,6 +69,7 @@ class Table:
     output_names: tuple[str, ...]
     output_values: Floats
     counted: NDArray[np.bool_]
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,6 +137,7 @@ def point_result(problem: LeastSquares, theta: Floats) -> Result:
         version=__version__,
         models=problem.models,
         sensitivity=problem.used_sensitivity,
+        data=problem.data,
     )
 
 
@@ -344,6 +345,7 @@ class _Identification:
             models=problem.models,
             sensitivity=problem.used_sensitivity,
             moved_start=self.moved_start,
+            data=problem.data,
             local=model,
             history=history,
         )

@@ -13,12 +13,14 @@ from fmuid.arrays import Floats
 from fmuid.data import (
     FunctionPredictor,
     JointPrior,
+    MeasuredSeries,
     Measurements,
     Parameter,
     ParameterSet,
     Predictor,
     Table,
     loss_of,
+    measured_series,
     robust_variance,
 )
 from fmuid.data import Noise as Noise
@@ -166,6 +168,11 @@ class LeastSquares:
     def models(self) -> dict[str, dict[str, Any]]:
         """``name``, ``digest`` and ``run`` (how it is run) of each FMU by its component; none here."""
         return {}
+
+    @property
+    def data(self) -> tuple[MeasuredSeries, ...]:
+        """Which measurements there are."""
+        return tuple(series for experiment in self.experiments for series in measured_series(experiment))
 
     def _check_counts(self) -> None:
         for name, count in zip(self.output_names, self.counts, strict=True):

@@ -14,7 +14,7 @@ import pandas as pd
 from scipy import special
 
 from fmuid.arrays import Floats
-from fmuid.data import JointPrior, Normal
+from fmuid.data import JointPrior, MeasuredSeries, Measurements, Normal, measured_series
 from fmuid.errors import InputError
 from fmuid.estimation import result_file
 from fmuid.estimation.accuracy.outcome import Accuracy
@@ -102,6 +102,8 @@ class Result:
     accuracy : Accuracy or None
         What the error of the simulation does to the estimates; where it shifts them, that is part of `covariance`. None
         where the simulation was not checked.
+    data : tuple of MeasuredSeries
+        Which measurements it was made from.
     """
 
     outcome: Outcome
@@ -132,6 +134,7 @@ class Result:
     optima: tuple[Optimum, ...] = ()
     fits: int | None = None
     accuracy: Accuracy | None = None
+    data: tuple[MeasuredSeries, ...] = ()
 
     @cached_property
     def trace(self) -> pd.DataFrame:
@@ -238,6 +241,10 @@ class Result:
                 "pull": self.pull,
             }
         )
+
+    def made_from(self, experiment: Measurements) -> bool:
+        """Return whether the measurements of an experiment are among those that this was made from."""
+        return set(measured_series(experiment)) <= set(self.data)
 
     def after(self, earlier: Result) -> Result:
         """Return this result as one of a search that began with an earlier one, from where this one set out."""

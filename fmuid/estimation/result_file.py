@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmuid.arrays import Floats
+from fmuid.data import MeasuredSeries
 from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 _AS_THEY_ARE = (
     *("noise_variance", "given_variance", "criterion", "log_likelihood", "degrees_of_freedom", "iterations"),
     *("simulations", "elapsed_s", "undetermined", "weak", "prior_determined", "at_bounds", "version", "models"),
-    *("sensitivity", "moved_start"),
+    *("sensitivity", "moved_start", "data"),
 )
 
 
@@ -116,6 +117,7 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
         "sensitivity": Sensitivity(**data["sensitivity"]) if data.get("sensitivity") else None,
         "moved_start": tuple(map(str, data.get("moved_start", ()))),
         "accuracy": Accuracy.of_json(data["accuracy"], column["numerical_shift"]) if data.get("accuracy") else None,
+        "data": tuple(map(MeasuredSeries.of_json, data.get("data", ()))),
     }
 
 

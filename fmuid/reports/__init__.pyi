@@ -10,6 +10,8 @@ from .fault_runs import run_diagnosis as run_diagnosis
 from .fault_runs import run_monitoring as run_monitoring
 from .findings import Findings as Findings
 from .findings import write_diagnosis as write_diagnosis
+from .predictions import PredictionFindings as PredictionFindings
+from .predictions import run_prediction as run_prediction
 from .run import Identified as Identified
 from .run import SearchInterruptedError as SearchInterruptedError
 from .run import run_study as run_study

@@ -110,6 +110,8 @@ class Findings:
         Where more than the local covariance was asked for.
     files : tuple of Path
         Those that were written, each once.
+    study : mapping or None
+        By which study the result was made (`fmuid.studies.origin_of`), for ``result.json``.
     """
 
     result: Result
@@ -120,6 +122,7 @@ class Findings:
     level: float = CONFIDENCE_LEVEL
     uncertainty: Uncertainty | None = None
     files: tuple[Path, ...] = ()
+    study: Mapping[str, Any] | None = None
 
     @property
     def succeeded(self) -> bool:
@@ -167,7 +170,7 @@ class Findings:
         if self.uncertainty is not None:
             content |= self.uncertainty.to_json_dict()
             content["words"] += uncertainty_words(self.uncertainty)
-        return content
+        return content if self.study is None else content | {"study": self.study}
 
     def maps(self) -> dict[str, CriterionMap]:
         """Return the maps of the criterion by the names of their files."""

@@ -14,7 +14,7 @@ from fmuid.progress import DataAloneStep, Event, Progress
 from fmuid.reports.apply import write_estimates
 from fmuid.reports.findings import Findings, at_minimum, result_fits, resumed_start, write_point
 from fmuid.simulation import parameter_units
-from fmuid.studies import Study
+from fmuid.studies import Study, origin_of
 
 # A search that took longer than this, s, is not repeated with the data alone without a word.
 QUICK_SECONDS = 2.0
@@ -140,6 +140,7 @@ class _Run:
                 problem, result, search_data=at_minimum(result), healthy=study.known_variance, diagnostics=diagnostics
             ),
             study.uncertainty_settings.level,
+            study=None if self.folder is None else origin_of(study, self.folder),
         )
 
     def _tell(self, event: Event) -> None:

@@ -18,5 +18,13 @@ from .monitoring import records_of as records_of
 from .monitoring import rule_of as rule_of
 from .parameters import SourceDoubt as SourceDoubt
 from .parameters import SourceNote as SourceNote
+from .predicting.origin import origin_of as origin_of
+from .predicting.origin import result_path as result_path
+from .predicting.origin import study_of as study_of
+from .predicting.prediction import Fold as Fold
+from .predicting.prediction import cross_validate as cross_validate
+from .predicting.prediction import notes_of as notes_of
+from .predicting.prediction import predict_with as predict_with
+from .predicting.prediction import records_like as records_like
 from .reference import schema_text as schema_text
 from .study import Study as Study

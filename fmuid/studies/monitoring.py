@@ -11,8 +11,6 @@ from fmuid.errors import InputError
 from fmuid.studies.diagnosis import FaultSearch
 from fmuid.studies.study import Study
 
-"""The tables that are taken from a folder."""
-
 
 def rule_of(study: Study) -> Rule:
     """Return the rule of a monitoring that a study's ``[monitoring]`` and ``[diagnosis]`` give.
@@ -77,7 +75,7 @@ def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -
         If a table cannot be read or has other columns than the study says, or a folder has none.
     """
     given = study.experiments[0]
-    for path in _files(paths):
+    for path in record_files(paths):
         if path.stem in known:
             continue
         try:
@@ -87,7 +85,14 @@ def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -
         yield record
 
 
-def _files(paths: Sequence[Path]) -> list[Path]:
+def record_files(paths: Sequence[Path]) -> list[Path]:
+    """Return tables, and those in folders in the order of their names.
+
+    Raises
+    ------
+    InputError
+        If a folder has none, or two are of one name.
+    """
     found: list[Path] = []
     for path in paths:
         inside = (

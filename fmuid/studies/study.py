@@ -211,8 +211,13 @@ class Study:
         """
         return tuple(each.read_experiment(each.table) for each in self.experiments)
 
-    def problem(self) -> Problem:
+    def problem(self, experiments: Sequence[Experiment] | None = None) -> Problem:
         """Return the least-squares problem of the study.
+
+        Parameters
+        ----------
+        experiments : sequence of Experiment, optional
+            Default: all of them.
 
         Raises
         ------
@@ -229,7 +234,7 @@ class Study:
         model = self.model
         return Problem(
             self.system,
-            self.tables,
+            self.tables if experiments is None else experiments,
             self.parameters,
             noise=self.noise,
             values=model.values,

@@ -56,7 +56,7 @@ STYLE: Any = {
 # What the figures of a run are called, before a hyphen where there are several of a kind.
 KINDS = (
     *("parameters", "criterion", "rounds", "fit", "residuals", "optima", "map", "profiles", "posterior"),
-    *("estimates", "distributions", "swept", "starts"),
+    *("estimates", "distributions", "swept", "starts", "prediction"),
 )
 
 

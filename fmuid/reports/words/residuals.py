@@ -23,7 +23,7 @@ def residual_words(found: Diagnostics) -> tuple[str, ...]:
     large = [each for each in found.findings if each.large]
     coloured = [each for each in large if each.trait is Trait.COLOURED]
     said = [_large(found, each) for each in coloured]
-    if coloured or found.stated is not Stated.HOLD:
+    if found.inflation and (coloured or found.stated is not Stated.HOLD):
         said.append(_stated(found))
     said += [_large(found, each) for each in large if each.trait is not Trait.COLOURED]
     return tuple(said + _summary(found, quiet=not said))

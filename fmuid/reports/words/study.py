@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 
 def source_words(note: SourceNote) -> str:
-    """Return why an earlier result that priors are taken from is to be taken with care."""
+    """Return why an earlier result, of which something is taken, is to be taken with care."""
     match note.doubt:
         case SourceDoubt.DID_NOT_SUCCEED:
-            return f"{note.path}, which priors are taken from, did not succeed: {note.outcome.value}"
+            return f"{note.path}, an earlier result, did not succeed: {note.outcome.value}"
         case SourceDoubt.NO_MODEL:
             return f"{note.path} does not say of which model it is a result"
         case SourceDoubt.OTHER_BUILD:

@@ -1,0 +1,90 @@
+"""The commands about results: parse, call, print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmuid.cli.options import DONE, InProcess, Overrides
+from fmuid.cli.studies import logged
+
+if TYPE_CHECKING:
+    from fmuid.studies import Study
+
+ResultFile = Annotated[
+    Path,
+    typer.Argument(metavar="RESULT", help="A result.json, or the folder that has it.", show_default=False),
+]
+StudyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--study",
+        metavar="STUDY",
+        help="Whose model and words for tables serve; default: the study of the result.",
+    ),
+]
+
+
+def predict(
+    result: ResultFile,
+    tables: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="TABLE", help="Records, or folders of records.", show_default=False),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Where the files go; default: prediction/ beside RESULT."),
+    ] = None,
+    study: StudyOption = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--free", metavar="NAME", help="Estimate this again on each record, such as an initial state; repeatable."
+        ),
+    ] = None,
+    like: Annotated[
+        str | None,
+        typer.Option("--like", metavar="NAME", help="The experiment whose words the tables are read with."),
+    ] = None,
+    folds: Annotated[
+        int | None,
+        typer.Option(
+            "--folds",
+            metavar="K",
+            help="Instead of tables: predict each K-th of the study's experiments from the rest.",
+        ),
+    ] = None,
+    level: Annotated[float, typer.Option("--level", metavar="P", help="Of the bands.")] = 0.95,
+    set_: Overrides = None,
+    in_process: InProcess = False,
+) -> int:
+    """Simulate a result over records that it was not made from: errors, fits, tests, bands."""
+    from fmuid.studies import result_path
+
+    path = result_path(result)
+    folder = path.parent / "prediction" if output is None else output
+    with logged(folder, in_process) as isolated:
+        from fmuid import files
+        from fmuid.reports import run_prediction
+        from fmuid.reports.console import layout as console
+        from fmuid.reports.console.prediction import show_predictions
+
+        records = tables or []
+        read = _study(path, study, set_, records, isolated=isolated)
+        found = run_prediction(path, records, study=read, free=free or (), like=like, folds=folds, level=level)
+        show_predictions(found)
+        files.make_folder(folder)
+        written = [*found.write(folder), *found.draw(folder)]
+        console.show_files(written)
+        return DONE
+
+
+def _study(result: Path, study: Path | None, set_: list[str] | None, tables: list[Path], *, isolated: bool) -> Study:
+    """Return the study that is asked for, or that of a result."""
+    from fmuid.studies import Study, study_of
+
+    if study is not None:
+        return Study.read(study, set_ or (), isolated=isolated)
+    return study_of(result, set_ or (), isolated=isolated, in_place=tables[0] if tables else None)

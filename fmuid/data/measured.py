@@ -1,0 +1,60 @@
+"""Which measurements a result was made from: for each output of each experiment, how many samples and their digest."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmuid.data.predictors import Measurements
+
+# Hexadecimal digits: that two different series share them has a probability of 1 in 10^19.
+DIGITS = 16
+
+
+@dataclass(frozen=True)
+class MeasuredSeries:
+    """The samples of one output of one experiment that count.
+
+    Attributes
+    ----------
+    experiment, output : str
+    unit : str
+        Of the samples, "" where it is the model's.
+    samples : int
+    digest : str
+        Of their times and values, as the table has them: equal for equal samples, whatever output they are taken for.
+    """
+
+    experiment: str
+    output: str
+    unit: str
+    samples: int
+    digest: str
+
+    @classmethod
+    def of_json(cls, data: Mapping[str, Any]) -> MeasuredSeries:
+        """Return a series of a file.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If the data are not of one.
+        """
+        return cls(
+            str(data["experiment"]), str(data["output"]), str(data["unit"]), int(data["samples"]), str(data["digest"])
+        )
+
+
+def measured_series(experiment: Measurements) -> tuple[MeasuredSeries, ...]:
+    """Return the series of an experiment, one an output."""
+    found = []
+    for j, output in enumerate(experiment.output_names):
+        counted = experiment.counted[:, j]
+        samples = np.column_stack([experiment.times[counted], experiment.output_values[counted, j]])
+        digest = hashlib.sha256(samples.astype("<f8").tobytes()).hexdigest()[:DIGITS]
+        found.append(MeasuredSeries(experiment.name, output, experiment.units.get(output, ""), len(samples), digest))
+    return tuple(found)

@@ -1,0 +1,42 @@
+"""What `fmuid predict` prints: how well each output of each record is predicted, and what that means."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from rich.markup import escape
+
+from fmuid.reports.console.layout import console, show_notes, table_of, unit_text
+from fmuid.reports.words.prediction import fold_words, prediction_words
+from fmuid.reports.words.study import source_words
+from fmuid.text import with_std
+
+if TYPE_CHECKING:
+    from fmuid.reports.predictions import PredictionFindings
+
+
+def show_predictions(found: PredictionFindings) -> None:
+    """Print a table, a row for each output of each record, and what is to be said of them."""
+    show_notes(map(source_words, found.notes))
+    show_notes(f"the result was made from {name}: this is no prediction" for name in found.seen)
+    heads = ["record", "output", "RMSE", "fit", "expected", "in the band", "mean", "samples"]
+    table = table_of("Predicted against measured", heads, right=heads[2:])
+    for each in found.predictions:
+        for score in each.scores:
+            unit = unit_text(score.unit)
+            cells = [each.fit.experiment, score.output, f"{score.rmse:.4g} {unit}".strip(), f"{score.fit:.4g} %"]
+            known = not math.isnan(score.expected)
+            cells += [f"{score.expected:.4g}", f"{100 * score.inside:.3g} %"] if known else ["not known", ""]
+            table.add_row(*map(escape, [*cells, f"{score.mean:.3g}", str(score.samples)]))
+    out = console()
+    out.print(table)
+    for each in found.predictions:
+        if each.estimated is not None:
+            triples = zip(each.estimated.names, each.estimated.values, each.estimated.std, strict=True)
+            values = ", ".join(f"{name} = {with_std(float(value), float(std))}" for name, value, std in triples)
+            out.print(f"Estimated again on {escape(each.fit.experiment)}: {escape(values)}", soft_wrap=True)
+        for words in prediction_words(each):
+            out.print(escape(words), soft_wrap=True)
+    if found.folds:
+        out.print(escape(fold_words(found.predictions)), soft_wrap=True)

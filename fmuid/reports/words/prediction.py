@@ -1,0 +1,64 @@
+"""What is to be said of predictions of records that a result was not made from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from fmuid.reports.words.residuals import residual_words
+from fmuid.reports.words.result import ENDS
+from fmuid.text import has_unit, listed
+
+if TYPE_CHECKING:
+    from fmuid.model_problem import OutputScore, Prediction
+
+# Residuals that are larger than expected by this factor are an error of the model rather than chance.
+WORTH_SAYING = 1.25
+
+
+def prediction_words(found: Prediction) -> tuple[str, ...]:
+    """Return what is to be known of a prediction, in sentences: how good it is first."""
+    said = [_score_words(found, score) for score in found.scores]
+    if found.undetermined:
+        said.append(f"The result leaves {listed(found.undetermined)} undetermined: the band is that of the noise alone")
+    if found.estimated is not None and not found.estimated.converged:
+        names = listed(found.estimated.names)
+        said.append(f"Estimated again on this record, {names}: {ENDS[found.estimated.outcome]}")
+    return *said, *residual_words(found.residuals)
+
+
+def _score_words(found: Prediction, score: OutputScore) -> str:
+    said = (
+        f"{score.output} in {found.fit.experiment} is predicted with a fit of {score.fit:.4g} % "
+        f"(RMSE {with_unit(score.rmse, score.unit)})"
+    )
+    if math.isnan(score.expected):
+        return f"{said}; the result was not made from such an output, so nothing says how large the residual should be"
+    band = f"{100 * score.inside:.3g} % of {score.samples} samples lie in the {100 * found.level:.4g} % band"
+    if score.ratio <= WORTH_SAYING:
+        return f"{said}, as noise and estimates let expect ({with_unit(score.expected, score.unit)}): {band}"
+    return (
+        f"{said}, {score.ratio:.2g} times what noise and estimates let expect "
+        f"({with_unit(score.expected, score.unit)}): {band}; the record shows an error of the model, or the machine "
+        "has changed"
+    )
+
+
+def with_unit(value: float, unit: str) -> str:
+    """Return a number with its unit."""
+    return f"{value:.4g} {unit}" if has_unit(unit) else f"{value:.4g}"
+
+
+def fold_words(predictions: Sequence[Prediction]) -> str:
+    """Return what a cross-validation says of a model, by all its predictions."""
+    ratios = [score.ratio for found in predictions for score in found.scores if not math.isnan(score.ratio)]
+    if not ratios:
+        return "Nothing says how large the residuals should be"
+    worst = max(ratios)
+    if worst <= WORTH_SAYING:
+        return f"Left out in turn, the experiments are predicted as noise and estimates let expect ({worst:.2g} times)"
+    return (
+        f"Left out in turn, experiments are predicted up to {worst:.2g} times worse than noise and estimates let "
+        "expect: what is identified from the others does not carry over to all of them"
+    )

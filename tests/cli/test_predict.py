@@ -1,0 +1,106 @@
+"""`fmuid predict` from end to end, and what it says of wrong input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.cli.options import DONE, WRONG_INPUT
+from tests.support.coil_study import STUDY, coil_table, fmuid_
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a study, its result and three records."""
+    folder = tmp_path_factory.mktemp("coil")
+    for k, name in enumerate(("first", "second", "third")):
+        coil_table(folder / f"{name}.csv", 0.1 * k, seed=k)
+    (folder / "study.toml").write_text(STUDY)
+    assert fmuid_("identify", folder / "study.toml", "--in-process") == DONE
+    return folder
+
+
+def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tables = (made / "second.csv", made / "third.csv")
+    assert fmuid_("predict", made / "results", *tables, "--free", "i_start", "-o", tmp_path, "--in-process") == DONE
+    out, error = capsys.readouterr()
+    assert error == ""
+    for word in ("second", "third", "RMSE", "in the band", "Estimated again on third: i_start = 0.2", "prediction.csv"):
+        assert word in out
+    content = json.loads((tmp_path / "prediction.json").read_text())
+    assert [record["experiment"] for record in content["records"]] == ["second", "third"]
+    assert content["records"][1]["estimated"]["parameters"]["i_start"]["value"] == pytest.approx(0.2, abs=0.05)
+    scores = pd.read_csv(tmp_path / "scores.csv")
+    assert list(scores["record"]) == ["second", "third"]
+    assert scores["rmse"].tolist() == [record["outputs"][0]["rmse"] for record in content["records"]]
+    assert len(pd.read_csv(tmp_path / "prediction.csv")) == 1200
+    figures = {path.stem for path in (tmp_path / "figures").iterdir()}
+    assert {"prediction-second", "prediction-third", "residuals-second"} <= figures
+
+
+def test_the_record_of_the_result_is_no_prediction(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fmuid_("predict", made / "results", made / "first.csv", "-o", tmp_path, "--in-process") == DONE
+    out, error = capsys.readouterr()
+    assert "the result was made from first: this is no prediction" in error
+    identified = json.loads((made / "results" / "result.json").read_text())
+    rmse = json.loads((tmp_path / "prediction.json").read_text())["records"][0]["outputs"][0]["rmse"]
+    assert rmse**2 == pytest.approx(identified["noise_variance"]["i"] * 598 / 600, rel=1e-3)
+    assert "as noise and estimates let expect" in out
+
+
+def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    several = [
+        f'{{table="{name}.csv", inputs=["u"], outputs=["i"], interpolation="hold"}}' for name in ("first", "second")
+    ]
+    with_both = ("--set", f"experiments=[{', '.join(several)}]", "--free", "i_start")
+    code = fmuid_("predict", made / "results", "--folds", "2", *with_both, "-o", tmp_path, "--in-process")
+    assert code == DONE
+    out = capsys.readouterr().out
+    assert "Left out in turn" in " ".join(out.split())
+    folds = json.loads((tmp_path / "prediction.json").read_text())["folds"]
+    assert [fold["left_out"] for fold in folds] == [["first"], ["second"]]
+
+
+def test_from_python(made: Path) -> None:
+    found = fmuid.run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
+    assert found.predictions[0].scores[0].ratio == pytest.approx(1.0, abs=0.1)
+    assert found.files == ()
+    assert any("is predicted with a fit of" in words for words in found.words)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("results",), "name the tables to predict, or give --folds"),
+        (("results", "second.csv", "--folds", "2"), "leave the tables out"),
+        (("results", "--folds", "2"), "nothing to leave out"),
+        (("nothing", "second.csv"), "there is no such result"),
+        (("results", "missing.csv"), "missing.csv"),
+        (("results", "study.toml"), "study.toml"),
+        (("results", "second.csv", "--free", "Rr"), "'Rr'"),
+        (("results", "second.csv", "--level", "2"), "the level of a band must lie between 0 and 1"),
+        (("results", "second.csv", "--like", "x"), "has no experiment 'x'"),
+        (("results", "other.csv"), "'u'"),
+        (("results", "volts.csv"), "V"),
+    ],
+)
+def test_wrong_input_is_one_sentence(
+    made: Path, words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (made / "second.csv").read_text()
+    (made / "other.csv").write_text(text.replace("time,u,i", "time,v,i"))
+    (made / "volts.csv").write_text(text.replace("time,u,i", "time,u,i [V]"))
+    paths = [made / word if word in ("results", "nothing") or "." in word else word for word in words]
+    assert fmuid_("predict", *paths, "--in-process") == WRONG_INPUT
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert len(error.splitlines()) == 1
+    assert said in error

@@ -1,0 +1,145 @@
+"""The study that a result was made by, kept in its file; records read like it; cross-validation."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmuid.errors import InputError
+from fmuid.estimation import Result
+from fmuid.studies import Study, cross_validate, origin_of, predict_with, records_like, study_of
+from tests.support.coil_study import STUDY, coil_table
+from tests.support.results import result as written
+
+OWN_START = "i_start = { start = 0.0, nominal = 0.1, per_experiment = true }\n"
+MORE = """[[experiments]]
+table = "{0}.csv"
+inputs = ["u"]
+outputs = ["i"]
+interpolation = "hold"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for k, name in enumerate(("first", "second", "third")):
+        coil_table(tmp_path / f"{name}.csv", 0.1 * k, seed=k)
+    (tmp_path / "study.toml").write_text(STUDY)
+    return tmp_path
+
+
+def kept(study: Study, folder: Path) -> Path:
+    """Write a result that keeps its study."""
+    folder.mkdir(exist_ok=True)
+    content = json.loads(json.dumps(origin_of(study, folder), allow_nan=False))
+    return written(folder, {"R": (4.0, 0.01), "L": (0.1, 0.001)}, study=content)
+
+
+def test_a_result_keeps_its_study(folder: Path) -> None:
+    study = Study.read(folder / "study.toml", ["parameters.R.max=inf", "parameters.L.start=0.07"])
+    path = kept(study, folder / "results")
+    (folder / "study.toml").unlink()  # what was run counts, not what the file has become
+    found = study_of(path)
+    assert found.path == folder / "study.toml"
+    assert found.data == study.data
+    assert (found.parameters["R"].max, found.parameters["L"].start) == (math.inf, 0.07)
+    assert study_of(path.parent, ["parameters.R.start=9"]).parameters["R"].start == 9.0
+
+
+def test_a_table_that_is_gone_needs_another_in_its_place(folder: Path) -> None:
+    path = kept(Study.read(folder / "study.toml"), folder)
+    (folder / "first.csv").unlink()
+    with pytest.raises(InputError, match=r"first\.csv"):
+        study_of(path)
+    assert study_of(path, in_place=folder / "second.csv").experiments[0].table == folder / "second.csv"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{}", "does not say which fmuid has written it"),
+        ('{"version": "0"}', "does not say by which study it was made: name the study file with --study"),
+        ('{"version": "0", "study": {}}', "has no 'file' in 'study'"),
+        ("{", "is not JSON"),
+    ],
+)
+def test_a_file_without_a_study_is_refused(folder: Path, text: str, said: str) -> None:
+    (folder / "result.json").write_text(text)
+    with pytest.raises(InputError, match=said):
+        study_of(folder)
+
+
+def test_there_is_no_such_result(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"there is no such result: give a result\.json"):
+        study_of(folder / "nothing")
+
+
+def test_records_are_read_with_the_words_of_an_experiment(folder: Path) -> None:
+    study = Study.read(folder / "study.toml")
+    (record,) = records_like(study, [folder / "second.csv"])
+    assert record.name == "second"
+    assert record.held.all()
+    with pytest.raises(InputError, match=r"has no experiment 'firts' \(did you mean 'first'\?\): it has first"):
+        records_like(study, [folder / "second.csv"], "firts")
+    text = (folder / "second.csv").read_text().replace("time,u,i", "time,v,i")
+    (folder / "other.csv").write_text(text)
+    with pytest.raises(InputError, match=r"other\.csv: .*'u'.*\(inputs and outputs are those of experiment 'first' of"):
+        records_like(study, [folder / "other.csv"])
+
+
+def test_variables_of_the_model_are_estimated_again(folder: Path) -> None:
+    study = Study.read(folder / "study.toml")
+    result = study.identify()
+    (record,) = records_like(study, [folder / "third.csv"])
+    assert predict_with(study, result, record).scores[0].ratio > 1.1
+    again = predict_with(study, result, record, free=["i_start"])
+    assert again.estimated is not None
+    assert abs(again.estimated["i_start"] - 0.2) < 4 * again.estimated.std[0]
+    with pytest.raises(InputError, match="i_stat"):
+        predict_with(study, result, record, free=["i_stat"])
+
+
+def test_a_parameter_without_a_value_is_refused(folder: Path) -> None:
+    study = Study.read(folder / "study.toml", ["parameters.i_start={start=0.0, nominal=0.1}"])
+    result = Result.from_json(kept(study, folder))
+    (record,) = records_like(study, [folder / "second.csv"])
+    with pytest.raises(InputError, match=r"has the parameter 'i_start', of which the result has no value: .*--free"):
+        predict_with(study, result, record)
+    assert predict_with(study, result, record, free=["i_start"]).estimated is not None
+
+
+def test_each_part_is_predicted_from_the_others(folder: Path) -> None:
+    text = STUDY + OWN_START + MORE.format("second") + MORE.format("third")
+    (folder / "study.toml").write_text(text)
+    study = Study.read(folder / "study.toml")
+    folds = cross_validate(study, 3)
+    assert [[each.fit.experiment for each in fold.predictions] for fold in folds] == [["first"], ["second"], ["third"]]
+    for fold in folds:
+        (found,) = fold.predictions
+        assert found.scores[0].ratio == pytest.approx(1.0, abs=0.1)
+        assert not any(series.experiment == found.fit.experiment for series in fold.result.data)
+        assert {series.samples for series in fold.result.data} == {600}
+    pairs = cross_validate(study, 2)
+    assert [len(fold.predictions) for fold in pairs] == [2, 1]
+    alone = Study.read(folder / "study.toml", ['experiments=[{table="first.csv", outputs=["i"], inputs=["u"]}]'])
+    with pytest.raises(InputError, match=r"2 folds of 1 experiments: .*nothing to leave out"):
+        cross_validate(alone, 2)
+
+
+def test_units_of_a_record_may_be_others(folder: Path) -> None:
+    study = Study.read(folder / "study.toml")
+    result = study.identify()
+    lines = (folder / "second.csv").read_text().splitlines()
+    rows = [[float(cell) for cell in line.split(",")] for line in lines[1:]]
+    thousands = "\n".join(",".join(map(repr, [t, u, 1e3 * i])) for t, u, i in rows)
+    (folder / "milli.csv").write_text(f"time,u,i [mA]\n{thousands}\n")
+    plain, milli = records_like(study, [folder / "second.csv", folder / "milli.csv"])
+    one, other = predict_with(study, result, plain), predict_with(study, result, milli)
+    assert other.scores[0].unit == "mA"
+    assert other.scores[0].rmse == pytest.approx(1e3 * one.scores[0].rmse)
+    np.testing.assert_allclose(other.half_width, 1e3 * one.half_width, rtol=1e-6)
+    assert other.scores[0].ratio == pytest.approx(one.scores[0].ratio)
