@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from scipy import special
 
 from fmuid.assessment import VarianceTest
 from fmuid.diagnosis.decision import Reference
+from fmuid.diagnosis.fits import Checked
 from fmuid.errors import InputError
 from fmuid.estimation import Direction, Outcome, Result, check_level
 
@@ -141,6 +142,8 @@ class Hypothesis:
         Not kept in a file.
     result : Result or None
         The fit; not kept in a file.
+    checked : Checked
+        What the error of the simulation does to it.
     """
 
     name: str
@@ -163,6 +166,7 @@ class Hypothesis:
     strain: Strain | None = None
     variances: tuple[VarianceTest, ...] = ()
     result: Result | None = None
+    checked: Checked = field(default_factory=Checked)
 
     def judged(self, adjusted: float, threshold: float, information: float) -> Hypothesis:
         """Return the hypothesis with what follows from comparing it with the others."""
@@ -205,6 +209,7 @@ class Hypothesis:
             "sizes": sizes,
             "common": {name: {"value": value, "std": std} for name, (value, std) in self.common.items()},
             "reference": self.reference,
+            "accuracy": self.checked.to_json_dict(),
         }
 
     def located(self, size: Size, level: float) -> bool:
@@ -236,6 +241,7 @@ class Hypothesis:
             outcome=Outcome(data["outcome"]),
             undetermined=tuple(map(Direction.of_json, data["undetermined"])),
             prior_determined=tuple(map(Direction.of_json, data["prior_determined"])),
+            checked=Checked.of_json(data.get("accuracy")),
             **{key: data[key] for key in _PLAIN_KEYS},
         )
 

@@ -31,14 +31,16 @@ from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL, Reference, at_least_one, orthant_weights, rivals
 from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.fits import Checked, fit_both
 from fmuid.diagnosis.hypothesis import Hypothesis, Size, Strain
 from fmuid.diagnosis.verdict import Diagnosis, Test
 from fmuid.errors import InputError
-from fmuid.estimation import SENSITIVITIES, Marquardt, Outcome, Result, check_level, identify
+from fmuid.estimation import SENSITIVITIES, Marquardt, Outcome, Result, check_level
 from fmuid.fmi import FMU
-from fmuid.model_problem import Problem
+from fmuid.model_problem import Problem, identify
 from fmuid.models import System
 from fmuid.progress import FaultStep, Progress
+from fmuid.simulation import AS_ASKED, Refinement
 from fmuid.text import nearest
 from fmuid.version import __version__
 
@@ -59,6 +61,8 @@ class DiagnosisSettings:
         Of the fits.
     sensitivity : "finite-difference", "forward" or "fmu"
         As for `fmuid.Problem`.
+    accuracy : "switch", "check" or "off"
+        What is done about the error of the simulation in each fit (`fmuid.identify`).
 
     Raises
     ------
@@ -69,6 +73,7 @@ class DiagnosisSettings:
     level: float = FALSE_ALARM_LEVEL
     search: Marquardt = field(default_factory=Marquardt)
     sensitivity: str = "finite-difference"
+    accuracy: str = "switch"
 
     def __post_init__(self) -> None:
         check_level(self.level, "a test")
@@ -138,11 +143,14 @@ class _Diagnosing:
         self.settings, self.level = settings, settings.level
         outputs = tuple(dict.fromkeys(name for each in experiments for name in each.output_names))
         self.freedom, self.variance = baseline.freedom, baseline.variance(outputs)
+        known = baseline.result.accuracy
+        self.refinement = Refinement(known.tolerance, known.divisor) if known is not None else AS_ASKED
 
     def fit_nominal(self, model: System) -> tuple[Result, Reading]:
         """Fit the healthy machine."""
         problem = self._problem(model, self.experiments, self.common, self.variance, self.held)
-        result = identify(problem, self.settings.search)
+        problem.simulate_by(self.refinement)  # that of the healthy record, whose estimates are the prior
+        result = identify(problem, self.settings.search, accuracy=self.settings.accuracy)
         return result, read_result(problem, result)
 
     def fit_fault(self, name: str, fault: Fault, nominal: tuple[Result, Reading]) -> Hypothesis:
@@ -160,10 +168,15 @@ class _Diagnosing:
                 raise InputError(f"the parameter {each!r} is the fault's and the healthy machine's: it can be only one")
         variance = {names.get(each, each): value for each, value in self.variance.items()}
         without = self._problem(system, experiments, common, variance, {**fault.values, **fault.zero})
-        healthy = identify(without, self.settings.search, start=_started(without, nominal[0], names))
         problem = self._problem(system, experiments, common | fault.searched, variance, fault.values)
-        found = [identify(problem, self.settings.search, start=start) for start in _starts(problem, healthy, fault)]
-        best = min(found, key=lambda each: each.criterion)
+        healthy, best = fit_both(
+            without,
+            problem,
+            _started(without, nominal[0], names),
+            lambda healthy: _starts(problem, healthy, fault),
+            self.settings.search,
+            self.settings.accuracy,
+        )
         examined = examine_residuals(problem, best)
         reading, colour = read_result(problem, best, diagnostics=examined), _colour(examined, fault)
         return _hypothesis(name, fault, system, (healthy, best), nominal[0].criterion, reading, colour, self.freedom)
@@ -214,6 +227,7 @@ class _Diagnosing:
             strain=found[best[0]].strain if best else _strain(nominal[1]),
             version=__version__,
             result=result,
+            checked=Checked.of(result),
         )
 
     def _unexplained(self, without: Sequence[VarianceTest], with_: Sequence[VarianceTest] | None) -> Test:
@@ -303,6 +317,7 @@ def _hypothesis(
         strain=_strain(reading),
         variances=reading.variances,
         result=best,
+        checked=Checked.of(best),
     )
 
 

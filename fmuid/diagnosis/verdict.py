@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from fmuid.diagnosis.fits import Checked
 from fmuid.diagnosis.hypothesis import Estimate, Hypothesis, Strain, estimates_of
 from fmuid.errors import InputError
 from fmuid.estimation import Result
@@ -68,6 +69,8 @@ class Diagnosis:
         Of fmuid.
     result : Result or None
         The fit of the healthy model; not kept in a file.
+    checked : Checked
+        What the error of the simulation does to it.
     """
 
     level: float
@@ -82,6 +85,7 @@ class Diagnosis:
     strain: Strain | None
     version: str
     result: Result | None = None
+    checked: Checked = field(default_factory=Checked)
 
     def __getitem__(self, name: str) -> Hypothesis:
         """Return one hypothesis."""
@@ -144,6 +148,7 @@ class Diagnosis:
             "ended": self.ended,
             "faults": {each.name: each.to_json_dict(self.level) for each in self.hypotheses},
             "strain": self.strain,
+            "accuracy": self.checked.to_json_dict(),
             "version": self.version,
         }
         plain: dict[str, Any] = as_json(content)
@@ -181,4 +186,5 @@ class Diagnosis:
                 ended=bool(data["ended"]),
                 strain=None if data["strain"] is None else Strain(**data["strain"]),
                 version=str(data["version"]),
+                checked=Checked.of_json(data.get("accuracy")),
             )

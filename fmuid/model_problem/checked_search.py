@@ -151,7 +151,12 @@ class _CheckedSearch:
     def _compare_start(self, at: Floats) -> None:
         """Go by model exchange where co-simulation fails at a start (N,), or is far off there."""
         problem, finer = self.problem, self.problem.next_sure_refinement
-        if finer is None or not replaces_interface(problem.system, finer) or not is_free(problem.system):
+        if (
+            problem.refinement.any
+            or finer is None
+            or not replaces_interface(problem.system, finer)
+            or not is_free(problem.system)
+        ):
             return
         if at.shape != (len(problem.parameters),):
             return  # which the search will say

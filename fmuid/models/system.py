@@ -191,14 +191,12 @@ class System(Owner):
 
     @property
     def sampling_known(self) -> bool:
-        """Whether it is known which components act once a communication step: there is one, or something is said.
+        """Whether it is known which components act once a communication step: none is connected, or something is said.
 
         It cannot be told from FMUs with continuous states: a PI control and a spring with a damper have the same
         equations, and shorter steps are a faster control of the one and a smaller error of the other.
         """
-        return len(self.components) == 1 or any(
-            model.numerics.samples is not None for model in self.components.values()
-        )
+        return not self.connections or any(model.numerics.samples is not None for model in self.components.values())
 
     def run_by(self, numerics: Mapping[str, Numerics]) -> System:
         """Return this system with some of its components run in another way; it is closed with this one.

@@ -332,7 +332,7 @@ class Study:
         from fmuid.diagnosis import DiagnosisSettings, diagnose  # and all that decides
 
         hypotheses = settings.hypotheses(self.system, self.model)
-        how = DiagnosisSettings(settings.level, self.estimator.marquardt, self.sensitivity)
+        how = DiagnosisSettings(settings.level, self.estimator.marquardt, self.sensitivity, self.accuracy)
         try:
             healthy = settings.baseline(self.model, self.parameters, self.noise)
             return diagnose(self.tables, healthy, hypotheses, self.system, how, progress)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from fmuid.reports.console.layout import console, table_of, unit_text
-from fmuid.reports.words.diagnosis import chance, hypothesis_notes, strain_words, verdict
+from fmuid.reports.words.diagnosis import chance, hypothesis_notes, simulation_notes, strain_words, verdict
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
@@ -43,6 +43,8 @@ def show_diagnosis(found: Diagnosis) -> None:
     for each in found.hypotheses:
         for note in hypothesis_notes(each):
             out.print(f"[yellow]note:[/] {escape(each.name)}: {escape(note)}", soft_wrap=True)
+    for note in simulation_notes(found):
+        out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
 
 
 def _common(found: Diagnosis) -> dict[str, tuple[float, float]]:

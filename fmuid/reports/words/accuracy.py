@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Cause, Kept
 from fmuid.reports.words.models import runs_words
 
 if TYPE_CHECKING:
-    from fmuid.estimation import Accuracy, Result, Switch
+    from fmuid.estimation import Accuracy, Switch
 
 KEPT = {
     Kept.ASKED: "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search",
@@ -20,9 +21,15 @@ KEPT = {
 """Why a simulation that shifts the estimates serves all the same."""
 
 
-def accuracy_words(result: Result) -> tuple[str, ...]:
-    """Return the sentences on a simulation that cannot be taken for exact, or was not to begin with."""
-    found = result.accuracy
+def accuracy_words(names: Sequence[str], found: Accuracy | None) -> tuple[str, ...]:
+    """Return the sentences on a simulation that cannot be taken for exact, or was not to begin with.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The parameters, in the order of `Accuracy.shift`.
+    found : Accuracy or None
+    """
     if found is None:
         return ()
     finer = runs_words(found.finer)
@@ -30,7 +37,7 @@ def accuracy_words(result: Result) -> tuple[str, ...]:
         f"{_optima(found.refused)} fitted as well, and the finer simulation ({finer}) moves away from "
         f"{'it' if found.refused == 1 else 'them'}: refused"
     )
-    words = [*map(_switch, found.switches), *([refused] if found.refused else []), _outcome(result, found)]
+    words = [*map(_switch, found.switches), *([refused] if found.refused else []), _outcome(names, found)]
     return tuple(filter(None, words))
 
 
@@ -65,7 +72,7 @@ def _switch(switch: Switch) -> str:
     return f"the error of {before} {moved}: the search went on by {after}, in {switch.simulations} simulations"
 
 
-def _outcome(result: Result, found: Accuracy) -> str:
+def _outcome(names: Sequence[str], found: Accuracy) -> str:
     used, finer = runs_words(found.used), runs_words(found.finer)
     match found.outcome:
         case AccuracyOutcome.PASSED:
@@ -74,7 +81,7 @@ def _outcome(result: Result, found: Accuracy) -> str:
             why = KEPT.get(found.kept, "") if found.kept else ""
             return (
                 "the error of the simulation moves estimates, in the standard deviations of noise: "
-                f"{_shifts(result, found)} ({finer} against {used}); that is added to the standard deviations; {why}"
+                f"{_shifts(names, found)} ({finer} against {used}); that is added to the standard deviations; {why}"
             )
         case AccuracyOutcome.UNKNOWN:
             return (
@@ -91,7 +98,7 @@ def _outcome(result: Result, found: Accuracy) -> str:
         case AccuracyOutcome.COUPLED:
             return (
                 "the error of the simulation is not known: a quarter of the communication step would move "
-                f"{_shifts(result, found)} (standard deviations), and the FMUs do not tell whether for less error or "
+                f"{_shifts(names, found)} (standard deviations), and the FMUs do not tell whether for less error or "
                 "because a sampled controller would act more often; give samples = true for the components that act "
                 "once a step, or samples = false where none does"
             )
@@ -101,9 +108,9 @@ def _outcome(result: Result, found: Accuracy) -> str:
             return "the error of the simulation was not checked: interrupted"
 
 
-def _shifts(result: Result, found: Accuracy) -> str:
+def _shifts(names: Sequence[str], found: Accuracy) -> str:
     """Return which estimates are moved, and by how much; just that they may be where no standard deviation is known."""
-    pairs = zip(result.names, found.shift.tolist(), strict=True)
+    pairs = zip(names, found.shift.tolist(), strict=True)
     moved = ", ".join(f"{name} by {shift:+.2g}" for name, shift in pairs if abs(shift) > SHIFT_LIMIT)
     return moved or f"the outputs by {found.change:.2g} in all"
 

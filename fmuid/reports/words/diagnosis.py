@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
 from fmuid.text import has_unit, listed, with_std
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 def diagnosis_words(found: Diagnosis) -> tuple[str, ...]:
     """Return all that is to be said of a diagnosis: the verdict first, then what is to be known of it."""
     own = [f"{each.name}: {note}" for each in found.hypotheses for note in hypothesis_notes(each)]
-    return verdict(found), *strain_words(found.strain), *own
+    return verdict(found), *strain_words(found.strain), *own, *simulation_notes(found)
 
 
 def verdict(found: Diagnosis) -> str:
@@ -94,6 +95,15 @@ def hypothesis_notes(each: Hypothesis) -> list[str]:
             f"by {each.colour:.3g}"
         )
     return notes
+
+
+def simulation_notes(found: Diagnosis) -> list[str]:
+    """Return what is to be said of the error of the simulation, of each fit what was not said of one before it."""
+    said: dict[str, str] = {}
+    for name, checked in [("", found.checked), *((each.name, each.checked) for each in found.hypotheses)]:
+        for words in accuracy_words(checked.names, checked.accuracy):
+            said.setdefault(words, name)
+    return [f"{name}: {words}" if name else words for words, name in said.items()]
 
 
 def strain_words(strain: Strain | None) -> list[str]:

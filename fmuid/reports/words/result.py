@@ -76,7 +76,7 @@ def remarks(result: Result) -> tuple[str, ...]:
         if name in result.moved_start
     ]
     prior = [f"without the prior, {direction_words(each)}" for each in result.prior_determined]
-    return *moved, *accuracy_words(result), *pairs, *map(direction_words, result.weak), *prior
+    return *moved, *accuracy_words(result.names, result.accuracy), *pairs, *map(direction_words, result.weak), *prior
 
 
 def capitalised(words: str) -> str:
