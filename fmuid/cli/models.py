@@ -73,8 +73,8 @@ def init(
     records = [asked_about(record) for record in begin(fmu, tables, asked)]
     made = draft(fmu, records, output)
     write_draft(made, output)
-    show_draft(output)
-    return NOT_SUCCEEDED if made.lacking else DONE
+    show_draft(made, output)
+    return DONE if made.runs else NOT_SUCCEEDED
 
 
 def _placed(name: str) -> str | int:

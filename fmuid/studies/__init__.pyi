@@ -8,10 +8,13 @@ from .drafting.draft import check_output as check_output
 from .drafting.draft import draft as draft
 from .drafting.draft import write_draft as write_draft
 from .drafting.lines import skeleton as skeleton
-from .drafting.mapping import Link as Link
+from .drafting.mapping import ColumnLink as ColumnLink
 from .drafting.mapping import Reason as Reason
 from .drafting.record import Asked as Asked
 from .drafting.record import Record as Record
+from .drafting.survey import SHOWN_CHANGE as SHOWN_CHANGE
+from .drafting.survey import Candidate as Candidate
+from .drafting.survey import proposal as proposal
 from .model import ExperimentSettings as ExperimentSettings
 from .monitoring import monitor_of as monitor_of
 from .monitoring import records_of as records_of

@@ -473,7 +473,7 @@ def test_info(capsys: pytest.CaptureFixture[str]) -> None:
     assert line.split()[:4] == ["Rs", "9.81", "Ohm", "0"]
 
 
-def test_init_gives_a_study_that_needs_only_its_parameters(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_init_gives_a_study_that_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     frame = pd.read_csv(folder / "first.csv").assign(temperature=20.0).rename(columns={"time": "t"})
     frame.to_csv(folder / "first.csv", index=False)
     study = folder / "new.toml"
@@ -489,22 +489,16 @@ def test_init_gives_a_study_that_needs_only_its_parameters(folder: Path, capsys:
             "time": "time",  # which t is too
             "inputs": ["u"],
             "outputs": ["i"],
-            "interpolation": "linear",
+            "interpolation": "hold",  # as the voltage shows
             "discard": 0.0,
         }
     ]
-    assert content["parameters"] == {}
-    assert "# R = { start = 4.0, min = 0.0 }  # Ohm: resistance" in text
-    assert "# i_start = { start = 0.0, nominal = 1.0 }  # A: initial current" in text
+    assert content["parameters"] == {"R": {"start": 4.0, "min": 0.0}, "L": {"start": 0.1, "min": 1e-9}}
+    assert re.search(r"^R = {.*}  # Ohm: resistance; [\d.]+ %$", text, re.MULTILINE)
+    assert "# i_start = { start = 0.0, nominal = 1.0 }  # A: initial current; " in text
     assert "temperature" in text
+    assert "Next: fmuid identify " in out
 
-    assert fmuid_("identify", study) == WRONG_INPUT
-    sentence = capsys.readouterr().err
-    assert "no parameters" in sentence
-    assert sentence.count("\n") == 1
-
-    freed = [line[2:] if line.startswith(("# R =", "# L =")) else line for line in text.splitlines()]
-    study.write_text("\n".join(freed).replace('"linear"  #', '"hold"  #'))
     assert fmuid_("identify", study) == DONE
     assert result(folder / "results")["parameters"]["R"]["value"] == pytest.approx(R, rel=0.05)
 

@@ -10,8 +10,8 @@ from rich.markup import escape
 from rich.prompt import Prompt
 
 from fmuid.errors import InputError
-from fmuid.reports.console.layout import console, show_remarks, table_of
-from fmuid.studies import Link, Reason, Record
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of, unit_text
+from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnLink, Draft, Reason, Record, proposal
 from fmuid.text import has_unit
 
 REASONS: Mapping[Reason, str] = {
@@ -39,7 +39,7 @@ def show_record(record: Record) -> None:
     show_remarks(remarks(record))
 
 
-def _cells(link: Link) -> tuple[str, ...]:
+def _cells(link: ColumnLink) -> tuple[str, ...]:
     unit = link.unit if link.unit is not None and has_unit(link.unit) else ""
     if link.column is None or link.reason is None:
         why = f"undecided between {', '.join(link.choices)}" if link.choices else "no such column"
@@ -94,7 +94,24 @@ def asked_about(record: Record) -> Record:
     return record
 
 
-def show_draft(output: Path) -> None:
-    """Say what comes next."""
+def show_draft(made: Draft, output: Path) -> None:
+    """Say which parameters are proposed, and what comes next."""
+    found, out = made.survey, console()
+    if found.candidates:
+        heads = ["parameter", "start", "unit", f"{100 * SHOWN_CHANGE:g} % change", "proposed"]
+        table = table_of("What the parameters change of the outputs' spread", heads, right=heads[1:4:2])
+        shown = found.candidates if not on_terminal() else found.candidates[:TERMINAL_ROWS]
+        for each in shown:
+            table.add_row(*(escape(cell) for cell in _proposed(each)))
+        out.print(table)
+    if found.failure:
+        show_remarks([f"nothing is known of the parameters: {found.failure}"])
     text = "free the parameters to identify in it, under \\[parameters]."
-    console().print(f"Written: [bold]{escape(str(output))}[/]. Next: {text}", soft_wrap=True)
+    if made.runs:
+        text = f"fmuid identify {escape(str(output))}"
+    out.print(f"Written: [bold]{escape(str(output))}[/]. Next: {text}", soft_wrap=True)
+
+
+def _proposed(given: Candidate) -> tuple[str, ...]:
+    unit = unit_text(given.variable.unit)
+    return given.variable.name, f"{given.start:.6g}", unit, f"{100 * given.effect:.2g} %", proposal(given)

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
 from fmuid.files import exists
-from fmuid.studies.drafting.lines import free, listed, numerics, parameter, relative, rest, role, text
+from fmuid.studies.drafting.lines import free, listed, numerics, parameter, parameter_line, relative, rest, role, text
 from fmuid.studies.drafting.record import Asked, Record
+from fmuid.studies.drafting.survey import (
+    FREE,
+    SHOWN_CHANGE,
+    Candidate,
+    Survey,
+    Use,
+    bounds,
+    is_solver_setting,
+    proposal,
+    survey,
+)
 
 if TYPE_CHECKING:
     from fmuid.fmi import Description
@@ -26,15 +37,18 @@ class Draft:
         The file.
     records : tuple of Record
         The tables, and what their columns are taken for.
+    survey : Survey
+        What the parameters change; empty where the tables cannot be simulated and compared yet.
     """
 
     text: str
     records: tuple[Record, ...]
+    survey: Survey = field(default_factory=Survey)
 
     @property
-    def lacking(self) -> bool:
-        """Whether the tables are not yet what can be simulated and compared."""
-        return any(record.experiment is None or record.lacking("input") for record in self.records)
+    def runs(self) -> bool:
+        """Whether the study can be identified as it is."""
+        return bool(self.survey.freed)
 
 
 def begin(fmu: Path, tables: Sequence[Path], asked: Asked | None = None) -> tuple[Record, ...]:
@@ -69,7 +83,7 @@ def draft(fmu: Path, records: Sequence[Record], output: Path) -> Draft:
     description = records[0].description
     lines = [
         f"# A study of {description.model_name}, begun by `fmuid init`.",
-        f"# Remove the # before each parameter to identify, below [parameters], and run: fmuid identify {output.name}",
+        f"# Look at what is free below [parameters] (without # before it), and run: fmuid identify {output.name}",
         "",
         f"title = {text(description.model_name)}",
         "",
@@ -84,8 +98,17 @@ def draft(fmu: Path, records: Sequence[Record], output: Path) -> Draft:
     for k, record in enumerate(records):
         again = stems[:k].count(stems[k])
         lines += [*_experiment(record, output, f"{stems[k]} {again + 1}" if again else "", first=k == 0), ""]
-    lines += [*_parameters(description), "", *rest()]
-    return Draft("\n".join(lines) + "\n", tuple(records))
+    found = (
+        survey(fmu, [each for record in records if (each := record.experiment) is not None])
+        if _ready(records)
+        else Survey()
+    )
+    lines += [*_parameters(description, found, len(records)), "", *rest()]
+    return Draft("\n".join(lines) + "\n", tuple(records), found)
+
+
+def _ready(records: Sequence[Record]) -> bool:
+    return all(record.experiment is not None and not record.lacking("input") for record in records)
 
 
 def write_draft(made: Draft, output: Path) -> None:
@@ -133,8 +156,20 @@ def _experiment(record: Record, output: Path, name: str, *, first: bool) -> list
         *_role(record, "output"),
         *([f"# columns that are no input or output of the FMU: {listed(record.unused)}"] if record.unused else []),
         *(['# where a column has another name: outputs = { fmu_variable = "column" }'] if first else []),
-        *(ExperimentSettings.example_line(word) for word in ("interpolation", "discard")),
+        _interpolation(record),
+        ExperimentSettings.example_line("discard"),
     ]
+
+
+def _interpolation(record: Record) -> str:
+    """Return the line on how inputs go between samples."""
+    from fmuid.studies.model import ExperimentSettings
+
+    found = record.interpolation
+    if found == "linear":
+        return ExperimentSettings.example_line("interpolation")
+    said = text(found) if isinstance(found, str) else role("", found).removeprefix(" = ")
+    return f'interpolation = {said}  # guessed: over most samples it stays what it was; "linear" for what is measured'
 
 
 def _role(record: Record, which: str) -> list[str]:
@@ -149,17 +184,38 @@ def _role(record: Record, which: str) -> list[str]:
     return lines
 
 
-def _parameters(description: Description) -> list[str]:
-    """Return the table of parameters, all of them commented out."""
+def _parameters(description: Description, found: Survey, experiments: int) -> list[str]:
+    """Return the table of parameters: those that are proposed, and all others commented out."""
     lines = [
         "# Start, min, max and unit are the FMU's. Further keys: nominal = 1.0 (size, needed where the start is 0),",
         '# prior = { mean = 1.0, std = 0.1 } or { result = "healthy/result.json", inflate = 10 },',
         "# per_experiment = true (one value for each experiment).",
-        "[parameters]",
     ]
-    found = free(description)
-    lines += ["# " + parameter(variable) for variable in found if variable.causality == "parameter"]
-    starts = [variable for variable in found if variable.causality != "parameter"]
+    if found.candidates:
+        lines += [
+            f"# The percentage is what {100 * SHOWN_CHANGE:g} % of a parameter change of the outputs, in terms of",
+            "# their spread, at the FMU's values. A min of 0 that is not the FMU's is the sign of its value.",
+        ]
+    lines.append("[parameters]")
+    lines += [_candidate(each, description, experiments) for each in found.candidates]
+    if found.candidates:
+        states = {name for name in description.states if name not in found.names}
+        others = [v for v in free(description) if v.name not in found.names | states and not is_solver_setting(v)]
+        others = [v for v in others if v.causality == "parameter"]
+        return lines + (["# not looked at:"] if others else []) + ["# " + parameter(v) for v in others]
+    others = [v for v in free(description) if not is_solver_setting(v)]
+    lines += ["# " + parameter(variable) for variable in others if variable.causality == "parameter"]
+    starts = [variable for variable in others if variable.causality != "parameter"]
     if starts:
         lines += ["# start values of variables:", *("# " + parameter(variable) for variable in starts)]
     return lines
+
+
+def _candidate(given: Candidate, description: Description, experiments: int) -> str:
+    """Return the line of a parameter that was looked at."""
+    said = [f"{100 * given.effect:.2g} %"] if given.effect else []
+    said += [proposal(given)] if given.use is not Use.FREED else []
+    more = "per_experiment = true" if given.use is Use.START_FREED and experiments > 1 else ""
+    limits = bounds(given.variable, given.start, description)
+    line = parameter_line(given.variable, given.start, limits, more, "; ".join(said))
+    return line if given.use in FREE else "# " + line

@@ -122,20 +122,31 @@ def free(description: Description) -> list[Variable]:
 def parameter(variable: Variable) -> str:
     """Return the line of one parameter as the FMU has it."""
     start = float(variable.start) if isinstance(variable.start, int | float) else 0.0
-    keys = {"start": start}
-    for word in ("min", "max"):
-        bound = getattr(variable, word)
-        # a bound that the FMU's own start breaks would only be refused
-        if bound is not None and abs(bound) < NO_BOUND and (start >= bound if word == "min" else start <= bound):
-            keys[word] = bound
-    if "min" in keys and keys["min"] == keys.get("max"):
-        del keys["min"], keys["max"]
+    return parameter_line(variable, start, declared_bounds(variable, start))
+
+
+def parameter_line(
+    variable: Variable, start: float, bounds: Mapping[str, float], more: str = "", said: str = ""
+) -> str:
+    """Return the line of a parameter with a start, bounds, further words, and what is said of it first."""
+    keys = {"start": start, **bounds}
     if start == 0:
         keys["nominal"] = abs(variable.nominal or 1.0)
-    given = ", ".join(f"{key} = {value!r}" for key, value in keys.items())
+    given = ", ".join([*(f"{word} = {value!r}" for word, value in keys.items()), *([more] if more else [])])
     unit = variable.unit if variable.unit not in (None, "1") else ""
     remark = shorten(": ".join(part for part in (unit, variable.description) if part), REMARK_LENGTH, placeholder="…")
+    remark = "; ".join(part for part in (remark, said) if part)
     return f"{key(variable.name)} = {{ {given} }}" + (f"  # {remark}" if remark else "")
+
+
+def declared_bounds(variable: Variable, start: float) -> dict[str, float]:
+    """Return the FMU's min and max as far as they are bounds: those that its own start breaks would only be refused."""
+    found = {}
+    for word in ("min", "max"):
+        bound = getattr(variable, word)
+        if bound is not None and abs(bound) < NO_BOUND and (start >= bound if word == "min" else start <= bound):
+            found[word] = bound
+    return {} if "min" in found and found["min"] == found.get("max") else found
 
 
 def relative(path: Path, output: Path) -> str:

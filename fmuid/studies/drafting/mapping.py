@@ -53,7 +53,7 @@ SURE = (Reason.GIVEN, Reason.NAME)
 
 
 @dataclass(frozen=True)
-class Link:
+class ColumnLink:
     """A variable of the FMU and the column that is taken for it.
 
     Attributes
@@ -87,7 +87,7 @@ class Link:
 
 def guess(
     description: Description, columns: Sequence[str], units: Mapping[str, str], given: Mapping[str, str]
-) -> tuple[Link, ...]:
+) -> tuple[ColumnLink, ...]:
     """Return for each input and output which column it is, and local variables that are columns.
 
     Parameters
@@ -115,7 +115,7 @@ def guess(
     found |= {name: (name, Reason.NAME) for name in [*roles, *local] if name in exact and name not in given}
     roles |= {name: "output" for name in found if name not in roles}
     names = list(roles) if any(role == "output" for role in roles.values()) else [*roles, *local]
-    search = _Search(description, roles, units)
+    search = _Guesses(description, roles, units)
     open_ = [name for name in names if name not in found and name not in given]
     found |= search.run(open_, [c for c in columns if c not in {column for column, _ in found.values()}])
     roles |= {name: "output" for name in found if name not in roles}
@@ -123,7 +123,9 @@ def guess(
     for name, role in roles.items():
         match, reason = found.get(name, (None, None))
         unit, said = description.variables[name].unit, units.get(match or "")
-        links.append(Link(name, role, match, reason, unit, said, search.choices.get(name, ()) if not match else ()))
+        links.append(
+            ColumnLink(name, role, match, reason, unit, said, search.choices.get(name, ()) if not match else ())
+        )
     return tuple(links)
 
 
@@ -150,7 +152,7 @@ def _check_given(variable: str, column: str, variables: Sequence[str], columns: 
 Step = Callable[["Variable", str, str], bool]
 
 
-class _Search:
+class _Guesses:
     """Looks for pairs of variables and columns step by step, and keeps between which columns it cannot decide."""
 
     def __init__(self, description: Description, roles: Mapping[str, str], units: Mapping[str, str]) -> None:

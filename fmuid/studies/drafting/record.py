@@ -12,12 +12,16 @@ import numpy as np
 
 from fmuid.data import Experiment, read_table
 from fmuid.errors import InputError
-from fmuid.studies.drafting.mapping import Link, guess
+from fmuid.studies.drafting.mapping import ColumnLink, guess
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from fmuid.fmi import Description
+
+
+HELD_SHARE = 0.5
+"""An input that is the same as before in more than this share of the samples is a command that is held."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ class Record:
         return tuple(str(column) for column in self.frame.columns if column != self.time)
 
     @cached_property
-    def links(self) -> tuple[Link, ...]:
+    def links(self) -> tuple[ColumnLink, ...]:
         """What the columns are taken for.
 
         Raises
@@ -112,6 +116,26 @@ class Record:
         return tuple(column for column in self.columns if column not in used)
 
     @cached_property
+    def held(self) -> tuple[str, ...]:
+        """The inputs that stay where they are over most samples and then jump: commands that are held in between."""
+        from pandas.api.types import is_numeric_dtype
+
+        found = []
+        for variable, column in self.roles("input").items():
+            series = self.frame[column]
+            if is_numeric_dtype(series.dtype):
+                same = np.diff(series.to_numpy(dtype=np.float64, na_value=np.nan)) == 0
+                found += [variable] if HELD_SHARE < np.mean(same) < 1 else []
+        return tuple(found)
+
+    @property
+    def interpolation(self) -> str | dict[str, str]:
+        """The interpolation of the inputs, as far as they show it."""
+        if not self.held:
+            return "linear"
+        return "hold" if len(self.held) == len(self.roles("input")) else dict.fromkeys(self.held, "hold")
+
+    @cached_property
     def experiment(self) -> Experiment | None:
         """The experiment that the table is; None where something is wrong with it (`refusal`)."""
         return self._made[0]
@@ -127,7 +151,10 @@ class Record:
         if not outputs:
             return None, ""
         try:
-            return Experiment(self.frame, inputs, outputs, self.time, name=self.path.stem, source=str(self.path)), ""
+            made = Experiment(
+                self.frame, inputs, outputs, self.time, self.interpolation, name=self.path.stem, source=str(self.path)
+            )
+            return made, ""
         except InputError as error:
             return None, str(error)
 

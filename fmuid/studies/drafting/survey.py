@@ -1,0 +1,343 @@
+"""Which parameters are worth to be freed: what each changes at the FMU's own values, and which can be told apart.
+
+The columns of one Jacobian, for relative changes of the parameters and in the spread of each measured output, are
+taken one by one, the one first of which the most is left once those before it are projected out: QR with column
+pivoting (G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed., section 5.4.2, and subset selection, 5.5.7). A
+column of which next to nothing is left acts as others do.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmuid.arrays import Floats
+from fmuid.errors import InputError, SimulationError
+
+if TYPE_CHECKING:
+    from fmuid.data import Experiment
+    from fmuid.fmi import Description, Variable
+    from fmuid.models import System
+
+STEP = 1e-3
+"""Relative change of a parameter: short against the curvature, long against the tolerance of integrators."""
+SHOWN_CHANGE = 0.1
+"""The relative change whose effect is shown."""
+WEAK = 1e-3
+"""A parameter that changes less than so much of what the strongest changes is not proposed."""
+APART = 0.01
+"""Nor is one of whose effect less than this share is its own."""
+STARTS_OFF = 4.0
+"""Standard deviations of the noise by which a first sample must differ before start values are freed ..."""
+STARTS_FLOOR = 1e-3
+"""... and the share of an output's spread, where there is hardly noise."""
+MOST_FREED, MOST_LOOKED_AT = 12, 200
+# Settings of solvers that tools put among the parameters.
+_SOLVER = re.compile(r"^_|(^|[._])(nle|solver|tol|tolerance|[ar]tol|eps|max_?iter\w*|step_?size|log\w*)([._]|$)", re.I)
+_START = re.compile(r"([._](start|init|initial|0)|(?<=[a-z\d])(Start|Init)|(?<=[A-Za-z])0)$|^(start|init|initial)_")
+# Quantities with a sign or an origin that are chosen by whoever measures.
+_SIGNED = ("degC", "°C", "degF", "rad", "deg")
+
+
+class Use(Enum):
+    """What is proposed for a parameter."""
+
+    FREED = "freed"
+    START_FREED = "start_freed"
+    """A start value, freed because the records begin elsewhere."""
+    START = "start"
+    """A start value, which the records do not contradict."""
+    WEAK = "weak"
+    NO_EFFECT = "no_effect"
+    ALIKE = "alike"
+    """It acts as others do."""
+    ZERO = "zero"
+    """It is 0 in the FMU: most often something that is not there."""
+    FAILS = "fails"
+    """The simulation fails when it is changed."""
+    ENOUGH = "enough"
+    """There are as many free ones as can be looked over."""
+
+
+FREE = (Use.FREED, Use.START_FREED)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A parameter, and what is proposed for it.
+
+    Attributes
+    ----------
+    variable : Variable
+    use : Use
+    start : float
+        Where the search is to begin.
+    effect : float
+        Root mean square of what a change by `SHOWN_CHANGE` changes, in spreads of the outputs.
+    like : tuple of str
+        The parameters that act as it does.
+    """
+
+    variable: Variable
+    use: Use
+    start: float
+    effect: float = 0.0
+    like: tuple[str, ...] = ()
+
+
+_PROPOSALS = {
+    Use.FREED: "free",
+    Use.START_FREED: "free: the records begin elsewhere",
+    Use.START: "a start value that the records do not contradict",
+    Use.WEAK: "next to no effect",
+    Use.NO_EFFECT: "no effect",
+    Use.ZERO: "not there in the FMU",
+    Use.FAILS: "the simulation fails when it is changed",
+    Use.ENOUGH: "others change more",
+}
+
+
+def proposal(given: Candidate) -> str:
+    """Return what is proposed for a parameter in words, for the study file and the terminal."""
+    return f"acts like {' and '.join(given.like)}" if given.use is Use.ALIKE else _PROPOSALS[given.use]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What the parameters change, the strongest first.
+
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+    failure : str
+        Why there are none: the simulation that failed, empty where none did.
+    """
+
+    candidates: tuple[Candidate, ...] = ()
+    failure: str = ""
+    names: frozenset[str] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", frozenset(each.variable.name for each in self.candidates))
+
+    @property
+    def freed(self) -> tuple[Candidate, ...]:
+        """Those that are proposed."""
+        return tuple(each for each in self.candidates if each.use in FREE)
+
+
+def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
+    """Simulate experiments at the FMU's own values, change one parameter after the other, and propose what to free.
+
+    The FMU runs in a process of its own. A simulation that fails ends nothing, and neither does an FMU or a table that
+    do not go together: `Survey.failure` says it.
+    """
+    from fmuid.models import Isolation, System
+
+    try:
+        with System(fmu, isolation=Isolation()) as system:
+            description = system.components[""].fmu.description
+            names = [v.name for v in candidates_of(description)][:MOST_LOOKED_AT]
+            changes = _changes(system, experiments, description, names, {})
+            begun = [k for k, v in enumerate(changes.variables) if is_start(v, description)]
+            freed = _freed_starts(changes, begun)
+            if freed:  # what a parameter changes may depend on where the record begins
+                changes = _changes(system, experiments, description, names, freed)
+            return Survey(_proposed(description, changes, freed))
+    except (InputError, SimulationError) as error:
+        return Survey(failure=str(error))
+
+
+def candidates_of(description: Description) -> list[Variable]:
+    """Return the parameters that may be proposed, and the states whose start no parameter fixes."""
+    variables = description.variables.values()
+    parameters = [v for v in variables if v.type == "Real" and v.causality == "parameter" and v.settable]
+    parameters = [v for v in parameters if not is_solver_setting(v) and _number(v.start) is not None]
+    fixed = {_origin(v.name).casefold() for v in parameters if is_start(v, description)}
+    states = [description.variables[name] for name in description.states]
+    return parameters + [v for v in states if v.settable and v.type == "Real" and v.name.casefold() not in fixed]
+
+
+def is_solver_setting(variable: Variable) -> bool:
+    """Return whether a parameter is one of a tool's solver, and not of what is modelled."""
+    return _SOLVER.search(variable.name) is not None
+
+
+def is_start(variable: Variable, description: Description) -> bool:
+    """Return whether a parameter is the value that something starts at, by its name or description."""
+    if variable.causality != "parameter":
+        return variable.is_state or variable.name in description.states
+    if not _START.search(variable.name):
+        return "initial" in variable.description.casefold().split()
+    if not variable.name.endswith("0"):
+        return True
+    changing = (v.name.casefold() for v in description.variables.values() if v.variability == "continuous")
+    return _origin(variable.name).casefold() in changing
+
+
+def _origin(name: str) -> str:
+    """Return what a start value is the start of: ``ids_start`` and ``ids0`` are of ``ids``."""
+    return _START.sub("", name).rstrip("_.")
+
+
+@dataclass(frozen=True, eq=False)
+class _Changes:
+    """Samples (n,) at the FMU's values and how they change (n, N) with each relative change, in spreads of the outputs.
+
+    `first`, `first_changes`: of the outputs that have a first sample, how far the measured ones are from the simulated,
+    (m,), (m, N), and what counts as a difference (m,).
+    """
+
+    variables: tuple[Variable, ...]
+    starts: Floats
+    jacobian: Floats
+    first: Floats
+    first_changes: Floats
+    first_limits: Floats
+
+
+def _changes(
+    system: System,
+    experiments: Sequence[Experiment],
+    description: Description,
+    names: Sequence[str],
+    moved_starts: Mapping[int, float],
+) -> _Changes:
+    from fmuid.simulation import Simulator
+
+    variables = tuple(description.variables[name] for name in names)
+    starts = np.array([moved_starts.get(k, _number(v.start) or 0.0) for k, v in enumerate(variables)])
+    steps = np.array([_step(v, start) for v, start in zip(variables, starts, strict=True)])
+    relative = STEP * np.sign(steps)
+    rows, first, changed, limits = [], [], [], []
+    for experiment in experiments:
+        found = Simulator(system, experiment, names).many(np.vstack([starts, starts + np.diag(steps)]))
+        if found.errors[0] is not None:
+            raise found.errors[0]
+        base, moved = found.outputs[0], found.outputs[1:]
+        for j in range(base.shape[1]):
+            spread = _spread(experiment, j)
+            counted = experiment.counted[:, j]
+            rows.append((moved[:, counted, j] - base[counted, j]).T / (relative * spread))
+            measured = experiment.output_values[0, j]
+            if np.isfinite(measured):
+                first.append((measured - base[0, j]) / spread)
+                changed.append((moved[:, 0, j] - base[0, j]) / (relative * spread))
+                limits.append(max(STARTS_OFF * _noise(experiment, j) / spread, STARTS_FLOOR))
+    shape = (len(first), len(names))
+    return _Changes(
+        variables, starts, np.vstack(rows), np.array(first), np.array(changed).reshape(shape), np.array(limits)
+    )
+
+
+def _proposed(description: Description, changes: _Changes, freed: Mapping[int, float]) -> tuple[Candidate, ...]:
+    """Return what is proposed for each variable, the strongest first."""
+    variables, jacobian = changes.variables, changes.jacobian
+    finite = [bool(np.isfinite(column).all()) for column in jacobian.T]
+    columns = np.where(finite, jacobian, 0.0) / math.sqrt(max(len(jacobian), 1))
+    effects = np.sqrt(np.sum(columns**2, axis=0))
+    starts = changes.starts.tolist()
+    uses: list[Use | None] = [
+        Use.FAILS if not finite[k] else Use.NO_EFFECT if effects[k] == 0 else Use.ZERO if starts[k] == 0 else None
+        for k in range(len(variables))
+    ]
+    for k, variable in enumerate(variables):
+        if is_start(variable, description) and uses[k] in (None, Use.ZERO):
+            uses[k] = Use.START_FREED if k in freed else Use.START
+    likes = _select(columns, effects, uses, list(freed))
+    alike = [tuple(variables[i].name for i in like) for like in likes]
+    found = [
+        Candidate(v, uses[k] or Use.ENOUGH, starts[k], SHOWN_CHANGE * float(effects[k]), alike[k])
+        for k, v in enumerate(variables)
+    ]
+    return tuple(sorted(found, key=lambda each: (each.use not in FREE, -each.effect)))
+
+
+def _freed_starts(changes: _Changes, which: Sequence[int]) -> dict[int, float]:
+    """Return the start values that the first samples contradict, and what they would have to be."""
+    if not which or not (np.abs(changes.first) > changes.first_limits).any():
+        return {}
+    effects = changes.first_changes[:, which]
+    moves: Floats = np.asarray(np.linalg.lstsq(np.nan_to_num(effects), changes.first)[0])
+    acts = [
+        bool((np.abs(effect * move) > changes.first_limits).any())
+        for effect, move in zip(effects.T, moves, strict=True)
+    ]
+    found = {}
+    for k, move in ((k, move) for k, move, act in zip(which, moves.tolist(), acts, strict=True) if act):
+        start = float(changes.starts[k])
+        found[k] = float(f"{start + move * abs(_step(changes.variables[k], start)) / STEP:.4g}")
+    return found
+
+
+def _select(columns: Floats, effects: Floats, uses: list[Use | None], first: Sequence[int]) -> list[list[int]]:
+    """Decide on the parameters on which nothing is decided yet, and return which of the freed ones each acts like."""
+    likes: list[list[int]] = [[] for _ in uses]
+    r: Floats = np.asarray(np.linalg.qr(columns, mode="r"))
+    rest, chosen = r.copy(), list(first)
+    for k in chosen:
+        _project_out(rest, k)
+    strongest = max(effects, default=0.0)
+    while (open_ := [k for k, use in enumerate(uses) if use is None]) and len(chosen) < MOST_FREED:
+        left = np.sqrt(np.sum(rest[:, open_] ** 2, axis=0))
+        k = open_[int(np.argmax(left))]
+        if effects[k] < WEAK * strongest:
+            uses[k] = Use.WEAK
+        elif left.max() < APART * effects[k]:
+            uses[k] = Use.ALIKE
+            shares = np.abs(np.linalg.lstsq(r[:, chosen], r[:, k])[0]) * effects[chosen]
+            likes[k] = [i for i, share in zip(chosen, shares, strict=True) if share > 0.1 * shares.max()]
+        else:
+            uses[k] = Use.FREED
+            chosen.append(k)
+            _project_out(rest, k)
+    return likes
+
+
+def _project_out(rest: Floats, k: int) -> None:
+    """Take from all columns what is along one of them."""
+    size = float(np.linalg.norm(rest[:, k]))
+    if size > 0:
+        along = rest[:, k] / size
+        rest -= np.outer(along, along @ rest)
+
+
+def _number(start: object) -> float | None:
+    return float(start) if isinstance(start, int | float) and not isinstance(start, bool) else None
+
+
+def _step(variable: Variable, start: float) -> float:
+    """Return the change of a parameter, to the side that its bounds leave open."""
+    size = STEP * (abs(start) or abs(variable.nominal or 1.0))
+    return -size if variable.max is not None and start + size > variable.max else size
+
+
+def _spread(experiment: Experiment, j: int) -> float:
+    """Return the standard deviation of a measured output, its size where it never changes."""
+    values = experiment.output_values[experiment.counted[:, j], j]
+    return float(np.std(values) or np.abs(values).max() or 1.0)
+
+
+def _noise(experiment: Experiment, j: int) -> float:
+    """Return the standard deviation of a measured output's noise, from the median of its second differences."""
+    values = experiment.output_values[:, j]
+    second = np.diff(values[np.isfinite(values)], 2)
+    return float(np.median(np.abs(second)) / (0.6745 * math.sqrt(6.0))) if second.size else 0.0
+
+
+def bounds(variable: Variable, start: float, description: Description) -> dict[str, float]:
+    """Return min and max of a parameter: the FMU's, else the sign that it has there, where the sign has a meaning."""
+    from fmuid.studies.drafting.lines import declared_bounds
+
+    found = declared_bounds(variable, start)
+    signed = is_start(variable, description) or (variable.unit or "") in _SIGNED
+    if found or signed or not start:
+        return found
+    return {"min": 0.0} if start > 0 else {"max": 0.0}

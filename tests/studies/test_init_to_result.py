@@ -1,0 +1,230 @@
+"""From an FMU and a table of somebody's bench to the right values, with no edit between `fmuid init` and `identify`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+
+from fmuid.arrays import Floats
+from fmuid.cli.options import DONE, NOT_SUCCEEDED
+from fmuid.data import Experiment
+from fmuid.fmi import read_description
+from fmuid.studies import Study
+from fmuid.studies.drafting.survey import Use, _select, is_solver_setting, is_start, survey
+from tests.support.coil_study import COIL, fmuid_, result
+from tests.support.exported import export_text
+from tests.support.fmu_texts import FMI2, write_fmu
+from tests.support.paths import FMUS
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
+MOTOR = """
+model DCMotor "permanent-magnet motor"
+  parameter Real R(unit="Ohm") = 1.0 "armature resistance";
+  parameter Real L(unit="H") = 2e-3 "armature inductance";
+  parameter Real k(unit="N.m/A") = 0.05 "motor constant";
+  parameter Real J(unit="kg.m2") = 2e-4 "inertia";
+  parameter Real b(unit="N.m.s/rad") = 1e-4 "viscous friction";
+  parameter Real _nle_tolerance = 1e-8 "of the solver";
+  parameter Real w_start(unit="rad/s") = 0 "initial speed";
+  input Real u(unit="V");
+  output Real i(unit="A", start=0, fixed=true);
+  output Real w(unit="rad/s", start=w_start, fixed=true);
+equation
+  L*der(i) = u - R*i - k*w;
+  J*der(w) = k*i - b*w;
+end DCMotor;
+"""
+REACTOR = """
+model BatchReactor "growth on one substrate, after Monod"
+  parameter Real mu_max = 0.4 "largest growth rate";
+  parameter Real Y_XS = 0.6 "yield";
+  parameter Real K_S = 0.02 "half-saturation";
+  parameter Real X0 = 0.1 "biomass at the beginning";
+  parameter Real S0 = 20.0 "substrate at the beginning";
+  output Real X(start=X0, fixed=true) "biomass";
+  output Real S(start=S0, fixed=true) "substrate";
+  Real mu;
+equation
+  mu = mu_max*S/(K_S + S);
+  der(X) = mu*X;
+  der(S) = -mu*X/Y_XS;
+end BatchReactor;
+"""
+
+
+def integrated(rates: Callable[[float, Floats], list[float]], start: list[float], t: Floats) -> Floats:
+    """Return the states (n, K) at the times, tightly."""
+    found = solve_ivp(rates, (0.0, float(t[-1])), start, "LSODA", t_eval=t, rtol=1e-8, atol=1e-9)
+    return np.asarray(found.y, dtype=np.float64)
+
+
+def noisy(values: Floats, share: float, seed: int) -> Floats:
+    return np.asarray(values + share * np.std(values) * np.random.default_rng(seed).standard_normal(values.shape))
+
+
+def current(t: Floats, u: Floats, i0: float, R: float, L: float = 0.1) -> Floats:
+    """Return the current of a coil under a voltage that is held from sample to sample, in closed form."""
+    i, decay = np.full(t.size, i0), np.exp(-R / L * t[1])
+    for k in range(1, t.size):
+        i[k] = u[k - 1] / R + (i[k - 1] - u[k - 1] / R) * decay
+    return i
+
+
+def coil(folder: Path) -> tuple[Path, dict[str, float]]:
+    """A coil under steps of a commanded voltage: exact from sample to sample."""
+    truth, t = {"R": 6.0, "L": 0.045, "i_start": 0.8}, np.arange(400.0) * 1e-3
+    u = np.repeat(np.random.default_rng(3).choice([0.0, 10.0], 20), 20)
+    i = current(t, u, truth["i_start"], truth["R"], truth["L"])
+    pd.DataFrame({"Zeit [ms]": 1e3 * t, "U_soll [V]": u, "I_mess [mA]": 1e3 * noisy(i, 0.005, 1)}).to_csv(
+        folder / "bench.csv", sep=";", decimal=",", index=False
+    )
+    return COIL, truth
+
+
+def machine(folder: Path) -> tuple[Path, dict[str, float]]:
+    truth = {"Rs": 12.0, "Rr": 2.9, "Lm": 0.55, "Lf": 0.06}
+    rs, rr, lm, lf = truth.values()
+    t = np.arange(1000.0) * 1e-3
+    ud = 60 * np.sin(40 * t) + 40 * np.sin(90 * t)
+    uq = 70 * np.cos(31 * t)
+    w = 150 + 20 * np.sin(6 * t)
+
+    def rates(at: float, x: Floats) -> list[float]:
+        vd, vq, speed = (float(np.interp(at, t, values)) for values in (ud, uq, w))
+        did = (vd - (rs + rr) * x[0] + speed * lf * x[1] + rr / lm * x[2] + speed * x[3]) / lf
+        diq = (vq - (rs + rr) * x[1] - speed * lf * x[0] + rr / lm * x[3] - speed * x[2]) / lf
+        return [did, diq, rr * x[0] - rr / lm * x[2], rr * x[1] - rr / lm * x[3]]
+
+    x = integrated(rates, [0.0] * 4, t)
+    table = {"t": t, "Uds": ud, "Uqs": uq, "speed (rpm)": w * 30 / np.pi}
+    table |= {"Ids_meas": noisy(x[0], 0.01, 1), "Iqs_meas": noisy(x[1], 0.01, 2)}
+    pd.DataFrame(table).to_csv(folder / "bench.csv", index=False)
+    return FMUS / "InductionMachine/InductionMachine.fmu", truth
+
+
+def motor(folder: Path) -> tuple[Path, dict[str, float]]:
+    truth = {"R": 1.7, "L": 4e-3, "k": 0.08, "J": 1.2e-4, "b": 3e-4}
+    r, l_, k, j, b = truth.values()
+    t = np.arange(600.0) * 1e-3
+    u = 12 + 6 * np.sin(25 * t) + 4 * np.sin(120 * t)
+
+    def rates(at: float, x: Floats) -> list[float]:
+        return [(np.interp(at, t, u) - r * x[0] - k * x[1]) / l_, (k * x[0] - b * x[1]) / j]
+
+    x = integrated(rates, [0.0, 0.0], t)
+    table = {"Time (ms)": 1e3 * t, "Voltage": u, "Current [A]": noisy(x[0], 0.01, 1)}
+    table |= {"Drehzahl [n/min]": noisy(x[1], 0.01, 2) * 30 / np.pi}
+    pd.DataFrame(table).to_csv(folder / "bench.csv", index=False)
+    return export_text(folder, MOTOR), truth
+
+
+def reactor(folder: Path) -> tuple[Path, dict[str, float]]:
+    truth = {"mu_max": 0.52, "Y_XS": 0.48, "X0": 0.17, "S0": 16.0}
+    mu, y, x0, s0 = truth.values()
+    t = np.linspace(0.0, 12.0, 90)
+
+    def rates(_: float, x: Floats) -> list[float]:
+        growth = mu * max(x[1], 0.0) / (0.02 + max(x[1], 0.0)) * x[0]
+        return [growth, -growth / y]
+
+    x = integrated(rates, [x0, s0], t)
+    pd.DataFrame({"time": t, "X": noisy(x[0], 0.003, 1), "S": noisy(x[1], 0.003, 2)}).to_csv(
+        folder / "bench.csv", index=False
+    )
+    return export_text(folder, REACTOR), truth
+
+
+SLOW = (machine, motor, reactor)
+
+
+@pytest.mark.parametrize("case", [coil, *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW)])
+def test_no_edit_between(case: Callable[[Path], tuple[Path, dict[str, float]]], tmp_path: Path) -> None:
+    fmu, truth = case(tmp_path)
+    study = tmp_path / "study.toml"
+    assert fmuid_("init", fmu, tmp_path / "bench.csv", "--output", study) == DONE
+    assert fmuid_("identify", study, "--output", tmp_path / "results") == DONE
+    found = result(tmp_path / "results")["parameters"]
+    assert not {"_nle_tolerance", "i", "w", "X", "S"} & set(found)
+    for name, value in truth.items():
+        assert abs(found[name]["value"] - value) < 4.5 * found[name]["std"], name
+        assert found[name]["std"] < 0.05 * abs(value), name
+
+
+# --- what is proposed ---------------------------------------------------------------------
+
+
+def test_settings_of_solvers_and_start_values() -> None:
+    description = read_description(FMUS / "InductionMachine/InductionMachine.fmu")
+    rs = description.variables["Rs"]
+    for name in ("_nle_tol", "solver.eps", "tolerance", "sim.maxIterations", "LogLevel"):
+        assert is_solver_setting(rs._replace(name=name)), name
+    for name in ("Rs", "stolen", "epsilon_r", "motor.L", "tol_gap", "nleak"):
+        assert is_solver_setting(rs._replace(name=name)) == (name == "tol_gap"), name
+    for name in ("ids_start", "ids0", "motor.wInit", "x.start", "init_temp"):
+        assert is_start(rs._replace(name=name), description), name
+    for name in ("Rs", "R0", "L0", "startup"):  # there is no variable R or L that they could be the start of
+        assert not is_start(rs._replace(name=name), description), name
+    assert is_start(rs._replace(name="p", description="initial pressure"), description)
+
+
+def test_what_acts_alike_is_left_out() -> None:
+    """The third column is the sum of the first two, and the fourth is weak; the strongest go first."""
+    rng = np.random.default_rng(5)
+    a, b, c = rng.standard_normal((3, 50))
+    columns = np.column_stack([a, 3 * b, a + 3 * b, 1e-5 * c, 0.1 * c])
+    uses: list[Use | None] = [None] * 5
+    likes = _select(columns, np.linalg.norm(columns, axis=0), uses, [])
+    assert uses.count(Use.ALIKE) == 1
+    assert uses[:3].count(Use.FREED) == 2
+    assert uses[3:] == [Use.WEAK, Use.FREED]
+    (out,) = (k for k in (0, 1, 2) if uses[k] is Use.ALIKE)
+    assert sorted(likes[out]) == [k for k in (0, 1, 2) if k != out]
+
+
+def experiment(table: pd.DataFrame) -> Experiment:
+    return Experiment(table, ["u"], ["i"], interpolation="hold")
+
+
+def test_start_values_are_freed_where_records_begin_elsewhere() -> None:
+    t = np.arange(200.0) * 1e-3
+    u: Floats = np.where(np.arange(200) % 40 < 20, 10.0, 0.0)
+    for i0, use in ((0.0, Use.START), (0.7, Use.START_FREED)):
+        i = current(t, u, i0, 4.0)
+        found = survey(COIL, [experiment(pd.DataFrame({"time": t, "u": u, "i": i}))])
+        candidates = {each.variable.name: each for each in found.candidates}
+        assert candidates.keys() == {"R", "L", "i_start"}  # the current itself starts at i_start
+        assert [candidates[name].use for name in ("R", "L", "i_start")] == [Use.FREED, Use.FREED, use]
+        assert candidates["i_start"].start == pytest.approx(i0, abs=1e-4)
+    # what 10 % of R change of the current, from the closed form moved by a thousandth
+    difference = current(t, u, 0.7, 4.004) - current(t, u, 0.7, 4.0)
+    expected = 100 * np.sqrt(np.mean(difference**2)) / np.std(i)
+    assert candidates["R"].effect == pytest.approx(expected, rel=1e-3)
+
+
+def test_simulations_that_fail_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An FMU without binaries is described all the same; nothing is proposed, and the study is to be looked at."""
+    fmu = write_fmu(tmp_path / "Motor.fmu", FMI2)
+    pd.DataFrame({"time": [0.0, 1.0], "u": 1.0, "on": 1, "w": [0.0, 1.0]}).to_csv(tmp_path / "run.csv", index=False)
+    study = tmp_path / "study.toml"
+    assert fmuid_("init", fmu, tmp_path / "run.csv", "--output", study) == NOT_SUCCEEDED
+    assert "nothing is known of the parameters: " in capsys.readouterr().out
+    assert "# R = { start = 2.0, min = 0.0 }" in study.read_text()
+
+
+def test_bounds_and_starts_in_the_file(tmp_path: Path) -> None:
+    """The sign of a value without a minimum is kept; several records have start values of their own."""
+    t = np.arange(100.0) * 1e-3
+    for name, i0 in (("a", 1.0), ("b", 2.0)):
+        i = i0 * np.exp(-40 * t)
+        pd.DataFrame({"time": t, "u": 0.0 * t, "i": i}).to_csv(tmp_path / f"{name}.csv", index=False)
+    assert fmuid_("init", COIL, tmp_path / "a.csv", tmp_path / "b.csv", "-o", tmp_path / "study.toml") == DONE
+    parameters = Study.read(tmp_path / "study.toml").parameters
+    assert parameters.keys() >= {"i_start", "R"} or parameters.keys() >= {"i_start", "L"}  # of a decay only R/L shows
+    assert parameters["i_start"].per_experiment
+    assert np.isneginf(parameters["i_start"].min)
