@@ -8,6 +8,8 @@ import inspect
 import re
 import subprocess
 import sys
+from collections.abc import Set
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -49,6 +51,26 @@ def test_layers() -> None:
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=PACKAGE.parent)
     assert run.returncode == 0, run.stdout + run.stderr
     assert "0 broken" in run.stdout
+
+
+def uses(path: Path, known: Set[str]) -> set[str]:
+    """Return the modules that a file imports or whose names it imports, for annotations alone too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.removeprefix("fmuid.") for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            above = node.module.removeprefix("fmuid").removeprefix(".")
+            found |= {above, *(f"{above}.{alias.name}".removeprefix(".") for alias in node.names)}
+    return found & known
+
+
+def test_no_circles_between_modules() -> None:
+    """Not even through annotations: who reads one module need not read all others of its package at once."""
+    found = modules()
+    order = TopologicalSorter({name: uses(path, found.keys()) - {name} for name, path in found.items()})
+    order.prepare()  # raises CycleError, which names a circle
+    assert "estimation.result" in uses(found["estimation.identification"], found.keys())
 
 
 @pytest.mark.parametrize("module", modules())

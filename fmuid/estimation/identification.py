@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +16,7 @@ from fmuid.estimation.history import History
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.marquardt.search import Iteration, Marquardt, State, search
+from fmuid.estimation.marquardt.search import Iteration, MarquardtSettings, State, search
 from fmuid.estimation.result import Result
 from fmuid.progress import Progress, SearchStep
 from fmuid.version import __version__
@@ -32,44 +31,9 @@ MAX_ROUNDS = 10
 LEAST_CURVATURE = 0.05
 
 
-class Method(Protocol):
-    """How the least of a criterion is searched: `Marquardt`, from one start, or `GlobalSearch`, in a whole box."""
-
-    @property
-    def marquardt(self) -> Marquardt:
-        """The settings of Marquardt's search, with which every method ends."""
-
-    @property
-    def whole_box(self) -> bool:
-        """Whether the whole box of the bounds is searched, and other optima than the best one are met."""
-
-    def check(self, problem: LeastSquares) -> None:
-        """Check, without a simulation, that a problem has what the method needs, such as bounds.
-
-        Raises
-        ------
-        InputError
-            If it has not.
-        """
-
-    def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
-        """Search, from a start (N,) where one is given: an earlier result makes a search of the box needless.
-
-        Returns
-        -------
-        Result
-            Also where the search was interrupted: its outcome says so.
-
-        Raises
-        ------
-        InputError, SimulationError, KeyboardInterrupt
-            As `identify`, or as `check`.
-        """
-
-
 def identify(
     problem: LeastSquares,
-    settings: Marquardt | None = None,
+    settings: MarquardtSettings | None = None,
     progress: Progress | None = None,
     start: ArrayLike | None = None,
 ) -> Result:
@@ -99,7 +63,7 @@ def identify(
     KeyboardInterrupt
         If that comes before the first step: there is no better point than the start then.
     """
-    return _Identification(problem, settings or Marquardt(), progress, start).run()
+    return _Identification(problem, settings or MarquardtSettings(), progress, start).run()
 
 
 def point_result(problem: LeastSquares, theta: Floats) -> Result:
@@ -145,7 +109,7 @@ class _Identification:
     """The rounds of one identification and what they leave behind."""
 
     def __init__(
-        self, problem: LeastSquares, settings: Marquardt, progress: Progress | None, start: ArrayLike | None
+        self, problem: LeastSquares, settings: MarquardtSettings, progress: Progress | None, start: ArrayLike | None
     ) -> None:
         self.problem, self.settings, self.progress = problem, settings, progress
         self.clock, self.simulations = time.perf_counter(), problem.simulations

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,9 +23,6 @@ from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
-
-if TYPE_CHECKING:
-    from fmuid.estimation.global_search.optima import Optimum
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
@@ -305,3 +302,32 @@ class Result:
         if name not in self.names:
             raise InputError(f"the result has no parameter {name!r}; it has {', '.join(self.names)}")
         return self.names.index(name)
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """A point at which searches from other starts ended too, or instead.
+
+    Attributes
+    ----------
+    theta : (N,) array
+    criterion : float
+        J_C (1.37) there; where noise variances are estimated, with those of the best optimum.
+    hits : int
+        How many of the fits ended here.
+    outcome : Outcome
+        How the best of these fits ended.
+    fit : Result
+        That fit.
+    """
+
+    theta: Floats
+    criterion: float
+    hits: int
+    outcome: Outcome
+    fit: Result = field(repr=False)
+
+    @property
+    def converged(self) -> bool:
+        """Whether it is a minimum with every parameter determined."""
+        return self.outcome.converged

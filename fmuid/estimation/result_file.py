@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +17,6 @@ from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
 from fmuid.files import ContentError, as_json, content_of
 
-if TYPE_CHECKING:
-    from fmuid.estimation.result import Result
-
-
 _AS_THEY_ARE = (
     *("noise_variance", "given_variance", "criterion", "log_likelihood", "degrees_of_freedom", "iterations"),
     *("simulations", "elapsed_s", "undetermined", "weak", "prior_determined", "at_bounds", "version", "models"),
@@ -28,8 +24,8 @@ _AS_THEY_ARE = (
 )
 
 
-def content(result: Result) -> dict[str, Any]:
-    """Return what ``result.json`` has of a result; what is not a finite number is None."""
+def content(result: Any) -> dict[str, Any]:
+    """Return what ``result.json`` has of a `fmuid.Result`, which imports this; what is not a finite number is None."""
     columns = {
         "value": result.values,
         "std": result.std,

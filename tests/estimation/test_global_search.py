@@ -21,7 +21,7 @@ from fmuid.estimation.global_search.search import GlobalSearch, Strategy
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.method import Marquardt
 from fmuid.estimation.misfit import misfits
 from fmuid.estimation.result import Result
 from fmuid.model_problem import Problem

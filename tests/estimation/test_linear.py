@@ -10,7 +10,8 @@ from fmuid.estimation.criterion import prepare
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.linear import linear_least_squares
-from fmuid.estimation.marquardt.search import Marquardt, State, search
+from fmuid.estimation.marquardt.search import State, search
+from fmuid.estimation.method import Marquardt
 
 TRUTH = np.array([1.5, -40.0, 2e-3])
 

@@ -13,8 +13,9 @@ from fmuid.errors import InputError
 from fmuid.estimation.criterion import prepare
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.marquardt.search import Iteration, Marquardt, State, search
+from fmuid.estimation.marquardt.search import Iteration, State, search
 from fmuid.estimation.marquardt.step import best_step, triangle
+from fmuid.estimation.method import Marquardt
 
 TIMES = np.linspace(0.0, 3.0, 120)
 TRUTH = np.array([3.0, 1.2, 0.5])

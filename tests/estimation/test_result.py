@@ -24,7 +24,7 @@ from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.method import Marquardt
 from fmuid.estimation.result import Result
 from fmuid.progress import Event, SearchStep
 from fmuid.reports.findings import at_minimum

@@ -20,7 +20,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.criterion import prepare
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.method import Marquardt
 from fmuid.estimation.result import Result
 from tests.support.paths import FMUS
 

@@ -12,7 +12,7 @@ from fmuid.data.parameters import Parameter
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.method import Marquardt
 from fmuid.files import file_name
 from fmuid.reports.console import result as console_result
 from fmuid.reports.findings import at_minimum

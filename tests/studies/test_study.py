@@ -14,8 +14,7 @@ from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import GlobalSearch
-from fmuid.estimation.identification import Method
-from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.method import Marquardt, Method
 from fmuid.models.component import Numerics
 from fmuid.studies.overrides import override
 from fmuid.studies.study import Study

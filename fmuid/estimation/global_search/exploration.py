@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from scipy.optimize import Bounds, OptimizeResult, differential_evolution
@@ -16,9 +16,6 @@ from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.misfit import Misfits, misfits
 from fmuid.progress import GlobalStep, Progress
-
-if TYPE_CHECKING:
-    from fmuid.estimation.global_search.search import GlobalSearch
 
 # Points whose simulation fails are replaced by further points of the sequence, until so many times `starts` are tried.
 MOST_TRIES_RATIO = 10
@@ -40,11 +37,11 @@ class Exploration:
         The criterion there, +inf where the simulation failed.
     """
 
-    def __init__(self, problem: LeastSquares, settings: GlobalSearch, progress: Progress | None) -> None:
-        self.problem, self.settings, self.progress = problem, settings, progress
+    def __init__(self, problem: LeastSquares, seed: int, progress: Progress | None) -> None:
+        self.problem, self.progress = problem, progress
         self._before = problem.simulations
         self.box = Box(problem.parameters)
-        self._rng = np.random.default_rng(settings.seed)
+        self._rng = np.random.default_rng(seed)
         self.thetas = np.empty((0, len(problem.parameters)))
         self.values = np.empty(0)
 
@@ -75,9 +72,8 @@ class Exploration:
         points = sequence.random_base2(math.ceil(math.log2(count)))
         return np.vstack([self.problem.parameters.start, self.box.thetas(points)])[:count]
 
-    def spread(self) -> Floats:
-        """Return as many points (m, N) whose simulation succeeds as there are starts, as far as they can be found."""
-        wanted = self.settings.starts
+    def spread(self, wanted: int) -> Floats:
+        """Return so many points (m, N) whose simulation succeeds, as far as they can be found."""
         points = self._points(MOST_TRIES_RATIO * wanted)
         while np.isfinite(self.values).sum() < wanted and len(self.values) < len(points):
             done = len(self.values)
@@ -86,8 +82,8 @@ class Exploration:
         self._check_any()
         return self.thetas[np.isfinite(self.values)][:wanted]
 
-    def evolve(self) -> Floats:
-        """Return the best point of an evolution and the best of those that are better than all their neighbours."""
+    def evolve(self, size: int, generations: int) -> Floats:
+        """Return the best point of an evolution of so many a generation, and those better than all neighbours."""
         count = self.box.lower.size
         generation = 0
 
@@ -97,15 +93,15 @@ class Exploration:
         def after(intermediate_result: OptimizeResult) -> None:
             nonlocal generation
             generation += 1
-            self.report("evolution", generation, self.settings.generations)
+            self.report("evolution", generation, generations)
             if self._agreed(intermediate_result.population, intermediate_result.population_energies):
                 raise StopIteration  # the way to end it (scipy)
 
         differential_evolution(
             cast(Any, criterion),  # the stubs know single points only
             Bounds(np.zeros(count), np.ones(count)),
-            init=self.box.units(self._points(self.settings.starts)),
-            maxiter=self.settings.generations,
+            init=self.box.units(self._points(size)),
+            maxiter=generations,
             callback=after,
             tol=0.0,
             polish=False,

@@ -4,49 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 
 from fmuid.arrays import Floats
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.misfit import Misfits, fitted, variances
-from fmuid.estimation.result import Result
+from fmuid.estimation.result import Optimum, Result
 
 # Optima are one where no parameter differs by more than this share of its standard deviation, or of its magnitude, and
 # the criterion by no more than 0.3². Fits end nearer than that even where large residuals make them converge slowly.
 SAME_STDS, SAME_SHARE, SAME_CRITERION = 0.3, 1e-4, 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """A point at which Marquardt's search ended.
-
-    Attributes
-    ----------
-    theta : (N,) array
-    criterion : float
-        J_C (1.37) there; where noise variances are estimated, with those of the best optimum.
-    hits : int
-        How many of the fits ended here.
-    outcome : Outcome
-        How the best of these fits ended.
-    fit : Result
-        That fit.
-    """
-
-    theta: Floats
-    criterion: float
-    hits: int
-    outcome: Outcome
-    fit: Result = field(repr=False)
-
-    @property
-    def converged(self) -> bool:
-        """Whether it is a minimum with every parameter determined."""
-        return self.outcome.converged
 
 
 def optima_table(names: Sequence[str], optima: Sequence[Optimum]) -> pd.DataFrame:

@@ -18,7 +18,7 @@ from fmuid.estimation.global_search.optima import merged
 from fmuid.estimation.identification import identify, point_result
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.marquardt.search import Marquardt
+from fmuid.estimation.method import Marquardt
 from fmuid.estimation.misfit import fitted, refuse_loss
 from fmuid.estimation.result import Result
 from fmuid.progress import Progress
@@ -139,13 +139,15 @@ class _Search:
     def __init__(self, problem: LeastSquares, settings: GlobalSearch, progress: Progress | None) -> None:
         self.problem, self.settings = problem, settings
         self.clock = time.perf_counter()
-        self.explored = Exploration(problem, settings, progress)
+        self.explored = Exploration(problem, settings.seed, progress)
         self.fits: list[_Fit] = []
 
     def run(self) -> Result:
         interrupted = False
         try:
-            self._fit(self.explored.evolve() if self.settings.method == "evolution" else self.explored.spread())
+            starts, generations = self.settings.starts, self.settings.generations
+            evolved = self.settings.method == "evolution"
+            self._fit(self.explored.evolve(starts, generations) if evolved else self.explored.spread(starts))
             self._finish()
         except KeyboardInterrupt:
             if not self.explored.any_succeeded:

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.progress import Progress
-
-if TYPE_CHECKING:
-    from fmuid.estimation.least_squares import LeastSquares
-    from fmuid.estimation.result import Result
 
 # Most problems need 5 to 20 steps; the most crooked of the NIST reference problems (Bennett5) need several hundred.
 MAX_ITERATIONS = 1000
@@ -57,24 +52,8 @@ class ResidualFunction(Protocol):
 
 
 @dataclass(frozen=True)
-class Marquardt:
-    """Settings of the search.
-
-    Parameters
-    ----------
-    max_iterations : int
-        Steps tried, accepted or not.
-    tolerance : float
-        Where to stop: the largest change that is left for any parameter, relative to its magnitude. What is left must
-        be small against the standard deviations too (the relative offset of Bates and Watts).
-    first_radius : float
-        Length of the first step relative to the parameters; smaller is more careful.
-
-    Raises
-    ------
-    InputError
-        If a setting is not positive.
-    """
+class MarquardtSettings:
+    """The numbers that a search goes by; `fmuid.Marquardt`, which has them, documents them."""
 
     max_iterations: int = MAX_ITERATIONS
     tolerance: float = TOLERANCE
@@ -85,25 +64,6 @@ class Marquardt:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
                 raise InputError(f"the setting {name} of the search must be a positive number, not {value!r}")
-
-    @property
-    def marquardt(self) -> Marquardt:
-        """These settings."""
-        return self
-
-    @property
-    def whole_box(self) -> bool:
-        """False: the search goes down from one start."""
-        return False
-
-    def check(self, problem: LeastSquares) -> None:
-        """Any problem can be searched."""
-
-    def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
-        """Search as `fmuid.identify` does."""
-        from fmuid.estimation.identification import identify  # which makes use of this module
-
-        return identify(problem, self, progress, start)
 
 
 @dataclass(frozen=True, eq=False)

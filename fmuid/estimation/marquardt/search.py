@@ -25,7 +25,7 @@ from fmuid.estimation.finite_differences import SensitivityError
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.radius import NOISE_SURPRISE, Radius
 from fmuid.estimation.marquardt.records import Iteration as Iteration
-from fmuid.estimation.marquardt.records import Marquardt as Marquardt
+from fmuid.estimation.marquardt.records import MarquardtSettings as MarquardtSettings
 from fmuid.estimation.marquardt.records import ResidualFunction
 from fmuid.estimation.marquardt.records import State as State
 from fmuid.estimation.marquardt.stagnation import SLOW_SHARE, WORTHLESS_SHARE, Stagnation
@@ -61,7 +61,9 @@ NOISE_MARGIN = 3.0
 RUNAWAY_GROWTH, RUNAWAY_GAIN = 100.0, 0.01
 
 
-def search(problem: ResidualFunction, state: State, settings: Marquardt, *, rough: bool = False) -> Iterator[Iteration]:
+def search(
+    problem: ResidualFunction, state: State, settings: MarquardtSettings, *, rough: bool = False
+) -> Iterator[Iteration]:
     """Search from a state that has residual and Jacobian; yield every step, and leave the result in the state.
 
     Parameters
@@ -69,7 +71,7 @@ def search(problem: ResidualFunction, state: State, settings: Marquardt, *, roug
     problem : ResidualFunction
     state : State
         Changed in place; `outcome` is set at the end.
-    settings : Marquardt
+    settings : MarquardtSettings
     rough : bool
         End already where a tenth of the standard deviations is left, to go on with a changed problem.
     """
@@ -79,7 +81,7 @@ def search(problem: ResidualFunction, state: State, settings: Marquardt, *, roug
 class _Descent:
     """The loop of `search` and what it remembers from step to step."""
 
-    def __init__(self, problem: ResidualFunction, state: State, settings: Marquardt, rough: bool) -> None:
+    def __init__(self, problem: ResidualFunction, state: State, settings: MarquardtSettings, rough: bool) -> None:
         self.problem, self.state, self.settings, self.rough = problem, state, settings, rough
         self.square = _square(state.residual)
         self.free = max(state.residual.size - state.theta.size, 1)  # degrees of freedom
