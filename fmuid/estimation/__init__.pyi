@@ -7,9 +7,9 @@ from .accuracy.check import would_fit_better as would_fit_better
 from .accuracy.outcome import SHIFT_LIMIT as SHIFT_LIMIT
 from .accuracy.outcome import Accuracy as Accuracy
 from .accuracy.outcome import AccuracyOutcome as AccuracyOutcome
-from .accuracy.outcome import Cause as Cause
 from .accuracy.outcome import Kept as Kept
 from .accuracy.outcome import Switch as Switch
+from .accuracy.outcome import SwitchCause as SwitchCause
 from .covariance import AtBound as AtBound
 from .covariance import Determined as Determined
 from .covariance import Direction as Direction

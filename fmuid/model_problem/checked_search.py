@@ -21,7 +21,6 @@ from fmuid.estimation import (
     SHIFT_LIMIT,
     Accuracy,
     AccuracyOutcome,
-    Cause,
     Kept,
     LeastSquares,
     Marquardt,
@@ -30,6 +29,7 @@ from fmuid.estimation import (
     Outcome,
     Result,
     Switch,
+    SwitchCause,
     checked,
     fits_worse,
     merged,
@@ -178,9 +178,9 @@ class _CheckedSearch:
         if not np.isfinite(exact).all():
             return None
         if not np.isfinite(predicted).all():
-            return Cause.START_FAILED, math.nan
+            return SwitchCause.START_FAILED, math.nan
         size = self._difference(predicted, exact)
-        return (Cause.START_DIFFERED, size) if size > START_LIMIT else None
+        return (SwitchCause.START_DIFFERED, size) if size > START_LIMIT else None
 
     def _difference(self, one: Floats, other: Floats) -> float:
         """Return the largest difference of an output between two simulations (n,), as a share of its spread."""
@@ -256,7 +256,7 @@ class _CheckedSearch:
         if fits_worse(problem, better[0].fit, self.optima[0].fit) and not bounded:
             return Kept.FITS_BETTER
         self.optima = better
-        self._switch(finer, Cause.SHIFT, self.found.largest, spent)
+        self._switch(finer, SwitchCause.SHIFT, self.found.largest, spent)
         return None
 
     def _optima_by(self, other: Problem) -> tuple[tuple[Optimum, ...], int]:
@@ -268,7 +268,7 @@ class _CheckedSearch:
     def _return(self) -> None:
         """Go back to the simulation that was left at the start, if that fits clearly better after all."""
         problem, best = self.problem, self.optima[0].fit
-        if not self.switches or self.switches[0].cause is Cause.SHIFT or not best.converged or best.at_bounds:
+        if not self.switches or self.switches[0].cause is SwitchCause.SHIFT or not best.converged or best.at_bounds:
             return
         other = problem.refined(self.origin)
         error = problem.predict_by(self.origin, best.values) - simulated(best)
@@ -293,7 +293,7 @@ class _CheckedSearch:
             return None
         return found.after(fit)
 
-    def _switch(self, finer: Refinement, cause: Cause, size: float, simulations: int = 0) -> None:
+    def _switch(self, finer: Refinement, cause: SwitchCause, size: float, simulations: int = 0) -> None:
         """Simulate in a finer way from now on, and note why."""
         problem = self.problem
         before, after = (problem.how_run(each) for each in (problem.refinement, finer))

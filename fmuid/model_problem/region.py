@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.estimation import Cause
+from fmuid.estimation import SwitchCause
 from fmuid.model_problem.problem import Problem
 from fmuid.simulation import Refinement
 
@@ -22,7 +22,7 @@ CELL_WIDTH = 0.25
 # Cells whose errors are kept, the last ones.
 MOST_CELLS = 64
 
-Verdict = tuple[Cause, float] | None
+Verdict = tuple[SwitchCause, float] | None
 
 
 class CheckedRegion:

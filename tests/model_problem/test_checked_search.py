@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 import fmuid
 from fmuid.arrays import Floats
-from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Cause, Kept
+from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Kept, SwitchCause
 from fmuid.reports.words.models import runs_words
 from fmuid.simulation import Refinement
 from tests.support.paths import FMUS, ROOT
@@ -83,7 +83,7 @@ def test_the_start_shows_it(folder: Path) -> None:
     assert found is not None
     assert off(result) < 3.0
     assert found.outcome is AccuracyOutcome.PASSED
-    assert [switch.cause for switch in found.switches] == [Cause.START_DIFFERED]
+    assert [switch.cause for switch in found.switches] == [SwitchCause.START_DIFFERED]
     used, finer = result.models[""]["run"], found.finer[""]
     assert used["integrator"] == finer["integrator"] == "rk45"
     assert [used["tolerance"], finer["tolerance"]] == pytest.approx([1e-9, 1e-11])
@@ -96,7 +96,7 @@ def test_where_the_start_fails(folder: Path) -> None:
     start = {"k": fmuid.Parameter(1e4, min=0.01)}
     result = fmuid.identify(fmuid.Problem(stepping_fmu(folder, LAG, exchange=True), lag_table(), start))
     assert result.accuracy is not None
-    assert [switch.cause for switch in result.accuracy.switches] == [Cause.START_FAILED]
+    assert [switch.cause for switch in result.accuracy.switches] == [SwitchCause.START_FAILED]
     assert off(result) < 3.0
 
 
@@ -107,7 +107,7 @@ def test_the_optimum_shows_it(folder: Path) -> None:
     result = fmuid.identify(problem)
     found = result.accuracy
     assert found is not None
-    assert [switch.cause for switch in found.switches] == [Cause.SHIFT]
+    assert [switch.cause for switch in found.switches] == [SwitchCause.SHIFT]
     assert found.switches[0].size > SHIFT_LIMIT
     assert 0 < found.switches[0].simulations < found.simulations < result.simulations
     assert off(result) < 3.0
@@ -384,7 +384,7 @@ def test_a_box_that_holds_the_alias_alone() -> None:
     result = study.identify()
     assert [bound.name for bound in result.at_bounds] == ["L"]
     assert result.accuracy is not None
-    assert [switch.cause for switch in result.accuracy.switches] == [Cause.SHIFT]
+    assert [switch.cause for switch in result.accuracy.switches] == [SwitchCause.SHIFT]
 
 
 @pytest.mark.parametrize("order", [1, 4])

@@ -13,7 +13,7 @@ import pytest
 
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
-from fmuid.models.ssp.links import ConnectedVariable, Link
+from fmuid.models.ssp.links import ConnectedVariable, ConnectionEntry
 from fmuid.models.ssp.package import read_ssp
 from fmuid.models.system import System
 from fmuid.simulation.simulator import Simulator
@@ -87,7 +87,7 @@ def test_start_and_end_do_not_tell_the_direction(package: Maker) -> None:
     )
     assert forth.connections == back.connections
     assert set(forth.connections) == {
-        Link(("drive", "q"), ("controller", "q")), Link(("controller", "v"), ("drive", "v"))
+        ConnectionEntry(("drive", "q"), ("controller", "q")), ConnectionEntry(("controller", "v"), ("drive", "v"))
     }  # fmt: skip
     assert forth.inputs == back.inputs == {"reference": (ConnectedVariable("controller", "qg"),)}
     assert forth.outputs == back.outputs == {"where": ConnectedVariable("drive", "q")}
@@ -109,7 +109,7 @@ def test_nested_systems_are_flattened_and_transformations_composed(package: Make
     structure = read_ssp(path)
     assert set(structure.components) == {"outer.inner.drive", "controller"}
     # 3 (2 q + 1) - 4
-    assert structure.connections == (Link(("outer.inner.drive", "q"), ("controller", "q"), 6.0, -1.0, True),)
+    assert structure.connections == (ConnectionEntry(("outer.inner.drive", "q"), ("controller", "q"), 6.0, -1.0, True),)
     assert set(structure.inputs["u"]) == {
         ConnectedVariable("outer.inner.drive", "v", 5.0),
         ConnectedVariable("controller", "qg"),
@@ -178,7 +178,7 @@ def test_a_bus_passes_on_what_is_written_to_it(package: Maker) -> None:
     inner = element("System", "inner", "", content(controller() + inside, connection("controller.q", "same.position")))
     joined = connection("drive.q", "bus.position", linear(2.0))
     structure = read_ssp(package(content(drive() + here + inner, joined, dictionary)))
-    assert structure.connections == (Link(("drive", "q"), ("inner.controller", "q"), 2.0, 0.0, True),)
+    assert structure.connections == (ConnectionEntry(("drive", "q"), ("inner.controller", "q"), 2.0, 0.0, True),)
 
 
 def test_names_of_elements_may_have_dots_and_sources_escapes(package: Maker) -> None:
@@ -201,7 +201,7 @@ def test_ssp_2_is_read(package: Maker) -> None:
     ports = connector("v", "input", of="Float64") + connector("q", "output", of="Float64")
     part = element("Component", "drive", ports, source="resources/Drive.fmu")
     path = package(content(part, connection("drive.q", "drive.v", linear(-1.0))), version="2.0", check=False)
-    assert read_ssp(path).connections == (Link(("drive", "q"), ("drive", "v"), -1.0, 0.0, True),)
+    assert read_ssp(path).connections == (ConnectionEntry(("drive", "q"), ("drive", "v"), -1.0, 0.0, True),)
 
 
 # --- what is refused

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fmuid
-from fmuid.estimation import Accuracy, AccuracyOutcome, Cause, Kept, Switch
+from fmuid.estimation import Accuracy, AccuracyOutcome, Kept, Switch, SwitchCause
 from fmuid.reports.words.accuracy import KEPT, accuracy_words, passed_words, shift_text
 from tests.support.paths import ROOT
 
@@ -50,16 +50,20 @@ def test_what_is_not_known_is_said(result: fmuid.Result, outcome: AccuracyOutcom
     assert passed_words(unknown) == ""
 
 
-@pytest.mark.parametrize("cause", Cause)
-def test_what_was_switched_is_said(result: fmuid.Result, cause: Cause) -> None:
+@pytest.mark.parametrize("cause", SwitchCause)
+def test_what_was_switched_is_said(result: fmuid.Result, cause: SwitchCause) -> None:
     assert result.accuracy is not None
     used, finer = result.accuracy.used, result.accuracy.finer
     said = with_(result, switches=(Switch(cause, 0.25, used, finer, 17),))[0]
     assert "FMI 2.0 co-simulation" in said
     assert "rk45, tolerance 1e-09" in said
-    part = {Cause.START_FAILED: "start fails", Cause.START_DIFFERED: "25 %", Cause.SHIFT: "0.25 standard deviations"}
+    part = {
+        SwitchCause.START_FAILED: "start fails",
+        SwitchCause.START_DIFFERED: "25 %",
+        SwitchCause.SHIFT: "0.25 standard deviations",
+    }
     assert part[cause] in said
-    assert ("17 simulations" in said) == (cause is Cause.SHIFT)
+    assert ("17 simulations" in said) == (cause is SwitchCause.SHIFT)
 
 
 def test_optima_that_are_refused(result: fmuid.Result) -> None:

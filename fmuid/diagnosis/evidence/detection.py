@@ -22,7 +22,7 @@ COUNTED = 100
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class CauseFit:
     """The sizes of a set of causes that explain what is new best.
 
     Attributes
@@ -40,13 +40,13 @@ class Fit:
     covariance: Floats
 
 
-def fit(news: News, causes: Sequence[Cause]) -> Fit:
+def fit(news: News, causes: Sequence[Cause]) -> CauseFit:
     """Return the most likely sizes of some causes together, each with its sign."""
     columns = [i for cause in causes for i in cause.columns]
     signs = np.array([cause.sign for cause in causes for _ in cause.columns])
     information, score = news.part(columns)
     signed = np.flatnonzero(signs)
-    best = Fit(0.0, np.zeros(len(columns)), np.zeros((len(columns), len(columns))))
+    best = CauseFit(0.0, np.zeros(len(columns)), np.zeros((len(columns), len(columns))))
     # of a few causes all choices of what stays at zero are tried: the constrained optimum is one of them
     for count in range(signed.size + 1):
         for dropped in itertools.combinations(signed.tolist(), count):
@@ -66,12 +66,12 @@ def fit(news: News, causes: Sequence[Cause]) -> Fit:
     return best
 
 
-def _placed(statistic: float, kept: Sequence[int], sizes: Floats, covariance: Floats, columns: int) -> Fit:
+def _placed(statistic: float, kept: Sequence[int], sizes: Floats, covariance: Floats, columns: int) -> CauseFit:
     """Return a fit with zeros where a size is kept at zero."""
     all_sizes, whole = np.zeros(columns), np.zeros((columns, columns))
     all_sizes[list(kept)] = sizes
     whole[np.ix_(kept, kept)] = covariance
-    return Fit(statistic, all_sizes, whole)
+    return CauseFit(statistic, all_sizes, whole)
 
 
 def probability(statistic: float, cause: Cause) -> float:

@@ -12,7 +12,7 @@ from scipy import special, stats
 
 from fmuid.arrays import Floats
 from fmuid.diagnosis.evidence.causes import Cause
-from fmuid.diagnosis.evidence.detection import Chance, Fit, fit, probability
+from fmuid.diagnosis.evidence.detection import CauseFit, Chance, fit, probability
 from fmuid.diagnosis.evidence.information import News
 
 # Causes within these odds of the best one are all named: beyond it evidence is strong (Kass and Raftery, section 3.2)
@@ -34,13 +34,13 @@ class Explanation:
     causes : tuple of Cause
     odds : float
         Against the best explanation: 1 for that itself, less for others.
-    fit : Fit
+    fit : CauseFit
         Sizes and their covariance, the models' error included.
     """
 
     causes: tuple[Cause, ...]
     odds: float
-    fit: Fit
+    fit: CauseFit
 
     @property
     def names(self) -> tuple[str, ...]:

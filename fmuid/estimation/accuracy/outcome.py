@@ -52,7 +52,7 @@ class Kept(Enum):
     """It is the finest that there is."""
 
 
-class Cause(Enum):
+class SwitchCause(Enum):
     """Why the search went by a finer simulation."""
 
     START_FAILED = "start_failed"
@@ -69,7 +69,7 @@ class Switch:
 
     Attributes
     ----------
-    cause : Cause
+    cause : SwitchCause
     size : float
         The largest difference of an output at the start, as a share of its spread, or the largest shift of an estimate,
         standard deviations; NaN where that is not known.
@@ -79,7 +79,7 @@ class Switch:
         What the search that followed took.
     """
 
-    cause: Cause
+    cause: SwitchCause
     size: float
     before: Runs
     after: Runs
@@ -89,7 +89,9 @@ class Switch:
     def of_json(cls, data: Mapping[str, Any]) -> Switch:
         """Return it as ``result.json`` has it."""
         size = math.nan if data["size"] is None else float(data["size"])
-        return cls(Cause(data["cause"]), size, _runs(data["before"]), _runs(data["after"]), int(data["simulations"]))
+        return cls(
+            SwitchCause(data["cause"]), size, _runs(data["before"]), _runs(data["after"]), int(data["simulations"])
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -122,7 +122,7 @@ class GlobalSearch:
             return self.marquardt.search(problem, progress, start)
         refuse_loss(problem, "a global search")
         with np.errstate(over="ignore", invalid="ignore"):  # far from the truth models may explode
-            return _Search(problem, self, progress).run()
+            return _BoxSearch(problem, self, progress).run()
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ class _Fit:
     reached: float
 
 
-class _Search:
+class _BoxSearch:
     """One global search and what it knows so far."""
 
     def __init__(self, problem: LeastSquares, settings: GlobalSearch, progress: Progress | None) -> None:

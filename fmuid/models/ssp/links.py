@@ -33,7 +33,7 @@ class ComponentEntry:
     interface: str | None = None
 
 
-class Link(NamedTuple):
+class ConnectionEntry(NamedTuple):
     """An output and the input that it feeds, both as (component, variable): target = factor · source + offset.
 
     If `units_settled` is False, the structure gives no units, factor and offset are 1 and 0, and the value is to be
@@ -152,14 +152,14 @@ class Package:
                 found.append((node, sources.index(source)))
         return found
 
-    def links(self) -> list[Link]:
+    def links(self) -> list[ConnectionEntry]:
         """Return the connections between components."""
         found = []
         for node, chain in self.chains.items():
             if node.element in self.entries and self.fed_by_component(node):
                 source = chain[0].source
                 ends = [(".".join(end.element), end.connector) for end in (source, node)]
-                found.append(Link(ends[0], ends[1], *self.composed(chain)))
+                found.append(ConnectionEntry(ends[0], ends[1], *self.composed(chain)))
         return found
 
     def fed_by(self, source: Node) -> list[ConnectedVariable]:

@@ -11,7 +11,7 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.fmi import Value, file_digest, unpacked
 from fmuid.models.ssp.bindings import Bindings
-from fmuid.models.ssp.links import ComponentEntry, ConnectedVariable, Link, Package
+from fmuid.models.ssp.links import ComponentEntry, ConnectedVariable, ConnectionEntry, Package
 from fmuid.models.ssp.parameter_values import children, number, read_xml
 
 STRUCTURE_FILE = "SystemStructure.ssd"
@@ -28,7 +28,7 @@ class Structure:
     name : str
     components : mapping of str to ComponentEntry
         One inside nested systems is ``outer.inner``.
-    connections : tuple of Link
+    connections : tuple of ConnectionEntry
     values : mapping of str to value
         By ``component.variable``, as set by parameter bindings, in the unit of the variable.
     inputs : mapping of str to tuple of ConnectedVariable
@@ -44,7 +44,7 @@ class Structure:
     path: Path
     name: str
     components: Mapping[str, ComponentEntry]
-    connections: tuple[Link, ...]
+    connections: tuple[ConnectionEntry, ...]
     values: Mapping[str, Value] = field(default_factory=dict)
     inputs: Mapping[str, tuple[ConnectedVariable, ...]] = field(default_factory=dict)
     outputs: Mapping[str, ConnectedVariable] = field(default_factory=dict)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Cause, Kept
+from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Kept, SwitchCause
 from fmuid.reports.words.models import runs_words
 
 if TYPE_CHECKING:
@@ -57,9 +57,9 @@ def _optima(count: int) -> str:
 
 def _switch(switch: Switch) -> str:
     before, after = runs_words(switch.before), runs_words(switch.after)
-    if switch.cause is Cause.START_FAILED:
+    if switch.cause is SwitchCause.START_FAILED:
         return f"simulated by {before} the start fails: the search went by {after}"
-    if switch.cause is Cause.START_DIFFERED:
+    if switch.cause is SwitchCause.START_DIFFERED:
         return (
             f"at the start {before} is off by {100 * switch.size:.2g} % of an output's spread: the search went "
             f"by {after}"
