@@ -18,14 +18,28 @@ from fmuid.files import replacing
 if TYPE_CHECKING:
     from fmuid.progress import Event
     from fmuid.reports.console.progress import Display
+    from fmuid.simulation import Fit
     from fmuid.studies import Study
 
 FMU_LOG = "fmu.log"
 """What FMUs printed, in the output folder."""
 
 
-def simulate(study: StudyFile, output: Folder = None, set_: Overrides = None, in_process: InProcess = False) -> int:
-    """Simulate a study at the parameters' starts and compare with the measurements."""
+def simulate(
+    study: StudyFile,
+    output: Folder = None,
+    result: Annotated[
+        Path | None,
+        typer.Option(
+            "--result",
+            metavar="RESULT",
+            help="A result.json, or its folder: simulate at its estimates.",
+        ),
+    ] = None,
+    set_: Overrides = None,
+    in_process: InProcess = False,
+) -> int:
+    """Simulate a study at the parameters' starts, or at a result, and compare with the measurements."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
         from fmuid import files
@@ -35,8 +49,9 @@ def simulate(study: StudyFile, output: Folder = None, set_: Overrides = None, in
         from fmuid.reports.figures import style as plots
 
         files.make_folder(folder)
+        console.note_sources(read)
         console.warn_unfed(read.simulators())
-        fits = read.fits()
+        fits = read.fits() if result is None else _fits_at(read, result)
         console.show_misfits(fits)
         table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
         written = [files.write_table(folder / "simulated.csv", table)]
@@ -44,6 +59,17 @@ def simulate(study: StudyFile, output: Folder = None, set_: Overrides = None, in
         written += plots.save(figures_fit.fits(fits), folder / "figures")
         console.show_files(written)
         return DONE
+
+
+def _fits_at(study: Study, result: Path) -> tuple[Fit, ...]:
+    """Simulate a study at a result."""
+    from fmuid.estimation import Result
+    from fmuid.studies import fits_at, notes_of, result_path
+
+    path = result_path(result)
+    estimates = Result.from_json(path)
+    notes_of(study, path, estimates)
+    return fits_at(study, estimates)
 
 
 def identify(

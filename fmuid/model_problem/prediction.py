@@ -22,7 +22,7 @@ L. Ljung, "System Identification: Theory for the User", 2nd ed., 1999, sections 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -206,7 +206,7 @@ def predict(
     return record.predicted(again, level)
 
 
-def estimates_for(result: Result, system: System, experiment: Experiment, without: Mapping[str, Any]) -> dict[str, str]:
+def estimates_for(result: Result, system: System, experiment: Experiment, without: Collection[str]) -> dict[str, str]:
     """Return which estimate each variable takes in an experiment: variable to name of the parameter.
 
     Parameters
@@ -215,7 +215,7 @@ def estimates_for(result: Result, system: System, experiment: Experiment, withou
     system : System
     experiment : Experiment
         Parameters per experiment have a value for it where the result was made from it.
-    without : mapping
+    without : collection of str
         Variables that take none.
 
     Raises

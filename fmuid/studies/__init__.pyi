@@ -26,6 +26,7 @@ from .predicting.origin import result_path as result_path
 from .predicting.origin import study_of as study_of
 from .predicting.prediction import Fold as Fold
 from .predicting.prediction import cross_validate as cross_validate
+from .predicting.prediction import fits_at as fits_at
 from .predicting.prediction import notes_of as notes_of
 from .predicting.prediction import predict_with as predict_with
 from .predicting.prediction import records_like as records_like

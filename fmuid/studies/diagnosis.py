@@ -113,8 +113,8 @@ class FaultWords(ModelWords):
             )
         return FaultSettings(
             str(self.place),
-            replace(self.settings(), values={}) if own else None,
-            self.values,
+            replace(self.settings(), values={}, sources=()) if own else None,
+            self.held()[0],
             {name: each.parameter(is_angle=name in self.angle) for name, each in self.parameters.items()},
             self._angles(),
             self.names,

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BeforeValidator, Tag
 
+from fmuid.errors import InputError
+from fmuid.estimation import Result
 from fmuid.fmi import KINDS
 from fmuid.models import (
     DEFAULT_INTEGRATOR,
@@ -19,7 +21,9 @@ from fmuid.models import (
     Isolation,
     Numerics,
     System,
+    Value,
 )
+from fmuid.studies.parameters import Source
 from fmuid.studies.words import (
     BY_SHAPE,
     TABLE_TAG,
@@ -34,7 +38,7 @@ from fmuid.studies.words import (
     Number,
     Place,
     Positive,
-    Scalars,
+    Scalar,
     Share,
     Text,
     Texts,
@@ -43,6 +47,7 @@ from fmuid.studies.words import (
     one_of,
     word,
 )
+from fmuid.text import nearest
 from fmuid.units import TIME_UNITS
 
 if TYPE_CHECKING:
@@ -70,6 +75,8 @@ class ModelSettings:
         Names of the system's own, and the variables that each of them sets.
     isolation : Isolation or None
         How the FMUs run in a process of their own; None: in this one.
+    sources : tuple of Source
+        The earlier results that values are taken from.
     """
 
     components: Mapping[str, tuple[Path, Numerics]]
@@ -79,6 +86,7 @@ class ModelSettings:
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     connectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     isolation: Isolation | None = None
+    sources: tuple[Source, ...] = ()
 
     def system(self) -> System:
         """Return the model: its FMUs and their connections.
@@ -171,12 +179,43 @@ class ConnectionWords(Words):
 OneOrMore = Annotated[Names, BeforeValidator(as_list, json_schema_input_type=str | list[str])]
 
 
+class Estimate(Words):
+    """A value that is an estimate of an earlier identification."""
+
+    result: File = word(..., "the result.json of an earlier identification", "drive/result.json")
+    name: Text | None = word(
+        None, "the parameter of that result; default: that of the same name, with or without its component", "M"
+    )
+
+    def value(self, variable: str, result: Result) -> float:
+        """Return the value of a variable.
+
+        Raises
+        ------
+        InputError
+            If the result has no such parameter.
+        """
+        wanted = [self.name] if self.name is not None else [variable, variable.partition(".")[2]]
+        found = next((name for name in wanted if name in result.names), None)
+        if found is None:
+            raise self.error(
+                f"takes {wanted[0]!r} from {self.result}, which has no such parameter"
+                f"{nearest(wanted[0], result.names)}; it has {', '.join(result.names)}"
+            )
+        return result[found]
+
+
+ScalarOrEstimate = Annotated[Annotated[Scalar, Tag(VALUE_TAG)] | Annotated[Estimate, Tag(TABLE_TAG)], BY_SHAPE]
+
+
 class ModelWords(NumericsWords):
     """The model: one FMU, or several coupled ones."""
 
     fmu: File | None = word(None, "the path of the FMU, or of a system, .ssp")
     master: Annotated[str, one_of(MASTERS)] = word("jacobi", "in which order several FMUs step")
-    values: Scalars = word({}, "FMU variables held at a value")
+    values: Annotated[dict[str, ScalarOrEstimate], Entries("a table { name = value }")] = word(
+        {}, 'FMU variables held at a value, or at an estimate, { result = "drive/result.json" }'
+    )
     components: list[ComponentWords] = word([], "several FMUs in place of fmu; their variables are component.variable")
     connections: list[ConnectionWords] = word([], "what feeds what")
     connectors: Annotated[dict[str, OneOrMore], Entries("a table { name = variables }")] = word(
@@ -189,16 +228,44 @@ class ModelWords(NumericsWords):
         Raises
         ------
         InputError
-            If it has no FMU, or words for one FMU and for several.
+            If it has no FMU, or words for one FMU and for several, or a result has no such estimate.
         """
+        values, sources = self.held()
         return ModelSettings(
             self._components(),
             tuple(each.connection for each in self.connections),
             self.numerics,
             self.master,
-            self.values,
+            values,
             {name: tuple(some) for name, some in self.connectors.items()},
+            sources=sources,
         )
+
+    def held(self) -> tuple[dict[str, Value], tuple[Source, ...]]:
+        """Return the variables held at a value, and the results that values are taken from.
+
+        Raises
+        ------
+        InputError
+            If a result cannot be read, or has no such estimate.
+        """
+        results: dict[Path, Result] = {}
+        values: dict[str, Value] = {}
+        taken: dict[Path, list[str]] = {}
+
+        for name, given in self.values.items():
+            if isinstance(given, Estimate):
+                path = given.result
+                try:
+                    result = results.setdefault(path, results.get(path) or Result.from_json(path))
+                except InputError as error:
+                    raise InputError(f"{given.place}: {error}") from None
+                values[name] = given.value(name, result)
+                taken.setdefault(path, []).append(name)
+            else:
+                values[name] = given
+        sources = (Source(str(self.place), path, results[path], tuple(names)) for path, names in taken.items())
+        return values, tuple(sources)
 
     def _components(self) -> dict[str, tuple[Path, Numerics]]:
         if self.fmu is not None:

@@ -109,7 +109,7 @@ class SourceNote:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """An earlier result from which a study takes priors.
+    """An earlier result from which a study takes priors or values.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class Source:
             return [*notes, note(SourceDoubt.NO_MODEL)]
         for component in dict.fromkeys(system.split(name)[0] for name in self.names):
             fmu = system.components[component].fmu
-            earlier = self.result.models.get(component)
+            earlier = self.result.models.get(component) or self.result.models.get("")  # of that component alone
             if earlier is None or earlier["name"] != fmu.name:
                 theirs = ", ".join(model["name"] for model in self.result.models.values())
                 as_ = f" as {component!r}" if component else ""

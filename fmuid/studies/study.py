@@ -187,7 +187,8 @@ class Study:
 
     @property
     def _all_sources(self) -> tuple[Source, ...]:
-        return self.sources if self.diagnosis is None else (*self.sources, self.diagnosis.source)
+        sources = (*self.model.sources, *self.sources)
+        return sources if self.diagnosis is None else (*sources, self.diagnosis.source)
 
     @cached_property
     def system(self) -> System:
@@ -245,7 +246,7 @@ class Study:
 
     @cached_property
     def notes(self) -> tuple[SourceNote, ...]:
-        """What is to be known of the results that priors are taken from.
+        """What is to be known of the results that values and priors are taken from.
 
         Raises
         ------

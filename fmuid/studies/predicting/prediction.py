@@ -10,8 +10,9 @@ from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.data import Experiment, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.model_problem import Prediction, predict
+from fmuid.model_problem import Prediction, estimates_for, predict
 from fmuid.progress import Progress
+from fmuid.simulation import Fit, Refinement, Simulator, fit_of, refined
 from fmuid.studies.model import ExperimentSettings
 from fmuid.studies.monitoring import record_files
 from fmuid.studies.parameters import Source, SourceNote
@@ -104,6 +105,31 @@ def predict_with(
                 f"on each record (--free {name}), or hold it at a value under [model.values]"
             )
     return predict(study.system, result, experiment, values=study.model.values, free=again, level=level)
+
+
+def fits_at(study: Study, result: Result) -> tuple[Fit, ...]:
+    """Simulate every experiment of a study at the estimates of a result and set the measurements beside.
+
+    Parameters of which the result has no value are at their starts.
+
+    Raises
+    ------
+    InputError
+        If the result is of another model, or has no value for an experiment of a parameter per experiment.
+    SimulationError
+        If a simulation fails.
+    """
+    found, accuracy = [], result.accuracy
+    for table in study.tables:
+        known = estimates_for(result, study.system, table, ())
+        values = {name: parameter.start for name, parameter in study.parameters.items()}
+        values |= {variable: result[name] for variable, name in known.items()}
+        held = {name: value for name, value in study.model.values.items() if name not in values}
+        simulator = Simulator(study.system, table, tuple(values), values=held)
+        if accuracy is not None:
+            simulator = refined(simulator, study.system, Refinement(accuracy.tolerance, accuracy.divisor))
+        found.append(fit_of(study.system, table, simulator(list(values.values()))))
+    return tuple(found)
 
 
 def free_parameters(study: Study, result: Result, names: Sequence[str]) -> dict[str, Parameter]:

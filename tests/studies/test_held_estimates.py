@@ -1,0 +1,87 @@
+"""Variables held at the estimates of an earlier result, alone and in coupled systems."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from fmuid.cli.options import DONE
+from fmuid.errors import InputError
+from fmuid.estimation import Result
+from fmuid.fmi import FMU
+from fmuid.studies import Study, fits_at
+from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_
+from tests.support.paths import FMUS
+from tests.support.results import result
+
+DRIVE = FMUS / "PositionDrive/PositionDrive.fmu"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    text = STUDY.replace("[[experiments]]", 'values.L = { result = "result.json" }\n[[experiments]]')
+    (tmp_path / "study.toml").write_text("".join(line for line in text.splitlines(True) if not line.startswith("L =")))
+    return tmp_path
+
+
+def of_coil(folder: Path, **values: float) -> Path:
+    models = {"": {"name": "Coil", "digest": FMU(COIL).digest, "run": {}}}
+    return result(folder, {name: (value, 0.01) for name, value in values.items()}, models=models)
+
+
+def test_a_variable_is_held_at_an_estimate(folder: Path) -> None:
+    path = of_coil(folder, R=4.0, L=0.11)
+    study = Study.read(folder / "study.toml")
+    assert study.model.values == {"L": 0.11}
+    assert path in study.files()
+    assert study.notes == ()
+    assert study.fits()[0].misfit[0] > 0
+
+
+def test_what_is_wrong_with_it(folder: Path) -> None:
+    of_coil(folder, R=4.0)
+    with pytest.raises(
+        InputError, match=r"\[model.values.L\] takes 'L' from .*, which has no such parameter.*it has R"
+    ):
+        Study.read(folder / "study.toml")
+    of_coil(folder, R=4.0, l=0.1)
+    study = Study.read(folder / "study.toml", ['model.values.L={result="result.json", name="l"}'])
+    assert study.model.values == {"L": 0.1}
+    (folder / "result.json").write_text("{}")
+    with pytest.raises(InputError, match=r"\[model.values.L\]: .*result.json does not say"):
+        Study.read(folder / "study.toml")
+    result(folder, {"L": (0.1, 0.01)}, models={"": {"name": "Motor", "digest": "0", "run": {}}})
+    with pytest.raises(InputError, match="is a result of another model, Motor"):
+        Study.read(folder / "study.toml").check_sources()
+
+
+def test_of_a_component_that_was_identified_alone(tmp_path: Path) -> None:
+    digest = FMU(DRIVE).digest
+    result(tmp_path, {"M": (93.0, 1.0)}, models={"": {"name": "PositionDrive", "digest": digest, "run": {}}})
+    emps = FMUS.parent / "experiments/emps/study.toml"
+    data = tomllib.loads(emps.read_text(encoding="utf-8"))
+    for each in data["model"]["components"]:
+        each["fmu"] = str((emps.parent / each["fmu"]).resolve())
+    data["model"]["values"]["drive.M"] = {"result": "result.json"}
+    del data["parameters"]["drive.M"]
+    (tmp_path / "table.csv").write_text("t,qg,vir\n0,0,0\n1,0,0\n")
+    data["experiments"][0]["table"] = "table.csv"
+    study = Study.of(data, tmp_path / "study.toml")
+    assert study.model.values["drive.M"] == 93.0
+    study.check_sources()
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_simulate_at_a_result(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "study.toml").write_text(STUDY)
+    path = of_coil(folder, R=4.0, L=0.1)
+    study = Study.read(folder / "study.toml")
+    (at,) = fits_at(study, Result.from_json(path))
+    (start,) = study.fits()
+    assert at.misfit[0] < 0.5 * start.misfit[0]
+    code = fmuid_("simulate", folder / "study.toml", "--result", folder, "-o", folder / "out", "--in-process")
+    assert code == DONE
+    assert f"{100 * at.misfit[0]:.3g} %" in capsys.readouterr().out
