@@ -40,7 +40,7 @@ from fmuid.estimation import (
 from fmuid.model_problem.problem import Problem
 from fmuid.model_problem.region import CheckedRegion, Verdict
 from fmuid.progress import Progress
-from fmuid.simulation import Refinement, is_free, replaces_interface
+from fmuid.simulation import Refinement, is_controlled, is_free, replaces_interface
 from fmuid.text import nearest
 
 ACCURACIES = ("switch", "check", "off")
@@ -222,19 +222,20 @@ class _CheckedSearch:
             exact &= all(model.kind == "model-exchange" for model in problem.system.components.values())
             outcome = AccuracyOutcome.PASSED if exact else AccuracyOutcome.UNCHECKABLE
             return Accuracy(outcome, np.full(fit.values.size, 0.0 if exact else np.nan))
+        controlled = is_controlled(problem.system, problem.refinement)
         if self.region is not None:
-            found = checked(problem, fit, self.region.error(problem, finer, fit.values))
+            found = checked(problem, fit, self.region.error(problem, finer, fit.values), controlled=controlled)
             if found.outcome is AccuracyOutcome.UNCHECKABLE or found.change < SHIFT_LIMIT or found.largest < SURE:
                 return replace(found, finer=problem.how_run(finer))
         # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
         predicted = simulated(fit) if finer.tolerance else problem.predict(fit.values[None])[0]
-        found = checked(problem, fit, problem.predict_by(finer, fit.values) - predicted)
+        found = checked(problem, fit, problem.predict_by(finer, fit.values) - predicted, controlled=controlled)
         found = replace(found, finer=problem.how_run(finer))
         sure = problem.next_sure_refinement
         if not found.doubtful or sure == finer:
             return found
         if sure is not None:
-            inside = checked(problem, fit, problem.predict_by(sure, fit.values) - predicted)
+            inside = checked(problem, fit, problem.predict_by(sure, fit.values) - predicted, controlled=controlled)
             if inside.doubtful:
                 return replace(inside, finer=problem.how_run(sure))
         return replace(found, outcome=AccuracyOutcome.COUPLED)

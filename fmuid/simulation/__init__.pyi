@@ -1,6 +1,7 @@
 from .accuracy import AS_ASKED as AS_ASKED
 from .accuracy import Refinement as Refinement
 from .accuracy import how_run as how_run
+from .accuracy import is_controlled as is_controlled
 from .accuracy import is_free as is_free
 from .accuracy import next_refinement as next_refinement
 from .accuracy import refined as refined

@@ -9,6 +9,7 @@ show what depends on them, and no search goes on by them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from fmuid.models import DEFAULT_TOLERANCE, Component, HowRun, Numerics, System
@@ -78,6 +79,15 @@ def next_refinement(system: System, than: Refinement = AS_ASKED, *, surely: bool
 def replaces_interface(system: System, refinement: Refinement) -> bool:
     """Return whether a refinement runs by model exchange what runs by co-simulation."""
     return refinement.tolerance is not None and any(m.kind == "co-simulation" for m in _exchanged(system).values())
+
+
+def is_controlled(system: System, refinement: Refinement) -> bool:
+    """Return whether all that is integrated is integrated with a controlled error."""
+    exchanged = _exchanged(system)
+    return all(
+        name in exchanged and (refinement.tolerance is not None or math.isfinite(_tolerance(exchanged[name])))
+        for name in filter(system.integrates, system.components)
+    )
 
 
 def is_free(system: System) -> bool:
@@ -151,5 +161,5 @@ def _exchange(model: Component, tolerance: float = FINE_TOLERANCE) -> Numerics:
 def _tolerance(model: Component) -> float:
     """Return the tolerance of a component by model exchange, infinite where its error is not controlled."""
     if model.kind != "model-exchange" or model.numerics.integrator == "rk4":
-        return float("inf")
+        return math.inf
     return model.numerics.tolerance or DEFAULT_TOLERANCE
