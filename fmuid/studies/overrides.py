@@ -11,7 +11,7 @@ from fmuid.errors import InputError
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import show
 from fmuid.studies.toml_text import UnreadableError, parsed
-from fmuid.studies.words import entries_of, table_of
+from fmuid.studies.words import entries_of, only_tables, table_of
 from fmuid.text import nearest
 
 _SEGMENT = re.compile(r"""\s*(?:"([^"]*)"|'([^']*)'|([^."'\s]+))\s*(?:\.|$)""")
@@ -101,7 +101,7 @@ def _key(
     if present:
         return joined[present[0]], segments[present[0] + 1 :]
     named = entries_of(shape)  # all that is left is one name there
-    if named is not None and (table_of(named) is None or isinstance(value, dict)):
+    if named is not None and (isinstance(value, dict) or not only_tables(named)):
         return joined[-1], ()
     if named is None and len(segments) == 1:
         return segments[0], ()  # a new key: whether it is a known one is for the check of its table to say

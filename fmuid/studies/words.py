@@ -190,6 +190,11 @@ def table_of(type_: Any) -> type[Words] | None:
     return None
 
 
+def only_tables(type_: Any) -> bool:
+    """Return whether values of a type are tables of `Words`, or lists of them, and nothing else."""
+    return all(table_of(each) is not None for each in _alternatives(type_))
+
+
 def entries_of(type_: Any) -> Any:
     """Return the type of the entries of a table of names, None where values of a type are no such tables."""
     return next((get_args(each)[1] for each in _alternatives(type_) if get_origin(each) is dict), None)
