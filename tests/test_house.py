@@ -110,6 +110,8 @@ def test_no_two_classes_share_a_name() -> None:
 
 def test_the_listing_shows_the_plan() -> None:
     assert len(list(PACKAGE.glob("*.py"))) <= 12
+    for path in PACKAGE.rglob("*.py"):
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= 400, f"{path} is long: split it where a seam is"
     for folder in {path.parent for path in modules().values()} - {PACKAGE}:
         assert len([path for path in folder.glob("*.py") if path.stem != "__init__"]) <= 14, folder
 

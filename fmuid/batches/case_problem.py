@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from fmuid.data import Experiment, JointPrior
+from fmuid.data import Experiment, JointPrior, time_name
 from fmuid.errors import InputError
 from fmuid.model_problem import Problem
 from fmuid.simulation import Simulator
@@ -172,5 +172,5 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
 def _unmeasured(given: ExperimentSettings, rows: int) -> Experiment:
     """Return an experiment that is still to be made: inputs at rest, and the names of the outputs."""
     columns = dict.fromkeys(given.inputs.values(), 0.0)
-    frame = pd.DataFrame({given.time_name: np.arange(rows, dtype=np.float64)} | columns)
+    frame = pd.DataFrame({time_name(given.time): np.arange(rows, dtype=np.float64)} | columns)
     return given.model_copy(update={"discard": 0.0}).experiment(frame, str(given.table), measured=False)

@@ -19,5 +19,6 @@ from .predictors import Measurements as Measurements
 from .predictors import Predictor as Predictor
 from .predictors import Table as Table
 from .tables import read_table as read_table
+from .times import time_name as time_name
 from .transforms import concordia as concordia
 from .transforms import park as park

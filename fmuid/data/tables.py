@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmuid.data.formats import SPREADSHEETS, TABLE_SUFFIXES, is_number, reader_of
-from fmuid.data.times import with_time
+from fmuid.data.times import time_name, with_time
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder
 
@@ -92,7 +92,7 @@ def read_table(
     if len(raw.frame) == 0:
         raise InputError(f"{source}: the table has a header but no rows: give measured samples")
     frame, begin = with_time(raw, time, time_unit, sample_rate, source)
-    numeric_column(frame, time if isinstance(time, str) else "time", source)
+    numeric_column(frame, time_name(time), source)
     others = set(raw.frame.columns) & set(frame.columns) - {time}
     frame.attrs = {UNITS: {name: unit for name, unit in raw.units.items() if name in others}}
     if begin is not None:

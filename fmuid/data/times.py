@@ -20,6 +20,11 @@ _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
 _CLOCK = re.compile(r"\d{1,3}:\d{2}(:\d{2}([.,]\d+)?)?")
 
 
+def time_name(time: str | int) -> str:
+    """Return the name that the time column has in the end: its own, ``time`` where it is given by its place."""
+    return time if isinstance(time, str) else "time"
+
+
 def with_time(
     raw: RawTable, time: str | int, unit: str | None, sample_rate: float | None, source: str
 ) -> tuple[pd.DataFrame, pd.Timestamp | None]:
@@ -49,7 +54,7 @@ def with_time(
     InputError
         If there is no such column, or it holds no times.
     """
-    name = time if isinstance(time, str) else "time"
+    name = time_name(time)
     if sample_rate is not None:
         if name in raw.frame.columns:
             raise InputError(f"{source}: there are a column {name!r} and a sample rate: leave out one of the two")

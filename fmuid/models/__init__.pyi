@@ -6,6 +6,7 @@ from .component import Component as Component
 from .component import HowRun as HowRun
 from .component import Isolation as Isolation
 from .component import Numerics as Numerics
+from .connections import Connection as Connection
 from .executor import Executor as Executor
 from .facts import Facts as Facts
 from .facts import Line as Line
@@ -18,6 +19,5 @@ from .ssp.parameter_values import Quantity as Quantity
 from .ssp.parameter_values import read_ssv as read_ssv
 from .ssp.parameter_values import write_ssv as write_ssv
 from .system import MASTERS as MASTERS
-from .system import Connection as Connection
 from .system import Port as Port
 from .system import System as System

@@ -6,11 +6,11 @@ import copy
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 from fmuid.errors import InputError
 from fmuid.fmi import FMU, Variable, in_threads, unit_conversion
 from fmuid.models.component import AS_OFFERED, Component, Isolation, Numerics
+from fmuid.models.connections import Connection, exchange_order
 from fmuid.models.executor import Owner
 from fmuid.text import nearest
 
@@ -18,18 +18,6 @@ MASTERS = ("jacobi", "gauss-seidel")
 
 Port = tuple[str, float, float]
 """A variable connected to a connector of the system, with factor and offset."""
-
-
-class Connection(NamedTuple):
-    """An output and the input that it feeds, both as (component, variable name inside the component).
-
-    The input is factor times the output plus offset.
-    """
-
-    source: tuple[str, str]
-    target: tuple[str, str]
-    factor: float = 1.0
-    offset: float = 0.0
 
 
 class System(Owner):
@@ -98,7 +86,9 @@ class System(Owner):
         self.connections = tuple(self._connect(*connection) for connection in connections)
         self._check_fed_once()
         self._check_connectors()
-        self.exchange_order = self._ordered()
+        self.exchange_order = exchange_order(
+            self.connections, {name: model.fmu.description for name, model in self.components.items()}
+        )
         self.values = dict(values or {})
         for name in self.values:
             self.variable(name)
@@ -353,64 +343,3 @@ class System(Owner):
             if connection.target in seen:
                 raise InputError(f"input {self.full_name(*connection.target)!r} is fed by two connections; keep one")
             seen.add(connection.target)
-
-    def _ordered(self) -> tuple[tuple[tuple[Connection, ...], bool], ...]:
-        """Return the connections in the order in which values can be passed on, in groups that may go together.
-
-        With each group goes whether it is a loop of direct feed-through, to be solved. A connection comes after those
-        that feed an input on which its source depends directly (ModelStructure, FMI 2.0.4, section 2.2.8; an FMU that
-        declares no dependencies is taken to depend on all its inputs).
-        """
-        if not self.connections:
-            return ()
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
-        feeding = {connection.target: i for i, connection in enumerate(self.connections)}
-        needs = [
-            {
-                feeding[connection.source[0], name]
-                for name in self._direct_inputs(*connection.source)
-                if (connection.source[0], name) in feeding
-            }
-            for connection in self.connections
-        ]
-        n = len(needs)
-        edges = [(i, j) for i, needed in enumerate(needs) for j in needed]
-        rows, columns = ([edge[side] for edge in edges] for side in (0, 1))
-        _, labels = connected_components(coo_array(([1] * len(edges), (rows, columns)), (n, n)), connection="strong")
-        members: dict[int, list[int]] = {}
-        for i, label in enumerate(labels.tolist()):
-            members.setdefault(label, []).append(i)
-        groups: list[tuple[tuple[Connection, ...], bool]] = []
-        waiting, done = dict(members), set[int]()
-        while waiting:
-            ready = [label for label, some in waiting.items() if all(needs[i] <= done | {*some} for i in some)]
-            plain = [i for label in ready for i in waiting[label] if not needs[i] & {*waiting[label]}]
-            if plain:
-                groups.append((tuple(sorted(self.connections[i] for i in plain)), False))
-            for label in ready:
-                some = waiting.pop(label)
-                done |= {*some}
-                if some[0] not in plain:
-                    groups.append((self._loop(some), True))
-        return tuple(groups)
-
-    def _loop(self, members: Iterable[int]) -> tuple[Connection, ...]:
-        """Return a loop of direct feed-through, if it can be solved."""
-        loop = tuple(self.connections[i] for i in members)
-        for connection in loop:
-            source = self.full_name(*connection.source)
-            if self.variables[source].type != "Real":
-                through = " -> ".join(self.full_name(*each.source) for each in loop)
-                raise InputError(
-                    f"the connections close a loop of direct feed-through, {through}, in which {source!r} is of type "
-                    f"{self.variables[source].type}: only Real variables can be solved for; break it with a component "
-                    f"whose output does not depend directly on its input"
-                )
-        return loop
-
-    def _direct_inputs(self, component: str, output: str) -> tuple[str, ...]:
-        description = self.components[component].fmu.description
-        declared = description.dependencies.get(output)
-        return description.inputs if declared is None else declared

@@ -333,15 +333,12 @@ class ExperimentSettings(Words):
         InputError
             If the table lacks what the words name.
         """
-        from fmuid.data import Experiment
+        from fmuid.data import Experiment, time_name
 
         words = {name: getattr(self, name) for name in ("interpolation", "discard", "units", "name")}
-        return Experiment(frame, self.inputs, self.outputs, self.time_name, **words, measured=measured, source=source)
-
-    @property
-    def time_name(self) -> str:
-        """Name of the time column once the table is read."""
-        return self.time if isinstance(self.time, str) else "time"
+        return Experiment(
+            frame, self.inputs, self.outputs, time_name(self.time), **words, measured=measured, source=source
+        )
 
 
 def named(experiments: Sequence[ExperimentSettings], top: Place) -> tuple[ExperimentSettings, ...]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmuid.data import Experiment, read_table
+from fmuid.data import Experiment, read_table, time_name
 from fmuid.errors import InputError
 from fmuid.studies.drafting.mapping import ColumnLink, guess
 
@@ -83,7 +83,7 @@ class Record:
     @property
     def time(self) -> str:
         """Name of the time column."""
-        return self.asked.time if isinstance(self.asked.time, str) else "time"
+        return time_name(self.asked.time)
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
