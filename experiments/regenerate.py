@@ -33,9 +33,9 @@ BATCHES = {
 """Study to where begins and ends what the page shows of the command's words, and its figure."""
 
 
-def fmuid(word: str, study: Path, output: str) -> str:
+def fmuid(word: str, study: Path, output: str, *options: str) -> str:
     """Run a command on a study and return what it says."""
-    command = [sys.executable, "-m", "fmuid", word, str(study), "--output", output]
+    command = [sys.executable, "-m", "fmuid", word, str(study), "--output", output, *options]
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, encoding="utf-8").stdout
 
 
@@ -44,7 +44,7 @@ def induction_machine() -> None:
     chapter.main()
     folder = HERE / "induction_machine"
     with tempfile.TemporaryDirectory() as output:
-        fmuid("identify", folder / "study.toml", output)
+        fmuid("identify", folder / "study.toml", output, "--no-report", "--figures", "png")
         for name in ("fit.png", "parameters.png"):
             shutil.copy(Path(output) / "figures" / name, folder / name)
 

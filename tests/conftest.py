@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 
 from experiments.induction_machine import make_table
+from fmuid.files import replacing
 from fmuid.fmi.native.build import compiler_here
 from tests.support.paths import HERE
 from tests.support.probe_fmu import ProbeMaker
@@ -73,10 +74,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 @pytest.fixture
 def blank_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made and written, but nothing is laid out or drawn in them, which takes longer than all the rest."""
+    """Reports are empty; figures are made and written, but nothing is laid out or drawn in them, which takes longer than all the rest."""
     if "drawn_figures" not in request.fixturenames:
         monkeypatch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
         monkeypatch.setattr("matplotlib.backends.backend_agg.FigureCanvasAgg.draw", lambda self: self.get_renderer())
+        monkeypatch.setattr("fmuid.reports.page.write.write_report", blank_report)
+
+
+def blank_report(folder: Path) -> Path:
+    """Write a report of nothing, which takes no time."""
+    with replacing(folder / "report.html") as draft:
+        draft.write_text("")
+    return folder / "report.html"
 
 
 @pytest.fixture

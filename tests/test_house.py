@@ -152,7 +152,7 @@ def test_imports_nothing_heavy(module: str) -> None:
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(run.stdout.split())
     assert "fmuid" in loaded
-    assert not loaded & {"numpy", "pandas", "matplotlib", "fmpy", "scipy", "pyarrow", "pydantic", *EXTRAS}
+    assert not loaded & {"numpy", "pandas", "matplotlib", "fmpy", "scipy", "pyarrow", "pydantic", "bokeh", *EXTRAS}
 
 
 def test_simulating_imports_nothing_that_only_others_need() -> None:

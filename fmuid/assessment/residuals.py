@@ -168,6 +168,25 @@ class Diagnostics:
         ]
         return pd.DataFrame(rows, columns=["experiment", "output", *names])
 
+    @property
+    def correlations(self) -> pd.DataFrame:
+        """One row for each residual, what it is held against, and lag: what figures show.
+
+        Columns experiment, output, with (the input, or the output itself), lag (samples by which the other comes
+        before), time (s), correlation, and band, the half-width of what 95 % of chance lies in.
+        """
+        parts = []
+        for each in self.series:
+            lags = np.arange(1, each.autocorrelation.size)
+            own = (each.output, lags, lags * each.step, each.autocorrelation[1:], each.band)
+            others = [(one.input, one.lags / each.step, one.lags, one.values, one.band) for one in each.inputs]
+            for name, places, times, values, band in (own, *others) if each.examined else ():
+                columns = {"lag": np.rint(places), "time": times, "correlation": values, "band": band}
+                parts.append(
+                    pd.DataFrame({"experiment": each.experiment, "output": each.output, "with": name} | columns)
+                )
+        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
     def to_json_dict(self) -> dict[str, Any]:
         """Return ``diagnostics`` of ``result.json``; what is not a finite number is None."""
         rows = []

@@ -123,6 +123,7 @@ class Uncertainty:
                     "level": each.level,
                     "lower": each.lower,
                     "upper": each.upper,
+                    "threshold": each.threshold,
                     "remarks": [
                         {"kind": found.kind, "end": "upper" if found.upper else "lower"}
                         | {key: getattr(found, key) for key in ("value", "rise", "outcome", "other")}

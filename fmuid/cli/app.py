@@ -57,6 +57,7 @@ for command in (
     cli_studies.diagnose,
     cli_studies.monitor,
     cli_batch.batch,
+    cli_studies.report,
     cli_results.predict,
     cli_models.apply,
     cli_models.export,

@@ -73,7 +73,7 @@ def _show(job: Batch, found: BatchResult) -> int:
     said += [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
     console.show_notes(said)
     if found.finished:
-        from fmuid.reports import write_summary
+        from fmuid.reports import clear_figures, write_summary
         from fmuid.reports.console.batch import show_batch
         from fmuid.reports.figures import batch as figures_batch
         from fmuid.reports.figures import style as plots
@@ -81,7 +81,7 @@ def _show(job: Batch, found: BatchResult) -> int:
         summary, frame = found.summary()
         show_batch(summary)
         written = write_summary(summary, job.folder)
-        plots.clear(job.folder / "figures")
+        clear_figures(job.folder / "figures")
         figures = figures_batch.draw(frame, found.truth, found.units, given_noise=found.given_noise)
         written += plots.save(figures, job.folder / "figures")
         console.show_files([*job.dataset.files(), *written])

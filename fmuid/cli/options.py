@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,20 @@ InProcess = Annotated[
     bool,
     typer.Option("--in-process", help="Run FMUs inside this process: one that crashes takes it along."),
 ]
+
+
+class FigureFormat(StrEnum):
+    """Of figures for print."""
+
+    PNG = "png"
+    SVG = "svg"
+    PDF = "pdf"
+
+
+Figures = Annotated[
+    FigureFormat | None, typer.Option("--figures", help="Also draw figures for print, into figures/ of the output.")
+]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Leave out report.html, which takes about a second.")]
 
 
 @contextmanager

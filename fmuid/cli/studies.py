@@ -11,7 +11,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmuid.cli.interruption import answering, stopping
-from fmuid.cli.options import DONE, NOT_SUCCEEDED, Folder, InProcess, Overrides, StudyFile, folder_of, telling_files
+from fmuid.cli.options import (
+    DONE,
+    NOT_SUCCEEDED,
+    FigureFormat,
+    Figures,
+    Folder,
+    InProcess,
+    NoReport,
+    Overrides,
+    StudyFile,
+    folder_of,
+    telling_files,
+)
 from fmuid.errors import InputError
 from fmuid.files import replacing
 
@@ -38,11 +50,13 @@ def simulate(
     ] = None,
     set_: Overrides = None,
     in_process: InProcess = False,
+    figures: Annotated[FigureFormat, typer.Option("--figures", help="How the figures are drawn.")] = FigureFormat.PNG,
 ) -> int:
     """Simulate a study at the parameters' starts, or at a result, and compare with the measurements."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
         from fmuid import files
+        from fmuid.reports import clear_figures
         from fmuid.reports import findings as report
         from fmuid.reports.console import layout as console
         from fmuid.reports.figures import fit as figures_fit
@@ -55,8 +69,8 @@ def simulate(
         console.show_misfits(fits)
         table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
         written = [files.write_table(folder / "simulated.csv", table)]
-        plots.clear(folder / "figures")
-        written += plots.save(figures_fit.fits(fits), folder / "figures")
+        clear_figures(folder / "figures")
+        written += plots.save(figures_fit.fits(fits), folder / "figures", figures)
         console.show_files(written)
         return DONE
 
@@ -83,8 +97,10 @@ def identify(
             "--resume", help="Start from the values in the output folder's result.json, without a global search."
         ),
     ] = False,
+    figures: Figures = None,
+    no_report: NoReport = False,
 ) -> int:
-    """Identify the parameters of a study and write result, tables and figures."""
+    """Identify the parameters of a study and write result, tables and a report."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
         from fmuid.reports import SearchInterruptedError, run_study
@@ -97,7 +113,7 @@ def identify(
         try:
             with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
                 shown = partial(_show_event, display, read)
-                found = run_study(read, folder, figures=True, resume=resume, progress=shown)
+                found = run_study(read, folder, figures=figures, report=not no_report, resume=resume, progress=shown)
         except SearchInterruptedError as error:
             if error.result is None:
                 raise
@@ -151,7 +167,7 @@ def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in
             console.note_sources(read)
             console.warn_unfed(read.simulators())
         with Display() as display:
-            found = run_diagnosis(read, folder, figures=True, progress=partial(_show_judged, display))
+            found = run_diagnosis(read, folder, figures="png", progress=partial(_show_judged, display))
         console.show_files(found.files)
         return DONE if found.healthy else NOT_SUCCEEDED
 
@@ -181,7 +197,7 @@ def monitor(
         saving = "saving the records examined so far, with which --append goes on"
         with answering(saving), Display() as display:
             shown = partial(_show_judged, display)
-            found = run_monitoring(read, tables, folder, figures=True, append=append, progress=shown)
+            found = run_monitoring(read, tables, folder, figures="png", append=append, progress=shown)
         console.show_files(found.files)
         return DONE if found.healthy else NOT_SUCCEEDED
 
@@ -200,6 +216,19 @@ def _show_judged(display: Display, event: Event, /) -> None:
         show_diagnosis(event.findings.diagnosis)
     else:
         show_monitoring(event.findings.monitor)
+
+
+def report(
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="The folder that a command has written into.", show_default=False)
+    ],
+) -> int:
+    """Write report.html from what is in a folder of results: all of it on one page that asks no host."""
+    from fmuid.reports import write_report
+    from fmuid.reports.console import layout as console
+
+    console.show_files([write_report(results)])
+    return DONE
 
 
 @contextmanager

@@ -3,6 +3,7 @@ from .apply import apply_result as apply_result
 from .apply import write_estimates as write_estimates
 from .batch_words import summary_words as summary_words
 from .batch_words import write_summary as write_summary
+from .drawn import clear_figures as clear_figures
 from .fault_runs import DiagnosisFindings as DiagnosisFindings
 from .fault_runs import Judged as Judged
 from .fault_runs import MonitoringFindings as MonitoringFindings
@@ -10,6 +11,7 @@ from .fault_runs import run_diagnosis as run_diagnosis
 from .fault_runs import run_monitoring as run_monitoring
 from .findings import Findings as Findings
 from .findings import write_diagnosis as write_diagnosis
+from .page.write import write_report as write_report
 from .predictions import PredictionFindings as PredictionFindings
 from .predictions import run_prediction as run_prediction
 from .run import Identified as Identified

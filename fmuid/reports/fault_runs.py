@@ -11,6 +11,7 @@ from fmuid import files
 from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.errors import InputError
 from fmuid.progress import Event, Progress
+from fmuid.reports.drawn import check_format
 from fmuid.reports.findings import write_diagnosis
 from fmuid.studies import Study, monitor_of, records_of, rule_of
 
@@ -56,7 +57,7 @@ def run_diagnosis(
     study: Study | str | Path,
     folder: str | Path | None = None,
     *,
-    figures: bool = False,
+    figures: str | None = None,
     progress: Progress | None = None,
 ) -> DiagnosisFindings:
     """Look for the faults that the ``[diagnosis]`` of a study names, and write what is found.
@@ -68,8 +69,8 @@ def run_diagnosis(
     study : Study or path
     folder : path, optional
         Where ``diagnosis.json`` and ``diagnosis.csv`` go, made where needed. Nothing is written without one.
-    figures : bool
-        Whether to draw, into ``figures/`` of the folder.
+    figures : str, optional
+        ``png``, ``svg`` or ``pdf``: draw figures for print, into ``figures/`` of the folder.
     progress : callable, optional
         Called before each fit, and with `Judged`.
 
@@ -80,7 +81,8 @@ def run_diagnosis(
     SimulationError
         If the simulation fails at the healthy estimate.
     """
-    study, target = _prepared(study, folder, figures)
+    check_format(figures)
+    study, target = _prepared(study, folder, figures is not None)
     if target is not None:
         files.make_folder(target)
     found = DiagnosisFindings(study.diagnose(progress))
@@ -90,7 +92,7 @@ def run_diagnosis(
     if target is not None and figures:
         from fmuid.reports.figures import diagnosis
 
-        found = replace(found, files=(*found.files, *_drawn(diagnosis.draw(found.diagnosis), target)))
+        found = replace(found, files=(*found.files, *_drawn(diagnosis.draw(found.diagnosis), target, figures)))
     return found
 
 
@@ -99,7 +101,7 @@ def run_monitoring(
     tables: Sequence[str | Path],
     folder: str | Path | None = None,
     *,
-    figures: bool = False,
+    figures: str | None = None,
     append: bool = False,
     progress: Progress | None = None,
 ) -> MonitoringFindings:
@@ -114,8 +116,8 @@ def run_monitoring(
         Records, and folders of records, in their order.
     folder : path, optional
         Where ``monitoring.csv`` and ``monitoring.json`` go, made where needed. Nothing is written without one.
-    figures : bool
-        Whether to draw, into ``figures/`` of the folder.
+    figures : str, optional
+        ``png``, ``svg`` or ``pdf``: draw figures for print, into ``figures/`` of the folder.
     append : bool
         Whether to go on with the run in the folder, whose records are left out.
     progress : callable, optional
@@ -127,7 +129,8 @@ def run_monitoring(
         If study, models and records do not fit together, there are figures or a run to go on with without a folder, or
         nothing can be written there. What was found before a record that is wrong is written.
     """
-    study, target = _prepared(study, folder, figures or append)
+    check_format(figures)
+    study, target = _prepared(study, folder, figures is not None or append)
     monitor = monitor_of(study, rule_of(study))
     written: list[Path] = []
     if target is not None:
@@ -145,7 +148,7 @@ def run_monitoring(
     if target is not None and figures:
         from fmuid.reports.figures import monitoring
 
-        found = replace(found, files=(*found.files, *_drawn(monitoring.draw(monitor), target)))
+        found = replace(found, files=(*found.files, *_drawn(monitoring.draw(monitor), target, figures)))
     return found
 
 
@@ -161,7 +164,7 @@ def _tell(progress: Progress | None, found: DiagnosisFindings | MonitoringFindin
         progress(Judged(findings=found))
 
 
-def _drawn(figures: dict[str, Figure], folder: Path) -> list[Path]:
+def _drawn(figures: dict[str, Figure], folder: Path, kind: str) -> list[Path]:
     from fmuid.reports.figures import style
 
-    return style.save(figures, folder / "figures")
+    return style.save(figures, folder / "figures", kind)

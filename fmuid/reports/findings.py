@@ -16,6 +16,7 @@ from fmuid.data import ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import Outcome, Result, optima_table
 from fmuid.files import file_name, write_json, write_table
+from fmuid.reports.origin import Origin
 from fmuid.reports.words.diagnosis import verdict
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 # Tables that a run may write: those of an earlier run would be taken for this one's.
 _TABLES = (
-    *("trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "reading.csv", "optima.csv"),
+    *("trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "correlations.csv", "reading.csv", "optima.csv"),
     *("profiles.csv", "posterior.csv", "map-*.csv"),
 )
 
@@ -112,6 +113,8 @@ class Findings:
         Those that were written, each once.
     study : mapping or None
         By which study the result was made (`fmuid.studies.origin_of`), for ``result.json``.
+    origin : Origin or None
+        Of the study, where it is one of a file.
     """
 
     result: Result
@@ -123,6 +126,7 @@ class Findings:
     uncertainty: Uncertainty | None = None
     files: tuple[Path, ...] = ()
     study: Mapping[str, Any] | None = None
+    origin: Origin | None = None
 
     @property
     def succeeded(self) -> bool:
@@ -157,6 +161,8 @@ class Findings:
     def to_json_dict(self) -> dict[str, Any]:
         """Return the content of ``result.json``."""
         content = {"words": [ending(self.result), *remarks(self.result)], **self.result.to_json_dict()}
+        content |= {"level": self.level, "experiments": [_experiment(fit) for fit in self.fits]}
+        content |= {} if self.origin is None else self.origin.to_json_dict()
         content |= {
             "diagnostics": {"words": list(residual_words(self.diagnostics)), **self.diagnostics.to_json_dict()},
             "consistency": {"words": list(reading_words(self.reading)), **self.reading.to_json_dict()},
@@ -168,9 +174,13 @@ class Findings:
                 for optimum in self.result.optima
             ]
         if self.uncertainty is not None:
+            said = uncertainty_words(self.uncertainty)
             content |= self.uncertainty.to_json_dict()
-            content["words"] += uncertainty_words(self.uncertainty)
-        return content if self.study is None else content | {"study": self.study}
+            content |= {"uncertainty": {"words": list(said), "succeeded": self.uncertainty.succeeded}}
+            content["words"] += said
+        if self.study is not None:
+            content["study"] = {**self.study, **({} if self.origin is None else self.origin.study)}
+        return content
 
     def maps(self) -> dict[str, CriterionMap]:
         """Return the maps of the criterion by the names of their files."""
@@ -188,6 +198,7 @@ class Findings:
             "rounds": result.rounds,
             "fit": stacked([fit.experiment for fit in self.fits], result.fit),
             "diagnostics": self.diagnostics.table,
+            "correlations": self.diagnostics.correlations,
         }
         if self.has_prior:
             found["reading"] = self.reading.table
@@ -209,6 +220,14 @@ class Findings:
             Made where needed; files of an earlier run are replaced.
         """
         return _write(folder, self.to_json_dict(), self.tables())
+
+
+def _experiment(fit: Fit) -> dict[str, Any]:
+    """Return what ``fit.csv`` does not say: units, and the first time that counts, s."""
+    counted = np.asarray(fit.counted.any(axis=1))
+    first = float(fit.times[int(counted.argmax())]) if counted.any() else None
+    units = dict(zip(fit.outputs, fit.units, strict=True))
+    return {"name": fit.experiment, "outputs": units, "counted_from": first}
 
 
 def write_point(folder: Path, result: Result, units: Sequence[str | None]) -> list[Path]:

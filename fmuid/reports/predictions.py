@@ -15,6 +15,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.model_problem import Prediction
 from fmuid.progress import Progress
+from fmuid.reports.drawn import clear_figures
 from fmuid.reports.findings import stacked
 from fmuid.reports.words.prediction import fold_words, prediction_words
 from fmuid.studies import (
@@ -97,7 +98,7 @@ class PredictionFindings:
         """Draw into ``figures/`` of a folder, and return the paths."""
         from fmuid.reports.figures import prediction, residuals, style
 
-        style.clear(folder / "figures")
+        clear_figures(folder / "figures")
         units = {score.output: score.unit for each in self.predictions for score in each.scores}
         series = Diagnostics(tuple(one for each in self.predictions for one in each.residuals.series), {})
         drawn = prediction.predictions(self.predictions) | residuals.residuals(series, units)

@@ -12,7 +12,9 @@ from fmuid.estimation import Result
 from fmuid.model_problem import Problem
 from fmuid.progress import DataAloneStep, Event, Progress
 from fmuid.reports.apply import write_estimates
+from fmuid.reports.drawn import REPORT_FILE, check_format, clear_figures
 from fmuid.reports.findings import Findings, at_minimum, result_fits, resumed_start, write_point
+from fmuid.reports.origin import Origin
 from fmuid.simulation import parameter_units
 from fmuid.studies import Study, origin_of
 
@@ -52,13 +54,14 @@ def run_study(
     study: Study | str | Path,
     folder: str | Path | None = None,
     *,
-    figures: bool = False,
+    figures: str | None = None,
+    report: bool = False,
     resume: bool = False,
     progress: Progress | None = None,
 ) -> Findings:
     """Do all that a study asks for: search, look at residuals, prior and data, and at the uncertainty; write it.
 
-    ``fmuid identify`` is this, with a folder and figures.
+    ``fmuid identify`` is this, with a folder and a report.
 
     Parameters
     ----------
@@ -66,8 +69,10 @@ def run_study(
     folder : path, optional
         Where ``result.json`` and the tables go, made where needed; files and figures of an earlier run are replaced or
         removed. Nothing is written without one.
-    figures : bool
-        Whether to draw, into ``figures/`` of the folder.
+    figures : str, optional
+        ``png``, ``svg`` or ``pdf``: draw figures for print, into ``figures/`` of the folder.
+    report : bool
+        Whether to write ``report.html`` into the folder: all of it on one page with interactive figures.
     resume : bool
         Whether to start from the values in the folder's ``result.json``, without a search of the whole box.
     progress : callable, optional
@@ -82,24 +87,28 @@ def run_study(
     Raises
     ------
     InputError
-        If model, tables and parameters do not fit together, there are figures or a start to be found without a folder,
-        or nothing can be written there.
+        If model, tables and parameters do not fit together, there are figures, a report or a start to be found without
+        a folder, or nothing can be written there.
     SimulationError
         If the simulation at the start fails.
     SearchInterruptedError
         If the keyboard ends it when no more is known than a point.
     """
     study = study if isinstance(study, Study) else Study.read(study)
-    if folder is None and (figures or resume):
-        raise InputError("figures and an earlier result are in a folder: say in which one")
-    return _Run(study, None if folder is None else Path(folder), progress, figures=figures).run(resume=resume)
+    if folder is None and (figures or report or resume):
+        raise InputError("figures, a report and an earlier result are in a folder: say in which one")
+    check_format(figures)
+    target = None if folder is None else Path(folder)
+    return _Run(study, target, progress, figures=figures, report=report).run(resume=resume)
 
 
 class _Run:
     """One run and what it has written."""
 
-    def __init__(self, study: Study, folder: Path | None, progress: Progress | None, *, figures: bool) -> None:
-        self.study, self.folder, self.progress, self.figures = study, folder, progress, figures
+    def __init__(
+        self, study: Study, folder: Path | None, progress: Progress | None, *, figures: str | None, report: bool
+    ) -> None:
+        self.study, self.folder, self.progress, self.figures, self.report = study, folder, progress, figures, report
         self.files: list[Path] = []
 
     def run(self, *, resume: bool) -> Findings:
@@ -141,6 +150,7 @@ class _Run:
             ),
             study.uncertainty_settings.level,
             study=None if self.folder is None else origin_of(study, self.folder),
+            origin=Origin.of(study),
         )
 
     def _tell(self, event: Event) -> None:
@@ -164,21 +174,28 @@ class _Run:
             self._clear()
 
     def _clear(self) -> None:
-        """Remove the figures of an earlier run."""
+        """Remove the figures and the report of an earlier run."""
         if self.folder is not None:
-            from fmuid.reports.figures import style
-
-            style.clear(self.folder / "figures")
+            clear_figures(self.folder / "figures")
+            (self.folder / REPORT_FILE).unlink(missing_ok=True)
 
     def _draw(self, found: Findings) -> None:
         self._clear()
         if self.folder is not None and self.figures:
             from fmuid.reports.figures import run, style
 
-            self.files += style.save(run.draw(found), self.folder / "figures")
+            self.files += style.save(run.draw(found), self.folder / "figures", self.figures)
+        self._report()
 
     def _draw_uncertainty(self, found: Findings) -> None:
         if self.folder is not None and self.figures:
             from fmuid.reports.figures import run, style
 
-            self.files += style.save(run.draw_uncertainty(found), self.folder / "figures")
+            self.files += style.save(run.draw_uncertainty(found), self.folder / "figures", self.figures)
+        self._report()
+
+    def _report(self) -> None:
+        if self.folder is not None and self.report:
+            from fmuid.reports.page import write
+
+            self.files.append(write.write_report(self.folder))

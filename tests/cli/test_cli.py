@@ -78,11 +78,11 @@ def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.usefixtures("drawn_figures")
 def test_identify_writes_tables_and_figures(folder: Path) -> None:
-    assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out") == DONE
+    assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out", "--figures", "png") == DONE
     out = folder / "deep/out"
     assert {path.name for path in out.iterdir()} == {
-        "result.json", "estimates.csv", "trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "parameters.ssv",
-        "figures",
+        "result.json", "estimates.csv", "trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "correlations.csv",
+        "parameters.ssv", "report.html", "figures",
     }  # fmt: skip
     figures = {path.name for path in (out / "figures").iterdir()}
     assert figures == {"parameters.png", "criterion.png", "fit.png", "residuals.png"}
@@ -122,7 +122,6 @@ def test_identify_several_experiments(folder: Path) -> None:
     assert fit["experiment"].value_counts().to_dict() == {"first": 600, "second": 600}
     units = pd.read_csv(folder / "results/estimates.csv")["unit"]
     assert units.tolist() == ["Ohm", "H", "A", "A"]
-    assert (folder / "results/figures/fit-second.png").is_file()
 
 
 def test_identify_with_prior(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -343,13 +342,13 @@ map = [["R", "L"]]
 
 def test_uncertainty(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "study.toml").write_text(STUDY + ASKED)
-    code = fmuid_("identify", folder / "study.toml")
+    code = fmuid_("identify", folder / "study.toml", "--figures", "svg")
     out, results = capsys.readouterr().out, folder / "results"
     found = result(results)
     assert code == (DONE if found["posterior"]["converged"] else NOT_SUCCEEDED)
     assert {"profiles.csv", "posterior.csv", "map-R-L.csv"} <= {path.name for path in results.iterdir()}
     figures = {path.name for path in (results / "figures").iterdir()}
-    assert {"parameters.png", "profiles.png", "posterior.png", "map-R-L.png"} <= figures
+    assert {"parameters.svg", "profiles.svg", "posterior.svg", "map-R-L.svg"} <= figures
     estimates = pd.read_csv(results / "estimates.csv").set_index("parameter")
     for name in ("R", "L"):
         assert found["profiles"][name]["lower"] == pytest.approx(estimates["lower"][name], rel=0.01)
@@ -363,8 +362,8 @@ def test_uncertainty(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
     # the next run without them leaves none behind
     assert fmuid_("identify", folder / "study.toml", "--set", "uncertainty={}") == DONE
-    left = {path.name for path in results.iterdir()} | {path.name for path in (results / "figures").iterdir()}
-    assert not left & {"profiles.csv", "posterior.csv", "map-R-L.csv", "profiles.png", "posterior.png", "map-R-L.png"}
+    assert not list((results / "figures").iterdir())
+    assert not {path.name for path in results.iterdir()} & {"profiles.csv", "posterior.csv", "map-R-L.csv"}
 
 
 def test_uncertainty_interrupted(
@@ -383,7 +382,7 @@ def test_uncertainty_interrupted(
     found = result(folder / "results")
     assert found["converged"] is True
     assert list(found["profiles"]) == ["R", "L"]
-    assert (folder / "results/figures/profiles.png").is_file()
+    assert (folder / "results/profiles.csv").is_file()
     assert "Interrupted: this is what there is" in capsys.readouterr().out
 
 

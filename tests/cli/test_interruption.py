@@ -59,7 +59,7 @@ def test_a_search(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch, ca
     found = result(folder / "results")
     assert (found["outcome"], found["converged"]) == ("interrupted", False)
     assert found["parameters"]["R"]["value"] != 6.0
-    assert (folder / "results/figures/fit.png").is_file()
+    assert (folder / "results/report.html").is_file()
     assert simulations
     assert not any(simulations)
 
@@ -160,7 +160,7 @@ def test_no_room_for_figures(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setattr(
         FigureCanvasAgg, "print_png", lambda self, to: full() if "fit" in str(to) else written(self, to)
     )
-    assert fmuid_("identify", folder / "study.toml") == WRONG_INPUT
+    assert fmuid_("identify", folder / "study.toml", "--figures", "png") == WRONG_INPUT
     out, error = capsys.readouterr()
     figure = folder / "results/figures/fit.png"
     remedy = "make room, or choose another folder with --output"

@@ -349,7 +349,7 @@ def test_from_python_it_is_what_the_command_does(study: Path) -> None:
     """The same files and verdict; without a folder the verdict alone, told before it is returned."""
     assert run(["diagnose", str(study), "--in-process", "-o", str(study.parent / "theirs")]) == 1
     mine = study.parent / "mine"
-    found = fmuid.run_diagnosis(study, mine, figures=True)
+    found = fmuid.run_diagnosis(study, mine, figures="png")
     assert not found.healthy
     assert {path.relative_to(mine) for path in found.files} == files_in(study.parent / "theirs") == files_in(mine)
     for name in ("diagnosis.json", "diagnosis.csv"):
@@ -361,7 +361,7 @@ def test_from_python_it_is_what_the_command_does(study: Path) -> None:
     assert events[-1].findings.healthy is again.healthy is False
     assert {event.task for event in events} == {"diagnosis", "judged"}
     with pytest.raises(fmuid.InputError, match="in a folder"):
-        fmuid.run_diagnosis(study, figures=True)
+        fmuid.run_diagnosis(study, figures="png")
 
 
 def files_in(folder: Path) -> set[Path]:

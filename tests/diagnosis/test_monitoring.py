@@ -364,7 +364,7 @@ def test_from_python_it_is_what_the_command_does(folder: Path) -> None:
     (folder / "wrong.csv").write_text("time,nothing\n0,1\n1,1\n", encoding="utf-8")
     with pytest.raises(fmuid.InputError, match="wrong"):
         fmuid.run_monitoring(read, [records / "day0.csv", folder / "wrong.csv"], mine)
-    found = fmuid.run_monitoring(read, [records], mine, figures=True, append=True)
+    found = fmuid.run_monitoring(read, [records], mine, figures="png", append=True)
     assert not found.healthy
     assert {path.name for path in found.files} == {"monitoring.csv", "monitoring.json", "monitoring-turns.png"}
     for name in ("monitoring.csv", "monitoring.json"):

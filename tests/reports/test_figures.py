@@ -7,46 +7,19 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+import pytest
 from matplotlib.figure import Figure
 
 from fmuid.assessment.profile import Profile
+from fmuid.reports.drawn import FORMATS, KINDS, clear_figures
 from fmuid.reports.figures import fit as figures_fit
 from fmuid.reports.figures import search as figures_search
 from fmuid.reports.figures import style as plots
 from fmuid.reports.figures import uncertainty as figures_uncertainty
 from fmuid.simulation.fit import Fit
+from tests.support.records import record, search
 
 Array = npt.NDArray[np.float64]
-
-
-def record(samples: int = 600, outputs: int = 2, name: str = "run", noise: float = 0.1) -> Fit:
-    """Return a fit with known noise; the first 50 samples do not count and one output lacks some."""
-    rng = np.random.default_rng(3)
-    times = np.linspace(0.0, 1e-3 * (samples - 1), samples)
-    simulated = np.stack([np.sin(20 * times * (k + 1)) for k in range(outputs)], axis=1)
-    measured = simulated + noise * rng.normal(size=simulated.shape)
-    measured[100:110, 0] = np.nan
-    counted = ~np.isnan(measured)
-    counted[:50] = False
-    names = tuple(f"y{k}" for k in range(outputs))
-    return Fit(name, times, names, ("A",) * outputs, measured, simulated, counted)
-
-
-def search(names: tuple[str, ...] = ("R", "L")) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the trace of a search of five iterations, the third rejected, and its estimates."""
-    values = {name: [5.0, 4.5, 9.0, 4.1, 4.0] for name in names}
-    trace = pd.DataFrame(
-        {
-            "round": [1, 1, 1, 1, 2],
-            "iteration": range(5),
-            "criterion": [900.0, 500.0, 700.0, 110.0, 100.0],
-            "lambda": [np.nan, 1.0, 0.1, 1.0, np.nan],
-            "accepted": [True, True, False, True, True],
-            **values,
-        }
-    )
-    estimates = pd.DataFrame({"parameter": names, "value": 4.0, "std": 0.1, "start": 5.0, "unit": "Ohm"})
-    return trace, estimates.assign(prior_mean=np.nan, prior_std=np.nan)
 
 
 def texts(figure: Figure) -> set[str]:
@@ -222,14 +195,23 @@ def test_thin_keeps_extremes_gaps_and_ends() -> None:
 
 
 def test_save_replaces_the_figures_of_an_earlier_run(tmp_path: Path) -> None:
-    for kind in plots.KINDS:
-        (tmp_path / f"{kind}-old.png").write_text("old")
+    for kind in KINDS:
+        for form in FORMATS:
+            (tmp_path / f"{kind}-old.{form}").write_text("old")
     (tmp_path / "mine.png").write_text("the user's")
-    plots.clear(tmp_path)
+    clear_figures(tmp_path)
     paths = plots.save(figures_fit.fits([record()]), tmp_path)
     assert [path.name for path in paths] == ["fit.png"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fit.png", "mine.png"]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+
+
+@pytest.mark.parametrize(("kind", "head"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_figures_for_print_are_the_same_file_each_time(tmp_path: Path, kind: str, head: bytes) -> None:
+    once, again = (plots.save({"fit": figures_fit.fit(record())}, tmp_path / n, kind)[0] for n in "ab")
+    assert once.name == f"fit.{kind}"
+    assert once.read_bytes().startswith(head)
+    assert once.read_bytes() == again.read_bytes()
 
 
 def test_the_least_that_an_experiment_can_have(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ PRIOR = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 1.0 }
 ASKED = '[uncertainty]\nprofile = ["R"]\n'
 BOUNDED = STUDY.replace("min = 0.0", "min = 0.5, max = 50.0").replace("min = 1e-3", "min = 1e-3, max = 1.0")
 GLOBAL = '[estimator]\nmethod = "global"\nstarts = 6\nseed = 3\n'
-VOLATILE = {"elapsed_s"}
+VOLATILE = {"elapsed_s", "date"}
 
 
 @pytest.fixture
@@ -41,13 +41,14 @@ def stopping(where: type[Event]) -> Progress:
     return progress
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_it_is_what_the_command_does(study: Path, tmp_path: Path) -> None:
-    found = fmuid.run_study(study, tmp_path / "mine", figures=True)
+    found = fmuid.run_study(study, tmp_path / "mine", report=True)
     assert found.succeeded
     assert fmuid_("identify", study, "--in-process", "--output", tmp_path / "theirs") == DONE
     names = {path.relative_to(tmp_path / "theirs") for path in (tmp_path / "theirs").rglob("*") if path.is_file()}
     assert {path.relative_to(tmp_path / "mine") for path in found.files} == names
-    assert {"result.json", "profiles.csv", "parameters.ssv", "fit.png", "profiles.png"} <= {path.name for path in names}
+    assert {"result.json", "profiles.csv", "parameters.ssv", "report.html"} <= {path.name for path in names}
     mine, theirs = result(tmp_path / "mine"), result(tmp_path / "theirs")
     assert {key for key in theirs if mine[key] != theirs[key]} <= VOLATILE
     for name in (path for path in names if path.suffix == ".csv"):
@@ -63,9 +64,13 @@ def test_without_a_folder_nothing_is_written(study: Path) -> None:
     assert math.isfinite(found.uncertainty.profiles[0].upper)
     assert sorted(study.parent.rglob("*")) == before
     with pytest.raises(fmuid.InputError, match="in a folder"):
-        fmuid.run_study(study, figures=True)
+        fmuid.run_study(study, figures="png")
     with pytest.raises(fmuid.InputError, match="in a folder"):
         fmuid.run_study(study, resume=True)
+    with pytest.raises(fmuid.InputError, match="in a folder"):
+        fmuid.run_study(study, report=True)
+    with pytest.raises(fmuid.InputError, match="png, svg, pdf"):
+        fmuid.run_study(study, study.parent, figures="jpg")
 
 
 def test_events_come_in_their_order(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,17 +5,16 @@ Figures are drawn with matplotlib's objects directly, without pyplot: no window,
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
 import matplotlib
-import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fmuid.arrays import Floats
 from fmuid.files import replacing
+from fmuid.reports.thinning import extremes
 
 # Wide enough to be read at the width of a README, about 1000 pixels.
 WIDTH, DPI = 9.2, 110
@@ -50,25 +49,20 @@ STYLE: Any = {
     "legend.fontsize": 8.5,
     "lines.linewidth": 1.3,
     "text.color": INK,
+    "svg.hashsalt": "fmuid",
 }
 
 
-# What the figures of a run are called, before a hyphen where there are several of a kind.
-KINDS = (
-    *("parameters", "criterion", "rounds", "fit", "residuals", "optima", "map", "profiles", "posterior"),
-    *("estimates", "distributions", "swept", "starts", "prediction"),
-)
+def save(figures: dict[str, Figure], folder: Path, kind: str = "png") -> list[Path]:
+    """Write figures into `folder` (made where needed) and return their paths.
 
-
-def clear(folder: Path) -> None:
-    """Remove the figures of an earlier run, which would be taken for this one's; what else is there stays."""
-    for old in folder.glob("*.png"):
-        if old.stem.split("-")[0] in KINDS:
-            old.unlink()
-
-
-def save(figures: dict[str, Figure], folder: Path) -> list[Path]:
-    """Write figures as PNG files into `folder` (made where needed) and return their paths.
+    Parameters
+    ----------
+    figures : dict of str to Figure
+        By the names of their files.
+    folder : Path
+    kind : str
+        ``png``, ``svg`` or ``pdf``.
 
     Raises
     ------
@@ -78,7 +72,12 @@ def save(figures: dict[str, Figure], folder: Path) -> list[Path]:
     paths = []
     with style():  # ticks take theirs when they are drawn
         for name, figure in figures.items():
-            path = folder / f"{name}.png"
+            path = folder / f"{name}.{kind}"
+            if kind != "png":
+                with replacing(path) as draft:
+                    figure.savefig(draft, format=kind, metadata=_UNDATED[kind])
+                paths.append(path)
+                continue
             figure.set_dpi(DPI)
             # what savefig does, without drawing everything twice
             layout = figure.get_layout_engine()
@@ -92,6 +91,10 @@ def save(figures: dict[str, Figure], folder: Path) -> list[Path]:
     return paths
 
 
+# The same figure is the same file.
+_UNDATED = {"svg": {"Date": None}, "pdf": {"CreationDate": None, "ModDate": None}}
+
+
 def style() -> Any:
     """Return the context in which every figure is drawn."""
     return matplotlib.rc_context(STYLE)
@@ -99,13 +102,5 @@ def style() -> Any:
 
 def thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return about `MAX_POINTS` points that draw the same line: the least and greatest of each stretch, in order."""
-    if len(x) <= MAX_POINTS:
-        return x, y
-    step = math.ceil(2 * len(x) / MAX_POINTS)
-    stretches = len(x) // step
-    blocks = y[: stretches * step].reshape(stretches, step)
-    first = np.arange(stretches) * step
-    least = first + np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
-    greatest = first + np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
-    kept = np.unique(np.concatenate([[0], least, greatest, np.arange(stretches * step, len(x)), [len(x) - 1]]))
+    kept = extremes(y[:, None], MAX_POINTS)
     return x[kept], y[kept]

@@ -66,17 +66,26 @@ def _so_far(result: Result) -> str:
 
 def remarks(result: Result) -> tuple[str, ...]:
     """Return the sentences on what the estimates do not show by themselves."""
+    return *start_words(result), *accuracy_words(result.names, result.accuracy), *dependence_words(result)
+
+
+def start_words(result: Result) -> tuple[str, ...]:
+    """Return the sentences on starts that were no starts."""
+    return tuple(
+        f"{name} changes no output at the start that was given: the search set out from {name} = {result.start[i]:g}"
+        for i, name in enumerate(result.names)
+        if name in result.moved_start
+    )
+
+
+def dependence_words(result: Result) -> tuple[str, ...]:
+    """Return the sentences on estimates that depend on each other, on next to nothing, or on the prior."""
     pairs = [
         f"{one} and {other} move together (correlation {share:+.3f}): their intervals do not hold one by one"
         for one, other, share in result.strong_correlations
     ]
-    moved = [
-        f"{name} changes no output at the start that was given: the search set out from {name} = {result.start[i]:g}"
-        for i, name in enumerate(result.names)
-        if name in result.moved_start
-    ]
     prior = [f"without the prior, {direction_words(each)}" for each in result.prior_determined]
-    return *moved, *accuracy_words(result.names, result.accuracy), *pairs, *map(direction_words, result.weak), *prior
+    return *pairs, *map(direction_words, result.weak), *prior
 
 
 def capitalised(words: str) -> str:

@@ -1,0 +1,1 @@
+"""Figures for browser, report and notebook: data in, a Bokeh model out."""

@@ -1,0 +1,228 @@
+"""Estimates: prior, data and both; correlations and confidence ellipses; what a finer simulation moves them by."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from bokeh.models import BoxAnnotation, ColumnDataSource, FactorRange, HoverTool, LinearColorMapper
+from bokeh.palettes import RdBu11
+from scipy import stats
+
+from fmuid.arrays import Floats
+from fmuid.estimation import SHIFT_LIMIT
+from fmuid.reports.interactive.style import (
+    AMBER,
+    BLUE,
+    FONT,
+    GREY,
+    INK,
+    MAX_PARAMETERS,
+    RED,
+    Units,
+    bare,
+    hover,
+    legend,
+    level,
+    named,
+    panel,
+    reach,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.estimation import Result
+
+# Densities are drawn so many standard deviations wide; a density wider than this many of the narrowest is cut.
+DENSITY_STDS, WIDEST = 4.0, 12.0
+# Pairs whose ellipses are drawn: the most correlated ones.
+MAX_ELLIPSES = 6
+# Text on cells of a strong colour, and on pale ones: the cells are the same on a dark page.
+ON_STRONG, ON_PALE, STRONG = "#fefefe", "#1b1f24", 0.6
+ELLIPSE_POINTS = 121
+
+
+def belief(reading: pd.DataFrame, units: Units | None = None) -> list[Any]:
+    """Draw what the prior, the data alone and both say of each parameter, as normal densities.
+
+    Parameters
+    ----------
+    reading : DataFrame
+        As in ``reading.csv``.
+    units : mapping of str to str, optional
+        Of the parameters.
+    """
+    plots = []
+    for row in reading.iloc[:MAX_PARAMETERS].to_dict("records"):
+        plot = panel(x=named(str(row["parameter"]), units), height=210)
+        pairs = {
+            "prior": (AMBER, row["prior"], row["prior_std"]),
+            "data alone": (GREY, row["data"], row["data_std"]),
+            "both": (BLUE, row["combined"], row["combined_std"]),
+        }
+        known = {text: each for text, each in pairs.items() if _proper(each[1], each[2])}
+        if not known:
+            continue
+        narrowest = min(std for _, _, std in known.values())
+        entries = []
+        for text, (color, mean, std) in known.items():
+            width = min(DENSITY_STDS * std, WIDEST * narrowest)
+            grid = np.linspace(mean - width, mean + width, 161)
+            density = np.exp(-0.5 * ((grid - mean) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
+            area = plot.varea(grid, np.zeros(grid.size), density, fill_color=color, fill_alpha=0.14)
+            line = plot.line(grid, density, line_color=color, line_width=2.0 if text == "both" else 1.4)
+            entries.append((text, [area, line]))
+        bare(plot)
+        legend(plot, entries)
+        plot.xaxis.ticker.desired_num_ticks = 4
+        plots.append(plot)
+    return plots
+
+
+def _proper(mean: float, std: float) -> bool:
+    return math.isfinite(mean) and math.isfinite(std) and std > 0
+
+
+def correlation(matrix: pd.DataFrame) -> Any:
+    """Draw the correlation matrix of the estimates.
+
+    Parameters
+    ----------
+    matrix : DataFrame
+        Named alike in rows and columns; NaN where a parameter is not determined. The first `MAX_PARAMETERS` are drawn.
+    """
+    shown = matrix.iloc[:MAX_PARAMETERS, :MAX_PARAMETERS]
+    names, values = [str(name) for name in shown.columns], shown.to_numpy(np.float64)
+    count = len(names)
+    across, down = np.meshgrid(np.arange(count), np.arange(count))
+    flat = values.ravel()
+    texts = ["?" if math.isnan(v) else "1" if v > 0.9995 else f"{v:+.2f}".replace("-", "−") for v in flat]
+    source = ColumnDataSource(
+        {
+            "x": [names[i] for i in across.ravel()],
+            "y": [names[i] for i in down.ravel()],
+            "v": flat,
+            "text": texts if count <= 12 else [""] * flat.size,
+            "ink": [ON_STRONG if abs(v) > STRONG else ON_PALE for v in flat],
+        }
+    )
+    tool = HoverTool(tooltips=[("", "@x, @y"), ("correlation", "@v{0.0000}")])
+    plot = panel(
+        height=max(240, 60 + 34 * count),
+        x_range=FactorRange(factors=names),
+        y_range=FactorRange(factors=names[::-1]),
+        tools=[tool],
+    )
+    colors = LinearColorMapper(palette=RdBu11, low=-1.0, high=1.0, nan_color="#bbbbbb")
+    plot.rect("x", "y", 0.96, 0.96, source=source, fill_color={"field": "v", "transform": colors}, line_color=None)
+    plot.text(
+        "x",
+        "y",
+        "text",
+        source=source,
+        text_align="center",
+        text_baseline="middle",
+        text_color="ink",
+        text_font={"value": FONT},
+        text_font_size="12px",
+    )
+    plot.grid.grid_line_color = None
+    plot.axis.major_label_text_color, plot.axis.major_label_text_font_size = INK, "12px"
+    plot.axis.axis_line_color = plot.axis.major_tick_line_color = None
+    if count > 6:
+        plot.xaxis.major_label_orientation = 0.8
+    return plot
+
+
+def ellipses(result: Result, units: Units | None = None, level_: float = 0.95) -> list[Any]:
+    """Draw the confidence ellipses of the pairs of estimates that are most correlated.
+
+    Dashed lines are the intervals of each parameter by itself. (θ − θ̂)ᵀ P⁻¹ (θ − θ̂) = χ²(2) with P the block of the
+    local covariance, 2 F(2, ν) where noise variances are estimated.
+
+    Parameters
+    ----------
+    result : Result
+    units : mapping of str to str, optional
+        Of the parameters.
+    level_ : float
+        Of the ellipses.
+    """
+    matrix, intervals = result.correlation.to_numpy(), result.intervals(level_)
+    known = [i for i in range(len(result.names)) if math.isfinite(result.std[i]) and result.std[i] > 0]
+    pairs = sorted(combinations(known, 2), key=lambda pair: -abs(matrix[pair]))[:MAX_ELLIPSES]
+    radius = math.sqrt(ellipse_rise(level_, result.degrees_of_freedom))
+    plots = []
+    for i, j in sorted(pairs):
+        x, y = ellipse(result.values[[i, j]], result.covariance[np.ix_([i, j], [i, j])], radius)
+        plot = panel(x=named(result.names[i], units), y=named(result.names[j], units), height=260)
+        drawn = plot.line(x, y, line_color=BLUE, line_width=2)
+        area = plot.patch(x, y, fill_color=BLUE, fill_alpha=0.12, line_color=None)
+        for k, vertical in ((i, True), (j, False)):
+            for end in intervals.iloc[k].tolist():
+                level(plot, float(end), color=GREY, vertical=vertical, dash="dashed")
+        dot = plot.scatter(
+            [result.values[i]], [result.values[j]], size=8, fill_color=AMBER, line_color=INK, line_width=0.8
+        )
+        hover(plot, dot, ("estimate", "@x{0.000000}, @y{0.000000}"))
+        legend(plot, [(f"{100 * level_:g} % region, correlation {matrix[i, j]:+.2f}", [drawn, area])])
+        plot.xaxis.ticker.desired_num_ticks = 4
+        plots.append(plot)
+    return plots
+
+
+def ellipse_rise(level_: float, freedom: float) -> float:
+    """Return by how much the criterion rises on the border of the region of two parameters."""
+    if math.isinf(freedom):
+        return float(stats.chi2.ppf(level_, 2))
+    return float(2.0 * stats.f.ppf(level_, 2, freedom))
+
+
+def ellipse(centre: Floats, covariance: Floats, radius: float) -> tuple[Floats, Floats]:
+    """Return the points at a distance of so many standard deviations, closed, abscissas and ordinates."""
+    values, directions = np.linalg.eigh(covariance)  # which may be singular
+    angles = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
+    root = directions * np.sqrt(np.maximum(values, 0.0))
+    points = centre[:, None] + radius * root @ np.array([np.cos(angles), np.sin(angles)])
+    return points[0], points[1]
+
+
+def accuracy(estimates: pd.DataFrame) -> Any:
+    """Draw what a finer simulation moves each estimate by, in its standard deviations.
+
+    In the band no interval is spoilt: the shift is at most a tenth of a standard deviation.
+
+    Parameters
+    ----------
+    estimates : DataFrame
+        As in ``estimates.csv``; parameters whose shift is not known are left out.
+    """
+    known = estimates[np.isfinite(estimates["numerical_shift"].astype(float))].iloc[:MAX_PARAMETERS]
+    names, shifts = [str(name) for name in known["parameter"]], known["numerical_shift"].to_numpy(np.float64)
+    plot = panel(
+        x="shift under the finer simulation (std of the estimate)",
+        height=90 + 26 * len(names),
+        y_range=FactorRange(factors=names[::-1]),
+    )
+    plot.add_layout(
+        BoxAnnotation(left=-SHIFT_LIMIT, right=SHIFT_LIMIT, fill_color=BLUE, fill_alpha=0.14, line_color=None)
+    )
+    level(plot, 0.0, vertical=True)
+    large, entries = np.abs(shifts) > SHIFT_LIMIT, []
+    columns = {"name": np.array(names), "shift": shifts, "zero": np.zeros(len(names))}
+    for rows, color, text in ((~large, BLUE, "harmless"), (large, RED, "larger than a tenth")):
+        if not rows.any():
+            continue
+        part = ColumnDataSource({key: values[rows] for key, values in columns.items()})
+        plot.segment("zero", "name", "shift", "name", source=part, line_color=color, line_width=2)
+        dots = plot.scatter("shift", "name", source=part, size=8, fill_color=color, line_color=None)
+        hover(plot, dots, ("parameter", "@name"), ("shift", "@shift{0.000000} std"))
+        entries.append((text, [dots]))
+    legend(plot, entries)
+    most = max(1.5 * SHIFT_LIMIT, 1.15 * float(np.abs(shifts).max(initial=0.0)))
+    reach(plot, x=(-most, most))
+    plot.yaxis.major_label_text_color = INK
+    return plot

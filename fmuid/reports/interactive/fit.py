@@ -1,0 +1,126 @@
+"""Measured against simulated outputs, the residual below."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from bokeh.models import BasicTicker, BoxAnnotation, ColumnDataSource, CrosshairTool, Range1d, Span
+
+from fmuid.arrays import Floats, Indices
+from fmuid.reports.interactive.style import (
+    BLUE,
+    GREY,
+    MAX_DOTS,
+    MAX_EXPERIMENTS,
+    MAX_OUTPUTS,
+    MAX_ROWS,
+    RED,
+    below_each_other,
+    hover,
+    legend,
+    level,
+    panel,
+)
+from fmuid.reports.thinning import evenly, extremes
+from fmuid.text import label
+
+if TYPE_CHECKING:
+    from fmuid.simulation import Fit
+
+
+def worst(records: Sequence[Fit]) -> tuple[Fit, ...]:
+    """Return the experiments to draw, in their order: of more than `MAX_EXPERIMENTS` those of greatest misfit."""
+    kept = sorted(records, key=lambda record: -np.nanmax([0.0, *record.misfit]))[:MAX_EXPERIMENTS]
+    return tuple(record for record in records if record in kept)
+
+
+def fit(record: Fit) -> Any:
+    """Draw the outputs of an experiment: measured dots, the simulated line, the residual below.
+
+    Zoom, hover and crosshair are linked over all outputs. Of more than `MAX_OUTPUTS` those of greatest misfit are
+    drawn. What does not count lies in the grey part.
+
+    Parameters
+    ----------
+    record : Fit
+    """
+    order = np.argsort(-np.nan_to_num(np.asarray(record.misfit)), kind="stable")
+    outputs = sorted(int(output) for output in order[:MAX_OUTPUTS])
+    lines, dots = sources(record, outputs)
+    times = record.times
+    across = Range1d(float(times[0]), float(times[-1]), bounds="auto")
+    cross = Span(dimension="height", line_dash="dotted", line_color=GREY)
+    plots: list[Any] = []
+    for j in outputs:
+        last = j == outputs[-1]
+        plots += [_upper(record, j, (lines, dots), across), _lower(record, j, lines, across, last=last)]
+    for plot in plots:
+        plot.add_tools(CrosshairTool(overlay=cross))
+        plot.min_border_top = plot.min_border_bottom = 4
+        plot.xaxis.ticker.desired_num_ticks = 8
+        _shade_uncounted(plot, record)
+    return below_each_other(plots)
+
+
+def sources(record: Fit, outputs: Sequence[int]) -> tuple[ColumnDataSource, ColumnDataSource]:
+    """Return the rows that draw the lines, by least and greatest, and those that are drawn as dots, evenly.
+
+    Columns are ``t``, and of output number j ``m``, ``s`` and ``r`` with the number: measured, simulated, residual.
+    """
+    simulated, measured = record.simulated[:, outputs], record.measured[:, outputs]
+    kept = extremes(np.hstack([simulated, measured - simulated]), MAX_ROWS)
+    lines = _columns(record, outputs, kept)
+    if len(kept) == len(record.times) <= MAX_DOTS:
+        shared = ColumnDataSource(lines)
+        return shared, shared
+    some = evenly(len(record.times), MAX_DOTS)
+    dots = {"t": record.times[some]}
+    dots |= {f"m{j}": _short(record.measured[some, j]) for j in outputs}
+    return ColumnDataSource(lines), ColumnDataSource(dots)
+
+
+def _columns(record: Fit, outputs: Sequence[int], rows: Indices) -> dict[str, Any]:
+    found: dict[str, Any] = {"t": record.times[rows]}
+    for j in outputs:
+        measured, simulated = record.measured[rows, j], record.simulated[rows, j]
+        pairs = (("m", measured), ("s", simulated), ("r", measured - simulated))
+        found |= {f"{key}{j}": _short(values) for key, values in pairs}
+    return found
+
+
+def _short(values: Floats) -> Any:
+    """Return numbers in half the space; a screen shows no more of them."""
+    with np.errstate(over="ignore"):  # of an unstable simulation
+        return values.astype(np.float32)
+
+
+def _upper(record: Fit, j: int, given: tuple[ColumnDataSource, ColumnDataSource], across: Range1d) -> Any:
+    lines, dots = given
+    plot = panel(y=label(record.outputs[j], record.units[j]), height=220, x_range=across, lod_threshold=None)
+    size = 3 if len(dots.data["t"]) > 600 else 5
+    seen = plot.scatter("t", f"m{j}", source=dots, size=size, fill_color=GREY, fill_alpha=0.6, line_color=None)
+    line = plot.line("t", f"s{j}", source=lines, line_color=BLUE, line_width=1.8)
+    numbers = [("measured", f"@m{j}{{0.00000}}"), ("simulated", f"@s{j}{{0.00000}}"), ("residual", f"@r{j}{{0.00000}}")]
+    hover(plot, line, ("time", "@t{0.0000} s"), *numbers, vertical=True)
+    legend(plot, [("measured", [seen]), ("simulated", [line])])
+    plot.xaxis.visible = False
+    return plot
+
+
+def _lower(record: Fit, j: int, lines: ColumnDataSource, across: Range1d, *, last: bool) -> Any:
+    text = label("residual", record.units[j])
+    plot = panel(x="time (s)" if last else "", y=text, height=140 if last else 110, x_range=across, lod_threshold=None)
+    plot.line("t", f"r{j}", source=lines, line_color=RED, line_width=0.9)
+    level(plot, 0.0)
+    plot.xaxis.visible = last
+    plot.yaxis.ticker = BasicTicker(desired_num_ticks=3)
+    return plot
+
+
+def _shade_uncounted(plot: Any, record: Fit) -> None:
+    counted = np.asarray(record.counted.any(axis=1))
+    if counted.any() and not counted[0]:
+        end = float(record.times[int(counted.argmax())])
+        plot.add_layout(BoxAnnotation(right=end, fill_color=GREY, fill_alpha=0.18, line_color=None))

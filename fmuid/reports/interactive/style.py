@@ -1,0 +1,185 @@
+"""What all interactive figures share: their look, units on axes, linked ranges, legends, grids.
+
+Colours are those of the figures for print. Each has a twin for a dark page, which the page's own script puts in its
+place (`DARK`); a figure knows nothing of where it is shown. Names from studies and FMUs are never part of a format, of
+a column's name or of HTML.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bokeh.layouts import gridplot
+from bokeh.models import (
+    BasicTicker,
+    BoxZoomTool,
+    HoverTool,
+    Legend,
+    LegendItem,
+    PlainText,
+    Range1d,
+    ResetTool,
+    SaveTool,
+    Span,
+)
+from bokeh.plotting import figure
+
+from fmuid.text import label
+
+INK, GREY, FAINT, WHITE = "#24292f", "#6e7781", "#e1e5ea", "#ffffff"
+BLUE, RED, AMBER = "#0b61d0", "#c4432b", "#d99a1c"
+LINE = "#c9d1d9"
+"""Of axes."""
+DARK = {
+    INK: "#e6edf3",
+    GREY: "#9aa4af",
+    FAINT: "#2b323b",
+    LINE: "#4b5563",
+    WHITE: "#151b23",
+    BLUE: "#5aa2ff",
+    RED: "#ff7b5e",
+    AMBER: "#e8b84a",
+}
+"""Each colour's twin on a dark page."""
+FONT = "Inter, system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', sans-serif"
+# Lines are thinned to about so many rows, dots to so many.
+MAX_ROWS, MAX_DOTS = 4000, 2500
+# More than these make a page nobody reads: the outputs and experiments that fit worst are kept.
+MAX_OUTPUTS, MAX_EXPERIMENTS, MAX_PARAMETERS = 8, 6, 24
+# Cells of a grid are at least so wide, pixels: on a telephone one stands below the other.
+NARROW, WIDE = 260, 420
+# What begins mathematics in a text of Bokeh, for which it would ask a host.
+_TEX = ("$$", "\\(", "\\[")
+
+Units = Mapping[str, str | None]
+
+
+def panel(
+    x: str = "", y: str = "", *, height: int = 240, title: str = "", tools: Sequence[Any] = (), **more: Any
+) -> Any:
+    """Return an empty figure in the house's look.
+
+    Parameters
+    ----------
+    x, y : str
+        Labels of the axes, with their units.
+    height : int
+        In pixels; the width is that of the page.
+    title : str
+        Above it; of words of ours only.
+    tools : sequence of Tool
+        Instead of box zoom, reset and save: each tool takes time in the making of a page.
+    **more
+        Of `bokeh.plotting.figure`.
+    """
+    zoom = BoxZoomTool()
+    kept = list(tools) or [zoom, ResetTool(), SaveTool()]
+    plot: Any = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        title=title or None,
+        tools=kept,
+        toolbar_location="right",
+        min_border_left=58,
+        min_border_right=10,
+        **more,
+    )
+    plot.toolbar.logo, plot.toolbar.autohide = None, True
+    plot.toolbar.active_drag = zoom if zoom in kept else None
+    plot.outline_line_color = None
+    plot.background_fill_color = plot.border_fill_color = None  # that of the page
+    plot.grid.grid_line_color = FAINT
+    plot.xgrid.grid_line_color = None
+    for axis, text in ((plot.xaxis, x), (plot.yaxis, y)):
+        axis.axis_label = plain(text)
+        axis.axis_line_color = axis.major_tick_line_color = LINE
+        axis.minor_tick_line_color = None
+        axis.major_tick_in, axis.major_tick_out = 0, 4
+        axis.major_label_text_font = axis.axis_label_text_font = FONT
+        axis.major_label_text_font_size, axis.axis_label_text_font_size = "11px", "12px"
+        axis.major_label_text_color, axis.axis_label_text_color = GREY, INK
+        axis.axis_label_text_font_style = "normal"
+    if hasattr(plot.xaxis.ticker, "desired_num_ticks"):  # names are all written
+        plot.xaxis.ticker.desired_num_ticks = 5
+    if title:
+        plot.title.text_font, plot.title.text_font_size, plot.title.text_color = FONT, "13px", INK
+    return plot
+
+
+def plain(text: str) -> str | PlainText:
+    """Return a text that is drawn as it is written, also where a name looks like mathematics."""
+    return PlainText(text=text) if any(mark in text for mark in _TEX) else text
+
+
+def named(name: str, units: Units | None) -> str:
+    """Return the label of a parameter or an output."""
+    return label(name, (units or {}).get(name))
+
+
+def legend(plot: Any, entries: Sequence[tuple[str, Sequence[Any]]]) -> None:
+    """Put a legend above a figure: a click hides what an entry stands for."""
+    items = [LegendItem(label={"value": text}, renderers=list(drawn)) for text, drawn in entries if drawn]
+    if items:
+        found = Legend(
+            items=items,
+            orientation="horizontal",
+            label_text_font=FONT,
+            label_text_font_size="11px",
+            label_text_color=INK,
+            background_fill_color=None,
+            border_line_color=None,
+            click_policy="hide",
+            padding=0,
+            margin=2,
+            spacing=12,
+            glyph_width=16,
+            glyph_height=12,
+            inactive_fill_color=WHITE,
+        )
+        plot.add_layout(found, "above")
+
+
+def hover(plot: Any, renderer: Any, *lines: tuple[str, str], vertical: bool = False) -> None:
+    """Show numbers where the pointer is: words of ours, and columns by their keys."""
+    mode = {"mode": "vline", "line_policy": "nearest", "point_policy": "snap_to_data"} if vertical else {}
+    plot.add_tools(HoverTool(renderers=[renderer], tooltips=list(lines), **mode))
+
+
+def level(plot: Any, place: float, *, color: str = INK, vertical: bool = False, dash: str = "solid") -> Any:
+    """Draw a line across a figure."""
+    dimension: Any = "height" if vertical else "width"
+    span = Span(dimension=dimension, location=place, line_color=color, line_width=1, line_dash=dash)
+    plot.add_layout(span)
+    return span
+
+
+def reach(plot: Any, *, x: tuple[float, float] | None = None, y: tuple[float, float] | None = None) -> None:
+    """Fix what a figure shows at first."""
+    if x is not None:
+        plot.x_range = Range1d(*x)
+    if y is not None:
+        plot.y_range = Range1d(*y)
+
+
+def whole(plot: Any, axis: str = "x") -> None:
+    """Have an axis of counted things carry whole numbers only."""
+    found = plot.xaxis if axis == "x" else plot.yaxis
+    found.ticker = BasicTicker(min_interval=1, desired_num_ticks=6)
+
+
+def bare(plot: Any) -> None:
+    """Leave out the ordinate of a density, which says nothing."""
+    plot.yaxis.visible, plot.ygrid.grid_line_color = False, None
+    plot.y_range.start = 0
+
+
+def below_each_other(plots: Sequence[Any]) -> Any:
+    """Return figures below each other with one toolbar."""
+    return gridplot(
+        [[plot] for plot in plots],
+        sizing_mode="stretch_width",
+        toolbar_location="right",
+        merge_tools=True,
+        toolbar_options={"logo": None, "autohide": True},
+    )

@@ -1,0 +1,297 @@
+"""Uncertainty beyond the local covariance: profiles, samples of the posterior, maps of the criterion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from bokeh.layouts import gridplot
+from bokeh.models import BoxAnnotation, ColorBar, ColumnDataSource, LogColorMapper, LogTicker, Range1d
+from bokeh.palettes import Blues256
+from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import gaussian_filter
+
+from fmuid.arrays import Floats
+from fmuid.reports.interactive.estimates import ellipse
+from fmuid.reports.interactive.style import (
+    AMBER,
+    BLUE,
+    FONT,
+    GREY,
+    INK,
+    RED,
+    WHITE,
+    Units,
+    bare,
+    hover,
+    legend,
+    level,
+    named,
+    panel,
+    reach,
+)
+from fmuid.reports.thinning import evenly
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.assessment import CriterionMap
+    from fmuid.estimation import Result
+
+# Profiles are drawn up to so many times the rise at which the interval ends.
+HEIGHT = 1.8
+# More parameters than these make panels that nobody can read.
+MAX_CORNER = 6
+# Shares of the samples inside the contours, those of one and two standard deviations in one dimension.
+SHARES = (0.68, 0.95)
+BINS, SMOOTHING = 32, 1.2
+"""Bins of a histogram of samples, and the width in bins of the Gaussian that smooths those of a pair."""
+SHOWN_QUANTILES = (0.0005, 0.9995)
+MAX_SAMPLES = 800
+"""Samples drawn as dots behind the contours."""
+# Below a hundredth of what the confidence region allows, the criterion is as good as at its minimum ...
+FLOOR_SHARE = 0.01
+# ... and what few points exceed looks all the same.
+TOP_PERCENTILE = 98.0
+
+
+# --- profiles
+
+
+def profile(
+    points: pd.DataFrame, ends: Mapping[str, float], estimate: tuple[float, float], text: str, degree: float
+) -> Any:
+    """Draw a profile: the rise of the criterion over a parameter, the others following; the local parabola beside it.
+
+    The interval is the band, where the profile lies below the level's line.
+
+    Parameters
+    ----------
+    points : DataFrame
+        Columns ``value`` and ``criterion``, in the order of the values.
+    ends : mapping
+        ``lower`` and ``upper``, infinite or NaN where there is none, and ``threshold``, the rise at which it ends.
+    estimate : (float, float)
+        The estimate and its local standard deviation.
+    text : str
+        Label of the parameter.
+    degree : float
+        The level of the interval.
+    """
+    value, std = estimate
+    places = points["value"].to_numpy(np.float64)
+    rise = points["criterion"].to_numpy(np.float64) - float(points["criterion"].min())
+    low, high = _window(places, (ends["lower"], ends["upper"]), value)
+    threshold = ends["threshold"]
+    title = f"{100 * degree:.4g} % level: a rise of {threshold:.3g}"
+    plot = panel(x=text, y="rise of the criterion", height=240, title=title)
+    if not (math.isnan(ends["lower"]) or math.isnan(ends["upper"])):
+        shade = {"left": max(ends["lower"], low), "right": min(ends["upper"], high)}
+        plot.add_layout(BoxAnnotation(**shade, fill_color=BLUE, fill_alpha=0.12, line_color=None))
+    level(plot, threshold, color=RED)
+    parabola = []
+    if math.isfinite(std) and std > 0:
+        grid = np.linspace(low, high, 161)
+        parabola.append(plot.line(grid, ((grid - value) / std) ** 2, line_color=GREY, line_dash="dashed"))
+    line = plot.line(*_curve(places, rise, value), line_color=BLUE, line_width=1.8)
+    source = ColumnDataSource({"x": places, "y": rise})
+    dots = plot.scatter("x", "y", source=source, size=5, fill_color=BLUE, line_color=None)
+    hover(plot, dots, ("value", "@x{0.000000}"), ("rise", "@y{0.000}"))
+    legend(plot, [("profile", [line, dots]), ("local parabola", parabola)])
+    plot.title.text_color, plot.title.text_font_style = RED, "normal"
+    reach(plot, x=(low, high), y=(-0.04 * HEIGHT * threshold, HEIGHT * threshold))
+    return plot
+
+
+def _window(places: Floats, ends: tuple[float, float], value: float) -> tuple[float, float]:
+    """Return the interval and some room; on a side without an end what was computed."""
+    known = [abs(end - value) for end in ends if math.isfinite(end) and end != value]
+    room = 0.35 * max(known) if known else 0.0
+    low = ends[0] - room if math.isfinite(ends[0]) else float(places[0])
+    high = ends[1] + room if math.isfinite(ends[1]) else float(places[-1])
+    return (low, high) if low < high else (value - 1.0, value + 1.0)
+
+
+def _curve(values: Floats, rise: Floats, centre: float) -> tuple[Floats, Floats]:
+    """Return a smooth line through the points: the signed root of the rise is nearly straight."""
+    if values.size < 2:
+        return values, rise
+    root = np.sign(values - centre) * np.sqrt(np.maximum(rise, 0.0))
+    grid = np.unique(np.concatenate([np.linspace(values[0], values[-1], 161), values]))
+    return grid, np.asarray(PchipInterpolator(values, root)(grid) ** 2)
+
+
+# --- samples of the posterior
+
+
+def corner(samples: pd.DataFrame, result: Result | None = None, units: Units | None = None) -> Any:
+    """Draw the samples of every parameter and of every pair of them.
+
+    Contours hold 68 % and 95 % of the samples; the dashed ellipses, at the same shares, and the curves on the diagonal
+    are those of the local covariance. Ranges are linked.
+
+    Parameters
+    ----------
+    samples : DataFrame
+        A column a parameter, as in ``posterior.csv``; the first `MAX_CORNER` are drawn.
+    result : Result, optional
+        Whose local approximation is drawn.
+    units : mapping of str to str, optional
+    """
+    names = [str(name) for name in samples.columns][:MAX_CORNER]
+    values = samples[names].to_numpy(np.float64)
+    ranges = [Range1d(*_range(values[:, i])) for i in range(len(names))]
+    rows: list[list[Any]] = []
+    for i, name in enumerate(names):
+        row: list[Any] = [None] * len(names)
+        for j in range(i + 1):
+            bottom, left = i == len(names) - 1, j == 0 and i > 0
+            x, y = (named(names[j], units) if bottom else ""), (named(name, units) if left else "")
+            more: dict[str, Any] = {} if i == j else {"y_range": ranges[i]}
+            plot = panel(x=x, y=y, height=190 if bottom else 160, x_range=ranges[j], **more)
+            plot.min_border_left = 52 if j == 0 else 12
+            if i == j:
+                _single(plot, values[:, i], result, name, ranges[i])
+            else:
+                _pair(plot, values[:, [j, i]], result, (names[j], name))
+            plot.xaxis.visible = bottom
+            plot.yaxis.visible = left
+            plot.xaxis.ticker.desired_num_ticks, plot.yaxis.ticker.desired_num_ticks = 3, 4
+            plot.xaxis.major_label_orientation = 0.6
+            row[j] = plot
+        rows.append(row)
+    options: dict[str, Any] = {"logo": None, "autohide": True}
+    return gridplot(rows, sizing_mode="stretch_width", merge_tools=True, toolbar_options=options)
+
+
+def _range(samples: Floats) -> tuple[float, float]:
+    low, high = np.quantile(samples, SHOWN_QUANTILES)
+    room = 0.04 * (high - low) or 0.05 * abs(low) or 1.0
+    return float(low - room), float(high + room)
+
+
+def _single(plot: Any, samples: Floats, result: Result | None, name: str, across: Range1d) -> None:
+    edges = np.linspace(float(across.start), float(across.end), BINS + 1)
+    density, _ = np.histogram(samples, bins=edges, density=True)
+    plot.quad(edges[:-1], edges[1:], density, 0, fill_color=BLUE, fill_alpha=0.4, line_color=None)
+    for end in np.quantile(samples, [0.025, 0.975]):
+        level(plot, float(end), color=BLUE, vertical=True, dash="dashed")
+    if result is not None and name in result.names:
+        mean, std = result[name], float(result.std[result.names.index(name)])
+        if math.isfinite(std) and std > 0:
+            grid = np.linspace(edges[0], edges[-1], 121)
+            density = np.exp(-0.5 * ((grid - mean) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
+            plot.line(grid, density, line_color=RED, line_width=1.3)
+    bare(plot)
+
+
+def _pair(plot: Any, samples: Floats, result: Result | None, names: tuple[str, str]) -> None:
+    some = samples[evenly(len(samples), MAX_SAMPLES)]
+    plot.scatter(some[:, 0], some[:, 1], size=2, fill_color=BLUE, fill_alpha=0.35, line_color=None)
+    sides = [(float(each.start), float(each.end)) for each in (plot.x_range, plot.y_range)]
+    counts, first, second = np.histogram2d(samples[:, 0], samples[:, 1], bins=BINS, range=sides)
+    smooth = gaussian_filter(counts.T, SMOOTHING)
+    middles = [0.5 * (edges[1:] + edges[:-1]) for edges in (first, second)]
+    heights = share_levels(smooth)
+    if len(heights) > 1:
+        plot.contour(*middles, smooth, levels=heights, line_color=BLUE, line_width=1.3)
+    if result is None or not set(names) <= set(result.names):
+        return
+    where = [result.names.index(name) for name in names]
+    block = result.covariance[np.ix_(where, where)]
+    if np.isfinite(block).all():
+        for share in SHARES:
+            x, y = ellipse(result.values[where], block, math.sqrt(-2.0 * math.log(1.0 - share)))
+            plot.line(x, y, line_color=RED, line_dash="dashed", line_width=1)
+
+
+def share_levels(counts: Floats) -> list[float]:
+    """Return the heights above which the shares `SHARES` of all counts lie, the largest share first."""
+    ordered = np.sort(counts.ravel())[::-1]
+    total = np.cumsum(ordered)
+    heights = [float(ordered[np.searchsorted(total, share * total[-1])]) for share in sorted(SHARES, reverse=True)]
+    return [height for k, height in enumerate(heights) if k == 0 or height > heights[k - 1]]
+
+
+# --- maps of the criterion
+
+
+def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: float = 0.95) -> Any:
+    """Draw by how much the criterion exceeds its minimum over two parameters, the estimate and its ellipse.
+
+    The dashed line is where the section itself has risen by as much as the border of the confidence region allows:
+    where it leaves the ellipse, the local covariance is not the whole truth. White: the simulation failed.
+
+    Parameters
+    ----------
+    chart : CriterionMap
+    units : mapping of str to str, optional
+        Of the parameters.
+    degree : float
+        The level of the ellipse.
+    """
+    first, second, values = chart.grid
+    excess = values - np.nanmin(values, initial=chart.criterion)
+    rise = chart.rise(degree)
+    kinds: list[Any] = ["log" if each else "linear" for each in chart.logarithmic]
+    plot = panel(
+        x=named(chart.names[0], units),
+        y=named(chart.names[1], units),
+        height=420,
+        x_axis_type=kinds[0],
+        y_axis_type=kinds[1],
+    )
+    known = excess[np.isfinite(excess) & (excess > 0)]
+    low = max(FLOOR_SHARE * rise, float(known.min(initial=FLOOR_SHARE * rise)))
+    high = max(float(np.percentile(known, TOP_PERCENTILE)) if known.size else 0.0, 2.0 * low)
+    colors = LogColorMapper(palette=Blues256, low=low, high=high, nan_color=WHITE)
+    cells = plot.quad(source=_cells(chart, excess), fill_color={"field": "v", "transform": colors}, line_color=None)
+    hover(plot, cells, ("point", "@x{0.000000}, @y{0.000000}"), ("above the minimum", "@v{0.000}"))
+    section = []
+    if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
+        plot.contour(first, second, excess.T, levels=[rise], line_color=RED, line_dash="dashed", line_width=1.6)
+        section.append(plot.line([], [], line_color=RED, line_dash="dashed"))
+    border = chart.ellipse(degree)
+    line = [plot.line(border[:, 0], border[:, 1], line_color=RED, line_width=1.8)] if len(border) else []
+    dot = plot.scatter(*([each] for each in chart.estimate), size=9, fill_color=AMBER, line_color=INK)
+    held = ", others held" if chart.held else ""
+    texts = (f"{100 * degree:g} % ellipse", f"criterion raised by {rise:.3g}{held}", "estimate")
+    legend(plot, list(zip(texts, (line, section, [dot]), strict=True)))
+    bar = ColorBar(
+        color_mapper=colors, ticker=LogTicker(desired_num_ticks=6), width=12, title="criterion above its minimum"
+    )
+    bar.background_fill_color, bar.major_label_text_color, bar.title_text_color = WHITE, GREY, INK
+    bar.major_label_text_font = bar.title_text_font = FONT
+    plot.add_layout(bar, "right")
+    reach(plot, x=_ends(first, logarithmic=chart.logarithmic[0]), y=_ends(second, logarithmic=chart.logarithmic[1]))
+    return plot
+
+
+def _cells(chart: CriterionMap, excess: Floats) -> ColumnDataSource:
+    first, second, _ = chart.grid
+    x, y = (_edges(each, logarithmic=log) for each, log in zip((first, second), chart.logarithmic, strict=True))
+    shape = excess.shape
+    columns = {
+        "left": np.broadcast_to(x[:-1, None], shape),
+        "right": np.broadcast_to(x[1:, None], shape),
+        "bottom": np.broadcast_to(y[None, :-1], shape),
+        "top": np.broadcast_to(y[None, 1:], shape),
+        "x": np.broadcast_to(first[:, None], shape),
+        "y": np.broadcast_to(second[None, :], shape),
+    }
+    floor = np.where(np.isnan(excess), np.nan, np.maximum(excess, 1e-300))
+    return ColumnDataSource({key: values.ravel() for key, values in columns.items()} | {"v": floor.ravel()})
+
+
+def _edges(middles: Floats, *, logarithmic: bool) -> Floats:
+    at = np.log(middles) if logarithmic else middles
+    inner = 0.5 * (at[1:] + at[:-1])
+    edges = np.concatenate([[1.5 * at[0] - 0.5 * at[1]], inner, [1.5 * at[-1] - 0.5 * at[-2]]])
+    return np.exp(edges) if logarithmic else edges
+
+
+def _ends(middles: Floats, *, logarithmic: bool) -> tuple[float, float]:
+    edges = _edges(middles, logarithmic=logarithmic)
+    return float(edges[0]), float(edges[-1])

@@ -1,0 +1,1 @@
+"""``report.html``: what is in a folder of results, on one page."""

@@ -1,0 +1,167 @@
+"""What a folder has of an identification, read back as data."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.assessment import CriterionMap
+from fmuid.errors import InputError
+from fmuid.estimation import Result
+from fmuid.simulation import Fit
+
+# Columns of texts, which pandas would take for numbers or missing values where they look like it.
+_TEXTS = ("parameter", "unit", "experiment", "output", "with", "moved_by", "profiled")
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What ``fmuid identify`` has left in a folder.
+
+    Attributes
+    ----------
+    content : mapping
+        Of ``result.json``.
+    result : Result
+    tables : dict of str to DataFrame
+        The CSV tables by their names; those that are not there are missing.
+    fits : tuple of Fit
+    maps : tuple of CriterionMap
+    """
+
+    content: Mapping[str, Any]
+    result: Result
+    tables: dict[str, pd.DataFrame]
+    fits: tuple[Fit, ...]
+    maps: tuple[CriterionMap, ...]
+
+    @classmethod
+    def read(cls, folder: Path) -> Identification:
+        """Read a folder.
+
+        Raises
+        ------
+        InputError
+            If there is no ``result.json``, a file cannot be read, or they do not belong together.
+        """
+        path = folder / "result.json"
+        result = Result.from_json(path)
+        content = read_json(path)
+        tables = {file.stem: read_table(file) for file in sorted(folder.glob("*.csv")) if _is_mine(file.stem)}
+        try:
+            fits = _fits(content, tables)
+            maps = tuple(_map(table, result) for name, table in tables.items() if name.startswith("map-"))
+        except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(
+                f"{folder} has tables that do not go with its result.json ({error}); identify the study again"
+            ) from None
+        return cls(content, result, tables, fits, maps)
+
+    @property
+    def units(self) -> dict[str, str | None]:
+        """The unit of each parameter."""
+        if "estimates" not in self.tables:
+            return {}
+        table = self.tables["estimates"]
+        return dict(zip(table["parameter"], (unit or None for unit in table["unit"]), strict=True))
+
+    @property
+    def output_units(self) -> dict[str, str | None]:
+        """The unit of each output."""
+        return {name: unit for fit in self.fits for name, unit in zip(fit.outputs, fit.units, strict=True)}
+
+    @property
+    def level(self) -> float:
+        """The level of intervals."""
+        return float(self.content.get("level", 0.95))
+
+
+_MINE = ("estimates", "trace", "rounds", "fit", "correlations", "reading", "optima", "profiles", "posterior")
+
+
+def _is_mine(name: str) -> bool:
+    return name in _MINE or name.startswith("map-")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the content of a JSON file.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or is not an object.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read: {error}") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{path} is not what fmuid writes: it is no JSON object")
+    return content
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """Return a CSV table that fmuid wrote.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    try:
+        names = pd.read_csv(path, nrows=0).columns
+        return pd.read_csv(path, converters=dict.fromkeys(names.intersection(list(_TEXTS)), str))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read as a table of results: {error}") from None
+
+
+def _fits(content: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> tuple[Fit, ...]:
+    if "fit" not in tables:
+        return ()
+    whole, given = tables["fit"], content.get("experiments", [])
+    parts = [whole[whole["experiment"] == each["name"]] for each in given] if len(given) > 1 else [whole]
+    return tuple(_fit(each, part) for each, part in zip(given, parts, strict=False))
+
+
+def _fit(given: Mapping[str, Any], table: pd.DataFrame) -> Fit:
+    outputs = tuple(given["outputs"])
+    times = table["time"].to_numpy(np.float64)
+    measured, simulated = (
+        table[[f"{kind}.{name}" for name in outputs]].to_numpy(np.float64) for kind in ("measured", "simulated")
+    )
+    first = given["counted_from"]
+    late = times >= (math.inf if first is None else first)
+    counted = np.isfinite(measured) & late[:, np.newaxis]
+    return Fit(given["name"], times, outputs, tuple(given["outputs"].values()), measured, simulated, counted)
+
+
+def _map(table: pd.DataFrame, result: Result) -> CriterionMap:
+    first, second = (str(name) for name in table.columns[:2])
+    where = [result.names.index(name) for name in (first, second)]
+    sides = [np.unique(table[name].to_numpy(np.float64)) for name in (first, second)]
+    return CriterionMap(
+        (first, second),
+        table,
+        (sides[0].size, sides[1].size),
+        (_logarithmic(sides[0]), _logarithmic(sides[1])),
+        result.values[where],
+        result.criterion,
+        result.covariance[np.ix_(where, where)],
+        result.degrees_of_freedom,
+        {name: result[name] for name in result.names if name not in (first, second)},
+    )
+
+
+def _logarithmic(places: np.ndarray[Any, np.dtype[np.float64]]) -> bool:
+    """Return whether points divide their range in equal ratios, and not in equal steps."""
+    if places.size < 3 or places[0] <= 0:
+        return False
+    steps, ratios = np.diff(places), np.diff(np.log(places))
+    return bool(np.ptp(ratios) / ratios.mean() < np.ptp(steps) / steps.mean())

@@ -1,0 +1,188 @@
+"""A page of HTML that asks no host: sentences, tables, figures, and the library that draws them.
+
+Whatever comes from a study, a table or an FMU is escaped. Besides, the page's own policy lets a browser run the three
+scripts that were written into it, known by their digests, and load nothing from anywhere.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+from fmuid.reports.words.verdict import Said
+from fmuid.text import visible
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A part of a page with a heading of its own.
+
+    Attributes
+    ----------
+    name : str
+        Its anchor, of letters and hyphens.
+    heading : str
+    caption : str
+        How to read what it shows.
+    figures : sequence
+        Bokeh models that stand beside each other where there is room.
+    columns : int
+        So many at most.
+    body : str
+        HTML above the figures, in which all that is not ours is escaped.
+    """
+
+    name: str
+    heading: str
+    caption: str = ""
+    figures: Sequence[Any] = ()
+    columns: int = 3
+    body: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What one command has found.
+
+    Attributes
+    ----------
+    heading : str
+    state, good : str, bool
+        In a word, and whether that is good.
+    said : sequence of Said
+    table : str
+        HTML, as for `Section`.
+    sections : sequence of Section
+    """
+
+    heading: str
+    state: str
+    good: bool
+    said: Sequence[Said]
+    table: str
+    sections: Sequence[Section]
+
+
+def text(words: object) -> str:
+    """Return a text as HTML."""
+    return html.escape(visible(str(words)))
+
+
+def table(columns: dict[str, list[str]], *, numbers: Sequence[str] = ()) -> str:
+    """Return a table as HTML, its first column as the names of the rows.
+
+    Parameters
+    ----------
+    columns : dict of str to list of str
+        Texts that are escaped here.
+    numbers : sequence of str
+        The columns that are aligned as numbers.
+    """
+    heads = "".join(f"<th scope=col class={_kind(name, numbers)}>{text(name)}</th>" for name in columns)
+    rows = []
+    for cells in zip(*columns.values(), strict=True):
+        first, *others = cells
+        kinds = [_kind(name, numbers) for name in list(columns)[1:]]
+        tail = "".join(f"<td class={kind}>{text(cell)}</td>" for kind, cell in zip(kinds, others, strict=True))
+        rows.append(f"<tr><th scope=row>{text(first)}</th>{tail}</tr>")
+    return f"<div class=scroll><table><thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+
+
+def _kind(name: str, numbers: Sequence[str]) -> str:
+    return "number" if name in numbers else "word"
+
+
+def details(heading: str, words: str) -> str:
+    """Return a text that opens at a click."""
+    return f"<details><summary>{text(heading)}</summary><pre>{text(words)}</pre></details>"
+
+
+def page(title: str, parts: Sequence[Part], end: str) -> str:
+    """Return a page.
+
+    Parameters
+    ----------
+    title : str
+    parts : sequence of Part
+    end : str
+        HTML below all parts, as for `Section`.
+    """
+    from fmuid.reports.interactive.style import DARK
+
+    figures = [model for part in parts for section in part.sections for model in section.figures]
+    library, script, places = drawn(figures) if figures else ("", "", ())
+    colors = f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
+    scripts = [each.replace("</script", "<\\/script") for each in (library, script, colors) if each]
+    waiting = list(places)
+    body = "".join(_part(part, waiting, several=len(parts) > 1) for part in parts)
+    digests = " ".join(f"'sha256-{_digest(each)}'" for each in scripts)
+    policy = (
+        f"default-src 'none'; script-src {digests}; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    head = (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}"><meta name="referrer" content="no-referrer">'
+        f"<title>{text(title)}</title><style>{_file('page.css')}</style></head>\n"
+    )
+    tail = "".join(f"<script>{each}</script>\n" for each in scripts)
+    return (
+        f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n"
+        f"<section class=end>{end}</section></main>\n{tail}</body></html>\n"
+    )
+
+
+def drawn(figures: Sequence[Any]) -> tuple[str, str, Sequence[str]]:
+    """Return the library, the script that draws figures, and the elements in which each of them appears."""
+    from bokeh.document import Document
+    from bokeh.embed import components
+    from bokeh.resources import Resources
+
+    together = Document()
+    with together.models.freeze():  # else all models are looked for anew with every figure
+        for each in figures:
+            together.add_root(each)
+    script, places = components(figures, wrap_script=False)
+    return "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw), script, places
+
+
+def _file(name: str) -> str:
+    return resources.files("fmuid.reports.page").joinpath(name).read_text(encoding="utf-8")
+
+
+def _digest(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
+def _part(part: Part, waiting: list[str], *, several: bool) -> str:
+    here = {section.name for section in part.sections}
+    verdict = "".join(_sentence(each, here) for each in part.said if not each.doubtful)
+    doubts = "".join(_sentence(each, here) for each in part.said if each.doubtful)
+    badge = f'<span class="badge {"good" if part.good else "bad"}">{text(part.state)}</span>'
+    heading = f"<h2>{text(part.heading)} {badge}</h2>"
+    unsure = f"<h3>What is doubtful, and what would help</h3><ul class=doubts>{doubts}</ul>" if doubts else ""
+    first = f"<section>{heading}<ul class=verdict>{verdict}</ul>{unsure}{part.table}</section>"
+    links = "".join(f'<a href="#{each.name}">{text(each.heading)}</a>' for each in part.sections)
+    contents = f"<nav>{links}</nav>" if not several or links else ""
+    return first + contents + "".join(_section(each, waiting) for each in part.sections)
+
+
+def _sentence(said: Said, here: set[str]) -> str:
+    words = text(said.text.rstrip("."))
+    link = f' <a href="#{said.figure}">see the figure</a>' if said.figure in here else ""
+    return f"<li>{words}.{link}</li>"
+
+
+def _section(section: Section, waiting: list[str]) -> str:
+    cells = "".join(f"<div class=cell>{waiting.pop(0)}</div>" for _ in section.figures)
+    count = min(section.columns, max(1, len(section.figures)))
+    grid = f'<div class="cells n{count}">{cells}</div>' if cells else ""
+    caption = f"<p class=caption>{text(section.caption)}</p>" if section.caption else ""
+    return f'<section id="{section.name}"><h3>{text(section.heading)}</h3>{caption}{section.body}{grid}</section>'

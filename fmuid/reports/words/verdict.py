@@ -1,0 +1,117 @@
+"""What a report says first: sentences, each with the figure that proves it, and whether it is a doubt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from fmuid.assessment import SIGNIFICANCE_LEVEL, Deviation, Stated
+from fmuid.reports.words.accuracy import accuracy_words, passed_words
+from fmuid.reports.words.result import capitalised, dependence_words, ending, start_words
+from fmuid.text import listed
+
+if TYPE_CHECKING:
+    from fmuid.estimation import Result
+    from fmuid.simulation import Fit
+
+
+@dataclass(frozen=True)
+class Said:
+    """A sentence of a report.
+
+    Attributes
+    ----------
+    text : str
+    figure : str
+        The section of the page that proves it, "" for none.
+    doubtful : bool
+        Whether it is a doubt, with what would help, and not a part of the verdict.
+    """
+
+    text: str
+    figure: str = ""
+    doubtful: bool = False
+
+
+def identification_words(content: Mapping[str, Any], result: Result, fits: Sequence[Fit]) -> tuple[Said, ...]:
+    """Return what a report of an identification says, the verdict first.
+
+    Parameters
+    ----------
+    content : mapping
+        Of ``result.json``.
+    result : Result
+        Read from it.
+    fits : sequence of Fit
+    """
+    said = [Said(capitalised(ending(result)), "search", not result.converged)]
+    said += [Said(text, "estimates") for text in _precision(result)]
+    said += [Said(text, "fit") for text in _misfit(fits)]
+    said += [Said(capitalised(text), "search", doubtful=True) for text in start_words(result)]
+    if result.accuracy is not None:
+        said += [Said(capitalised(text), "accuracy") for text in filter(None, [passed_words(result.accuracy)])]
+        said += [
+            Said(capitalised(text), "accuracy", result.accuracy.doubtful)
+            for text in accuracy_words(result.names, result.accuracy)
+        ]
+    said += [Said(capitalised(text), "correlation", doubtful=True) for text in dependence_words(result)]
+    return *said, *_saved(content)
+
+
+def _saved(content: Mapping[str, Any]) -> list[Said]:
+    """Return what the file says of residuals, of prior and data, and of the uncertainty."""
+    found, read, more = (content.get(key) or {} for key in ("diagnostics", "consistency", "uncertainty"))
+    coloured = found.get("stated", Stated.HOLD.value) != Stated.HOLD.value
+    coloured |= any(each["large"] for each in found.get("findings", ()))
+    agreement = read.get("prior_against_data") or {}
+    odd = agreement.get("probability", 1.0) < SIGNIFICANCE_LEVEL
+    odd |= any(each.get("deviation") in _ODD for each in read.get("variances", ()))
+    said = [Said(text, "residuals", coloured) for text in found.get("words", ())]
+    said += [Said(text, "belief", odd) for text in read.get("words", ())]
+    said += [Said(capitalised(text), "uncertainty", doubtful=True) for text in more.get("words", ())]
+    return said
+
+
+_ODD = (Deviation.LARGER.value, Deviation.SMALLER.value)
+
+
+def _precision(result: Result) -> list[str]:
+    """Say how precisely the parameters are determined, the best and the worst."""
+    pairs = zip(result.names, result.values.tolist(), result.std.tolist(), strict=True)
+    shares = {name: std / abs(value) for name, value, std in pairs if value and math.isfinite(std)}
+    lost = [name for name, std in zip(result.names, result.std.tolist(), strict=True) if math.isinf(std)]
+    said = [f"{listed(lost)} {'is' if len(lost) == 1 else 'are'} not determined"] if lost else []
+    if not shares:
+        return [capitalised(text) for text in said]
+    best, worst = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
+    if len(shares) == 1:
+        said.append(f"{best} is known to {_percent(shares[best])}")
+    else:
+        said.append(
+            f"{len(shares)} parameters are known to between {_percent(shares[best])} ({best}) and "
+            f"{_percent(shares[worst])} ({worst}), one standard deviation"
+        )
+    return [capitalised(text) for text in said]
+
+
+def _misfit(fits: Sequence[Fit]) -> list[str]:
+    """Say how far measured and simulated outputs are apart."""
+    known = [
+        (f"{name} in {fit.experiment}" if len(fits) > 1 else name, share)
+        for fit in fits
+        for name, share in zip(fit.outputs, fit.misfit, strict=True)
+        if math.isfinite(share)
+    ]
+    if not known:
+        return []
+    if len(known) > 4:
+        name, share = max(known, key=lambda each: each[1])
+        return [f"The simulation misses the measurements by {_percent(share)} of their size at most ({name})"]
+    words = [f"{name} by {_percent(share)}" for name, share in known]
+    return [f"The simulation misses {listed(words)} of {'its' if len(known) == 1 else 'their'} size"]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"

@@ -1,0 +1,103 @@
+"""The report in a real browser, which can reach no host: it draws every figure, and nothing is amiss."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fmuid.cli.options import DONE
+from tests.support.coil_study import STUDY, coil_table, fmuid_
+
+pytestmark = pytest.mark.browser
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+# No host is found, and the browser itself asks for none.
+FLAGS = (
+    *("headless", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-background-networking"),
+    *("disable-component-update", "disable-sync", "disable-dev-shm-usage", "host-resolver-rules=MAP * ~NOTFOUND"),
+)
+# More than enough, s, on a machine with other work.
+PATIENCE = 120.0
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("browser")
+    coil_table(folder / "first.csv", 0.0, seed=1)
+    evil = "<img src=https://example.org/x onerror=document.title=1> $$x^2$$"
+    text = STUDY.replace("min = 0.0", "min = 0.0, prior = { mean = 4.0, std = 0.2 }").replace(
+        'outputs = ["i"]', f'outputs = ["i"]\nname = "{evil}"'
+    )
+    asked = '[uncertainty]\nprofile = ["R"]\nmap = [["R", "L"]]\n'
+    (folder / "study.toml").write_text(text.replace('"Coil"', f'"{evil}"') + asked)
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    return folder / "results" / "report.html"
+
+
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Any]:
+    if CHROMIUM is None or DRIVER is None:
+        pytest.skip("there is no Chromium with its driver")
+    from selenium import webdriver
+    from selenium.webdriver.chrome.options import Options
+    from selenium.webdriver.chrome.service import Service
+
+    options: Any = Options()
+    options.binary_location = CHROMIUM
+    for flag in (*FLAGS, f"user-data-dir={tmp_path / 'user'}"):
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver: Any = webdriver.Chrome(options=options, service=Service(DRIVER))
+    try:
+        yield driver
+    finally:
+        driver.quit()
+
+
+def opened(driver: Any, report: Path) -> None:
+    """Open a report and wait until all of its figures are drawn."""
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    driver.get(report.as_uri())
+    idle = "return typeof Bokeh !== 'undefined' && Bokeh.documents.length > 0 && Bokeh.documents.every(d => d.is_idle)"
+    WebDriverWait(driver, PATIENCE).until(lambda it: it.execute_script(idle))
+
+
+def requests(driver: Any, report: Path) -> set[str]:
+    """Return what the page has asked for, itself included, but for what it carries in itself."""
+    messages = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
+    asked = [each["params"] for each in messages if each["method"] == "Network.requestWillBeSent"]
+    urls = {each["request"]["url"] for each in asked if each["documentURL"] == report.as_uri()}
+    return {url for url in urls if not url.startswith(("data:", "blob:"))}
+
+
+def test_a_report_opens_with_every_host_refused(browser: Any, report: Path) -> None:
+    opened(browser, report)
+    figures = browser.execute_script("return document.querySelectorAll('.cell').length")
+    drawn = "return [...document.querySelectorAll('.cell')].filter(e => e.clientHeight > 50).length"
+    assert figures > 8
+    assert browser.execute_script(drawn) == figures
+    assert [entry for entry in browser.get_log("browser") if entry["level"] not in ("INFO", "DEBUG")] == []
+    assert requests(browser, report) == {report.as_uri()}
+    assert browser.title.startswith("<img")
+    assert not browser.execute_script("return document.images.length")
+
+
+@pytest.mark.parametrize("width", [360, 1920])
+def test_a_report_is_as_wide_as_its_window_and_follows_its_colours(browser: Any, report: Path, width: int) -> None:
+    dark = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    opened(browser, report)
+    of_labels = "[...Bokeh.documents[0].all_models].map(model => model.axis_label_text_color).filter(color => color)"
+    colors = f"return [...new Set({of_labels})]"
+    assert browser.execute_script(colors) == ["#24292f"]
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", dark)
+    assert browser.execute_script(colors) == ["#e6edf3"]
