@@ -54,11 +54,14 @@ def header(system: ExplicitModel, guid: str) -> str:
     events += [("jump of", each) for each in system.integers for _ in ("up", "down")]
     jumps = ", ".join(json.dumps(f"{kind} {each.text} (line {each.line})") for kind, each in events)
     rates, others, indicators, symbols, cached = _hoist(system)
-    sizes = {"NX": x, "NU": u, "NP": p, "NW": others, "NC": symbols}
     seeds = [ca.SX.sym(name, each.numel()) for name, each in (("xd", x), ("ud", u), ("pd", p))]
     unknowns = system.plain(ca.vertcat(system.derivatives, system.algebraic, system.indicators))
     unknowns_seed = ca.densify(ca.jtimes(unknowns, ca.vertcat(x, u, p), ca.vertcat(*seeds)))
     rates_seed, others_seed, indicators_seed = _split(system, unknowns_seed)
+    # Along every direction of the sensitivities at one point the rest is the same.
+    rates_seed, shared, common = ca.extract_parametric(ca.cse(rates_seed), ca.vertcat(x, u, p, t, r))
+    rates_seed, shared, common = ca.densify(rates_seed), column(shared), column(common)
+    sizes = {"NX": x, "NU": u, "NP": p, "NW": others, "NC": symbols, "ND": shared}
     starts_seed = ca.densify(ca.jtimes(system.starts, p, seeds[2]))
     point = {"x": x, "u": u, "p": p, "t": t, "r": r}
     directions = dict(zip(("xd", "ud", "pd"), seeds, strict=True))
@@ -67,7 +70,7 @@ def header(system: ExplicitModel, guid: str) -> str:
             f"/* {model.name}, generated: x states, u inputs, p parameters, w other variables, dx = dx/dt, t time,",
             "   r NR relations (0 or 1: an event sets r to z > 0), then NI whole numbers floor(a) (an event sets r so",
             "   that its two z are r + 1 - a > 0 and r - a <= 0), z event indicators, c subexpressions of p alone;",
-            "   names that end in d: derivatives along a direction of x, u, p */",
+            "   names that end in d: derivatives along a direction of x, u, p; e what those of dx share along all */",
             "#include <math.h>",
             f'#define MODEL_GUID "{guid}"',
             f"#define MODEL_STEP {model.step!r} /* largest internal step of the co-simulation, s */",
@@ -83,11 +86,9 @@ def header(system: ExplicitModel, guid: str) -> str:
             _function("model_evaluate", point | {"c": symbols}, {"dx": rates, "w": others}),
             _function("model_indicators", point | {"c": symbols}, {"z": indicators}),
             _function("model_starts_seed", {"p": p, "pd": seeds[2]}, {"xd": starts_seed}),
-            _function(
-                "model_seed",
-                point | directions,
-                {"dxd": rates_seed, "wd": others_seed, "zd": indicators_seed},
-            ),
+            _function("model_point", point, {"e": common}),
+            _function("model_rates_seed", point | {"e": shared} | directions, {"dxd": rates_seed}),
+            _function("model_others_seed", point | directions, {"wd": others_seed, "zd": indicators_seed}),
             "",
         ]
     )

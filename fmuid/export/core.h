@@ -17,29 +17,38 @@ typedef enum {
   INSTANTIATED = 1, INITIALIZATION = 2, EVENT = 4, CONTINUOUS = 8, STEP = 16, TERMINATED = 32, ERROR = 64
 } Mode;
 
+/* What is to be computed anew before it is used. */
+enum {
+  CACHE = 1,  /* a parameter was set: the subexpressions of the parameters, and the start values */
+  RATES = 2,  /* something was set: the derivatives; */
+  VALUES = 4, /* all else that the model computes; */
+  POINT = 8,  /* what the derivatives along all directions share */
+  ALL_BUT_CACHE = RATES | VALUES | POINT
+};
+
 typedef struct {           /* all that get, set and serialise of the FMU state copy */
   double v[NV];            /* states, inputs, parameters, their derivatives, algebraic variables, indicators, time */
   double slope[NU + 1];    /* time derivatives of the inputs */
   double cache[NC + 1];    /* subexpressions of the parameters alone */
+  double point[ND + 1];    /* what derivatives of dx along all directions have in common */
   double relation[NR + NI + 1]; /* 0 or 1, then whole numbers; only events change them */
   int mode;                /* a Mode */
-  int stale_cache;         /* a parameter was set since the cache (and the start values) were computed */
-  int stale_values;        /* something was set since the derivatives and algebraic variables were computed */
+  int stale;               /* CACHE and so on */
 } State;
 
 static void set_defaults(State *s) {
   memset(s, 0, sizeof *s);
   memcpy(s->v + V_U, model_values, sizeof(double) * (NU + NP));
   s->mode = INSTANTIATED;
-  s->stale_cache = s->stale_values = 1;
+  s->stale = CACHE | ALL_BUT_CACHE;
 }
 
 /* After a parameter was set: the cache, and until the end of the initialisation the states. */
 static void refresh(State *s) {
-  if (!s->stale_cache) return;
+  if (!(s->stale & CACHE)) return;
   model_cache(s->v + V_P, s->cache);
   if (s->mode & (INSTANTIATED | INITIALIZATION)) model_starts(s->v + V_P, s->v + V_X);
-  s->stale_cache = 0;
+  s->stale &= ~CACHE;
 }
 
 /* The event indicators for states x, t0 after the inputs had their values in v. */
@@ -73,15 +82,34 @@ static void settle(State *s, double t0) {
 /* Before anything is evaluated. In continuous-time mode the relations stay as they are. */
 static void prepare(State *s) {
   refresh(s);
-  if (NZ > 0 && s->mode != CONTINUOUS) settle(s, 0.0);
+  if (NZ > 0 && s->mode != CONTINUOUS) {
+    settle(s, 0.0);
+    s->stale |= POINT;
+  }
+}
+
+/* Load numbers one by one, as they were stored a moment ago: a processor waits before it loads two of them at once. */
+static inline void load(const volatile double *from, int n, double *to) {
+  int i;
+  for (i = 0; i < n; i++) to[i] = from[i];
+}
+
+/* The derivatives alone, all that integrators want in most of their calls. */
+static void evaluate_rates(State *s) {
+  double x[NX + 1];
+  if (!(s->stale & RATES)) return;
+  prepare(s);
+  load(s->v + V_X, NX, x);
+  model_derivatives(x, s->v + V_U, s->v + V_P, s->v + V_T, s->relation, s->cache, s->v + V_DX);
+  s->stale &= ~RATES;
 }
 
 static void evaluate(State *s) {
-  if (!s->stale_values) return;
+  if (!(s->stale & VALUES)) return;
   prepare(s);
   model_evaluate(s->v + V_X, s->v + V_U, s->v + V_P, s->v + V_T, s->relation, s->cache, s->v + V_DX, s->v + V_W);
   if (NZ > 0) indicators(s, 0.0, s->v + V_X, s->v + V_Z);
-  s->stale_values = 0;
+  s->stale &= ~(RATES | VALUES);
 }
 
 /* One step of Butcher's seven-stage method of order six (J. C. Butcher, "On Runge-Kutta processes of high order",
@@ -204,19 +232,29 @@ static int integrate(State *s, double h) {
   }
   for (i = 0; i < NU; i++) s->v[V_U + i] += h * s->slope[i];
   s->v[V_T] += h;
-  s->stale_values = 1;
+  s->stale |= ALL_BUT_CACHE;
   return -1;
 }
 
-/* seed[unknown] = sum over the knowns (states, inputs, parameters) of d unknown / d known * seed[known] */
-static void directional(State *s, double *seed) {
-  double starts[NX + 1];
+/* seed[unknown] = sum over the knowns (states, inputs, parameters) of d unknown / d known * seed[known]; of the
+   derivatives, or of the other unknowns, only where they are wanted */
+static void directional(State *s, double *seed, int rates, int others) {
+  double starts[NX + 1], known[V_DX + 1];
   int i;
   prepare(s);
   if (s->mode & (INSTANTIATED | INITIALIZATION)) { /* the states are still functions of the parameters */
     model_starts_seed(s->v + V_P, seed + V_P, starts);
     for (i = 0; i < NX; i++) seed[V_X + i] = starts[i];
   }
-  model_seed(s->v + V_X, s->v + V_U, s->v + V_P, s->v + V_T, s->relation, seed + V_X, seed + V_U, seed + V_P,
-             seed + V_DX, seed + V_W, seed + V_Z);
+  if (rates && s->stale & POINT) {
+    model_point(s->v + V_X, s->v + V_U, s->v + V_P, s->v + V_T, s->relation, s->point);
+    s->stale &= ~POINT;
+  }
+  load(seed, V_DX, known);
+  if (rates)
+    model_rates_seed(s->v + V_X, s->v + V_U, s->v + V_P, s->v + V_T, s->relation, s->point, known + V_X, known + V_U,
+                     known + V_P, seed + V_DX);
+  if (others)
+    model_others_seed(s->v + V_X, s->v + V_U, s->v + V_P, s->v + V_T, s->relation, known + V_X, known + V_U,
+                      known + V_P, seed + V_W, seed + V_Z);
 }

@@ -54,7 +54,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_giv
   (void)tolerance_given, (void)tolerance, (void)stop_given, (void)stop;
   REQUIRE(isfinite(start), "%s: the start time is not finite", __func__);
   m->s.v[V_T] = start;
-  m->s.stale_values = 1;
+  m->s.stale |= ALL_BUT_CACHE;
   m->s.mode = INITIALIZATION;
   return fmi3OK;
 }

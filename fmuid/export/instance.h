@@ -117,22 +117,30 @@ static inline Status get_values(void *c, const char *function, const Reference r
   return OK;
 }
 
+/* May the variable be given this value now? Apart, because at every step of a simulation inputs alone are set. */
+static Status check_value(Instance *m, const char *function, Reference r, double value) {
+  const int input = among(r, V_U, NU), parameter = among(r, V_P, NP);
+  REQUIRE(r < NV, "%s: there is no variable of value reference %u", function, r);
+  REQUIRE(input || parameter, "%s: %s is computed by the model: only inputs and parameters can be set", function,
+          model_names[r]);
+  REQUIRE(input || m->s.mode != CONTINUOUS, "%s: parameter %s cannot be set in continuous-time mode", function,
+          model_names[r]);
+  REQUIRE(isfinite(value), "%s: the value given for %s at t = %g is not finite", function, model_names[r],
+          m->s.v[V_T]);
+  return OK;
+}
+
 static inline Status set_values(void *c, const char *function, const Reference r[], size_t n, const double values[]) {
   size_t i;
   ENTER(function, ANY & ~TERMINATED);
   for (i = 0; i < n; i++) {
-    const int input = among(r[i], V_U, NU), parameter = among(r[i], V_P, NP);
-    REQUIRE(r[i] < NV, "%s: there is no variable of value reference %u", function, r[i]);
-    REQUIRE(input || parameter, "%s: %s is computed by the model: only inputs and parameters can be set", function,
-            model_names[r[i]]);
-    REQUIRE(input || m->s.mode != CONTINUOUS, "%s: parameter %s cannot be set in continuous-time mode", function,
-            model_names[r[i]]);
-    REQUIRE(isfinite(values[i]), "%s: the value given for %s at t = %g is not finite", function, model_names[r[i]],
-            m->s.v[V_T]);
+    if (!among(r[i], V_U, NU) || !isfinite(values[i])) {
+      if (check_value(m, function, r[i], values[i]) != OK) return FAILED;
+      m->s.stale |= CACHE;
+    }
     m->s.v[r[i]] = values[i];
-    m->s.stale_cache |= parameter;
   }
-  m->s.stale_values = 1;
+  m->s.stale |= ALL_BUT_CACHE;
   return OK;
 }
 
@@ -140,17 +148,20 @@ static inline Status directional_derivative(void *c, const char *function, const
                                             size_t n_unknowns, const Reference knowns[], size_t n_knowns,
                                             const double seeds[], double values[]) {
   double seed[NV] = {0};
+  int rates = 0, others = 0;
   size_t i;
   ENTER(function, ANY & ~INSTANTIATED);
   for (i = 0; i < n_knowns; i++) {
     REQUIRE(knowns[i] < V_DX, "%s: value reference %u is no state, input or parameter", function, knowns[i]);
     seed[knowns[i]] = seeds[i];
   }
-  directional(&m->s, seed);
   for (i = 0; i < n_unknowns; i++) {
     REQUIRE(unknowns[i] < NV, "%s: there is no variable of value reference %u", function, unknowns[i]);
-    values[i] = seed[unknowns[i]];
+    rates |= among(unknowns[i], V_DX, NX);
+    others |= unknowns[i] >= V_W;
   }
+  directional(&m->s, seed, rates, others);
+  for (i = 0; i < n_unknowns; i++) values[i] = seed[unknowns[i]];
   return OK;
 }
 
@@ -213,7 +224,7 @@ static inline Status deserialise(void *c, const char *function, const void *byte
 static inline Status enter_event_mode(void *c, const char *function) {
   ENTER(function, EVENT | CONTINUOUS);
   m->s.mode = EVENT;
-  m->s.stale_values = 1; /* the relations may change now */
+  m->s.stale |= ALL_BUT_CACHE; /* the relations may change now */
   return OK;
 }
 
@@ -239,7 +250,7 @@ static inline Status completed_integrator_step(void *c, const char *function) {
 static inline Status set_time(void *c, const char *function, double time) {
   ENTER(function, EVENT | CONTINUOUS);
   m->s.v[V_T] = time;
-  m->s.stale_values = 1;
+  m->s.stale |= ALL_BUT_CACHE;
   return OK;
 }
 
@@ -254,7 +265,7 @@ static inline Status set_states(void *c, const char *function, const double x[],
             m->s.v[V_T]);
     m->s.v[V_X + i] = x[i];
   }
-  m->s.stale_values = 1;
+  m->s.stale |= ALL_BUT_CACHE;
   return OK;
 }
 
@@ -264,7 +275,8 @@ static inline Status get_block(void *c, const char *function, int first, int siz
   ENTER(function, ANY & ~INSTANTIATED);
   REQUIRE_SIZE(n, (size_t)size);
   refresh(&m->s);
-  if (first >= V_DX) evaluate(&m->s);
+  if (first == V_DX) evaluate_rates(&m->s);
+  if (first > V_DX) evaluate(&m->s);
   for (i = 0; i < size; i++) {
     values[i] = m->s.v[first + i];
     REQUIRE(isfinite(values[i]), NOT_FINITE, model_names[first + i], m->s.v[V_T]);

@@ -465,6 +465,31 @@ def test_functions_and_their_derivatives(tmp_path: Path) -> None:
         assert slave.getDirectionalDerivative([references["y"]], [references["L"]], [1.0]) == [-1.0]
 
 
+def test_directional_derivatives_are_of_the_present_point(tmp_path: Path) -> None:
+    """What they share along all directions is found anew after whatever changes it."""
+    text = BASE.format(declaration="", equation="").replace("L*der(x) = u - x;", "der(x) = L*x^2*u;")
+    (tmp_path / "Base.mo").write_text(text.replace("start=0", "start=2"), encoding="utf-8")
+    with here_only(), simulated(export_fmu(tmp_path / "Base.mo")) as slave:
+        references = {v.name: v.valueReference for v in slave.description.modelVariables}
+        number = {"x": 2.0, "u": 0.0, "L": slave.getReal([references["L"]])[0]}
+
+        def check() -> None:
+            x, u, inductance = number["x"], number["u"], number["L"]
+            for known, expected in (("x", 2 * inductance * x * u), ("u", inductance * x**2), ("L", x**2 * u)):
+                found = slave.getDirectionalDerivative([references["der(x)"]], [references[known]], [1.0])[0]
+                assert found == pytest.approx(expected, rel=1e-14)
+
+        check()
+        for name, value in (("u", 0.5), ("L", 3.0), ("u", 0.25)):
+            number[name] = value
+            slave.setReal([references[name]], [value])
+            check()
+        slave.doStep(0.0, 0.1)
+        number["x"] = slave.getReal([references["x"]])[0]
+        assert number["x"] > 2.0
+        check()
+
+
 class simulated:  # noqa: N801
     """An initialised co-simulation instance of an FMU, freed at the end."""
 
