@@ -155,8 +155,15 @@ def _show_event(display: Display, read: Study, event: Event, /) -> None:
             display(event)
 
 
-def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in_process: InProcess = False) -> int:
-    """Look for the faults that a study names, and write verdict, table and figures; exit code 1 for a fault."""
+def diagnose(
+    study: StudyFile,
+    output: Folder = None,
+    set_: Overrides = None,
+    in_process: InProcess = False,
+    figures: Figures = None,
+    no_report: NoReport = False,
+) -> int:
+    """Look for the faults that a study names, and write verdict, tables and a report; exit code 1 for a fault."""
     folder = folder_of(output, study)
     with _opened(study, set_, in_process, folder) as read:
         from fmuid.reports import run_diagnosis
@@ -167,7 +174,9 @@ def diagnose(study: StudyFile, output: Folder = None, set_: Overrides = None, in
             console.note_sources(read)
             console.warn_unfed(read.simulators())
         with Display() as display:
-            found = run_diagnosis(read, folder, figures="png", progress=partial(_show_judged, display))
+            found = run_diagnosis(
+                read, folder, figures=figures, report=not no_report, progress=partial(_show_judged, display)
+            )
         console.show_files(found.files)
         return DONE if found.healthy else NOT_SUCCEEDED
 
@@ -184,6 +193,8 @@ def monitor(
     append: Annotated[
         bool, typer.Option("--append", help="Go on with the run in the output folder; records of it are left out.")
     ] = False,
+    figures: Figures = None,
+    no_report: NoReport = False,
 ) -> int:
     """Look for the faults that a study names in records, window by window; exit code 1 for an alarm."""
     folder = folder_of(output, study)
@@ -197,7 +208,9 @@ def monitor(
         saving = "saving the records examined so far, with which --append goes on"
         with answering(saving), Display() as display:
             shown = partial(_show_judged, display)
-            found = run_monitoring(read, tables, folder, figures="png", append=append, progress=shown)
+            found = run_monitoring(
+                read, tables, folder, figures=figures, report=not no_report, append=append, progress=shown
+            )
         console.show_files(found.files)
         return DONE if found.healthy else NOT_SUCCEEDED
 

@@ -7,16 +7,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pandas as pd
+
 from fmuid import files
 from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.errors import InputError
 from fmuid.progress import Event, Progress
-from fmuid.reports.drawn import check_format
+from fmuid.reports.drawn import REPORT_FILE, check_format
 from fmuid.reports.findings import write_diagnosis
+from fmuid.reports.origin import Origin
+from fmuid.reports.words.monitoring import monitoring_words
 from fmuid.studies import Study, monitor_of, records_of, rule_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+RESIDUALS_FILE = "diagnosis-residuals.csv"
+"""Residuals of the first experiment, of the healthy model and with the fault."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +66,12 @@ def run_diagnosis(
     folder: str | Path | None = None,
     *,
     figures: str | None = None,
+    report: bool = False,
     progress: Progress | None = None,
 ) -> DiagnosisFindings:
     """Look for the faults that the ``[diagnosis]`` of a study names, and write what is found.
 
-    ``fmuid diagnose`` is this, with a folder and figures.
+    ``fmuid diagnose`` is this, with a folder and a report.
 
     Parameters
     ----------
@@ -71,6 +80,8 @@ def run_diagnosis(
         Where ``diagnosis.json`` and ``diagnosis.csv`` go, made where needed. Nothing is written without one.
     figures : str, optional
         ``png``, ``svg`` or ``pdf``: draw figures for print, into ``figures/`` of the folder.
+    report : bool
+        Whether to write ``report.html`` into the folder.
     progress : callable, optional
         Called before each fit, and with `Judged`.
 
@@ -82,18 +93,19 @@ def run_diagnosis(
         If the simulation fails at the healthy estimate.
     """
     check_format(figures)
-    study, target = _prepared(study, folder, figures is not None)
+    study, target = _prepared(study, folder, figures is not None or report)
     if target is not None:
         files.make_folder(target)
     found = DiagnosisFindings(study.diagnose(progress))
     if target is not None:
-        found = replace(found, files=tuple(write_diagnosis(target, found.diagnosis)))
+        found = replace(found, files=tuple(_written(target, study, found.diagnosis)))
     _tell(progress, found)
     if target is not None and figures:
         from fmuid.reports.figures import diagnosis
 
-        found = replace(found, files=(*found.files, *_drawn(diagnosis.draw(found.diagnosis), target, figures)))
-    return found
+        drawn = diagnosis.draw(found.diagnosis, _units(study))
+        found = replace(found, files=(*found.files, *_drawn(drawn, target, figures)))
+    return replace(found, files=(*found.files, *_reported(target, report=report)))
 
 
 def run_monitoring(
@@ -102,12 +114,13 @@ def run_monitoring(
     folder: str | Path | None = None,
     *,
     figures: str | None = None,
+    report: bool = False,
     append: bool = False,
     progress: Progress | None = None,
 ) -> MonitoringFindings:
     """Look for the faults that a study names in records, window by window, and write what is found.
 
-    ``fmuid monitor`` is this, with a folder and figures.
+    ``fmuid monitor`` is this, with a folder and a report.
 
     Parameters
     ----------
@@ -118,6 +131,8 @@ def run_monitoring(
         Where ``monitoring.csv`` and ``monitoring.json`` go, made where needed. Nothing is written without one.
     figures : str, optional
         ``png``, ``svg`` or ``pdf``: draw figures for print, into ``figures/`` of the folder.
+    report : bool
+        Whether to write ``report.html`` into the folder.
     append : bool
         Whether to go on with the run in the folder, whose records are left out.
     progress : callable, optional
@@ -130,7 +145,7 @@ def run_monitoring(
         nothing can be written there. What was found before a record that is wrong is written.
     """
     check_format(figures)
-    study, target = _prepared(study, folder, figures is not None or append)
+    study, target = _prepared(study, folder, figures is not None or report or append)
     monitor = monitor_of(study, rule_of(study))
     written: list[Path] = []
     if target is not None:
@@ -142,21 +157,65 @@ def run_monitoring(
             monitor.add(record, progress)
     finally:  # what was found before a record that is wrong is kept, and can be appended to
         if target is not None and monitor.records:
-            written += monitor.write(target)
+            told = {
+                key: value for key, value in Origin.of(study).with_study(study).items() if key in ("title", "study")
+            }
+            written += monitor.write(target, told | {"words": [monitoring_words(monitor)]})
     found = MonitoringFindings(monitor, tuple(written))
     _tell(progress, found)
     if target is not None and figures:
         from fmuid.reports.figures import monitoring
 
         found = replace(found, files=(*found.files, *_drawn(monitoring.draw(monitor), target, figures)))
-    return found
+    return replace(found, files=(*found.files, *_reported(target, report=report and bool(written))))
 
 
 def _prepared(study: Study | str | Path, folder: str | Path | None, needed: bool) -> tuple[Study, Path | None]:
     """Return the study read, and the folder."""
     if folder is None and needed:
-        raise InputError("figures and an earlier run are in a folder: say in which one")
+        raise InputError("figures, a report and an earlier run are in a folder: say in which one")
     return study if isinstance(study, Study) else Study.read(study), None if folder is None else Path(folder)
+
+
+def _units(study: Study) -> dict[str, str | None]:
+    """Return the unit of each output of the study's tables."""
+    return {name: each.units.get(name, study.system.unit(name)) for each in study.tables for name in each.output_names}
+
+
+def _written(folder: Path, study: Study, found: Diagnosis) -> list[Path]:
+    """Write a diagnosis and, where it has them, the residuals without and with the fault that explains most."""
+    also = Origin.of(study).with_study(study) | {"units": _units(study)}
+    written = write_diagnosis(folder, found, also)
+    path = folder / RESIDUALS_FILE
+    best = found[found.named[0]] if found.named else min(found.hypotheses, key=lambda each: each.probability)
+    if found.result is None or best.result is None:
+        path.unlink(missing_ok=True)
+        return written
+    columns = {"time": found.result.fit[0]["time"]}
+    for kind, frame in (("healthy", found.result.fit[0]), ("fault", best.result.fit[0])):
+        for output, unlike in zip(study.tables[0].output_names, residuals_of(frame), strict=True):
+            columns[f"{kind}.{output}"] = unlike
+    return [*written, files.write_table(path, pd.DataFrame(columns))]
+
+
+def residuals_of(frame: pd.DataFrame) -> list[pd.Series[float]]:
+    """Return measured − simulated of each output of a result's fit, whatever its name in this model."""
+    kinds = (
+        [str(name) for name in frame.columns if str(name).startswith(each)] for each in ("measured.", "simulated.")
+    )
+    return [frame[measured] - frame[simulated] for measured, simulated in zip(*kinds, strict=True)]
+
+
+def _reported(folder: Path | None, *, report: bool) -> list[Path]:
+    """Write the report where it is asked for; one of an earlier run goes."""
+    if folder is None:
+        return []
+    if not report:
+        (folder / REPORT_FILE).unlink(missing_ok=True)
+        return []
+    from fmuid.reports.page import write
+
+    return [write.write_report(folder)]
 
 
 def _tell(progress: Progress | None, found: DiagnosisFindings | MonitoringFindings) -> None:

@@ -235,9 +235,18 @@ def write_point(folder: Path, result: Result, units: Sequence[str | None]) -> li
     return _write(folder, result.to_json_dict(), {"estimates": estimates_frame(result, units)})
 
 
-def write_diagnosis(folder: Path, found: Diagnosis) -> list[Path]:
-    """Write ``diagnosis.json``, with its verdict in words, and ``diagnosis.csv``, and return their paths."""
-    path = write_json(folder / "diagnosis.json", {"verdict": verdict(found), **found.to_json_dict()})
+def write_diagnosis(folder: Path, found: Diagnosis, also: Mapping[str, Any] | None = None) -> list[Path]:
+    """Write ``diagnosis.json``, with its verdict in words, and ``diagnosis.csv``, and return their paths.
+
+    Parameters
+    ----------
+    folder : Path
+    found : Diagnosis
+    also : mapping, optional
+        What else the JSON file is to say.
+    """
+    content = {"verdict": verdict(found), **found.to_json_dict(), **(also or {})}
+    path = write_json(folder / "diagnosis.json", content)
     return [path, write_table(folder / "diagnosis.csv", found.table)]
 
 

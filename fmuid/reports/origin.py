@@ -50,8 +50,12 @@ class Origin:
         return cls(study.title, told, digests, datetime.now(UTC).isoformat(timespec="seconds"))
 
     def to_json_dict(self) -> dict[str, Any]:
-        """Return what ``result.json`` has besides the study."""
+        """Return what a JSON file of results has besides the study."""
         return {"title": self.title, "date": self.date, "tables": self.tables}
+
+    def with_study(self, study: Study) -> dict[str, Any]:
+        """Return the same, and the study by the name of its file."""
+        return self.to_json_dict() | {"study": {"file": study.path.name, **self.study}}
 
 
 def _content(path: Path) -> bytes:

@@ -322,9 +322,9 @@ def test_appending_gives_what_one_run_gives(
 ) -> None:
     words = told(window=1, transient=0.2, forgetting=forgetting)
     study, records = str(folder / "study.toml"), folder / "records"
-    assert run(["monitor", study, str(records), *words, "-o", str(folder / "whole")]) == 1
+    assert run(["monitor", study, str(records), *words, "--no-report", "-o", str(folder / "whole")]) == 1
     assert "Fault: turns, from 3 s of day2 on" in capsys.readouterr().out
-    grown = ["-o", str(folder / "grown")]
+    grown = ["-o", str(folder / "grown"), "--figures", "png", "--no-report"]
     assert run(["monitor", study, str(records / "day0.csv"), str(records / "day1.csv"), *words, *grown]) == 0
     assert "No alarm" in capsys.readouterr().out
     assert run(["monitor", study, str(records), *words, *grown, "--append"]) == 1
@@ -359,7 +359,8 @@ def test_from_python_it_is_what_the_command_does(folder: Path) -> None:
     """The same files and verdict; what comes before a record that is wrong is written, and can be gone on with."""
     study, records, mine = folder / "study.toml", folder / "records", folder / "mine"
     words = ["monitoring.window=1", "monitoring.transient=0.2"]
-    assert run(["monitor", str(study), str(records), *told(window=1, transient=0.2), "-o", str(folder / "theirs")]) == 1
+    theirs = ["--no-report", "-o", str(folder / "theirs")]
+    assert run(["monitor", str(study), str(records), *told(window=1, transient=0.2), *theirs]) == 1
     read = fmuid.Study.read(study, words)
     (folder / "wrong.csv").write_text("time,nothing\n0,1\n1,1\n", encoding="utf-8")
     with pytest.raises(fmuid.InputError, match="wrong"):
@@ -395,7 +396,7 @@ def test_interrupted_inside_a_record(
     assert "monitoring.csv" in out
     assert set(pd.read_csv(folder / "grown" / "monitoring.csv")["record"]) == {"day0"}
     for name, more in (("grown", ["--append"]), ("whole", [])):
-        assert command("monitor", *words, "-o", folder / name, *more) == 1
+        assert command("monitor", *words, "-o", folder / name, *more, "--no-report") == 1
     for name in ("monitoring.csv", "monitoring.json"):
         assert (folder / "grown" / name).read_bytes() == (folder / "whole" / name).read_bytes()
 

@@ -303,8 +303,15 @@ class Monitor:
 
     # --- files
 
-    def write(self, folder: str | Path) -> list[Path]:
-        """Write ``monitoring.csv`` and ``monitoring.json``, which has what `resume` needs, and return their paths."""
+    def write(self, folder: str | Path, also: Mapping[str, Any] | None = None) -> list[Path]:
+        """Write ``monitoring.csv`` and ``monitoring.json``, which has what `resume` needs, and return their paths.
+
+        Parameters
+        ----------
+        folder : path
+        also : mapping, optional
+            What else the JSON file is to say.
+        """
         folder = Path(folder)
         rates = self.false_alarm_rates()
         content = {
@@ -314,10 +321,13 @@ class Monitor:
             "rule": self.rule,
             "priors": {model.name: model.prior for model in self.models},
             "names": {model.name: list(model.names) for model in self.models},
+            "sizes": {model.name: list(model.fault.sizes) for model in self.models},
+            "units": {each.name: {name: each.system.unit(name) for name in each.names} for each in self.models},
             "beliefs": self._beliefs,
             "points": self._points,
             "windows": len(self._rows),
             "version": __version__,
+            **(also or {}),
         }
         return [write_json(folder / STATE_FILE, content), write_table(folder / TABLE_FILE, self.table)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -19,14 +19,14 @@ from fmuid.text import label
 MAX_FAULTS = 12
 
 
-def draw(found: Diagnosis) -> dict[str, Figure]:
+def draw(found: Diagnosis, units: Mapping[str, str | None] | None = None) -> dict[str, Figure]:
     """Draw a diagnosis; the residuals only where it has its fits."""
     shown = sorted(found.hypotheses, key=lambda each: each.probability)[:MAX_FAULTS]
     kept = [each for each in found.hypotheses if each in shown]
     figures = {"diagnosis-sizes": sizes(found, kept), "diagnosis-decision": decision(found, kept)}
     best = found[found.named[0]] if found.named else shown[0]
     if found.result is not None and best.result is not None:
-        figures["diagnosis-residual"] = residuals(found, best)
+        figures["diagnosis-residual"] = residuals(found, best, units or {})
     return figures
 
 
@@ -73,7 +73,7 @@ def decision(found: Diagnosis, shown: Sequence[Hypothesis]) -> Figure:
     return figure
 
 
-def residuals(found: Diagnosis, best: Hypothesis) -> Figure:
+def residuals(found: Diagnosis, best: Hypothesis, units: Mapping[str, str | None]) -> Figure:
     """Draw each output's residual without the fault and with it, and what the fault adds; the first experiment."""
     assert found.result is not None and best.result is not None
     without, with_ = found.result.fit[0], best.result.fit[0]
@@ -88,7 +88,7 @@ def residuals(found: Diagnosis, best: Hypothesis) -> Figure:
             added = before - after
             panels[k, 0].plot(*thin(times, added), color=RED, lw=1.1, label=f"what {best.name} adds")
             _panel(panels[k, 1], times, after)
-            panels[k, 0].set_ylabel(f"residual of\n{output}")
+            panels[k, 0].set_ylabel("residual of\n" + label(output, units.get(output)))
         for axes in panels[-1]:
             axes.set_xlabel("time (s)")
         panels[0, 0].set_title("healthy model")

@@ -59,6 +59,8 @@ class Part:
     table : str
         HTML, as for `Section`.
     sections : sequence of Section
+    end : str
+        HTML on where it comes from, at the end of the page.
     """
 
     heading: str
@@ -67,6 +69,7 @@ class Part:
     said: Sequence[Said]
     table: str
     sections: Sequence[Section]
+    end: str = ""
 
 
 def text(words: object) -> str:
@@ -103,16 +106,8 @@ def details(heading: str, words: str) -> str:
     return f"<details><summary>{text(heading)}</summary><pre>{text(words)}</pre></details>"
 
 
-def page(title: str, parts: Sequence[Part], end: str) -> str:
-    """Return a page.
-
-    Parameters
-    ----------
-    title : str
-    parts : sequence of Part
-    end : str
-        HTML below all parts, as for `Section`.
-    """
+def page(title: str, parts: Sequence[Part]) -> str:
+    """Return a page."""
     from fmuid.reports.interactive.style import DARK
 
     figures = [model for part in parts for section in part.sections for model in section.figures]
@@ -135,7 +130,7 @@ def page(title: str, parts: Sequence[Part], end: str) -> str:
     tail = "".join(f"<script>{each}</script>\n" for each in scripts)
     return (
         f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n"
-        f"<section class=end>{end}</section></main>\n{tail}</body></html>\n"
+        f"<section class=end>{''.join(part.end for part in parts)}</section></main>\n{tail}</body></html>\n"
     )
 
 

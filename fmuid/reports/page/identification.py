@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,8 @@ from fmuid.estimation import Result
 from fmuid.reports.interactive import estimates, fit, residuals, search, uncertainty
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS, MAX_OUTPUTS, MAX_PARAMETERS, named
 from fmuid.reports.page.contents import Identification
-from fmuid.reports.page.document import Part, Section, details, table
+from fmuid.reports.page.document import Part, Section, table
+from fmuid.reports.page.provenance import origin
 from fmuid.reports.words.accuracy import shift_text
 from fmuid.reports.words.verdict import identification_words
 from fmuid.text import has_unit, rounded, with_std
@@ -63,7 +64,10 @@ def part(folder: Path) -> Part:
     state = "converged" if result.converged else result.outcome.value.replace("_", " ")
     more = found.content.get("uncertainty") or {}
     good = result.converged and bool(more.get("succeeded", True))
-    return Part("Identification", state, good, said, _estimates(found), [each for each in sections if each.figures])
+    rows = {f"model {each['name']}": f"SHA-256 {each['digest']}" for each in result.models.values()}
+    end = origin(found.content, rows | {"search": _search_words(result)})
+    shown = [each for each in sections if each.figures]
+    return Part("Identification", state, good, said, _estimates(found), shown, end)
 
 
 def _estimates(found: Identification) -> str:
@@ -182,24 +186,6 @@ def _profiles(found: Identification) -> list[object]:
 
 def _end(value: float | None, open_: float) -> float:
     return open_ if value is None else float(value)
-
-
-def origin(folder: Path) -> str:
-    """Return what a report says at its end of the study in a folder, as HTML."""
-    found = Identification.read(folder)
-    content, result = found.content, found.result
-    study = content.get("study") or {}
-    rows = {"fmuid": result.version, "run": str(content.get("date", ""))}
-    if study:
-        rows["study"] = f"{PurePosixPath(study['file']).name}, SHA-256 {study.get('digest', '')}"
-    rows |= {f"table {name}": f"SHA-256 {digest}" for name, digest in (content.get("tables") or {}).items()}
-    rows |= {f"model {each['name']}": f"SHA-256 {each['digest']}" for each in result.models.values()}
-    rows["search"] = _search_words(result)
-    shown = table({"": list(rows), "what this page comes from": list(rows.values())})
-    if not study.get("text"):
-        return shown
-    heading = "Study file" + (", of which values were replaced for this run" if study.get("changed") else "")
-    return shown + details(heading, str(study["text"]))
 
 
 def _search_words(result: Result) -> str:

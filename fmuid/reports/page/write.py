@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder, replacing
 from fmuid.reports.drawn import REPORT_FILE
+from fmuid.text import listed
+
+if TYPE_CHECKING:
+    from fmuid.reports.page.document import Part
+
+FILES = ("result.json", "diagnosis.json", "monitoring.json")
+"""What a folder of results has at least one of."""
 
 
 def write_report(folder: str | Path) -> Path:
     """Write ``report.html`` into a folder of results and return its path.
 
-    The page shows what the folder's files say, needs no other file and asks no host.
+    The page shows what the folder's files say, of all commands that have left some there, needs no other file and asks
+    no host.
 
     Parameters
     ----------
     folder : path
-        With a ``result.json``, as a command has left it.
+        With a ``result.json``, a ``diagnosis.json`` or a ``monitoring.json``, as a command has left it.
 
     Raises
     ------
@@ -27,15 +36,26 @@ def write_report(folder: str | Path) -> Path:
     folder = Path(folder)
     if not is_folder(folder):
         raise InputError(f"{folder} is no folder of results")
-    if not is_file(folder / "result.json"):
-        raise InputError(f"{folder} has no result.json: give the folder that a command has written its results into")
-    from fmuid.reports.page import identification
+    there = [name for name in FILES if is_file(folder / name)]
+    if not there:
+        raise InputError(f"{folder} has no {listed(FILES)}: give the folder that a command has written into")
     from fmuid.reports.page.contents import read_json
     from fmuid.reports.page.document import page
 
-    title = str(read_json(folder / "result.json").get("title", "")) or folder.absolute().parent.name
-    text = page(title, [identification.part(folder)], identification.origin(folder))
+    title = str(read_json(folder / there[0]).get("title", "")) or folder.absolute().parent.name
+    text = page(title, [_part(folder, name) for name in there])
     path = folder / REPORT_FILE
     with replacing(path) as draft:
         draft.write_text(text, encoding="utf-8")
     return path
+
+
+def _part(folder: Path, name: str) -> Part:
+    from fmuid.reports.page import faults, identification
+
+    made = {
+        "result.json": identification.part,
+        "diagnosis.json": faults.part_of_diagnosis,
+        "monitoring.json": faults.part_of_monitoring,
+    }
+    return made[name](folder)

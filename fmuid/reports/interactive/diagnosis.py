@@ -1,0 +1,265 @@
+"""A diagnosis: what decides, sizes with intervals, and what the fault explains of the residual."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from bokeh.models import BoxAnnotation, ColumnDataSource, FactorRange
+
+from fmuid.arrays import Floats
+from fmuid.reports.interactive.style import (
+    BLUE,
+    GREY,
+    INK,
+    MAX_OUTPUTS,
+    MAX_ROWS,
+    RED,
+    Units,
+    below_each_other,
+    hover,
+    legend,
+    level,
+    panel,
+    reach,
+)
+from fmuid.reports.thinning import extremes
+from fmuid.text import label
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmuid.diagnosis import Diagnosis, Hypothesis
+
+# More hypotheses than these make a figure nobody reads: the most significant are kept.
+MAX_FAULTS = 12
+# D is drawn logarithmically from here on; less is as good as nothing.
+LEAST_STATISTIC = 0.1
+
+
+def shown(found: Diagnosis) -> list[Hypothesis]:
+    """Return the hypotheses to draw, in their order: of more than `MAX_FAULTS` the most significant."""
+    likely = sorted(found.hypotheses, key=lambda each: each.probability)[:MAX_FAULTS]
+    return [each for each in found.hypotheses if each in likely]
+
+
+def evidence(found: Diagnosis) -> Any:
+    """Draw by how much each fault lowers the criterion, against its threshold; the fault named is red.
+
+    Parameters
+    ----------
+    found : Diagnosis
+    """
+    kept = shown(found)
+    names = [each.name for each in kept]
+    most = max(max(each.statistic, each.threshold) for each in kept)
+    plot = panel(
+        x="D, by how much the fault lowers the criterion",
+        height=110 + 30 * len(kept),
+        y_range=FactorRange(factors=names[::-1]),
+        x_axis_type="log",
+    )
+    entries = []
+    for text, color, rows in _kinds(found, kept):
+        source = ColumnDataSource(
+            {
+                "name": [each.name for each in rows],
+                "d": [max(each.statistic, LEAST_STATISTIC) for each in rows],
+                "told": [each.statistic for each in rows],
+                "threshold": [each.threshold for each in rows],
+                "p": [each.adjusted for each in rows],
+            }
+        )
+        bars = plot.hbar("name", 0.55, "d", LEAST_STATISTIC, source=source, fill_color=color, line_color=None)
+        hover(plot, bars, ("D", "@told{0.000}"), ("threshold", "@threshold{0.000}"), ("probability", "@p{0.0e}"))
+        entries.append((text, [bars]))
+    limits = ColumnDataSource({"name": names, "x": [each.threshold for each in kept]})
+    marks = plot.scatter("x", "name", source=limits, marker="dash", angle=math.pi / 2, size=22, line_color=INK)
+    marks.glyph.line_width = 2
+    entries.append((f"threshold at a false-alarm level of {100 * found.level:g} %", [marks]))
+    legend(plot, entries)
+    reach(plot, x=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
+    plot.yaxis.major_label_text_color = INK
+    return plot
+
+
+def _kinds(found: Diagnosis, kept: list[Hypothesis]) -> list[tuple[str, str, list[Hypothesis]]]:
+    named = [each for each in kept if each.name in found.named]
+    called = [each for each in kept if each.name in found.called and each.name not in found.named]
+    others = [each for each in kept if each not in named and each not in called]
+    kinds = [("named", RED, named), ("significant", BLUE, called), ("not significant", GREY, others)]
+    return [kind for kind in kinds if kind[2]]
+
+
+def sizes(found: Diagnosis) -> list[Any]:
+    """Draw the sizes of each fault with their intervals of 95 %, a figure a fault.
+
+    Parameters
+    ----------
+    found : Diagnosis
+    """
+    plots = []
+    for each in shown(found):
+        known = [size for size in each.sizes if math.isfinite(size.std)]
+        if not known:
+            continue
+        color = RED if each.name in found.named else GREY
+        names = [label(size.name, size.unit) for size in known]
+        ends = [size.interval() for size in known]
+        plot = panel(
+            x=f"{each.name}: size, with its interval of 95 %",
+            height=100 + 26 * len(known),
+            y_range=FactorRange(factors=list(dict.fromkeys(names))[::-1]),
+        )
+        source = ColumnDataSource(
+            {
+                "name": names,
+                "value": [size.value for size in known],
+                "low": [low for low, _ in ends],
+                "high": [high for _, high in ends],
+            }
+        )
+        plot.segment("low", "name", "high", "name", source=source, line_color=color, line_width=3)
+        dots = plot.scatter("value", "name", source=source, size=9, fill_color=color, line_color=None)
+        hover(plot, dots, ("size", "@value{0.000000}"), ("interval", "@low{0.000000} to @high{0.000000}"))
+        level(plot, 0.0, vertical=True)
+        low, high = min(0.0, *(end for end, _ in ends)), max(0.0, *(end for _, end in ends))
+        reach(plot, x=(low - 0.05 * (high - low), high + 0.05 * (high - low)))
+        plot.yaxis.major_label_text_color = INK
+        plots.append(plot)
+    return plots
+
+
+def residuals(table: pd.DataFrame, fault: str, units: Units | None = None) -> Any:
+    """Draw each output's residual without the fault and with it.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``time``, and ``healthy.`` and ``fault.`` before the name of each output: the residuals of both models.
+    fault : str
+        What it is called.
+    units : mapping of str to str, optional
+        Of the outputs.
+    """
+    outputs = [str(name).removeprefix("healthy.") for name in table.columns if str(name).startswith("healthy.")]
+    drawn = outputs[:MAX_OUTPUTS]
+    columns = table[[f"{kind}.{name}" for name in drawn for kind in ("healthy", "fault")]].to_numpy(np.float64)
+    kept = extremes(columns, MAX_ROWS)
+    data: dict[str, Any] = {"t": table["time"].to_numpy(np.float64)[kept]}
+    data |= {f"c{k}": columns[kept, k].astype(np.float32) for k in range(columns.shape[1])}
+    source = ColumnDataSource(data)
+    plots: list[Any] = []
+    for k, name in enumerate(drawn):
+        last = k == len(drawn) - 1
+        text = label(f"residual of {name}", (units or {}).get(name))
+        plot = panel(x="time (s)" if last else "", y=text, height=190)
+        without = plot.line("t", f"c{2 * k}", source=source, line_color=GREY, line_width=1)
+        with_ = plot.line("t", f"c{2 * k + 1}", source=source, line_color=RED, line_width=1)
+        level(plot, 0.0)
+        stds = _stds(columns[:, 2 * k : 2 * k + 2])
+        unit = (units or {}).get(name) or ""
+        legend(
+            plot,
+            [
+                (f"healthy model, std {stds[0]:.3g} {unit}", [without]),
+                (f"with {fault}, std {stds[1]:.3g} {unit}", [with_]),
+            ],
+        )
+        if plots:
+            plot.x_range = plots[0].x_range
+        plots.append(plot)
+    return below_each_other(plots)
+
+
+def _stds(columns: Floats) -> list[float]:
+    return [float(each) for each in np.sqrt(np.nanmean(columns**2, axis=0))]
+
+
+# --- monitoring
+
+
+def timeline(table: pd.DataFrame, fault: str, content: Mapping[str, Any]) -> Any:
+    """Draw the sizes of a fault, the common mode and the residual over the time of all records, with alarms.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As in ``monitoring.csv``.
+    fault : str
+        Of the model.
+    content : mapping
+        Of ``monitoring.json``.
+    """
+    clock, borders, axis = clock_of(table)
+    names, sized = content["names"][fault], content["sizes"][fault]
+    ordered = [*sized, *(name for name in names if name not in sized)][:MAX_OUTPUTS]
+    source = ColumnDataSource({"t": clock, **_estimates(table, fault, ordered)})
+    plots = []
+    for k, name in enumerate(ordered):
+        plot = panel(y=label(name, content["units"][fault].get(name)), height=170)
+        area = plot.varea("t", f"low{k}", f"high{k}", source=source, fill_color=BLUE, fill_alpha=0.18)
+        line = plot.line("t", f"v{k}", source=source, line_color=BLUE, line_width=1.4)
+        hover(plot, line, ("time", "@t{0.000}"), ("estimate", f"@v{k}{{0.000000}}"), ("record", "@record"))
+        hit = []
+        if name in sized:
+            level(plot, 0.0)
+            called = np.array([fault in str(text).split(" or ") for text in table["significant"]])
+            dots = ColumnDataSource({"t": clock[called], "v": source.data[f"v{k}"][called]})
+            hit.append(plot.scatter("t", "v", source=dots, size=5, fill_color=RED, line_color=None))
+        legend(plot, [("estimate, with its interval of 95 %", [line, area]), ("significant", hit)])
+        plots.append(plot)
+    noise = panel(x=axis, y="variance / noise", height=170)
+    noise.line("t", "ratio", source=source, line_color=GREY, line_width=1.4)
+    level(noise, 1.0)
+    plots.append(noise)
+    for plot in plots:
+        plot.x_range = plots[0].x_range
+        plot.xaxis.visible = plot is noise
+        _alarms(plot, clock, content["alarms"])
+        for border in borders:
+            level(plot, border, color=GREY, vertical=True, dash="dotted")
+    return below_each_other(plots)
+
+
+def clock_of(table: pd.DataFrame) -> tuple[Floats, list[float], str]:
+    """Return the middles of the windows over the time of all records, where records begin, and what the axis is.
+
+    Where the time begins anew in a record, it goes on from the end of the one before.
+    """
+    start, end = table["start"].to_numpy(np.float64), table["end"].to_numpy(np.float64)
+    middle = 0.5 * (start + end)
+    if (np.diff(start) > 0).all():
+        return middle, [], "time (s)"
+    changes = np.flatnonzero(table["record"].to_numpy(str)[1:] != table["record"].to_numpy(str)[:-1]) + 1
+    shift, borders = np.zeros(len(table)), []
+    for k in changes:
+        border = float(end[k - 1] + shift[k - 1])
+        shift[k:] = border - min(0.0, start[k])
+        borders.append(border)
+    return middle + shift, borders, "time over all records (s)"
+
+
+def _estimates(table: pd.DataFrame, fault: str, names: list[str]) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "ratio": table["variance_ratio"].to_numpy(np.float64),
+        "record": table["record"].astype(str),
+    }
+    for k, name in enumerate(names):
+        value, std = (table[f"{fault}.{name}{end}"].to_numpy(np.float64) for end in ("", ".std"))
+        known = np.isfinite(std)
+        half = np.where(known, 1.96 * std, np.nan)
+        found |= {f"v{k}": np.where(known, value, np.nan), f"low{k}": value - half, f"high{k}": value + half}
+    return found
+
+
+def _alarms(plot: Any, clock: Floats, alarms: list[Mapping[str, Any]]) -> None:
+    half = 0.5 * float(np.median(np.diff(clock))) if clock.size > 1 else 0.5
+    for alarm in alarms:
+        begin, end = float(clock[alarm["first"]] + half), float(clock[alarm["last"]] + half)
+        plot.add_layout(
+            BoxAnnotation(left=begin - 2 * half, right=end, fill_color=RED, fill_alpha=0.1, line_color=None)
+        )
+        level(plot, begin, color=RED, vertical=True, dash="dashed")

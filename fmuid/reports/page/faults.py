@@ -1,0 +1,120 @@
+"""The parts of a report that a diagnosis and a monitoring make up."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from fmuid.diagnosis import Diagnosis
+from fmuid.errors import InputError
+from fmuid.files import is_file
+from fmuid.reports.interactive import diagnosis
+from fmuid.reports.page.contents import read_json, read_table
+from fmuid.reports.page.document import Part, Section, table
+from fmuid.reports.page.provenance import origin
+from fmuid.reports.words.diagnosis import chance, diagnosis_words
+from fmuid.reports.words.verdict import Said
+from fmuid.text import has_unit, rounded, with_std
+
+EVIDENCE = (
+    "Each bar is how much better a fault explains the data than the healthy machine does. Beyond its threshold it is "
+    "significant: without a fault that happens with the false-alarm level."
+)
+SIZES = "Each fault's sizes with their intervals of 95 %. Where one holds zero there is no fault; the one named is red."
+RESIDUAL = (
+    "What the healthy model leaves unexplained, and what is left with the fault. With the right fault only noise stays."
+)
+TIMELINE = (
+    "Estimates window by window, with their intervals of 95 %. Red dots are significant windows; the red dashed line "
+    "is where an alarm was raised, the red ground how long it lasted; dotted lines part records. The variance of the "
+    "residual should be that of the noise: a ratio that stays above 1 is something that no fault model explains."
+)
+
+
+def part_of_diagnosis(folder: Path) -> Part:
+    """Return the part on the diagnosis in a folder.
+
+    Raises
+    ------
+    InputError
+        If a file in it cannot be read.
+    """
+    found = Diagnosis.from_json(folder / "diagnosis.json")
+    content = read_json(folder / "diagnosis.json")
+    units = content.get("units") or {}
+    first, *others = diagnosis_words(found)
+    said = [Said(first, "evidence"), *(Said(text, "sizes", doubtful=True) for text in others)]
+    sections = [
+        Section("evidence", "What decides", EVIDENCE, [diagnosis.evidence(found)], 1),
+        Section("sizes", "Sizes of the faults", SIZES, diagnosis.sizes(found), 2),
+    ]
+    residuals = folder / "diagnosis-residuals.csv"
+    if is_file(residuals):
+        best = found.named[0] if found.named else min(found.hypotheses, key=lambda each: each.probability).name
+        drawn = [diagnosis.residuals(read_table(residuals), best, units)]
+        sections.append(Section("explained", "What the fault explains", RESIDUAL, drawn, 1))
+    good = found.kind == "healthy"
+    shown = [each for each in sections if each.figures]
+    return Part("Diagnosis", found.kind, good, said, _faults(found), shown, origin(content))
+
+
+def _faults(found: Diagnosis) -> str:
+    heads = ("fault", "size", "value", "unit", "95 % interval", "D", "threshold", "probability without")
+    columns: dict[str, list[str]] = {head: [] for head in heads}
+    for each in found.hypotheses:
+        for k, size in enumerate(each.sizes):
+            low, high = (rounded(end, size.std) for end in size.interval())
+            known = math.isfinite(size.std)
+            decides = (f"{each.statistic:.4g}", f"{each.threshold:.4g}", chance(each.adjusted)) if k == 0 else ("",) * 3
+            value = with_std(size.value, size.std) if known else "not determined"
+            unit = str(size.unit) if has_unit(size.unit) else ""
+            cells = (each.name if k == 0 else "", size.name, value, unit, f"{low} to {high}" if known else "", *decides)
+            for head, cell in zip(heads, cells, strict=True):
+                columns[head].append(cell)
+    return table(columns, numbers=("value", *heads[4:]))
+
+
+def part_of_monitoring(folder: Path) -> Part:
+    """Return the part on the monitoring in a folder.
+
+    Raises
+    ------
+    InputError
+        If a file in it cannot be read, or is of an earlier version.
+    """
+    content = read_json(folder / "monitoring.json")
+    rows = read_table(folder / "monitoring.csv").fillna({"significant": "", "alarm": ""})
+    try:
+        said = [Said(text, "timeline") for text in content["words"]]
+        alarms, rate = content["alarms"], content["false_alarm_rate_at_most"]
+        said.append(Said(f"A healthy machine is in alarm in at most {100 * rate:.2g} % of the windows"))
+        drawn = _timelines(rows, content)
+        shown = _alarms(alarms)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(f"{folder} has no whole results of fmuid monitor ({error}): monitor again") from None
+    state = "alarm" if alarms else "no alarm"
+    return Part("Monitoring", state, not alarms, said, shown, drawn, origin(content))
+
+
+def _timelines(rows: pd.DataFrame, content: dict[str, Any]) -> list[Section]:
+    sections = []
+    for k, fault in enumerate(content["names"]):
+        name, caption = ("timeline", TIMELINE) if k == 0 else (f"timeline-{k + 1}", "")
+        figures = [diagnosis.timeline(rows, fault, content)] if len(rows) else []
+        sections.append(Section(name, f"Over time: {fault}", caption, figures, 1))
+    return [each for each in sections if each.figures]
+
+
+def _alarms(alarms: list[dict[str, Any]]) -> str:
+    if not alarms:
+        return ""
+    columns = {
+        "alarm": [str(each["fault"]) for each in alarms],
+        "raised in": [str(each["record"]) for each in alarms],
+        "at (s)": [f"{each['time']:g}" for each in alarms],
+        "windows": [str(each["last"] - each["first"] + 1) for each in alarms],
+    }
+    return table(columns, numbers=("at (s)", "windows"))

@@ -1,0 +1,125 @@
+"""Figures of diagnosis and monitoring: what they show is read back from the data of their glyphs."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from bokeh.models import BoxAnnotation, Span
+
+from fmuid.diagnosis.monitoring.alarms import Alarm
+from fmuid.files import as_json
+from fmuid.reports.interactive import diagnosis
+
+
+class Size:
+    """Of a fault, as far as figures look at it."""
+
+    unit, std = "Ohm", 0.1
+
+    def __init__(self, name: str, value: float) -> None:
+        self.name, self.value = name, value
+
+    def interval(self) -> tuple[float, float]:
+        return self.value - 0.2, self.value + 0.2
+
+
+class Fault:
+    """A hypothesis, as far as figures look at it."""
+
+    def __init__(self, name: str, statistic: float, probability: float) -> None:
+        self.name, self.statistic, self.threshold = name, statistic, 6.6
+        self.probability = self.adjusted = probability
+        self.sizes = [Size("dR", 1.0), Size("<b>dL</b>", -0.3)]
+
+
+class Found:
+    """A diagnosis, as far as figures look at it."""
+
+    hypotheses = tuple(Fault(f"f{k}", 0.01 if k == 5 else 2.0 * k, 1.0 / (k + 1)) for k in range(20))
+    named, called, level = ("f19",), ("f18", "f19"), 0.01
+
+
+def marks(plot: Any, kind: type) -> list[Any]:
+    return [each for each in plot.center if isinstance(each, kind)]
+
+
+def test_evidence() -> None:
+    """The most significant faults stand in their order, the one named apart; each has its threshold."""
+    plot = diagnosis.evidence(Found())  # type: ignore[arg-type]
+    assert plot.y_range.factors == [f"f{k}" for k in range(19, 7, -1)]
+    bars = {
+        name: right
+        for each in plot.renderers
+        if type(each.glyph).__name__ == "HBar"
+        for name, right in zip(each.data_source.data["name"], each.data_source.data["d"], strict=True)
+    }
+    assert bars == {f"f{k}": 2.0 * k for k in range(8, 20)}
+    assert plot.x_range.start == diagnosis.LEAST_STATISTIC
+    assert len({each.glyph.fill_color for each in plot.renderers if type(each.glyph).__name__ == "HBar"}) == 3
+
+
+def test_sizes_show_zero() -> None:
+    """Whether an interval holds it is what is to be seen."""
+    first, *others = diagnosis.sizes(Found())  # type: ignore[arg-type]
+    assert len(others) == diagnosis.MAX_FAULTS - 1
+    assert first.y_range.factors == ["<b>dL</b> (Ohm)", "dR (Ohm)"]
+    assert first.x_range.start < -0.5 < 0 < 1.2 < first.x_range.end
+    assert [each.location for each in marks(first, Span)] == [0.0]
+
+
+def test_residuals_without_and_with_the_fault() -> None:
+    rng = np.random.default_rng(1)
+    table = pd.DataFrame(
+        {"time": np.arange(500.0), "healthy.i": rng.normal(0, 2, 500), "fault.i": rng.normal(0, 1, 500)}
+    )
+    plot = diagnosis.residuals(table, "turns", {"i": "A"}).children[0][0]
+    assert plot.yaxis.axis_label == "residual of i (A)"
+    without, with_ = (each.data_source.data[each.glyph.y] for each in plot.renderers)
+    np.testing.assert_allclose(without, table["healthy.i"], rtol=1e-6)
+    np.testing.assert_allclose(with_, table["fault.i"], rtol=1e-6)
+    said = [item.label["value"] for each in plot.above for item in each.items]
+    std = math.sqrt(np.mean(table["fault.i"] ** 2))
+    assert said[1] == f"with turns, std {std:.3g} A"
+
+
+@pytest.fixture
+def windows() -> pd.DataFrame:
+    """Windows of 2 s in three records, in each of which the time begins anew."""
+    count, start = 12, np.tile([0.0, 2.0, 4.0, 6.0], 3)
+    columns = {"start": start, "end": start + 2.0, "record": np.repeat(["a", "b", "c"], 4), "variance_ratio": 1.0}
+    sizes = {"turns.dR": np.arange(12.0), "turns.dR.std": 0.1, "turns.R": 4.0, "turns.R.std": [math.inf] + [0.1] * 11}
+    return pd.DataFrame(
+        columns | sizes | {"significant": [""] * 9 + ["turns", "turns or other", "other"]}, range(count)
+    )
+
+
+def test_time_goes_on_from_record_to_record(windows: pd.DataFrame) -> None:
+    clock, borders, _ = diagnosis.clock_of(windows)
+    np.testing.assert_array_equal(clock, np.arange(1.0, 24.0, 2.0))
+    assert borders == [8.0, 16.0]
+    one = windows.iloc[:4]
+    assert diagnosis.clock_of(one)[1:] == ([], "time (s)")
+
+
+def test_timeline(windows: pd.DataFrame) -> None:
+    content = {
+        "names": {"turns": ["R", "dR"]},
+        "sizes": {"turns": ["dR"]},
+        "units": {"turns": {"R": "Ohm", "dR": None}},
+        "alarms": as_json([Alarm("turns", "c", 4.0, 10, 11)]),
+    }
+    figure = diagnosis.timeline(windows, "turns", content)
+    size, common, noise = (plot for plot, *_ in sorted(figure.children, key=lambda child: child[1:]))
+    assert [each.yaxis.axis_label for each in (size, common, noise)] == ["dR", "R (Ohm)", "variance / noise"]
+    dots = next(each for each in size.renderers if type(each.glyph).__name__ == "Scatter")
+    np.testing.assert_array_equal(dots.data_source.data["t"], [19.0, 21.0])
+    data = common.renderers[0].data_source.data
+    assert math.isnan(data["v1"][0])  # what is not determined is not drawn
+    np.testing.assert_allclose(data["high0"] - data["v0"], 0.196)
+    (band,) = marks(size, BoxAnnotation)
+    assert (band.left, band.right) == (20.0, 24.0)
+    assert sorted(each.location for each in marks(noise, Span)) == [1.0, 8.0, 16.0, 22.0]
