@@ -6,6 +6,7 @@ from .assessment import read_result as read_result
 from .assessment import sample as sample
 from .batches import Batch as Batch
 from .batches import BatchResult as BatchResult
+from .data import Axes as Axes
 from .data import Experiment as Experiment
 from .data import JointPrior as JointPrior
 from .data import Noise as Noise
@@ -16,6 +17,7 @@ from .data import multisine as multisine
 from .data import park as park
 from .data import prbs as prbs
 from .data import read_table as read_table
+from .data import reduce as reduce
 from .data import steps as steps
 from .diagnosis import Angle as Angle
 from .diagnosis import Baseline as Baseline

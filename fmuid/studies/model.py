@@ -24,6 +24,7 @@ from fmuid.models import (
     Value,
 )
 from fmuid.studies.parameters import Source
+from fmuid.studies.prepare import PrepareWords
 from fmuid.studies.words import (
     BY_SHAPE,
     TABLE_TAG,
@@ -310,6 +311,7 @@ class ExperimentSettings(Words):
         Annotated[Interpolation, Tag(VALUE_TAG)] | Annotated[Interpolations, Tag(TABLE_TAG)], BY_SHAPE
     ] = word("linear", 'between samples; "hold" for commands of a digital controller', "linear")
     discard: NotNegative = word(0.0, "s of transient at the beginning, simulated but not counted", 0.0)
+    prepare: PrepareWords = word({}, "what is done with the table first", validate_default=True)
     units: Texts = word(
         {}, "of columns whose unit the table does not say and that are not in the FMU's: { variable = unit }"
     )
@@ -335,10 +337,13 @@ class ExperimentSettings(Words):
         """
         from fmuid.data import Experiment, time_name
 
-        words = {name: getattr(self, name) for name in ("interpolation", "discard", "units", "name")}
-        return Experiment(
-            frame, self.inputs, self.outputs, time_name(self.time), **words, measured=measured, source=source
-        )
+        time, columns = time_name(self.time), self.inputs | self.outputs
+        given = self.interpolation
+        words = given if isinstance(given, dict) else dict.fromkeys(self.inputs, given)
+        held = [column for name, column in self.inputs.items() if words.get(name) == "hold"]
+        frame = self.prepare.settings().applied(frame, time, source, columns.values(), held)
+        other = {name: getattr(self, name) for name in ("interpolation", "discard", "units", "name")}
+        return Experiment(frame, self.inputs, self.outputs, time, **other, measured=measured, source=source)
 
 
 def named(experiments: Sequence[ExperimentSettings], top: Place) -> tuple[ExperimentSettings, ...]:
@@ -352,11 +357,14 @@ def named(experiments: Sequence[ExperimentSettings], top: Place) -> tuple[Experi
     found: dict[str, ExperimentSettings] = {}
     for each in experiments:
         name = each.name or each.table.stem
-        if name in found:
-            raise each.error(f'is called {name!r} like an earlier one: give it a name of its own, name = "..."')
         if not each.outputs:
             raise each.error('has no outputs: name those that are measured, outputs = ["..."]')
-        found[name] = each.model_copy(update={"name": name})
+        pieces = each.prepare.cut_up()
+        for k, piece in enumerate(pieces, start=1):
+            called = f"{name} {k}" if len(pieces) > 1 else name
+            if called in found:
+                raise each.error(f'is called {called!r} like an earlier one: give it a name of its own, name = "..."')
+            found[called] = each.model_copy(update={"name": called, "prepare": piece})
     if not found:
         raise top.error("has no experiments: name at least one table with [[experiments]]")
     return tuple(found.values())

@@ -1,0 +1,129 @@
+"""Signals filtered without a shift in time, resampled, and freed of their trend; missing samples stay missing."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmuid.arrays import Floats
+from fmuid.errors import InputError
+
+ORDER = 2
+"""Of the Butterworth filter, which is run forwards and backwards: twice that in all."""
+EQUAL = 0.01
+"""Steps that differ by no more than this share are equal: clocks of loggers jitter."""
+GAP = 1.5
+"""A step longer than so many usual ones is a gap, in which samples are missing."""
+SHORTEST = 4
+"""Samples in a row that can be filtered."""
+SAME = 1e-6
+"""Share of a step by which times that are the same may differ: they are rounded decimals."""
+
+
+def usual_step(times: Floats) -> float:
+    """Return the median of the steps of time, s."""
+    return float(np.median(np.diff(times)))
+
+
+def check_equal_steps(times: Floats, word: str, source: str) -> None:
+    """Check that the steps of time are equal but for gaps.
+
+    Raises
+    ------
+    InputError
+        If they are not; the sentence names the first that differs.
+    """
+    steps, usual = np.diff(times), usual_step(times)
+    odd = np.flatnonzero((np.abs(steps - usual) > EQUAL * usual) & (steps <= GAP * usual))
+    if usual <= 0 or odd.size:
+        row = int(odd[0]) if odd.size else 0
+        raise InputError(
+            f"{source}: {word} needs equal steps of time, and after row {row + 1} there is one of {steps[row]:.6g} s "
+            f"where most are {usual:.6g} s: filter the signals as they are recorded, or leave {word} out"
+        )
+
+
+def low_passed(times: Floats, values: Floats, frequency: float, source: str) -> Floats:
+    """Return columns (K, n) without what is faster than a frequency, Hz; each by itself, from gap to gap.
+
+    A Butterworth filter of order 2 is run forwards and backwards (`scipy.signal.sosfiltfilt`): nothing is shifted in
+    time, and at the frequency itself half the amplitude is left. A stretch of fewer than four samples between gaps
+    becomes missing.
+
+    Raises
+    ------
+    InputError
+        If the steps of time are not equal, or too long for the frequency.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    check_equal_steps(times, "low_pass", source)
+    rate = 1.0 / usual_step(times)
+    if not 0 < frequency < rate / 2:
+        raise InputError(
+            f"{source}: low_pass = {frequency:g} Hz must lie below half the sample rate, {rate / 2:g} Hz: give a lower "
+            "frequency, or leave it out"
+        )
+    sections = butter(ORDER, frequency, fs=rate, output="sos")
+    reach = 3 * (2 * len(sections) + 1)  # what scipy continues at either end by default
+    found = np.full_like(values, np.nan)
+    breaks = np.diff(times) > GAP / rate
+    for k in range(values.shape[1]):
+        for stretch in _stretches(np.isfinite(values[:, k]), breaks):
+            if stretch.size >= SHORTEST:
+                ends = min(reach, stretch.size - 1)
+                found[stretch, k] = sosfiltfilt(sections, values[stretch, k], padlen=ends)
+    return found
+
+
+def _stretches(there: NDArray[np.bool_], breaks: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Return the rows of each stretch without missing samples and gaps."""
+    rows = np.flatnonzero(there)
+    part = np.concatenate([[0], np.cumsum(breaks)])[rows]
+    cuts = np.flatnonzero((np.diff(rows) > 1) | (np.diff(part) > 0)) + 1
+    return [each for each in np.split(rows, cuts) if each.size]
+
+
+def resampled(
+    times: Floats, values: Floats, held: NDArray[np.bool_], step: float, source: str
+) -> tuple[Floats, Floats]:
+    """Return times in equal steps, s, and columns (K, n) there: on straight lines, or what they were last if `held`.
+
+    Nothing is made up where samples are missing: a time beside a missing sample, or in a gap, has none.
+
+    Raises
+    ------
+    InputError
+        If the step is longer than the record, or a time is there twice.
+    """
+    twice = np.flatnonzero(np.diff(times) == 0)
+    if twice.size:
+        raise InputError(
+            f"{source}: resample cannot tell which of the two samples at t = {times[twice[0]]:.9g} s is meant: "
+            "leave it out, or keep one of them"
+        )
+    count = int((times[-1] - times[0]) / step + SAME) + 1
+    if count < 2:
+        raise InputError(f"{source}: resample = {step:g} s is longer than the record: give a shorter step")
+    at = np.minimum(times[0] + step * np.arange(count), times[-1])
+    before = np.searchsorted(times, at + SAME * step, side="right") - 1
+    same = np.abs(times[before] - at) <= SAME * step
+    after = np.where(same, before, np.minimum(before + 1, times.size - 1))
+    length = times[after] - times[before]
+    share = np.where(same, 0.0, (at - times[before]) / np.where(same, 1.0, length))
+    gap = length > GAP * max(usual_step(times), step)
+    found = values[before] + share[:, None] * (values[after] - values[before])
+    found[:, held] = values[before][:, held]
+    found[gap] = np.nan
+    return at, found
+
+
+def detrended(times: Floats, values: Floats, degree: int) -> Floats:
+    """Return columns (K, n) less their mean (degree 0) or straight line (1), by least squares over what is there."""
+    found = values.copy()
+    for k in range(values.shape[1]):
+        there = np.isfinite(values[:, k])
+        if there.sum() > degree:
+            centred = times - times[there].mean()
+            found[:, k] -= np.polyval(np.polyfit(centred[there], values[there, k], degree), centred)
+    return found

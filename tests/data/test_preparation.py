@@ -1,0 +1,228 @@
+"""What is done with a table before it is an experiment: against closed forms, numpy and the transforms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.signal import butter, sosfiltfilt
+
+import fmuid
+from fmuid.arrays import Floats
+from fmuid.data import Axes, Experiment, reduce
+from fmuid.data.preparation.expressions import evaluate
+from fmuid.errors import InputError
+
+T: Floats = np.arange(2000.0) * 1e-3
+
+
+def frame(**columns: Any) -> pd.DataFrame:
+    return pd.DataFrame({"time": T, **columns})
+
+
+# --- expressions --------------------------------------------------------------------------
+
+
+def value(text: str) -> Floats:
+    columns = {"a": np.array([1.0, 4.0]), "b": np.array([2.0, 0.0]), "motor speed": np.array([3.0, 5.0])}
+
+    def column(name: str) -> Floats:
+        if name not in columns:
+            raise InputError(f"no {name}")
+        return columns[name]
+
+    return evaluate(text, column, 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a * 35.1 + b", [37.1, 140.4]),
+        ("-a ** 2 / (b - 1)", [-1.0, 16.0]),
+        ("'motor speed' % 2", [1.0, 1.0]),
+        ("sqrt(a) + atan2(0, a) - abs(-b)", [-1.0, 2.0]),
+        ("max(a, b) - min(a, 2)", [1.0, 2.0]),
+        ("sin(pi / 2)", [1.0, 1.0]),
+        ("a / b", [0.5, np.inf]),
+        (" 2 ", [2.0, 2.0]),
+        ("9 ** 9 ** 9 ** 9", [np.inf, np.inf]),  # and at once: numbers are floats
+    ],
+)
+def test_expressions(text: str, expected: list[float]) -> None:
+    np.testing.assert_allclose(value(text), expected)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "__import__('os').system('true')", "a.__class__", "a[0]", "(lambda: 1)()", "[a for a in b]", "a if b else 1",
+        "a < b", "a @ b", "a; b", "a = 1", "", "a +", "(" * 900, "a and b", "True", "f'{a}'", "1j", "exp(a, b)",
+        "exp(x=a)", "eval(a)", "sinn(a)", "exec('a')", "a" + "+a" * 600, "None", "*a", "x := a", "{a}", "b''",
+    ],
+)  # fmt: skip
+def test_what_is_no_expression_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"expression|no "):
+        value(text)
+
+
+def test_refusals_name_the_remedy() -> None:
+    with pytest.raises(InputError, match=r"there is no function 'sinn' \(did you mean 'sin'"):
+        value("sinn(a)")
+    with pytest.raises(InputError, match="takes 1 argument, not 2"):
+        value("exp(a, b)")
+    with pytest.raises(InputError, match=r"column 'x': the frame: .*'pulse' is missing \(did you mean 'pulses'"):
+        reduce(frame(pulses=1.0), columns={"x": "pulse * 2"})
+
+
+def test_columns_one_after_the_other() -> None:
+    found = reduce(frame(y=2.0, d=1.0), columns={"e": "d * 3", "y": "y + e * time", "bad": "1 / (d - 1)"})
+    np.testing.assert_allclose(found["y"], 2.0 + 3.0 * T)
+    assert found["bad"].isna().all()  # missing, not infinite
+    with pytest.raises(InputError, match="the time 'time' cannot be computed anew"):
+        reduce(frame(y=2.0), columns={"time": "time * 2"})
+
+
+# --- filtering ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frequency", [20.0, 5.0, 80.0])
+def test_low_pass_halves_at_its_frequency_and_shifts_nothing(frequency: float) -> None:
+    """|H|² = 1 / (1 + (Ω/Ω_c)⁴) of a Butterworth filter of order 2, once in each direction; Ω = tan(π f / f_s)."""
+    gain = 1 / (1 + (np.tan(np.pi * frequency * 1e-3) / np.tan(np.pi * 20e-3)) ** 4)
+    assert gain == pytest.approx(0.5) or frequency != 20.0
+    x = np.sin(2 * np.pi * frequency * T)
+    found = reduce(frame(x=x, again=x), low_pass=20.0)
+    inner = slice(300, -300)
+    np.testing.assert_allclose(found["x"][inner], gain * x[inner], atol=1e-6)
+    np.testing.assert_array_equal(found["x"], found["again"])
+
+
+def test_stretches_between_gaps_are_filtered_by_themselves() -> None:
+    x = np.random.default_rng(0).standard_normal(T.size)
+    sections = butter(2, 50.0, fs=1000.0, output="sos")
+    holed = np.where((T > 0.4) & (T < 0.45), np.nan, x)
+    found = reduce(frame(x=holed), low_pass=50.0)["x"].to_numpy()
+    for part in (slice(0, 401), slice(450, None)):
+        np.testing.assert_allclose(found[part], sosfiltfilt(sections, x[part]), atol=1e-12)
+    assert np.isnan(found[401:450]).all()
+    kept = (T < 0.4) | (T > 0.6)  # a gap in time
+    found = reduce(frame(x=x)[kept], low_pass=50.0)["x"].to_numpy()
+    np.testing.assert_allclose(found[:400], sosfiltfilt(sections, x[:400]), atol=1e-12)
+    lonely = np.where((T[700] == T) | (T < 0.5), x, np.nan)
+    assert np.isnan(reduce(frame(x=lonely), low_pass=50.0)["x"][700])
+
+
+def test_low_pass_is_refused() -> None:
+    with pytest.raises(InputError, match="low_pass = 600 Hz must lie below half the sample rate, 500 Hz"):
+        reduce(frame(x=1.0), low_pass=600.0)
+    jumpy = frame(x=1.0).assign(time=np.where(T[7] == T, T + 3e-4, T))
+    with pytest.raises(InputError, match=r"needs equal steps of time, and after row 7 there is one of 0.0013 s"):
+        reduce(jumpy, low_pass=50.0)
+    held = Experiment(frame(u=1.0, y=1.0), ["u"], ["y"], interpolation="hold")
+    with pytest.raises(InputError, match="'u' holds between samples"):
+        reduce(held, low_pass=50.0)
+
+
+# --- cutting, resampling, trends ----------------------------------------------------------
+
+
+def test_cut() -> None:
+    found = reduce(frame(x=T), start=0.3, end=0.7)
+    np.testing.assert_allclose(found["time"], np.linspace(0.3, 0.7, 401))
+    with pytest.raises(InputError, match=r"from 2.5 s leaves 0 samples: the record goes from 0 to 1.999 s"):
+        reduce(frame(x=T), start=2.5)
+    with pytest.raises(InputError, match=r"from 0\.1 to 0\.1 s leaves 1 samples"):
+        reduce(frame(x=T), start=0.1, end=0.1)
+
+
+def test_resample() -> None:
+    x = 3 * T + 1
+    stairs = np.floor(10 * T + 1e-9)
+    experiment = Experiment(frame(u=stairs, y=np.where(T == 0.1, np.nan, x)), ["u"], ["y"], interpolation="hold")
+    found = reduce(experiment, resample=0.0125)
+    np.testing.assert_allclose(found.times, np.arange(160) * 0.0125, atol=1e-12)
+    np.testing.assert_array_equal(found.input_values[:, 0], np.floor(10 * np.arange(160) * 0.0125 + 1e-6))
+    expected = 3 * found.times + 1
+    expected[8] = np.nan  # at 0.1 s
+    np.testing.assert_allclose(found.output_values[:, 0], expected, atol=1e-9)
+    finer = reduce(frame(x=x), resample=2.5e-4)
+    np.testing.assert_allclose(finer["x"], 3 * finer["time"] + 1)
+    gap = reduce(frame(x=x)[(T < 0.4) | (T > 0.6)], resample=0.01)
+    np.testing.assert_array_equal(np.flatnonzero(gap["x"].isna()), np.arange(40, 61))
+
+
+def test_resample_is_refused() -> None:
+    with pytest.raises(InputError, match="resample = 5 s is longer than the record"):
+        reduce(frame(x=1.0), resample=5.0)
+    twice = pd.DataFrame({"time": [0.0, 1.0, 1.0, 2.0], "x": [0.0, 0.0, 1.0, 1.0]})
+    with pytest.raises(InputError, match="which of the two samples at t = 1 s"):
+        reduce(twice, resample=0.5)
+
+
+def test_detrend() -> None:
+    x = 3 * T + 1 + np.where(T == 0.5, np.nan, np.sin(2 * np.pi * 5 * T))
+    there = np.isfinite(x)
+    line = np.polynomial.Polynomial.fit(T[there], x[there], 1)
+    found = reduce(frame(x=x, y=x), detrend={"x": "linear"})
+    np.testing.assert_allclose(found["x"], x - line(T), atol=1e-9)
+    np.testing.assert_array_equal(found["y"], x)
+    assert reduce(frame(x=x), detrend="mean")["x"].mean() == pytest.approx(0.0, abs=1e-12)
+    with pytest.raises(InputError, match="detrend = 'cubic' is not known"):
+        reduce(frame(x=x), detrend="cubic")
+
+
+def test_the_order_and_what_is_left_alone() -> None:
+    """Computed, filtered, cut, resampled, then freed of the mean; an empty preparation changes nothing."""
+    x = np.random.default_rng(1).standard_normal(T.size)
+    found = reduce(
+        frame(x=x), columns={"z": "2 * x"}, low_pass=50.0, start=0.5, end=1.5, resample=0.01, detrend={"z": "mean"}
+    )
+    z = sosfiltfilt(butter(2, 50.0, fs=1000.0, output="sos"), 2 * x)[500:1501:10]
+    np.testing.assert_allclose(found["z"], z - z.mean(), atol=1e-9)
+    given = frame(x=x, word="run")
+    given.attrs["units"] = {"x": "mV"}
+    assert reduce(given).equals(given)
+    assert reduce(given, resample=0.01).attrs["units"] == {"x": "mV"}
+
+
+# --- axes ---------------------------------------------------------------------------------
+
+
+def phases(angle: Floats) -> dict[str, Floats]:
+    """Return a balanced set of peak 10 that turns with an angle, 0.3 rad before it."""
+    return {name: 10 * np.cos(angle + 0.3 - k * 2 * np.pi / 3) for k, name in enumerate(("ia", "ib", "ic"))}
+
+
+def test_axes_by_angle_and_by_speed_of_any_unit() -> None:
+    speed = 100 + 20 * np.sin(3 * T)  # mechanical, rad/s
+    angle = 0.7 + 2 * (100 * T + 20 / 3 * (1 - np.cos(3 * T)))
+    table = frame(**phases(angle), theta=np.degrees(angle), n=speed * 30 / np.pi)
+    table.attrs["units"] = {"theta": "deg", "n": "rpm", "ia": "mA", "ib": "mA", "ic": "mA"}
+    length = 10 * np.sqrt(1.5)
+    hows: list[dict[str, Any]] = [{"angle": "theta"}, {"speed": "n", "pole_pairs": 2.0, "start": 0.7}]
+    for how in hows:
+        axes = Axes(("ia", "ib", "ic"), ("id", "iq"), **how)
+        back = Axes(("id", "iq"), ("a", "b", "c"), **how)
+        found = fmuid.reduce(table, axes=[axes, back])
+        np.testing.assert_allclose(found["id"], length * np.cos(0.3), rtol=1e-4)
+        np.testing.assert_allclose(found["iq"], length * np.sin(0.3), rtol=1e-4)
+        np.testing.assert_allclose(found[["a", "b", "c"]], table[["ia", "ib", "ic"]], atol=1e-9)
+        assert found.attrs["units"]["id"] == found.attrs["units"]["c"] == "mA"
+
+
+def test_axes_are_refused() -> None:
+    table = frame(**phases(T), n=np.where(T == 0.5, np.nan, 1.0))
+    axes = Axes(("ia", "ib", "ic"), ("id", "iq"), speed="n")
+    with pytest.raises(InputError, match="the speed 'n' has no value in row 501"):
+        reduce(table, axes=[axes])
+    table.attrs["units"] = {"n": "A", "ia": "A"}
+    with pytest.raises(InputError, match="must have one unit"):
+        reduce(table, axes=[axes])
+    table.attrs["units"] = {"n": "A"}
+    with pytest.raises(InputError, match="'n' is in A, which does not convert to rad/s"):
+        reduce(table, axes=[axes])
+    del table.attrs["units"]
+    with pytest.raises(InputError, match="column 'ix' is missing"):
+        reduce(table, axes=[Axes(("ia", "ib", "ix"), ("id", "iq"), angle="n")])

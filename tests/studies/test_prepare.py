@@ -1,0 +1,100 @@
+"""``[experiments.prepare]``: a study does with its table what would otherwise be done by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid.cli.options import WRONG_INPUT
+from fmuid.errors import InputError
+from fmuid.studies import Study
+from tests.support.coil_study import COIL, coil_table, fmuid_
+
+STUDY = """
+[model]
+fmu = "{fmu}"
+[[experiments]]
+table = "{table}"
+inputs = ["u"]
+outputs = {{ i = "current" }}
+interpolation = "{interpolation}"
+[experiments.prepare]
+{prepare}
+[parameters]
+R = {{ start = 4.0, min = 0.0 }}
+L = {{ start = 0.1, min = 1e-4 }}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    coil_table(tmp_path / "run.csv", 0.0, seed=1)
+    frame = pd.read_csv(tmp_path / "run.csv")
+    frame = frame.assign(current=frame["i"], shunt=frame["i"] * 50.0 - 3.0, t=20.0)
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    return tmp_path
+
+
+def study(folder: Path, prepare: str, table: str = "run.csv", interpolation: str = "hold") -> Study:
+    text = STUDY.format(fmu=COIL.as_posix(), table=table, prepare=prepare, interpolation=interpolation)
+    (folder / "study.toml").write_text(text)
+    return Study.read(folder / "study.toml")
+
+
+def test_the_same_as_by_hand(folder: Path) -> None:
+    by_hand = pd.read_csv(folder / "run.csv")
+    by_hand = by_hand[(by_hand["time"] > 0.0995) & (by_hand["time"] < 0.4005)]
+    by_hand.to_csv(folder / "cut.csv", index=False)
+    expected = study(folder, "", "cut.csv")
+    found = study(folder, 'columns = { current = "(shunt + 3) / 50" }\nfrom = 0.1\nto = 0.4')
+    np.testing.assert_array_equal(found.tables[0].times, expected.tables[0].times)
+    np.testing.assert_allclose(found.identify().values, expected.identify().values, rtol=1e-6)
+
+
+def test_pieces_are_experiments_of_their_own(folder: Path) -> None:
+    read = study(folder, "pieces = [[0.0, 0.2], [0.3, 0.5]]")
+    assert [each.name for each in read.experiments] == ["run 1", "run 2"]
+    assert [float(table.times[-1]) for table in read.tables] == pytest.approx([0.2, 0.5])
+    assert float(read.tables[1].times[0]) == pytest.approx(0.3)
+    assert [table.name for table in read.tables] == ["run 1", "run 2"]
+
+
+def test_filtered_and_resampled(folder: Path) -> None:
+    """Inputs and outputs go through the same filter, so that the estimates of a linear model stay where they are."""
+    plain = study(folder, "").identify()
+    read = study(folder, "low_pass = 60.0\nresample = 0.004", interpolation="linear")
+    (table,) = read.tables
+    assert np.diff(table.times) == pytest.approx(0.004)
+    found = read.identify()
+    np.testing.assert_allclose(found.values, plain.values, rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("prepare", "said"),
+    [
+        (
+            'columns = { current = "shunt +" }',
+            r"column 'current': the expression 'shunt \+' cannot be computed",
+        ),
+        ('columns = { current = "shnt / 50" }', r"'shnt' is missing \(did you mean 'shunt'"),
+        ("low_pass = 60.0", r"'u' holds between samples \(interpolation = \"hold\"\)"),
+        ("from = 3.0\nto = 1.0", r"\[experiments.prepare\]\S* has from = 3 and to = 1: give the earlier time first"),
+        ("from = 300.0", r"from 300 s leaves 0 samples: the record goes from 0 to"),
+        ("pieces = [[0.0, 0.2], [0.5, 0.3]]", "pieces must be a list of pairs of times"),
+        ("pieces = [[0.0, 0.2, 0.3]]", "pieces must be a list of pairs of times"),
+        ("pieces = [[0.0, 0.2]]\nto = 3.0", "has both pieces and to: keep one of the two"),
+        ("resample = 0", "resample must be a number above 0, not 0"),
+        ('detrend = "cubic"', 'detrend must be "mean" or "linear"'),
+        ("lowpass = 3.0", r"has no key 'lowpass' \(did you mean 'low_pass'"),
+        ('axes = [{ from = ["u", "i"], to = ["a", "b"], angle = "t" }]', "has from and to of other lengths"),
+        ('axes = [{ from = ["u", "i"], to = ["a", "b", "c"] }]', "must have one of angle and speed"),
+    ],
+)
+def test_what_is_wrong_is_said(folder: Path, prepare: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match=said):
+        _ = study(folder, prepare).tables
+    assert fmuid_("simulate", folder / "study.toml") == WRONG_INPUT
+    assert capsys.readouterr().err.count("\n") == 1
