@@ -50,7 +50,10 @@ class Determined(Enum):
     """How little is known along a direction, within the limits above."""
 
     NOT = "not"
-    """Moving along it changes nothing."""
+    """Moving along it changes nothing, or less than could ever tell the parameters."""
+    HIDDEN = "hidden"
+    """Moving along it changes the outputs by no more than the simulation's errors, which are large enough to hide what
+    data can tell."""
     NOT_IN_EFFECT = "not_in_effect"
     """The standard deviation is so large that not even the parameters' power of ten is known."""
     HARDLY = "hardly"
@@ -223,7 +226,10 @@ def local_covariance(
     at = magnitudes if theta is None else theta
     undetermined, weak = [], []
     for row in _sparse(null):
-        undetermined.append(Direction.of(Determined.NOT, names, row, math.inf, at, magnitudes))
+        effect, error = (float(np.linalg.norm(part)) for part in (reduced @ row, jacobian_error * magnitudes * row))
+        none = max(rounding, min(JACOBIAN_ERRORS * error, float(np.linalg.norm(row)) / UNDETERMINED_STD))
+        determined = Determined.NOT if effect <= none else Determined.HIDDEN
+        undetermined.append(Direction.of(determined, names, row, math.inf, at, magnitudes))
     for direction, std in zip(directions[~zero], (1.0 / values[~zero]).tolist(), strict=True):
         if _lost_in_effect(np.abs(direction) * std * magnitudes, magnitudes, magnitudes if scale is None else scale):
             undetermined.append(Direction.of(Determined.NOT_IN_EFFECT, names, direction, std, at, magnitudes))

@@ -209,6 +209,38 @@ def test_singular_and_weak_directions_together() -> None:
     assert found.leverage(jacobian).sum() == pytest.approx(3.0)
 
 
+@pytest.mark.parametrize(
+    ("effect", "error", "determined"),
+    [
+        (0.0, 5.0, Determined.NOT),  # nothing at all
+        (0.01, 0.01, Determined.NOT),  # less than would ever tell it
+        (3.0, 5.0, Determined.HIDDEN),  # errors where without them it would be known to a third
+    ],
+)
+def test_what_errors_hide_does_not_count_as_without_effect(effect: float, error: float, determined: Determined) -> None:
+    rows, _ = np.linalg.qr(np.random.default_rng(6).standard_normal((50, 2)))
+    found = local_covariance("ab", rows * [100.0, effect], np.ones(2), np.array([0.0, error]))
+    (direction,) = found.undetermined
+    assert (direction.determined, direction.names) == (determined, ("b",))
+    said = "the outputs by no more than the simulation's errors" if effect == 3.0 else "no output"
+    assert direction_words(direction) == f"b is not determined: changing it changes {said}"
+
+
+def test_a_sum_of_parameters_does_not_stall_the_search() -> None:
+    """Two columns are the same to the last bit, and what the reduction's rounding leaves of it is no direction to go.
+
+    Of starts and lengths drawn at random one in a hundred stalled, this one.
+    """
+    rng = np.random.default_rng(58)
+    t = rng.uniform(0.5, 2.0, int(rng.integers(20, 3000)))
+    y = 0.1 * t + 1e-3 * rng.standard_normal(t.size)
+    start = 10.0 ** rng.uniform(-3.0, 3.0, 2)
+    parameters = {name: Parameter(value) for name, value in zip("ab", start.tolist(), strict=True)}
+    result = identify(LeastSquares.from_function(lambda theta: t * (theta[0] + theta[1]), y, parameters))
+    assert result.outcome is Outcome.UNDETERMINED
+    assert "only a + b is determined" in ending(result)
+
+
 def test_directions_are_told_relative_to_the_values() -> None:
     """Whatever the units are, no step is larger than one in a hundred."""
     theta, magnitudes = np.array([0.047, -3.0, 0.0, 21.5]), np.array([0.047, 3.0, 5.0, 21.5])

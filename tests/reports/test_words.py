@@ -18,7 +18,7 @@ from fmuid.models import HowRun
 from fmuid.reports.words.accuracy import passed_words
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.prior_and_data import obstacle_words
-from fmuid.reports.words.result import ENDS, ending
+from fmuid.reports.words.result import ENDS, ending, remarks
 
 TIMES = np.linspace(0.0, 1.0, 60)
 
@@ -53,8 +53,19 @@ def test_an_end_names_directions_and_bounds() -> None:
     assert ending(open_) == f"undetermined: {direction_words(direction)}: " + (
         "give a prior, hold one of them at a value, or measure more"
     )
+    hidden = replace(direction, determined=Determined.HIDDEN)
+    assert ending(replace(open_, undetermined=(hidden,))).endswith(
+        "or make the simulation more accurate " + ("(step_size, tolerance, interface)")
+    )
     # where the search did not even end, that comes first
     assert ending(replace(open_, outcome=Outcome.STALLED)).startswith(f"{ENDS[Outcome.STALLED]}; a and b")
+
+
+def test_a_sign_that_changed_is_told_where_the_search_came_to_nothing() -> None:
+    _, result = line()
+    crossed = replace(result, outcome=Outcome.STALLED, start=-result.values)
+    assert any("give it a bound if the model holds on one side of zero only" in said for said in remarks(crossed))
+    assert not any("side of zero" in said for said in remarks(replace(crossed, outcome=Outcome.CONVERGED)))
 
 
 @pytest.mark.parametrize(

@@ -133,13 +133,16 @@ class _Descent:
     # --- the Jacobian
 
     def _linearise(self) -> None:
-        """Reduce the Jacobian to a triangle, lengthen D, and note what singular values its errors alone may make."""
+        """Reduce the Jacobian to a triangle, lengthen D, and note what singular values errors alone may make."""
         state = self.state
         self.reduced = triangle(state.jacobian, state.residual)
         columns = np.linalg.norm(self.reduced[:, :-1], axis=0)
         unit = 1.0 / self.problem.magnitudes(state.theta)
         self.lengths = np.maximum(self.lengths, np.where(columns > 0, columns, unit))
-        self.least = self._error(central=state.central)
+        # what its rounding makes of the reduction, too, as in the covariance
+        largest = float(np.linalg.norm(self.reduced[:, :-1] / self.lengths, 2))
+        rounding = np.finfo(float).eps * max(state.jacobian.shape) * largest
+        self.least = max(self._error(central=state.central), rounding)
 
     def _error(self, *, central: bool) -> float:
         """Return the singular value of J D⁻¹ that errors of a Jacobian alone may make."""

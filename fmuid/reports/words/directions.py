@@ -18,7 +18,7 @@ DIGITS = 3
 
 def direction_words(direction: Direction) -> str:
     """Say in words what is not known along a direction."""
-    if direction.determined is Determined.NOT:
+    if direction.determined in (Determined.NOT, Determined.HIDDEN):
         return _lost(direction)
     return _open(direction) if direction.determined is Determined.NOT_IN_EFFECT else _weak(direction)
 
@@ -32,8 +32,11 @@ def open_words(determined: Determined, names: Sequence[str]) -> str:
 def _lost(direction: Direction) -> str:
     names = direction.names
     who = listed(names)
+    no_output = "no output"
+    if direction.determined is Determined.HIDDEN:
+        no_output = "the outputs by no more than the simulation's errors"
     if len(names) == 1:
-        return f"{who} is not determined: changing it changes no output"
+        return f"{who} is not determined: changing it changes {no_output}"
     only = _combinations(direction)
     if len(names) == 2:
         return f"{who} cannot be told apart: only {only} is determined"
@@ -54,8 +57,8 @@ def _lost(direction: Direction) -> str:
         if i != first
     ]
     return (
-        f"{who} cannot be told apart: raising {names[first]} by {steps[first]} while {listed(moves)} changes no "
-        f"output; only {only} are determined"
+        f"{who} cannot be told apart: raising {names[first]} by {steps[first]} while {listed(moves)} changes "
+        f"{no_output}; only {only} are determined"
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fmuid.estimation import Outcome
+from fmuid.estimation import Determined, Outcome
 from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
 
@@ -38,6 +38,9 @@ ENDS = {
 """How a search ended, and what to do about it."""
 
 
+_FINER = ", or make the simulation more accurate (step_size, tolerance, interface)"
+
+
 def result_words(result: Result) -> tuple[str, ...]:
     """Return all that is to be said of a result: how it ended first, then what the estimates do not show."""
     return ending(result), *remarks(result)
@@ -50,6 +53,7 @@ def ending(result: Result) -> str:
         told = (
             "; ".join(map(direction_words, result.undetermined))
             + ": give a prior, hold one of them at a value, or measure more"
+            + (_FINER if any(each.determined is Determined.HIDDEN for each in result.undetermined) else "")
         )
         words = [f"{words[0]}: {told}"] if result.outcome is Outcome.UNDETERMINED else [*words, told]
     if result.at_bounds:
@@ -70,12 +74,19 @@ def remarks(result: Result) -> tuple[str, ...]:
 
 
 def start_words(result: Result) -> tuple[str, ...]:
-    """Return the sentences on starts that were no starts."""
-    return tuple(
+    """Return the sentences on starts that were no starts, and on signs that a search in vain has changed."""
+    moved = [
         f"{name} changes no output at the start that was given: the search set out from {name} = {result.start[i]:g}"
         for i, name in enumerate(result.names)
         if name in result.moved_start
-    )
+    ]
+    crossed = [
+        f"{name} began at {start:.3g} and has come to {value:.3g}: give it a bound if the model holds on one side of "
+        "zero only"
+        for name, start, value in zip(result.names, result.start.tolist(), result.values.tolist(), strict=True)
+        if start * value < 0 and not result.converged
+    ]
+    return *moved, *crossed
 
 
 def dependence_words(result: Result) -> tuple[str, ...]:
