@@ -20,9 +20,7 @@ Values = Mapping[str, Value]
 def flat_names(study: Study) -> dict[str, str]:
     """Return all parameters of a study, those per experiment one by one, and the variable that each is of."""
     return {
-        f"{name}[{given.name}]" if each.per_experiment else name: name
-        for name, each in study.parameters.items()
-        for given in study.experiments
+        each.name_in(given.name, name): name for name, each in study.parameters.items() for given in study.experiments
     }
 
 

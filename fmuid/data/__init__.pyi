@@ -3,6 +3,7 @@ from .excitation import prbs as prbs
 from .excitation import steps as steps
 from .experiment import Experiment as Experiment
 from .formats import TABLE_SUFFIXES as TABLE_SUFFIXES
+from .interpolation import INTERPOLATIONS as INTERPOLATIONS
 from .losses import LOSSES as LOSSES
 from .losses import Loss as Loss
 from .losses import loss_of as loss_of

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
@@ -14,14 +13,11 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmuid.arrays import Floats
+from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
 from fmuid.data.tables import UNITS, numeric_column, read_table
 from fmuid.data.times import column_of, missing_column
 from fmuid.errors import InputError
 from fmuid.text import nearest
-
-INTERPOLATIONS = ("linear", "hold", "cubic")
-"""Interpolation of an input between samples: linear (measured signals), held (numerical commands), or along a smooth
-curve without overshoot (Fritsch and Butland's monotone cubic interpolation)."""
 
 _TIME_TOLERANCE = 1e-9
 """Share of the table's duration by which a sample may come before the end of `discard`: times are rounded decimals."""
@@ -44,13 +40,15 @@ class Experiment:
     time : str
         The time column, s: finite, never decreasing. A time given twice is a step of the inputs.
     interpolation : str or mapping of str to str
-        ``"linear"``, ``"hold"`` or ``"cubic"`` (docs/method.md section 5), for all inputs or for each input named; the
-        others are linear.
+        ``"linear"``, ``"hold"``, ``"hold-previous"`` or ``"cubic"`` (`fmuid.data.interpolation`, docs/method.md section
+        5), for all inputs or for each input named; the others are linear.
     discard : float
         Duration from the first time on that is simulated but not counted, s (1.32).
     units : mapping of str to str
         FMU variable to the unit of its column, where that is neither the unit of the FMU nor the one that the table
         says (`fmuid.read_table`).
+    values : mapping of str to float, int, bool or str
+        FMU variables held at a value in this experiment.
     measured : bool
         Whether the outputs are there. If not, as for an experiment that is still to be made, they are names only: one
         without a column counts at every time after `discard`, and its values are NaN.
@@ -68,13 +66,13 @@ class Experiment:
     times : ndarray (K,)
         Time, s.
     input_values : ndarray (K, n_inputs)
-        In the units of the table.
+        In the units of the table; where an input holds, from each sample on.
     output_values : ndarray (K, n_outputs)
         In the units of the table, NaN where missing.
     counted : ndarray of bool (K, n_outputs)
         True where the output is there and `discard` is over.
     held : ndarray of bool (n_inputs,)
-        True where the interpolation is ``"hold"``.
+        True where the interpolation is ``"hold"`` or ``"hold-previous"``.
     curved : ndarray of bool (n_inputs,)
         True where it is ``"cubic"``.
     input_slopes : ndarray (K, n_inputs)
@@ -93,6 +91,7 @@ class Experiment:
     interpolation: str | Mapping[str, str] = "linear"
     discard: float = 0.0
     units: Mapping[str, str] = field(default_factory=dict)
+    values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     measured: bool = True
     name: str = "experiment"
     source: str = "the table"
@@ -119,8 +118,8 @@ class Experiment:
         _check_columns(source, frame, {"time": [self.time], "input": inputs.values(), "output": there.values()})
         times = _times(source, frame, self.time)
         output_values = _values(source, frame, times, "output", outputs, there)
-        input_values = _values(source, frame, times, "input", inputs, inputs)
-        words = _interpolation_words(source, self.interpolation, inputs)
+        words = interpolation_words(source, self.interpolation, inputs)
+        input_values = as_held(_values(source, frame, times, "input", inputs, inputs), words)
         curved = np.array([word == "cubic" for word in words], dtype=np.bool_)
         derived = {
             "frame": frame,
@@ -134,9 +133,9 @@ class Experiment:
             "input_values": input_values,
             "output_values": output_values,
             "counted": _counted(source, times, output_values, outputs, there, self.discard),
-            "held": np.array([word == "hold" for word in words], dtype=np.bool_),
+            "held": np.array([word in HELD for word in words], dtype=np.bool_),
             "curved": curved,
-            "input_slopes": _slopes(source, times, input_values, curved),
+            "input_slopes": slopes(source, times, input_values, curved),
         }
         self._set(derived)
 
@@ -154,6 +153,7 @@ class Experiment:
         interpolation: str | Mapping[str, str] = "linear",
         discard: float = 0.0,
         units: Mapping[str, str] | None = None,
+        values: Mapping[str, float | int | bool | str] | None = None,
         name: str | None = None,
     ) -> Self:
         """Read the table from a file; the words are those of the class and of `fmuid.read_table`.
@@ -176,7 +176,8 @@ class Experiment:
             time=time,
             interpolation=interpolation,
             discard=discard,
-            units={} if units is None else units,
+            units=units or {},
+            values=values or {},
             name=path.stem if name is None else name,
             source=str(path),
         )
@@ -334,43 +335,6 @@ def _counted(
                 f"whose last is at t = {times[there[:, k]][-1]:.9g} s: make discard shorter"
             )
     return counted
-
-
-def _interpolation_words(source: str, given: str | Mapping[str, str], inputs: Mapping[str, str]) -> list[str]:
-    """Return the interpolation of each input."""
-    words = dict(given) if isinstance(given, Mapping) else dict.fromkeys(inputs, given)
-    for variable in words:
-        if variable not in inputs:
-            raise InputError(
-                f"{source}: interpolation names {variable!r}, which is no input{nearest(str(variable), inputs)}: "
-                f"name inputs only"
-            )
-    for word in words.values() if isinstance(given, Mapping) else [given]:
-        if word not in INTERPOLATIONS:
-            near = nearest(str(word), INTERPOLATIONS)
-            raise InputError(f'{source}: interpolation {word!r} is not known{near}: write "linear", "hold" or "cubic"')
-    return [words.get(variable, "linear") for variable in inputs]
-
-
-def _slopes(source: str, times: Floats, values: Floats, curved: npt.NDArray[np.bool_]) -> Floats:
-    """Return the slopes of monotone cubic curves through the samples; none goes across a step (a time given twice)."""
-    slopes = np.full(values.shape, np.nan)
-    if curved.any():
-        from scipy.interpolate import PchipInterpolator
-
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"), suppress(ValueError):  # checked below
-            for part in np.split(np.arange(times.size), np.flatnonzero(np.diff(times) == 0) + 1):
-                flat = np.zeros((part.size, int(curved.sum())))
-                at = times[part]
-                slopes[np.ix_(part, curved)] = (
-                    PchipInterpolator(at, values[np.ix_(part, curved)]).derivative()(at) if part.size > 1 else flat
-                )
-        if not np.isfinite(slopes[:, curved]).all():
-            raise InputError(
-                f'{source}: an input with interpolation = "cubic" changes too fast for double precision: check its '
-                'values and the times, or write "linear"'
-            )
-    return slopes
 
 
 def _units(

@@ -74,8 +74,9 @@ class Parameter:
         Its magnitude, used for scaling; needed where the start is zero, default |start|.
     prior : Normal, optional
         Knowledge from before the experiment.
-    per_experiment : bool
-        One value for each experiment (``name[experiment]``) instead of one shared by all.
+    per_experiment : bool or mapping of str to sequence of str
+        One value for each experiment (``name[experiment]``) instead of one shared by all; or one for each group of
+        experiments (``name[group]``), which are named.
 
     Raises
     ------
@@ -89,7 +90,26 @@ class Parameter:
     max: float = math.inf
     nominal: float | None = None
     prior: Normal | None = None
-    per_experiment: bool = False
+    per_experiment: bool | Mapping[str, Sequence[str]] = False
+
+    def name_in(self, experiment: str, name: str) -> str:
+        """Return what the parameter called `name` is called of an experiment.
+
+        Raises
+        ------
+        InputError
+            If the experiment is in no group, or in two.
+        """
+        if isinstance(self.per_experiment, bool):
+            return f"{name}[{experiment}]" if self.per_experiment else name
+        groups = [group for group, members in self.per_experiment.items() if experiment in members]
+        if len(groups) != 1:
+            named = [member for members in self.per_experiment.values() for member in members]
+            where = f"in {' and '.join(groups)}" if groups else f"in none{nearest(experiment, named)}"
+            raise InputError(
+                f"per_experiment of {name!r} has the experiment {experiment!r} {where}: name each in one group"
+            )
+        return f"{name}[{groups[0]}]"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", _number(self.start, "start"))
@@ -236,7 +256,7 @@ class ParameterSet:
         columns: list[list[int]] = [[] for _ in experiments]
         for name, parameter in parameters.items():
             for column, experiment in zip(columns, experiments, strict=True):
-                full = f"{name}[{experiment}]" if parameter.per_experiment else name
+                full = parameter.name_in(experiment, name)
                 flat.setdefault(full, parameter)
                 column.append(list(flat).index(full))
         self._variables = tuple(parameters)

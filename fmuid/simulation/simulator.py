@@ -48,7 +48,7 @@ class Simulator:
     parameters : sequence of str
         The variables that theta sets, in this order.
     values : mapping of str to float, int, bool or str
-        Variables held at a value.
+        Variables held at a value; those of the experiment go before them.
     interface, integrator, tolerance : optional
         How an FMU is run (`fmuid.Numerics`); a System says it itself.
     step_size : float, optional
@@ -112,7 +112,7 @@ class Simulator:
     def _target_values(self) -> dict[str, Value]:
         """Return the values held, those of connectors of the system at the variables behind them."""
         found: dict[str, Value] = {}
-        for given, value in self._given[0].items():
+        for given, value in {**self._given[0], **self.experiment.values}.items():
             for name, factor, offset in self.system.targets(given):
                 plain = isinstance(value, bool | str) or (factor, offset) == (1.0, 0.0)
                 found[name] = value if plain else factor * float(value) + offset

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BeforeValidator, Tag
 
+from fmuid.data import INTERPOLATIONS
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.fmi import KINDS
@@ -40,6 +41,7 @@ from fmuid.studies.words import (
     Place,
     Positive,
     Scalar,
+    Scalars,
     Share,
     Text,
     Texts,
@@ -290,7 +292,7 @@ class ModelWords(NumericsWords):
 
 # --- [[experiments]] --------------------------------------------------------------------
 
-Interpolation = Annotated[str, one_of(("linear", "hold", "cubic"))]
+Interpolation = Annotated[str, one_of(INTERPOLATIONS)]
 Interpolations = Annotated[dict[str, Interpolation], Entries("a table { input = interpolation }")]
 
 
@@ -311,6 +313,7 @@ class ExperimentSettings(Words):
         Annotated[Interpolation, Tag(VALUE_TAG)] | Annotated[Interpolations, Tag(TABLE_TAG)], BY_SHAPE
     ] = word("linear", 'between samples; "hold" for commands of a digital controller', "linear")
     discard: NotNegative = word(0.0, "s of transient at the beginning, simulated but not counted", 0.0)
+    values: Scalars = word({}, "FMU variables held at a value in this experiment")
     prepare: PrepareWords = word({}, "what is done with the table first", validate_default=True)
     units: Texts = word(
         {}, "of columns whose unit the table does not say and that are not in the FMU's: { variable = unit }"
@@ -340,9 +343,9 @@ class ExperimentSettings(Words):
         time, columns = time_name(self.time), self.inputs | self.outputs
         given = self.interpolation
         words = given if isinstance(given, dict) else dict.fromkeys(self.inputs, given)
-        held = [column for name, column in self.inputs.items() if words.get(name) == "hold"]
-        frame = self.prepare.settings().applied(frame, time, source, columns.values(), held)
-        other = {name: getattr(self, name) for name in ("interpolation", "discard", "units", "name")}
+        between = {column: words.get(name, "linear") for name, column in self.inputs.items()}
+        frame = self.prepare.settings().applied(frame, time, source, columns.values(), between)
+        other = {name: getattr(self, name) for name in ("interpolation", "discard", "units", "values", "name")}
         return Experiment(frame, self.inputs, self.outputs, time, **other, measured=measured, source=source)
 
 

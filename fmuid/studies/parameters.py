@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Tag
 
 from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
@@ -15,7 +18,23 @@ from fmuid.estimation import Outcome, Result
 from fmuid.fmi import FMU
 from fmuid.models import System
 from fmuid.studies.toml import show
-from fmuid.studies.words import File, Finite, Flag, Matrix, Names, Number, Numbers, Place, Positive, Words, word
+from fmuid.studies.words import (
+    BY_SHAPE,
+    TABLE_TAG,
+    VALUE_TAG,
+    Entries,
+    File,
+    Finite,
+    Flag,
+    Matrix,
+    Names,
+    Number,
+    Numbers,
+    Place,
+    Positive,
+    Words,
+    word,
+)
 from fmuid.text import nearest
 
 
@@ -65,6 +84,9 @@ class JointPriorWords(FromResult):
     covariance: Matrix | None = word(None, "the covariance of the parameters that it names, row by row")
 
 
+Groups = Annotated[dict[str, Names], Entries("a table { group = experiments }")]
+
+
 class ParameterWords(Words):
     """A parameter to identify, by its name in the FMU."""
 
@@ -72,7 +94,9 @@ class ParameterWords(Words):
     min: Number = word(-math.inf, "lower bound")
     max: Number = word(math.inf, "upper bound")
     nominal: Positive | None = word(None, "size, needed where the start is 0")
-    per_experiment: Flag = word(False, "one value for each experiment")
+    per_experiment: Annotated[Annotated[Flag, Tag(VALUE_TAG)] | Annotated[Groups, Tag(TABLE_TAG)], BY_SHAPE] = word(
+        False, 'one value for each experiment, or for each group of them: { cold = ["run1", "run2"], warm = ["run3"] }'
+    )
     prior: PriorWords | None = word(None, "what is known of it")
 
 

@@ -167,7 +167,11 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({}, {"outputs": ["u"]}, "'u' is both an input and an output: give it one role"),
     # the words
     ({}, {"interpolation": "lin"}, r"interpolation 'lin' is not known \(did you mean 'linear'\?\)"),
-    ({}, {"interpolation": {"u": 1}}, 'interpolation 1 is not known: write "linear", "hold" or "cubic"'),
+    (
+        {},
+        {"interpolation": {"u": 1}},
+        'interpolation 1 is not known: write "linear", "hold", "hold-previous" or',
+    ),
     ({}, {"interpolation": {"U": "hold"}}, r"interpolation names 'U', which is no input \(did you mean 'u'\?\)"),
     ({}, {"discard": -0.1}, r"discard is -0\.1: give a duration in seconds, zero or more"),
     ({}, {"discard": NAN}, "discard is nan"),

@@ -27,8 +27,8 @@ def test_the_page_is_what_the_models_say() -> None:
 def test_the_page_has_what_a_word_takes() -> None:
     lines = reference().splitlines()
     for line in (
-        '| `interpolation` | "linear" or "hold" or "cubic" or a table { input = interpolation } | `"linear"` | '
-        'between samples; "hold" for commands of a digital controller |',
+        '| `interpolation` | "linear" or "hold" or "hold-previous" or "cubic" or a table { input = interpolation } | '
+        '`"linear"` | between samples; "hold" for commands of a digital controller |',
         "## `[diagnosis.faults.<name>.parameters.<name>]`",
         "| `from` | a text in quotes | must be given | an output |",
         "| `needed` | a whole number above 0 | `3` | an alarm takes so many significant windows ... |",

@@ -217,7 +217,7 @@ REFUSED = {
     "interpolation": (
         'u = "hold"',
         'u = "holds"',
-        'each entry is "linear" or "hold" or "cubic" (did you mean \'hold\'?) (u is "holds")',
+        '"hold-previous" or "cubic" (did you mean \'hold\' or \'hold-previous\'?) (u is "holds")',
     ),
     "interface": (
         'interface = "co-simulation"',

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -12,6 +12,7 @@ import pandas as pd
 
 from fmuid.arrays import Floats
 from fmuid.data.experiment import Experiment
+from fmuid.data.interpolation import HELD, interpolation_words
 from fmuid.data.preparation.expressions import evaluate
 from fmuid.data.preparation.sampling import detrended, low_passed, resampled
 from fmuid.data.tables import UNITS, numeric_column
@@ -87,7 +88,7 @@ class Preparation:
         time: str,
         source: str,
         signals: Iterable[str] | None = None,
-        held: Collection[str] = (),
+        interpolation: Mapping[str, str] | None = None,
     ) -> pd.DataFrame:
         """Return a table as it is after all of this.
 
@@ -100,8 +101,8 @@ class Preparation:
             What the table is called in messages.
         signals : iterable of str, optional
             The columns to filter, resample and detrend; default: all with numbers.
-        held : collection of str
-            Those of them that hold between samples.
+        interpolation : mapping of str to str, optional
+            How columns go between samples; default: linear.
 
         Raises
         ------
@@ -110,14 +111,14 @@ class Preparation:
         """
         if self == Preparation():
             return frame
-        work = _Work(frame, time, source)
+        work, between = _Work(frame, time, source), interpolation or {}
         work.derive(self.columns)
         for each in self.axes:
             work.turn(each)
         names = work.signals(signals)
         if self.low_pass is not None:
             for column in names:
-                if column in held:
+                if between.get(column) in HELD:
                     raise InputError(
                         f'{source}: {column!r} holds between samples (interpolation = "hold") and is low-passed: what '
                         "is filtered does not hold; leave out one of the two"
@@ -125,8 +126,8 @@ class Preparation:
             work.put(names, low_passed(work.times, work.values(names), self.low_pass, source))
         work.cut(self.start, self.end)
         if self.resample is not None:
-            kept = np.array([column in held for column in names], dtype=np.bool_)
-            work.set(*resampled(work.times, work.values(names), kept, self.resample, source), names)
+            how = [between.get(column, "linear") for column in names]
+            work.set(*resampled(work.times, work.values(names), how, self.resample, source), names)
         work.detrend(names, self.detrend)
         return work.frame
 
@@ -307,6 +308,7 @@ def reduce(
     how = Preparation(columns or {}, axes, low_pass, start, end, resample, detrend)
     if not isinstance(given, Experiment):
         return how.applied(given, time, "the frame")
-    driven = zip(given.input_names, given.held, strict=True)
-    held = [given.columns[name] for name, held in driven if held]
-    return replace(given, frame=how.applied(given.frame, given.time, given.source, given.columns.values(), held))
+    driven = {name: given.columns[name] for name in given.input_names}
+    words = interpolation_words(given.source, given.interpolation, driven)
+    between = dict(zip(driven.values(), words, strict=True))
+    return replace(given, frame=how.applied(given.frame, given.time, given.source, given.columns.values(), between))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
+from fmuid.data.interpolation import HELD
 from fmuid.errors import InputError
 
 ORDER = 2
@@ -85,9 +88,9 @@ def _stretches(there: NDArray[np.bool_], breaks: NDArray[np.bool_]) -> list[NDAr
 
 
 def resampled(
-    times: Floats, values: Floats, held: NDArray[np.bool_], step: float, source: str
+    times: Floats, values: Floats, interpolation: Sequence[str], step: float, source: str
 ) -> tuple[Floats, Floats]:
-    """Return times in equal steps, s, and columns (K, n) there: on straight lines, or what they were last if `held`.
+    """Return times in equal steps, s, and columns (K, n) there: on straight lines, or as they hold.
 
     Nothing is made up where samples are missing: a time beside a missing sample, or in a gap, has none.
 
@@ -113,7 +116,9 @@ def resampled(
     share = np.where(same, 0.0, (at - times[before]) / np.where(same, 1.0, length))
     gap = length > GAP * max(usual_step(times), step)
     found = values[before] + share[:, None] * (values[after] - values[before])
-    found[:, held] = values[before][:, held]
+    for k, word in enumerate(interpolation):
+        if word in HELD:
+            found[:, k] = values[before if word == "hold" else after, k]
     found[gap] = np.nan
     return at, found
 

@@ -1,0 +1,67 @@
+"""How inputs go between their samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+
+import numpy as np
+import numpy.typing as npt
+
+from fmuid.arrays import Floats
+from fmuid.errors import InputError
+from fmuid.text import nearest
+
+INTERPOLATIONS = ("linear", "hold", "hold-previous", "cubic")
+"""Linear (measured signals); held from each sample to the next (numerical commands); held during the step that ends at
+its sample, as recorders write that note a command after it has acted (the convention of OMSysIdent); or along a smooth
+curve without overshoot (Fritsch and Butland's monotone cubic interpolation)."""
+HELD = ("hold", "hold-previous")
+"""Those that are constant between samples."""
+
+
+def as_held(values: Floats, words: Sequence[str]) -> Floats:
+    """Return the samples (K, n) as they hold from each time on: those of the next where they hold before it."""
+    early = [word == "hold-previous" for word in words]
+    if any(early):
+        values = values.copy()
+        values[:-1, early] = values[1:, early]
+    return values
+
+
+def interpolation_words(source: str, given: str | Mapping[str, str], inputs: Mapping[str, str]) -> list[str]:
+    """Return the interpolation of each input."""
+    words = dict(given) if isinstance(given, Mapping) else dict.fromkeys(inputs, given)
+    for variable in words:
+        if variable not in inputs:
+            raise InputError(
+                f"{source}: interpolation names {variable!r}, which is no input{nearest(str(variable), inputs)}: "
+                f"name inputs only"
+            )
+    for word in words.values() if isinstance(given, Mapping) else [given]:
+        if word not in INTERPOLATIONS:
+            near = nearest(str(word), INTERPOLATIONS)
+            *some, last = (f'"{each}"' for each in INTERPOLATIONS)
+            raise InputError(f"{source}: interpolation {word!r} is not known{near}: write {', '.join(some)} or {last}")
+    return [words.get(variable, "linear") for variable in inputs]
+
+
+def slopes(source: str, times: Floats, values: Floats, curved: npt.NDArray[np.bool_]) -> Floats:
+    """Return the slopes of monotone cubic curves through the samples; none goes across a step (a time given twice)."""
+    slopes = np.full(values.shape, np.nan)
+    if curved.any():
+        from scipy.interpolate import PchipInterpolator
+
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"), suppress(ValueError):  # checked below
+            for part in np.split(np.arange(times.size), np.flatnonzero(np.diff(times) == 0) + 1):
+                flat = np.zeros((part.size, int(curved.sum())))
+                at = times[part]
+                slopes[np.ix_(part, curved)] = (
+                    PchipInterpolator(at, values[np.ix_(part, curved)]).derivative()(at) if part.size > 1 else flat
+                )
+        if not np.isfinite(slopes[:, curved]).all():
+            raise InputError(
+                f'{source}: an input with interpolation = "cubic" changes too fast for double precision: check its '
+                'values and the times, or write "linear"'
+            )
+    return slopes
