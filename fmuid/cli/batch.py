@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmuid.cli.interruption import answering
-from fmuid.cli.options import DONE, NOT_SUCCEEDED, Overrides, StudyFile, telling_files
+from fmuid.cli.options import DONE, NOT_SUCCEEDED, Figures, NoReport, Overrides, StudyFile, telling_files
 
 if TYPE_CHECKING:
     from fmuid.batches import Batch, BatchResult
@@ -39,6 +39,8 @@ def batch(
         bool,
         typer.Option("--in-process", help="Run FMUs in the workers' own processes: an FMU that crashes ends a worker."),
     ] = False,
+    figures: Figures = None,
+    no_report: NoReport = False,
 ) -> int:
     """Run the many identifications that a study spans, as its table batch says; the same command resumes them."""
     from fmuid.batches import Batch
@@ -61,10 +63,10 @@ def batch(
         with Display() as display:
             found = job.run(display)
         with telling_files():
-            return _show(job, found)
+            return _show(job, found, figures, report=not no_report)
 
 
-def _show(job: Batch, found: BatchResult) -> int:
+def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) -> int:
     """Show and write what a batch has found so far."""
     from fmuid.reports.console import layout as console
 
@@ -73,17 +75,24 @@ def _show(job: Batch, found: BatchResult) -> int:
     said += [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
     console.show_notes(said)
     if found.finished:
-        from fmuid.reports import clear_figures, write_summary
+        from fmuid.reports import REPORT_FILE, clear_figures, write_overview, write_summary
         from fmuid.reports.console.batch import show_batch
-        from fmuid.reports.figures import batch as figures_batch
-        from fmuid.reports.figures import style as plots
 
         summary, frame = found.summary()
         show_batch(summary)
-        written = write_summary(summary, job.folder)
+        written = [*write_summary(summary, job.folder), write_overview(summary, found, job.study.title)]
         clear_figures(job.folder / "figures")
-        figures = figures_batch.draw(frame, found.truth, found.units, given_noise=found.given_noise)
-        written += plots.save(figures, job.folder / "figures")
+        (job.folder / REPORT_FILE).unlink(missing_ok=True)
+        if figures is not None:
+            from fmuid.reports.figures import batch as figures_batch
+            from fmuid.reports.figures import style as plots
+
+            drawn = figures_batch.draw(frame, found.truth, found.units, given_noise=found.given_noise)
+            written += plots.save(drawn, job.folder / "figures", figures)
+        if report:
+            from fmuid.reports.page import write
+
+            written.append(write.write_report(job.folder))
         console.show_files([*job.dataset.files(), *written])
     if found.interrupted:
         print(

@@ -2,7 +2,9 @@ from .apply import AppliedValue as AppliedValue
 from .apply import apply_result as apply_result
 from .apply import write_estimates as write_estimates
 from .batch_words import summary_words as summary_words
+from .batch_words import write_overview as write_overview
 from .batch_words import write_summary as write_summary
+from .drawn import REPORT_FILE as REPORT_FILE
 from .drawn import clear_figures as clear_figures
 from .fault_runs import DiagnosisFindings as DiagnosisFindings
 from .fault_runs import Judged as Judged

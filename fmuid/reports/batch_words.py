@@ -9,12 +9,13 @@ from typing import Any
 
 import pandas as pd
 
-from fmuid.batches import Dependence, EstimateDoubt, Summary
+from fmuid.batches import BatchResult, Dependence, EstimateDoubt, Summary
 from fmuid.estimation import AccuracyOutcome
-from fmuid.files import write_table
+from fmuid.files import write_json, write_table
 from fmuid.reports.words.directions import open_words
 from fmuid.reports.words.result import ENDS
 from fmuid.text import has_unit, rounded
+from fmuid.version import __version__
 
 Row = Mapping[Any, Any]
 
@@ -56,6 +57,33 @@ def write_summary(summary: Summary, folder: Path) -> list[Path]:
     for name in set(TABLES) - set(tables):
         (folder / f"{name}.csv").unlink(missing_ok=True)
     return [write_table(folder / f"{name}.csv", table) for name, table in tables.items()]
+
+
+def write_overview(summary: Summary, found: BatchResult, title: str) -> Path:
+    """Write ``summary.json``, which has what the tables of a batch do not say, and return its path.
+
+    Parameters
+    ----------
+    summary : Summary
+    found : BatchResult
+    title : str
+        Of the study.
+
+    Raises
+    ------
+    InputError
+        If the folder of the batch cannot be written to.
+    """
+    content = {
+        "title": title,
+        "words": summary_words(summary),
+        "statuses": {str(row["status"]): row["cases"] for row in summary.statuses.to_dict("records")},
+        "truth": found.truth,
+        "units": found.units,
+        "given_noise": found.given_noise,
+        "version": __version__,
+    }
+    return write_json(found.folder / "summary.json", content)
 
 
 def noted(table: pd.DataFrame) -> pd.DataFrame:

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -31,7 +30,7 @@ from fmuid.reports.figures.panels import (
     short,
 )
 from fmuid.reports.figures.starts import over_starts
-from fmuid.reports.figures.style import AMBER, BLUE, GREY, RED
+from fmuid.reports.figures.style import AMBER, BLUE, GREY, INK, RED
 from fmuid.text import label
 
 Line = tuple[str, Any, npt.NDArray[np.int64]]
@@ -49,7 +48,8 @@ LEAST_COUNTED, LEAST_MEAN = 30, 3
 MIN_BINS, MAX_BINS = 8, 60
 # A normal curve is drawn so many standard deviations wide.
 SHOWN_STDS = 3.2
-SHADES = LinearSegmentedColormap.from_list("shades", ["#8fbcf2", BLUE, "#052a5c"])
+# Of lines side by side, told apart by all eyes; at most `MAX_LINES`.
+COLORS = (BLUE, RED, AMBER, GREY, INK, "#7fb2f0")
 
 
 def draw(
@@ -290,7 +290,7 @@ def _lines(found: pd.DataFrame, names: Sequence[str]) -> list[Line]:
         values: Any = key
         pairs = zip((name.removeprefix("set.") for name in names), values, strict=True)
         text = ", ".join(f"{name} = {_level(value)}" for name, value in pairs)
-        lines.append((text, SHADES(k / max(1, len(levels) - 1)), part.index.to_numpy(np.int64)))
+        lines.append((text, COLORS[k], part.index.to_numpy(np.int64)))
     return lines
 
 

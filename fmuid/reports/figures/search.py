@@ -126,29 +126,32 @@ def criterion(trace: pd.DataFrame) -> Figure:
         As in ``trace.csv``. Its rounds use different noise variances, so that their criteria cannot be compared: each
         has its own line.
     """
+    damped = bool((trace["lambda"] > 0).any())  # else there are only Gauss–Newton steps, and no λ to show
     with style():
-        figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
-        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        figure = Figure(figsize=(WIDTH, 4.2 if damped else 2.8), layout="constrained")
+        ratios = (3, 2) if damped else (1,)
+        above, *others = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
         level = _zero_level(trace["lambda"].to_numpy(float))
         for number, (_, part) in enumerate(trace.groupby("round")):
             accepted = part["accepted"].to_numpy(bool)
             iterations, values, damping = (part[name].to_numpy(float) for name in ("iteration", "criterion", "lambda"))
             if number:
-                for axes in (above, below):
+                for axes in (above, *others):
                     axes.axvline(iterations[0], color=AMBER, lw=1, ls=(0, (4, 3)), label="noise variances renewed")
             _with_rejected(above, iterations, values, accepted)
             decades = np.log10(np.where(damping > 0, damping, 10.0**level))
-            _with_rejected(below, iterations[1:], decades[1:], accepted[1:])
+            for below in others:
+                _with_rejected(below, iterations[1:], decades[1:], accepted[1:])
         above.set_yscale("log")
         above.set_ylabel("criterion")
-        below.set_ylabel("λ")
-        below.set_xlabel("iteration")
-        below.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=2))
-        below.yaxis.set_major_formatter(lambda tick, _: "0" if tick <= level else f"$10^{{{tick:.0f}}}$")
-        if not (trace["lambda"] > 0).any():  # Gauss–Newton steps only: there are no decades to mark
-            below.set_yticks([level], ["0"])
-        below.set_ylim(bottom=level - 0.3)
-        below.xaxis.set_major_locator(MaxNLocator(integer=True))
+        for below in others:
+            below.set_ylabel("λ")
+            below.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=2))
+            below.yaxis.set_major_formatter(lambda tick, _: "0" if tick <= level else f"$10^{{{tick:.0f}}}$")
+            below.set_ylim(bottom=level - 0.3)
+        lowest = others[-1] if others else above
+        lowest.set_xlabel("iteration")
+        lowest.xaxis.set_major_locator(MaxNLocator(integer=True))
         known = dict(zip(*reversed(above.get_legend_handles_labels()), strict=True))
         figure.legend(known.values(), known.keys(), loc="outside lower center", ncols=len(known))
     return figure

@@ -13,7 +13,7 @@ from fmuid.text import listed
 if TYPE_CHECKING:
     from fmuid.reports.page.document import Part
 
-FILES = ("result.json", "diagnosis.json", "monitoring.json")
+FILES = ("result.json", "diagnosis.json", "monitoring.json", "summary.json")
 """What a folder of results has at least one of."""
 
 
@@ -26,7 +26,7 @@ def write_report(folder: str | Path) -> Path:
     Parameters
     ----------
     folder : path
-        With a ``result.json``, a ``diagnosis.json`` or a ``monitoring.json``, as a command has left it.
+        As a command has left it, with one of `FILES` at least.
 
     Raises
     ------
@@ -51,11 +51,12 @@ def write_report(folder: str | Path) -> Path:
 
 
 def _part(folder: Path, name: str) -> Part:
-    from fmuid.reports.page import faults, identification
+    from fmuid.reports.page import batches, faults, identification
 
     made = {
         "result.json": identification.part,
         "diagnosis.json": faults.part_of_diagnosis,
         "monitoring.json": faults.part_of_monitoring,
+        "summary.json": batches.part,
     }
     return made[name](folder)

@@ -1,0 +1,124 @@
+"""The part of a report that a batch makes up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from fmuid.batches import Columns, estimates, is_repetition
+from fmuid.errors import InputError
+from fmuid.files import is_file
+from fmuid.reports.interactive import batch
+from fmuid.reports.page.contents import read_json, read_table
+from fmuid.reports.page.document import Part, Section, table
+from fmuid.reports.page.provenance import origin
+from fmuid.reports.words.result import capitalised
+from fmuid.reports.words.verdict import Said
+from fmuid.text import has_unit, rounded
+
+CASES = "Estimates of the cases that converged, with their intervals where there are few; the amber line is the truth."
+DISTRIBUTIONS = (
+    "How the estimates are distributed. The black curve is what their stated standard deviations promise: wider bars "
+    "than the curve mean that the std are too small, bars beside the amber line, the truth, a bias."
+)
+SPREAD = "In the band the spread over the cases is what the stated std say; to the right of it they are too small."
+SETTING = "Each dot is a case, red are means. A mean that moves with the setting depends on it."
+FAILURES = "Why cases have no estimate: red failed, amber did not converge."
+
+
+def part(folder: Path) -> Part:
+    """Return the part of a report on the batch in a folder.
+
+    Raises
+    ------
+    InputError
+        If a file in it cannot be read.
+    """
+    content = read_json(folder / "summary.json")
+    tables = {name: read_table(folder / f"{name}.csv") for name in _TABLES if is_file(folder / f"{name}.csv")}
+    try:
+        frame = pd.read_parquet(folder / "cases", columns=_wanted(folder)).sort_values("case", ignore_index=True)
+        said = [Said(capitalised(str(text)), "distributions") for text in content["words"]]
+        counts = {str(name): int(count) for name, count in content["statuses"].items()}
+        sections = _sections(frame, tables, content["truth"], content["units"], given_noise=content["given_noise"])
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"{folder} has no whole results of fmuid batch ({error}): run the same command again"
+        ) from None
+    done, total = counts.get("converged", 0), sum(counts.values())
+    said.insert(0, Said(f"{done} of {total} cases converged", "failures"))
+    shown = [each for each in sections if each.figures]
+    rows = {"cases": ", ".join(f"{count} {name}" for name, count in counts.items())}
+    return Part("Batch", f"{done} of {total}", done == total, said, _summary(tables), shown, origin(content, rows))
+
+
+_TABLES = ("summary", "failures")
+
+
+def _wanted(folder: Path) -> list[str]:
+    """Return the columns that figures need; messages are the most of a batch, and counted already."""
+    from pyarrow import dataset
+
+    names = dataset.dataset(folder / "cases").schema.names
+    prefixes = ("value.", "std.", "noise.", "set.", "start.")
+    return [name for name in names if name in _PLAIN or name.startswith(prefixes)]
+
+
+_PLAIN = ("case", "status", "criterion", "table", "draw", "free")
+
+
+def _sections(
+    frame: pd.DataFrame,
+    tables: dict[str, pd.DataFrame],
+    truth: dict[str, float],
+    units: dict[str, str | None],
+    *,
+    given_noise: bool,
+) -> list[Section]:
+    found, columns = estimates(frame, given_noise=given_noise), Columns.of(frame)
+    sections = [Section("cases", "Estimates over the cases", CASES, batch.over_cases(frame, truth, units), 2)]
+    if len(found) > 1:
+        drawn = batch.distributions(found, truth, units, repeated=is_repetition(found, columns))
+        sections.append(Section("distributions", "Distributions", DISTRIBUTIONS, drawn))
+    summary = tables.get("summary", pd.DataFrame())
+    if len(summary) and np.isfinite(summary["ratio"].astype(float)).any():
+        sections.append(Section("spread", "Spread against stated std", SPREAD, [batch.spread(summary)], 1))
+    for k, name in enumerate(name for name in (*columns.design, *_tables(columns)) if len(found[name].unique()) > 1):
+        drawn = batch.over_setting(found, name, truth, units)
+        heading = f"Over {name.removeprefix('set.')}"
+        sections.append(Section(f"over-{k + 1}", heading, SETTING if k == 0 else "", drawn))
+    if "failures" in tables:
+        sections.append(Section("failures", "Without an estimate", FAILURES, [batch.failures(tables["failures"])], 1))
+    return sections
+
+
+def _tables(columns: Columns) -> tuple[str, ...]:
+    return ("table",) if "table" in columns.repeats else ()
+
+
+def _summary(tables: dict[str, pd.DataFrame]) -> str:
+    if "summary" not in tables:
+        return ""
+    rows = tables["summary"][tables["summary"]["cases"] > 0].to_dict("records")
+    columns = {
+        "parameter": [str(row["parameter"]) for row in rows],
+        "cases": [str(row["cases"]) for row in rows],
+        "mean": [rounded(row["mean"], row["stated_std"]) for row in rows],
+        "spread": [_digits(row["spread"], 2) for row in rows],
+        "stated std": [_digits(row["stated_std"], 2) for row in rows],
+        "spread / stated": [_digits(row["ratio"], 3) for row in rows],
+        "unit": [str(row["unit"]) if has_unit(row["unit"]) else "" for row in rows],
+    }
+    if "truth" in tables["summary"]:
+        columns["truth"] = [_digits(row["truth"], 6) for row in rows]
+        held = [_digits(100 * row["coverage"], 3) for row in rows]
+        columns["95 % intervals hold it"] = [f"{share} %" if share else "" for share in held]
+    columns["note"] = ["" if pd.isna(row["note"]) else str(row["note"]) for row in rows]
+    words = ("parameter", "unit", "note")
+    return table(columns, numbers=[name for name in columns if name not in words])
+
+
+def _digits(value: float, digits: int) -> str:
+    return f"{value:.{digits}g}" if np.isfinite(value) else ""
