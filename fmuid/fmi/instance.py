@@ -298,7 +298,8 @@ def warn(instance: Instance, told: set[str]) -> None:
     for status, text in instance.messages:
         if status > 0 and text not in told:
             told.add(text)
-            _log.warning("%s: %s", instance.name, text)
+            # without the number of its thread: the same of another one is nothing new
+            _log.warning("%s: %s", instance.name.rpartition("-")[0], text)
 
 
 if sys.maxsize <= 2**32:  # pragma: no cover

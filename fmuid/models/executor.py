@@ -47,10 +47,16 @@ class Owner:
     the models, makes the executor at the first simulation and puts it here. All simulators of a system thus share
     its instances, and none can free those of another's. They are freed by `close`, or when nobody uses the system any
     more: an executor knows the components but never the system, so that there is no circle to be collected first.
+
+    Attributes
+    ----------
+    told : set of str
+        The warnings of its FMUs that were passed on: each once, in however many threads and processes they run.
     """
 
     def __init__(self) -> None:
         self._executor: Executor | None = None
+        self.told: set[str] = set()
         self._variants: dict[Hashable, Self] = {}
         self._making = threading.RLock()
 

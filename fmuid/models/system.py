@@ -205,6 +205,7 @@ class System(Owner):
         def make() -> System:
             other = copy.copy(self)
             Owner.__init__(other)
+            other.told = self.told
             other.components = {
                 name: Component(model.fmu, numerics[name]) if name in numerics else model
                 for name, model in self.components.items()

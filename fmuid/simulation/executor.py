@@ -33,9 +33,9 @@ def _made_for(system: System) -> Executor:
 
             processes = min(threads(), system.isolation.threads or threads())
             if not in_threads and system.can_be_repeated and processes > 1:
-                return SpreadExecutor(system.components, processes, system.isolation)
-            return IsolatedExecutor(system.components, limit, system.isolation)
+                return SpreadExecutor(system.components, processes, system.isolation, system.told)
+            return IsolatedExecutor(system.components, limit, system.isolation, system.told)
         _log.warning("FMUs run inside fmuid's own process: processes of their own need Linux or macOS")
     from fmuid.simulation.in_process import InProcessExecutor  # and with it FMPy
 
-    return InProcessExecutor(system.components, limit)
+    return InProcessExecutor(system.components, limit, told=system.told)

@@ -33,10 +33,17 @@ class InProcessExecutor:
         Held by who runs simulations and asks for their failures.
     """
 
-    def __init__(self, components: Mapping[str, Component], limit: int, resets: bool | None = None) -> None:
+    def __init__(
+        self,
+        components: Mapping[str, Component],
+        limit: int,
+        resets: bool | None = None,
+        told: set[str] | None = None,
+    ) -> None:
         self.lock = threading.RLock()
         self._components, self._limit, self._resets = components, limit, resets
-        self._threads = [SimulationThread(components, 0, resets)]
+        self._told = set[str]() if told is None else told
+        self._threads = [SimulationThread(components, 0, resets, self._told)]
         self._custody = Custody((model.fmu, model.kind) for model in components.values())
         self._doing: NDArray[np.intp] | None = None
 
@@ -64,7 +71,7 @@ class InProcessExecutor:
     def _run_shares(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         count = min(self._limit, len(thetas))
         while len(self._threads) < count:
-            self._threads.append(SimulationThread(self._components, len(self._threads), self._resets))
+            self._threads.append(SimulationThread(self._components, len(self._threads), self._resets, self._told))
             self.show_doing(self._doing)
         futures: list[Future[None]] = []
         try:
@@ -131,5 +138,5 @@ class InProcessExecutor:
         with self.lock:
             for thread in self._threads:
                 thread.shut_down()
-            self._threads = [SimulationThread(self._components, 0, self._resets)]
+            self._threads = [SimulationThread(self._components, 0, self._resets, self._told)]
             self.show_doing(self._doing)

@@ -56,6 +56,8 @@ class SimulationThread:
         Its number; 0 is the caller's own thread.
     resets : bool, optional
         Whether an instance can be reset to its beginning; default: found out with the first simulation.
+    told : set of str, optional
+        The warnings that were passed on, shared by the threads of a system.
 
     Attributes
     ----------
@@ -65,7 +67,13 @@ class SimulationThread:
         Duration of the longest simulation so far, s.
     """
 
-    def __init__(self, components: Mapping[str, Component], index: int, resets: bool | None = None) -> None:
+    def __init__(
+        self,
+        components: Mapping[str, Component],
+        index: int,
+        resets: bool | None = None,
+        told: set[str] | None = None,
+    ) -> None:
         self._components, self._index = components, index
         self._executor = ThreadPoolExecutor(1, f"fmuid-{index}") if index else None
         self._instances: list[Instance] = []
@@ -73,7 +81,7 @@ class SimulationThread:
         self._used = np.zeros(0, np.intp)
         self._seconds = CALL_SECONDS  # of one simulation, as last measured
         self._resets, self._cancelled = resets, False
-        self._told: set[str] = set()
+        self._told = set[str]() if told is None else told
         self.doing = _words()
         self.longest = 0.0
 

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError, SimulationError
-from fmuid.models.component import Numerics
+from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
 from fmuid.simulation.simulation_thread import SimulationThread
 from fmuid.simulation.simulator import Simulator
@@ -236,9 +236,32 @@ def test_warnings_of_the_fmu_reach_the_user_once(probe: ProbeMaker, caplog: pyte
         for _ in range(3):
             simulator([])
     assert [record.getMessage() for record in caplog.records] == [
-        "Probe-0: lucky: seven at 0",
-        "Probe-0: lucky: seven at 1",
+        "Probe: lucky: seven at 0",
+        "Probe: lucky: seven at 1",
     ]
+
+
+@pytest.mark.parametrize("once", ["false", "true"])
+@pytest.mark.parametrize("isolation", [None, Isolation(threads=2)])
+def test_warnings_are_passed_on_once_for_all_threads_and_processes(
+    probe: ProbeMaker,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+    once: str,
+    isolation: Isolation | None,
+) -> None:
+    """Two simulations at a time, in threads or in processes of their own; and anew, with other instances."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    experiment = Experiment(table(np.arange(3.0), x=np.zeros(3)), outputs=["x"])
+    with System(probe(canBeInstantiatedOnlyOncePerProcess=once), isolation=isolation) as system:
+        simulator = Simulator(system, experiment, ["gain"], values={"n": 7, "word": "lucky"})
+        with caplog.at_level(logging.WARNING, "fmuid.fmu"):
+            simulator(np.ones((20, 1)))
+            if isolation is not None or once == "false":  # one that can be instantiated once stays
+                system.close()
+            simulator(np.ones((20, 1)))
+    said = [record.getMessage() for record in caplog.records]
+    assert sorted(said) == ["Probe: lucky: seven at 0", "Probe: lucky: seven at 1"]
 
 
 def test_irregular_sampling_is_refused_where_the_fmu_needs_equal_steps(probe: ProbeMaker) -> None:

@@ -43,6 +43,8 @@ class IsolatedExecutor:
     limit : int
         The largest number of simulations at a time.
     settings : Isolation
+    told : set of str, optional
+        The warnings that were passed on.
 
     Attributes
     ----------
@@ -52,11 +54,13 @@ class IsolatedExecutor:
         Whether what is running in another thread is to end.
     """
 
-    def __init__(self, components: Mapping[str, Component], limit: int, settings: Isolation) -> None:
+    def __init__(
+        self, components: Mapping[str, Component], limit: int, settings: Isolation, told: set[str] | None = None
+    ) -> None:
         self.lock = threading.RLock()
         self._components, self._settings = dict(components), settings
         self._limit = min(limit, settings.threads or limit)
-        self._keeper = Keeper(settings, [])
+        self._keeper = Keeper(settings, [], set() if told is None else told)
         self._resets: bool | None = None  # False: a reset crashes the FMU
         self._numbers: weakref.WeakKeyDictionary[Run, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()

@@ -34,6 +34,8 @@ class Keeper:
     settings : Isolation
     modules : sequence of str
         What the process needs to have loaded, beside what all have.
+    told : set of str, optional
+        What was logged, and is not to be logged again; default: all is.
 
     Attributes
     ----------
@@ -41,8 +43,8 @@ class Keeper:
         Duration of the longest simulation so far, s.
     """
 
-    def __init__(self, settings: Isolation, modules: Sequence[str]) -> None:
-        self._settings, self._modules = settings, tuple(modules)
+    def __init__(self, settings: Isolation, modules: Sequence[str], told: set[str] | None = None) -> None:
+        self._settings, self._modules, self._told = settings, tuple(modules), told
         self._memory = 1e6 * settings.memory if settings.memory else _memory_share()
         self._hosts: list[Host] = []  # the one that there is, in a list that outlives its keeper
         self._text, self.longest = "", 0.0
@@ -64,7 +66,7 @@ class Keeper:
         if self._hosts and self._hosts[0].alive:
             return self._hosts[0]
         for attempt in range(MOST_KILLS):
-            host = Host(self._modules, self._memory)
+            host = Host(self._modules, self._memory, self._told)
             try:
                 begin(host)
             except End:

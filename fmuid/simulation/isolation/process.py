@@ -184,6 +184,8 @@ class Host:
         What it needs to have loaded.
     memory_limit : float
         How much memory it may take with all that it starts, bytes (`family`).
+    told : set of str, optional
+        What was logged, and is not to be logged again; default: all is.
 
     Attributes
     ----------
@@ -197,8 +199,8 @@ class Host:
         Bytes of the large arrays of the last order.
     """
 
-    def __init__(self, modules: Sequence[str], memory_limit: float) -> None:
-        self._owner = os.getpid()
+    def __init__(self, modules: Sequence[str], memory_limit: float, told: set[str] | None = None) -> None:
+        self._owner, self._told = os.getpid(), told
         self._limit = memory_limit
         self.simulations, self.baseline, self._measured = 0, 0.0, 0.0
         self._text = ""
@@ -270,6 +272,10 @@ class Host:
             self.kill()
             raise
         for logger, level, text in said:
+            if self._told is not None:
+                if text in self._told:
+                    continue
+                self._told.add(text)
             logging.getLogger(logger).log(level, "%s", text)
         if kind != "error":
             return answer

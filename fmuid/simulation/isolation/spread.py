@@ -26,6 +26,8 @@ class SpreadExecutor:
         The largest number of processes.
     settings : Isolation
         Of each process.
+    told : set of str, optional
+        The warnings that were passed on.
 
     Attributes
     ----------
@@ -33,9 +35,12 @@ class SpreadExecutor:
         Held by who runs simulations and asks for their failures.
     """
 
-    def __init__(self, components: Mapping[str, Component], limit: int, settings: Isolation) -> None:
+    def __init__(
+        self, components: Mapping[str, Component], limit: int, settings: Isolation, told: set[str] | None = None
+    ) -> None:
+        told = set() if told is None else told
         self.lock = threading.RLock()
-        self._parts = [IsolatedExecutor(components, 1, settings) for _ in range(limit)]
+        self._parts = [IsolatedExecutor(components, 1, settings, told) for _ in range(limit)]
         self._threads = ThreadPoolExecutor(limit, "fmuid-process")
 
     def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
