@@ -1,4 +1,6 @@
+from .assessment import Compared as Compared
 from .assessment import Sampling as Sampling
+from .assessment import compare as compare
 from .assessment import examine_residuals as examine_residuals
 from .assessment import map_criterion as map_criterion
 from .assessment import profiles as profiles
@@ -53,6 +55,7 @@ from .models import Numerics as Numerics
 from .models import System as System
 from .reports import Findings as Findings
 from .reports import describe as describe
+from .reports import run_comparison as run_comparison
 from .reports import run_diagnosis as run_diagnosis
 from .reports import run_monitoring as run_monitoring
 from .reports import run_prediction as run_prediction

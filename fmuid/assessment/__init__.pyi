@@ -1,3 +1,8 @@
+from .comparison import Compared as Compared
+from .comparison import Comparison as Comparison
+from .comparison import IncomparableError as IncomparableError
+from .comparison import LikelihoodRatio as LikelihoodRatio
+from .comparison import compare as compare
 from .consistency import SAME_VARIANCE_RATIO as SAME_VARIANCE_RATIO
 from .consistency import SIGNIFICANCE_LEVEL as SIGNIFICANCE_LEVEL
 from .consistency import Agreement as Agreement

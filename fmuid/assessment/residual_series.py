@@ -177,6 +177,7 @@ class ResidualSeries:
             "lags": self.tested_lags,
             "ljung_box": self.ljung_box,
             "whiteness_probability": self.whiteness_probability,
+            "correlation_samples": self.correlation_samples if self.examined else math.nan,
             "correlation_time": self.correlation_samples * self.step if self.examined else math.nan,
             "skewness": self.skewness,
             "excess_kurtosis": self.kurtosis,

@@ -59,6 +59,7 @@ for command in (
     cli_batch.batch,
     cli_studies.report,
     cli_results.predict,
+    cli_results.compare,
     cli_models.apply,
     cli_models.export,
 ):

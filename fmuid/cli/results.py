@@ -81,6 +81,49 @@ def predict(
         return DONE
 
 
+def compare(
+    results: Annotated[
+        list[Path],
+        typer.Argument(metavar="RESULT", help="result.json files, or the folders that have them.", show_default=False),
+    ],
+    tables: Annotated[
+        list[Path] | None,
+        typer.Option("--table", metavar="TABLE", help="A record, or a folder, that all results predict; repeatable."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            help="Where the files go; default: comparison/ beside the first.",
+        ),
+    ] = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--free", metavar="NAME", help="Estimate this again on each record, such as an initial state; repeatable."
+        ),
+    ] = None,
+    in_process: InProcess = False,
+) -> int:
+    """Compare results: information criteria and likelihood ratios on the same data, errors on common tables."""
+    from fmuid.studies import result_path
+
+    folder = result_path(results[0]).resolve().parents[1] / "comparison" if output is None else output
+    with logged(folder, in_process) as isolated:
+        from fmuid import files
+        from fmuid.reports import run_comparison
+        from fmuid.reports.console import layout as console
+        from fmuid.reports.console.comparison import show_comparison
+
+        found = run_comparison(results, tables or (), free=free or (), isolated=isolated)
+        show_comparison(found)
+        files.make_folder(folder)
+        console.show_files(found.write(folder))
+        return DONE
+
+
 def _study(result: Path, study: Path | None, set_: list[str] | None, tables: list[Path], *, isolated: bool) -> Study:
     """Return the study that is asked for, or that of a result."""
     from fmuid.studies import Study, study_of

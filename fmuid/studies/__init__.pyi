@@ -21,6 +21,7 @@ from .monitoring import records_of as records_of
 from .monitoring import rule_of as rule_of
 from .parameters import SourceDoubt as SourceDoubt
 from .parameters import SourceNote as SourceNote
+from .predicting.origin import RESULT_FILE as RESULT_FILE
 from .predicting.origin import origin_of as origin_of
 from .predicting.origin import result_path as result_path
 from .predicting.origin import study_of as study_of

@@ -13,7 +13,7 @@ import pytest
 from fmuid.data.parameters import Normal
 from fmuid.errors import InputError
 from fmuid.estimation import Outcome
-from fmuid.reports.words.study import source_words
+from fmuid.reports.words.result import source_words
 from fmuid.studies import SourceDoubt
 from fmuid.studies.study import Study
 from tests.support.paths import FMUS

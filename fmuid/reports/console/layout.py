@@ -100,7 +100,7 @@ def warn_unfed(simulators: Iterable[Simulator]) -> None:
 
 def note_sources(study: Study) -> None:
     """Print what is to be known of the results that a study takes priors from."""
-    from fmuid.reports.words.study import source_words
+    from fmuid.reports.words.result import source_words
 
     show_notes(map(source_words, study.notes))
 

@@ -9,7 +9,7 @@ from rich.markup import escape
 
 from fmuid.reports.console.layout import console, show_notes, table_of, unit_text
 from fmuid.reports.words.prediction import fold_words, prediction_words
-from fmuid.reports.words.study import source_words
+from fmuid.reports.words.result import source_words
 from fmuid.text import with_std
 
 if TYPE_CHECKING:

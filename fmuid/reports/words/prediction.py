@@ -1,9 +1,9 @@
-"""What is to be said of predictions of records that a result was not made from."""
+"""What is to be said of predictions of records that a result was not made from, and of comparisons of results."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from fmuid.reports.words.residuals import residual_words
@@ -11,6 +11,7 @@ from fmuid.reports.words.result import ENDS
 from fmuid.text import has_unit, listed
 
 if TYPE_CHECKING:
+    from fmuid.assessment import Comparison, LikelihoodRatio
     from fmuid.model_problem import OutputScore, Prediction
 
 # Residuals that are larger than expected by this factor are an error of the model rather than chance.
@@ -62,3 +63,80 @@ def fold_words(predictions: Sequence[Prediction]) -> str:
         f"Left out in turn, experiments are predicted up to {worst:.2g} times worse than noise and estimates let "
         "expect: what is identified from the others does not carry over to all of them"
     )
+
+
+# --- comparisons -------------------------------------------------------------------------
+
+# Criteria of Akaike's that differ by less than the first are as good as each other, by more than the second they tell
+# clearly (Burnham and Anderson, section 2.6).
+AS_GOOD, CLEAR = 2.0, 10.0
+# A smaller model that chance rejects this rarely is rejected.
+SIGNIFICANT = 0.01
+# Samples that depend on each other more than this make what takes them for independent too sure.
+DEPENDENT = 1.25
+# Misfits that differ by less than this share say nothing of which is better.
+AS_NEAR = 0.05
+
+
+def comparison_words(found: Comparison | None, misfits: Mapping[str, float]) -> tuple[str, ...]:
+    """Return what follows from a comparison: which result the criteria and the common tables speak for.
+
+    Parameters
+    ----------
+    found : Comparison or None
+        By likelihoods.
+    misfits : mapping of str to float
+        Of each result over the common tables; empty without.
+    """
+    said = [] if found is None else _by_likelihood(found)
+    return (*said, _by_misfit(misfits)) if misfits else tuple(said)
+
+
+def _by_likelihood(found: Comparison) -> list[str]:
+    best, *rest = found.ranks
+    near = [rank for rank in rest if rank.behind < AS_GOOD]
+    second = rest[0].behind
+    if near:
+        names, less = listed([best.name, *(rank.name for rank in near)]), f"differs by less than {AS_GOOD:g}"
+        said = [f"The data do not tell {names} apart (Akaike's criterion {less}): prefer the simplest"]
+    else:
+        how = "clearly the best" if second >= CLEAR else "the best, not clearly,"
+        said = [f"{best.name} is {how} by Akaike's criterion: {rest[0].name} is {second:.3g} behind"]
+    by_bic = min(found.ranks, key=lambda rank: rank.corrected_bic)
+    if by_bic is not best:
+        said.append(f"Schwarz's criterion, which charges more for parameters, prefers {by_bic.name}")
+    said += [_ratio(test) for test in found.tests]
+    if found.dependence > DEPENDENT:
+        said.append(
+            f"The residuals are coloured: {found.samples} samples are worth {found.samples / found.dependence:.0f} "
+            f"independent ones, and log-likelihoods are divided by {found.dependence:.3g} for that; the uncorrected "
+            "criteria would be too sure"
+        )
+    if found.with_priors:
+        said.append(f"{listed(found.with_priors)} has priors, which cost it likelihood: its criterion is too large")
+    return said
+
+
+def _ratio(test: LikelihoodRatio) -> str:
+    freed = listed(test.freed)
+    if test.probability < SIGNIFICANT:
+        chance = "less than 1e-6" if test.probability < 1e-6 else f"{test.probability:.2g}"
+        return (
+            f"{test.smaller} is rejected against {test.larger}: were it right, freeing {freed} would gain as much with "
+            f"a probability of {chance}"
+        )
+    return (
+        f"{test.smaller} is not rejected against {test.larger}: freeing {freed} gains no more than chance would "
+        f"(probability {test.probability:.2g})"
+    )
+
+
+def _by_misfit(misfits: Mapping[str, float]) -> str:
+    order = sorted(misfits, key=lambda name: misfits[name] if math.isfinite(misfits[name]) else math.inf)
+    best, rest = order[0], order[1:]
+    near = [name for name in rest if misfits[name] <= (1.0 + AS_NEAR) * misfits[best]]
+    others = listed([f"{100 * misfits[name]:.3g} % ({name})" for name in rest])
+    least = f"a misfit of {100 * misfits[best]:.3g} %"
+    if near:
+        return f"On the common tables {listed([best, *near])} do as well as each other: {least} ({best}) and {others}"
+    return f"On the common tables {best} is the best: {least} against {others}"

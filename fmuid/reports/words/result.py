@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 from fmuid.estimation import Determined, Outcome
 from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
+from fmuid.studies import SourceDoubt
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
+    from fmuid.studies import SourceNote
 
 ENDS = {
     Outcome.CONVERGED: "converged",
@@ -102,3 +104,15 @@ def dependence_words(result: Result) -> tuple[str, ...]:
 def capitalised(words: str) -> str:
     """Return words with a capital at their beginning."""
     return words[0].upper() + words[1:]
+
+
+def source_words(note: SourceNote) -> str:
+    """Return why an earlier result, of which something is taken, is to be taken with care."""
+    match note.doubt:
+        case SourceDoubt.DID_NOT_SUCCEED:
+            return f"{note.path}, an earlier result, did not succeed: {note.outcome.value}"
+        case SourceDoubt.NO_MODEL:
+            return f"{note.path} does not say of which model it is a result"
+        case SourceDoubt.OTHER_BUILD:
+            assert note.fmu is not None
+            return f"{note.path} was made with another build of {note.fmu.name} than {note.fmu.path}"

@@ -1,0 +1,154 @@
+"""One path for a comparison of results: likelihoods on their own data, errors on common tables, files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from fmuid import files
+from fmuid.assessment import Compared, Comparison, IncomparableError, compare
+from fmuid.estimation import Result
+from fmuid.files import as_json, content_of
+from fmuid.model_problem import Prediction
+from fmuid.reports.predictions import run_prediction
+from fmuid.reports.words.prediction import comparison_words
+from fmuid.studies import RESULT_FILE, Study, result_path, study_of
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonFindings:
+    """What a comparison has found.
+
+    Attributes
+    ----------
+    comparison : Comparison or None
+        By their likelihoods; None where they were compared on common tables alone.
+    predictions : mapping of str to tuple of Prediction
+        Of the common tables, by the name of the result; empty without.
+    apart : str
+        Why likelihoods were not compared, "" where they were.
+    files : tuple of Path
+        Those that were written.
+    """
+
+    comparison: Comparison | None
+    predictions: Mapping[str, tuple[Prediction, ...]]
+    apart: str = ""
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row for each result: criteria, and over the common tables the RMSE of each output and the mean misfit."""
+        rows = {} if self.comparison is None else {rank.name: vars(rank) for rank in self.comparison.ranks}
+        for name, found in self.predictions.items():
+            errors = pooled(found)
+            rows[name] = rows.get(name, {"name": name}) | {f"rmse.{output}": rmse for output, rmse in errors.items()}
+            rows[name]["misfit"] = misfit_of(found)
+        return pd.DataFrame(rows.values())
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What follows, in sentences."""
+        said = [self.apart] if self.apart else []
+        misfits = {name: misfit_of(found) for name, found in self.predictions.items()}
+        return *said, *comparison_words(self.comparison, misfits)
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write ``comparison.json`` and ``comparison.csv``, and return their paths."""
+        content: dict[str, Any] = {"words": list(self.words), "results": self.table.to_dict("records")}
+        if self.comparison is not None:
+            content |= {"tests": self.comparison.tests, "dependence": self.comparison.dependence}
+        return [
+            files.write_json(folder / "comparison.json", as_json(content)),
+            files.write_table(folder / "comparison.csv", self.table),
+        ]
+
+
+def pooled(found: Sequence[Prediction]) -> dict[str, float]:
+    """Return the RMSE of each output over all records."""
+    sums: dict[str, tuple[float, int]] = {}
+    for score in (score for each in found for score in each.scores):
+        squares, samples = sums.get(score.output, (0.0, 0))
+        sums[score.output] = squares + score.samples * score.rmse**2, samples + score.samples
+    return {output: math.sqrt(squares / samples) for output, (squares, samples) in sums.items()}
+
+
+def misfit_of(found: Sequence[Prediction]) -> float:
+    """Return the root mean square of ‖y − ŷ‖/‖y‖ over all outputs and records."""
+    squares = [score.misfit**2 for each in found for score in each.scores]
+    return math.sqrt(sum(squares) / len(squares))
+
+
+def run_comparison(
+    results: Sequence[Path | str],
+    tables: Sequence[Path | str] = (),
+    *,
+    free: Sequence[str] = (),
+    isolated: bool = False,
+) -> ComparisonFindings:
+    """Compare results by their likelihoods where they were made from the same data, and on common tables.
+
+    ``fmuid compare`` is this, with a folder.
+
+    Parameters
+    ----------
+    results : sequence of path
+        ``result.json`` files, or the folders that have them.
+    tables : sequence of path
+        Records, and folders of records, that all results predict.
+    free : sequence of str
+        Variables that are estimated again on each record, such as initial states.
+    isolated : bool
+        Run the FMUs in a process of their own.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two results, they were made from different data and there are no tables, or results,
+        studies and records do not fit together.
+    SimulationError
+        If a simulation fails.
+    """
+    paths = [result_path(Path(each)) for each in results]
+    candidates = [_candidate(path, name) for path, name in zip(paths, _names(paths), strict=True)]
+    comparison, apart = None, ""
+    try:
+        comparison = compare(candidates)
+    except IncomparableError as error:
+        if not tables:
+            raise
+        apart = error.reason
+    predictions = {}
+    for each, path in zip(candidates, paths if tables else (), strict=bool(tables)):
+        study = study_of(path, isolated=isolated, in_place=Path(tables[0]))
+        predictions[each.name] = run_prediction(path, tables, study=study, free=free).predictions
+    return ComparisonFindings(comparison, predictions, apart)
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Return names that tell paths apart: of their folders, with as much of the way to them as that takes."""
+    ways = [path.resolve() for path in paths]
+    parts = [way.parent.parts if way.name == RESULT_FILE else way.parts for way in ways]
+    names: list[str] = []
+    for depth in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(each[-depth:]) for each in parts]
+        if len(set(names)) == len(names):
+            break
+    return names
+
+
+def _candidate(path: Path, name: str) -> Compared:
+    result = Result.from_json(path)
+    with content_of(path, "the result.json of an identification", "run fmuid identify again") as content:
+        rows = content.get("diagnostics", {}).get("residuals", [])
+        samples = sum(int(row["samples"]) for row in rows)
+        worth = sum(int(row["samples"]) / max(1.0, float(row.get("correlation_samples") or 1.0)) for row in rows)
+    dependence = samples / worth if worth else math.nan
+    study: Study | None = None
+    if "study" in content:
+        study = study_of(path)
+    return Compared(name, result, dependence, None if study is None else study.model.values)

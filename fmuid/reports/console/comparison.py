@@ -1,0 +1,36 @@
+"""What `fmuid compare` prints: a table of results beside each other, and what follows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rich.markup import escape
+
+from fmuid.reports.console.layout import console, table_of
+
+if TYPE_CHECKING:
+    from fmuid.reports.comparisons import ComparisonFindings
+
+
+def show_comparison(found: ComparisonFindings) -> None:
+    """Print a table, a row for each result, and the sentences that follow."""
+    out, frame = console(), found.table
+    heads = {"name": "result", "parameters": "k", "log_likelihood": "log-likelihood"}
+    heads |= {"corrected_aic": "AIC", "corrected_bic": "BIC", "behind": "behind"}
+    heads |= {name: name.replace("rmse.", "RMSE ") for name in frame.columns if name.startswith("rmse.")}
+    heads |= {"misfit": "misfit"}
+    shown = [name for name in heads if name in frame.columns]
+    table = table_of("Results beside each other", [heads[name] for name in shown], [heads[name] for name in shown[1:]])
+    for row in frame.to_dict("records"):
+        table.add_row(*(escape(_cell(name, row[name])) for name in shown))
+    out.print(table)
+    for words in found.words:
+        out.print(escape(words), soft_wrap=True)
+
+
+def _cell(name: str, value: object) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    if name == "misfit":
+        return f"{100 * value:.3g} %"
+    return f"{value:.1f}" if name in ("log_likelihood", "corrected_aic", "corrected_bic", "behind") else f"{value:.4g}"
