@@ -6,11 +6,12 @@ memory that is there for it, so that time and memory grow in proportion to what 
 
 from __future__ import annotations
 
+import logging
 import pickle
 import select
 import socket
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 LARGE_BYTES = 1 << 16
@@ -133,3 +134,12 @@ class Channel:
     def close(self) -> None:
         """Close this end."""
         self._end.close()
+
+
+def pass_on(said: Iterable[tuple[str, int, str]], told: set[str] | None) -> None:
+    """Log what was logged on the other side: logger, level and text; but nothing that is in a set, which it joins."""
+    for logger, level, text in said:
+        if told is None or text not in told:
+            logging.getLogger(logger).log(level, "%s", text)
+        if told is not None:
+            told.add(text)

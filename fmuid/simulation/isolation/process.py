@@ -6,7 +6,6 @@ import atexit
 import contextlib
 import errno
 import fcntl
-import logging
 import math
 import mmap
 import os
@@ -33,7 +32,7 @@ from fmuid.fmi import codes
 from fmuid.processes import MEMORY_KEPT, Child
 from fmuid.simulation.isolation import cgroup
 from fmuid.simulation.isolation import server as far
-from fmuid.simulation.isolation.channel import Channel, GarbledError
+from fmuid.simulation.isolation.channel import Channel, GarbledError, pass_on
 from fmuid.simulation.isolation.ends import CRASHED, EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, End
 from fmuid.simulation.isolation.family import Condition, Footprint, condition_of, family, numbered, wants_processor
 
@@ -271,12 +270,7 @@ class Host:
         except BaseException:  # half a message may be on its way
             self.kill()
             raise
-        for logger, level, text in said:
-            if self._told is not None:
-                if text in self._told:
-                    continue
-                self._told.add(text)
-            logging.getLogger(logger).log(level, "%s", text)
+        pass_on(said, self._told)
         if kind != "error":
             return answer
         if isinstance(answer, OSError | MemoryError):
