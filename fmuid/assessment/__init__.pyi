@@ -27,10 +27,9 @@ from .residual_series import LEAST_SAMPLES as LEAST_SAMPLES
 from .residual_series import OUTLIER_STDS as OUTLIER_STDS
 from .residual_series import ResidualSeries as ResidualSeries
 from .residuals import RESIDUAL_LEVEL as RESIDUAL_LEVEL
-from .residuals import WRONG_STD as WRONG_STD
+from .residuals import WORTH_SAYING as WORTH_SAYING
 from .residuals import Diagnostics as Diagnostics
 from .residuals import Finding as Finding
-from .residuals import Stated as Stated
 from .residuals import Trait as Trait
 from .residuals import examine_residuals as examine_residuals
 from .residuals import residuals_of as residuals_of

@@ -22,7 +22,7 @@ from scipy import special
 
 from fmuid.assessment.residuals import Diagnostics
 from fmuid.errors import InputError
-from fmuid.estimation import LeastSquares, LocalModel, Result
+from fmuid.estimation import ColouredNoise, LeastSquares, LocalModel, Result
 from fmuid.text import nearest
 
 # Tests are said to fail below this probability.
@@ -92,18 +92,18 @@ class Agreement:
         return self.probability >= SIGNIFICANCE_LEVEL
 
 
-def agree(local: LocalModel, diagnostics: Diagnostics) -> Agreement | None:
-    """Test the prior against the data, by the paraboloids of a local model and the correlation of the residuals.
+def agree(local: LocalModel, noise: ColouredNoise) -> Agreement | None:
+    """Test the prior against the data, by the paraboloids of a local model and the colour of the noise.
 
     Parameters
     ----------
     local : LocalModel
         At the optimum of the data alone or, where the problem is linear enough, at the estimate.
-    diagnostics : Diagnostics
+    noise : ColouredNoise
     """
     if not len(local.prior_residual):
         return None
-    found = local.combine(diagnostics.gram(local.noisy(local.data_basis)))
+    found = local.combine(noise.gram(local.data_basis))
     freedom = found.degrees_of_freedom
     if freedom <= 0:
         return None

@@ -55,9 +55,10 @@ class CriterionMap:
     criterion : float
         At the estimate.
     covariance : (2, 2) array
-        The two parameters' block of the local covariance.
-    degrees_of_freedom : float
-        As in `Result`.
+        The two parameters' block of the covariance of white noise, by which the criterion bends.
+    scale, degrees_of_freedom : float
+        Of the region of both: what the colour of the noise multiplies the criterion's rise with, and `freedom` of both
+        (`Result.test_scale`).
     held : dict of str to float
         The other parameters.
     """
@@ -69,6 +70,7 @@ class CriterionMap:
     estimate: Floats
     criterion: float
     covariance: Floats
+    scale: float
     degrees_of_freedom: float
     held: Mapping[str, float]
 
@@ -81,7 +83,8 @@ class CriterionMap:
     def rise(self, level: float = 0.95) -> float:
         """Return by how much the criterion rises on the border of the two parameters' confidence region.
 
-        χ²(2) where all noise variances are given, 2 F(2, degrees of freedom) where they are estimated.
+        χ²(2) where all noise variances are known, 2 F(2, degrees of freedom) where they are estimated, times what the
+        colour of the noise makes of it.
 
         Raises
         ------
@@ -90,8 +93,8 @@ class CriterionMap:
         """
         check_level(level, "a confidence ellipse")
         if math.isinf(self.degrees_of_freedom):
-            return float(stats.chi2.ppf(level, 2))
-        return float(2.0 * stats.f.ppf(level, 2, self.degrees_of_freedom))
+            return self.scale * float(stats.chi2.ppf(level, 2))
+        return self.scale * float(2.0 * stats.f.ppf(level, 2, self.degrees_of_freedom))
 
     def ellipse(self, level: float = 0.95) -> Floats:
         """Return the border of the confidence ellipse, closed, (n, 2); (0, 2) where a parameter is not determined.
@@ -162,8 +165,9 @@ def map_criterion(
         logarithmic=(spans_decades(*spans[0]), spans_decades(*spans[1])),
         estimate=result.values[where],
         criterion=float(values[-1]),
-        covariance=result.covariance[np.ix_(where, where)],
-        degrees_of_freedom=result.degrees_of_freedom,
+        covariance=result.white_covariance[np.ix_(where, where)],
+        scale=result.test_scale([first, second]),
+        degrees_of_freedom=result.test_freedom([first, second]),
         held={name: result[name] for name in parameters.names if name not in (first, second)},
     )
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ from fmuid.estimation import (
     State,
     local_covariance,
     prepare,
+    sandwich_of,
     search,
 )
 from fmuid.files import as_json
@@ -243,20 +244,24 @@ def read_result(
         If the search is asked for and the simulation fails where the identification began.
     """
     local = result.local
-    if local is None:
+    if local is None or result.noise is None:
         raise InputError("a result read from a file cannot be read in this way; identify the study again")
     known = known_variances(problem, result.given_variance if healthy is None else healthy)
     examined = examine_residuals(problem, result) if diagnostics is None else diagnostics
     variances = variance_tests(problem, result, known, local, examined)
-    at, there, obstacle = result.values, local, None
+    at, there, obstacle, noise = result.values, local, None, result.noise
     if search_data and len(local.prior_residual) and local.data.rank == len(result.names):
         found = Obstacle(robust=True) if problem.loss is not None else _search_data(problem, result, local)
         if isinstance(found, Obstacle):
             obstacle = found
         else:
             at, there = found
+            own = replace(
+                there, prior_residual=np.zeros(0), prior_jacobian=local.prior_jacobian[:0], combined=there.data
+            )
+            noise = sandwich_of(problem, own, np.zeros(problem.counts.size, dtype=np.bool_)).noise
     searched = there is not local
-    data_std = np.sqrt(np.diag(there.data.covariance))
+    data_std = there.data_std(noise.gram(there.data_basis))
     white = there.combine()
     return Reading(
         result.names,
@@ -269,7 +274,7 @@ def read_result(
         result.std,
         at + white.step if searched else np.full(at.size, np.nan),
         local.moves(),
-        agree(there, examined),
+        agree(there, noise),
         variances,
         obstacle,
     )

@@ -2,21 +2,23 @@
 
 The profile of a parameter ψ is J_p(ψ) = min J_C over all the others (1.37), the prior's rows included. Its confidence
 interval holds every ψ whose criterion exceeds the least one by no more than the quantile: with known variances
-χ²₁ = z²; with estimated ones t² of their degrees of freedom, F(1, ν), so that for models linear in their parameters,
-where J_p is the parabola J_min + ((ψ − ψ̂)/std)², the interval is the local one, ψ̂ ± t std.
+χ²₁ = z²; with estimated ones t² of their degrees of freedom, F(1, ν). The criterion takes the noise for white and bends
+by 1/c², c² = [H⁻¹]_ψψ, where the estimate scatters by std² (`fmuid.estimation.colour`): the quantile is multiplied by
+std²/c² (Kent). For models linear in their parameters, where J_p is the parabola J_min + ((ψ − ψ̂)/c)², the interval is
+then the local one, ψ̂ ± t std.
 
 The signed root τ(ψ) = ±√(J_p − J_min) is a straight line in the linear case and nearly one elsewhere, so that steps
 and ends are found on it. Its slope needs no simulation: at the optimum of the others dJ_p/dψ = 2 (∂r/∂ψ)ᵀ r.
 
-With a robust loss the criterion is no likelihood: it bends by 1/c² where the estimate scatters by std² (the sandwich of
-`fmuid.estimation.covariance`), and the quantile is multiplied by std²/c² (Huber and Ronchetti, "Robust Statistics",
-section 13).
+With a robust loss the criterion is no likelihood either, and the same factor serves (Huber and Ronchetti, "Robust
+Statistics", section 13).
 
 References
 ----------
 D. M. Bates, D. G. Watts, "Nonlinear Regression Analysis and Its Applications", Wiley 1988, section 6.1.2 (profile t);
 A. Raue et al., "Structural and practical identifiability analysis of partially observed dynamical models by exploiting
-the profile likelihood", Bioinformatics 25 (15), 2009 (flat profiles).
+the profile likelihood", Bioinformatics 25 (15), 2009 (flat profiles);
+J. T. Kent, "Robust properties of likelihood ratio tests", Biometrika 69, 1982.
 """
 
 from __future__ import annotations
@@ -27,7 +29,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from fmuid.arrays import Floats
 from fmuid.assessment.conditional import Point, best_near, best_with, check_result
@@ -67,7 +68,9 @@ class Profile:
     value : float
         Its estimate, where the criterion is least.
     std : float
-        Its local standard deviation (1.31), for comparison.
+        Its local standard deviation, for comparison.
+    bend : float
+        What the criterion's curvature says of it: c, the same where the noise is white.
     level : float
         Of the interval.
     lower, upper : float
@@ -86,6 +89,7 @@ class Profile:
     name: str
     value: float
     std: float
+    bend: float
     level: float
     lower: float
     upper: float
@@ -145,14 +149,14 @@ def profiles(
     check_level(level)
     listed = problem.parameters.names if names is None else names
     chosen = [problem.parameters.index(name) for name in dict.fromkeys(listed)]
-    tail, freedom = 0.5 + level / 2.0, result.degrees_of_freedom
-    factor = float(stats.norm.ppf(tail) if math.isinf(freedom) else stats.t.ppf(tail, freedom))
     criterion, origin = best_near(problem, result)
-    far, thresholds = reach(problem, result), factor**2 * _scatter(problem, result)
+    far, scatter = reach(problem, result), _scatter(problem, result)
+    thresholds, bends = result.quantiles(level) ** 2 * scatter, result.std / np.sqrt(scatter)
     found: list[Profile] = []
     for k, i in enumerate(chosen):
         std, threshold = float(result.std[i]), float(thresholds[i])
-        profiler = _Profiler(criterion, origin, i, std, float(far[i]), level, threshold, progress, k / len(chosen))
+        widths = std, float(bends[i]), float(far[i])
+        profiler = _Profiler(criterion, origin, i, widths, level, threshold, progress, k / len(chosen))
         found.append(profiler.run())
         if profiler.interrupted:
             break
@@ -160,15 +164,15 @@ def profiles(
 
 
 def _scatter(problem: LeastSquares, result: Result) -> Floats:
-    """Return std²/c² of each parameter (N,), its variance against the criterion's curvature; 1 for plain squares."""
-    ones = np.ones(len(result.names))
+    """Return std²/c² of each parameter (N,), its variance against what the criterion's curvature says; 1 if unknown."""
     if problem.loss is None:
-        return ones
-    if result.local is None:
+        bend = result.white_std**2
+    elif result.local is not None:
+        bend = np.sum(result.local.root**2, axis=1)
+    else:
         raise InputError("the result of a robust loss cannot be profiled from its file; identify the study again")
-    bend = np.sum(result.local.root**2, axis=1)
-    known = np.isfinite(result.std) & (bend > 0)
-    return np.asarray(np.divide(result.std**2, bend, out=ones, where=known), dtype=np.float64)
+    known = np.isfinite(result.std) & np.isfinite(bend) & (bend > 0)
+    return np.asarray(np.divide(result.std**2, bend, out=np.ones(len(result.names)), where=known), dtype=np.float64)
 
 
 def reach(problem: LeastSquares, result: Result) -> Floats:
@@ -198,15 +202,14 @@ class _Profiler:
         criterion: Criterion,
         origin: Point,
         index: int,
-        std: float,
-        far: float,
+        widths: tuple[float, float, float],
         level: float,
         threshold: float,
         progress: Progress | None,
         share: float,
     ) -> None:
         self.criterion, self.origin, self.index = criterion, origin, index
-        self.std, self.far, self.level, self.threshold = std, far, level, threshold
+        (self.std, self.bend, self.far), self.level, self.threshold = widths, level, threshold
         self.progress, self.share = progress, share
         self.names = criterion.problem.parameters.names
         self.name = self.names[index]
@@ -230,6 +233,7 @@ class _Profiler:
             name=self.name,
             value=self._value(self.origin),
             std=self.std,
+            bend=self.bend,
             level=self.level,
             lower=lower,
             upper=upper,
@@ -290,7 +294,7 @@ class _Profiler:
             self.progress(step)
 
     def _first_step(self) -> float:
-        wanted = min(math.sqrt(self.threshold) * self.std / STEPS_PER_SIDE, FIRST_STEP_SHARE * self.magnitude)
+        wanted = min(math.sqrt(self.threshold) * self.bend / STEPS_PER_SIDE, FIRST_STEP_SHARE * self.magnitude)
         return max(wanted, LEAST_STEP_SHARE * self.magnitude)
 
     def _next_step(self, point: Point, last: float) -> float:

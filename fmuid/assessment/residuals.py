@@ -1,11 +1,8 @@
 """What the residuals say of the model and of the stated uncertainty: whiteness, inputs, distribution.
 
-Output errors are unbiased whatever the colour of the noise (1.29), but their covariance (1.31) takes the
-samples for independent. Where the residual is correlated over time with ρ(τ), the estimates scatter as
-(JᵀJ)⁻¹ JᵀΓJ (JᵀJ)⁻¹, Γ_kl = ρ(k − l) (Morelli and Klein): what counts is the residual's colour as the sensitivities see
-it, parameter by parameter, and not its correlation time alone. `Diagnostics.inflation` is the ratio of both standard
-deviations. Each output's residual in each experiment is taken as a stationary series unrelated to the others; where it
-is an error of the model that comes back with every cycle of the experiment, the ratio is rather a lower limit.
+Output errors are unbiased whatever the colour of the noise (1.29), and their covariance allows for it
+(`fmuid.estimation.colour.sandwich`): `Diagnostics.widening` says by how much, parameter by parameter. Where the
+residual is an error of the model that comes back with every cycle of the experiment, that is rather too little.
 
 With thousands of samples the slightest imperfection is significant: findings tell what is unlikely by chance and large
 enough to matter from what is significant but slight. An error of the model that its parameters make up for leaves a
@@ -13,15 +10,12 @@ residual in which no test finds anything.
 
 References
 ----------
-E. A. Morelli, V. Klein, "Accuracy of aerodynamic model parameters estimated from flight test data", J. of Guidance,
-Control, and Dynamics 20 (1), 1997; H. White, "Maximum likelihood estimation of misspecified models", Econometrica 50
-(1), 1982; L. Ljung, "System Identification: Theory for the User", 2nd ed., 1999, section 16.6 (residual analysis); and
+L. Ljung, "System Identification: Theory for the User", 2nd ed., 1999, section 16.6 (residual analysis); and
 those of `fmuid.assessment.series`.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -31,7 +25,6 @@ import pandas as pd
 
 from fmuid.arrays import Floats
 from fmuid.assessment.residual_series import InputCorrelation, ResidualSeries, examine_outputs
-from fmuid.assessment.series import coloured_gram
 from fmuid.data import Measurements
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result
@@ -41,8 +34,8 @@ from fmuid.files import as_json
 RESIDUAL_LEVEL = 0.01
 # ... and matters: an autocorrelation this large,
 LARGE_AUTOCORRELATION = 0.1
-# standard deviations that are wrong by this factor,
-WRONG_STD = 1.25
+# standard deviations that are wider or narrower than those of white noise by this factor,
+WORTH_SAYING = 1.25
 # a correlation with an input: it explains a hundredth of the residual's variance,
 LARGE_CORRELATION = 0.1
 # a mean in standard deviations.
@@ -60,16 +53,6 @@ class Trait(Enum):
     """A correlation with an input."""
     SHAPE = "shape"
     """Another distribution than the normal one."""
-
-
-class Stated(Enum):
-    """What the colour of the residuals makes of the stated standard deviations."""
-
-    HOLD = "hold"
-    TOO_SMALL = "too_small"
-    PERHAPS_TOO_SMALL = "perhaps_too_small"
-    """If the colour, of which chance cannot be ruled out, is one."""
-    TOO_LARGE = "too_large"
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,41 +99,23 @@ class Diagnostics:
     ----------
     series : tuple of ResidualSeries
         Experiment by experiment, output by output.
-    inflation : dict of str to float
-        For each parameter, by which factor the colour of the residuals makes its estimate scatter more than its stated
-        standard deviation says; NaN where it has none.
+    widening : dict of str to float
+        For each parameter, by which factor the colour of the residuals widens its standard deviation; NaN where it has
+        none.
+    off_grid : tuple of (str, str)
+        Experiments and outputs whose samples stand on no grid: the colour of their noise is taken as if they were
+        equally spaced.
     """
 
     series: tuple[ResidualSeries, ...]
-    inflation: dict[str, float]
+    widening: dict[str, float]
+    off_grid: tuple[tuple[str, str], ...] = ()
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """All that is unlikely by chance, residual by residual."""
         inputs = sum(len(each.inputs) for each in self.series)
         return tuple(found for each in self.series for found in _findings(each, len(self.series), inputs))
-
-    @property
-    def too_small(self) -> dict[str, float]:
-        """The parameters whose stated standard deviations are too small, and by which factor."""
-        return {name: factor for name, factor in self.inflation.items() if WRONG_STD <= factor < math.inf}
-
-    @property
-    def stated(self) -> Stated:
-        """What the colour of the residuals makes of the stated standard deviations."""
-        coloured = [found for found in self.findings if found.trait is Trait.COLOURED]
-        factors = [factor for factor in self.inflation.values() if math.isfinite(factor)]
-        if self.too_small:
-            return Stated.TOO_SMALL if coloured else Stated.PERHAPS_TOO_SMALL
-        large = any(found.large for found in coloured)
-        return Stated.TOO_LARGE if large and factors and max(factors) <= 1.0 / WRONG_STD else Stated.HOLD
-
-    def gram(self, columns: Floats) -> Floats:
-        """Return Xᵀ Γ X (k, k), Γ (n, n) the correlation of the whitened noise over the rows of X (n, k)."""
-        total = np.zeros((columns.shape[1], columns.shape[1]))
-        for each in self.series:
-            total += coloured_gram(columns[each.rows], each.places, each.noise_correlation)
-        return total
 
     @property
     def table(self) -> pd.DataFrame:
@@ -207,7 +172,8 @@ class Diagnostics:
             }
             for found in self.findings
         ]
-        content = {"findings": findings, "stated": self.stated, "inflation": self.inflation, "residuals": rows}
+        off_grid = [list(each) for each in self.off_grid]
+        content = {"findings": findings, "widening": self.widening, "off_grid": off_grid, "residuals": rows}
         plain: dict[str, Any] = as_json(content)
         return plain
 
@@ -227,7 +193,7 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     InputError
         If the result was read from a file, which has no residuals.
     """
-    if result.local is None:
+    if result.noise is None:
         raise InputError("a result read from a file has no residuals to examine; identify the study again")
     series: list[ResidualSeries] = []
     first = 0
@@ -235,12 +201,8 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
         series += residuals_of(experiment, simulated, first)
         first += int(experiment.counted.sum())
-    white = Diagnostics(tuple(series), {})
-    local = result.local
-    columns = local.noisy(local.jacobian @ local.root)
-    coloured, stated = (np.diag(local.covariance_with(spread)) for spread in (white.gram(columns), columns.T @ columns))
-    ratio = np.sqrt(coloured / stated)
-    return Diagnostics(white.series, dict(zip(result.names, ratio.tolist(), strict=True)))
+    off_grid = tuple((each.experiment, each.output) for each in result.noise.series if not each.regular)
+    return Diagnostics(tuple(series), dict(zip(result.names, result.widening.tolist(), strict=True)), off_grid)
 
 
 def residuals_of(experiment: Measurements, simulated: Floats, first: int = 0) -> list[ResidualSeries]:

@@ -8,7 +8,9 @@ that is −J_C/2 of (1.37) for outputs whose noise variance is given. A variance
 parameters: with the density 1/σ_j², uniform in ln σ_j, it is integrated out, ∫ σ^(−K) exp(−J/(2σ²)) dσ²/σ² ∝ J^(−K/2).
 For one output, a model linear in its parameters and no prior this is Student's t around the estimate with K − N degrees
 of freedom and the local covariance (1.31) as its scale, so that the posterior's intervals are the local ones.
-With a robust loss the variances stay at their estimates, and −J_C/2 is taken for a log density that it need not be.
+With a robust loss the variances stay at their estimates, and −J_C/2 takes the place of a log density. Where the noise
+is coloured, or the loss robust, the data's part is scaled to how the estimates really scatter
+(`fmuid.assessment.adjustment`).
 
 Two kinds of moves take turns, drawn at random at each step: differential evolution, which takes its steps from the
 distances of the walkers and adapts to any shape, and independent draws from the local approximation with heavy tails.
@@ -32,6 +34,7 @@ import emcee
 import numpy as np
 
 from fmuid.arrays import Floats
+from fmuid.assessment.adjustment import adjustment
 from fmuid.assessment.chains import effective_size, r_hat
 from fmuid.assessment.conditional import check_result
 from fmuid.assessment.posterior import LARGEST_R_HAT, Posterior, Sampling, SamplingDoubt
@@ -90,7 +93,9 @@ def sample(
     return _Sampler(problem, result, settings or Sampling(), progress).run()
 
 
-def log_density(problem: LeastSquares, variance: Floats | None = None) -> Callable[[Floats], Floats]:
+def log_density(
+    problem: LeastSquares, variance: Floats | None = None, result: Result | None = None
+) -> Callable[[Floats], Floats]:
     """Return the log density of the posterior, without its constant, as a function of thetas (m, N) that gives (m,).
 
     It is −∞ outside the bounds and where a simulation fails.
@@ -100,6 +105,8 @@ def log_density(problem: LeastSquares, variance: Floats | None = None) -> Callab
     problem : LeastSquares
     variance : (n_outputs,) array, optional
         The noise variances, NaN where they are integrated out; default the problem's own. A robust loss needs them all.
+    result : Result, optional
+        Of the problem: the data's part is scaled to the colour of the noise that it found. Default: white noise.
     """
     parameters, known = problem.parameters, problem.variance if variance is None else variance
     which = (problem.groups[:, None] == np.arange(problem.counts.size)).astype(np.float64)
@@ -115,16 +122,26 @@ def log_density(problem: LeastSquares, variance: Floats | None = None) -> Callab
         # einsum keeps to this thread: BLAS would start its own beside those of the simulations
         return np.asarray(np.einsum("mn,ng->mg", rows, which), dtype=np.float64)
 
+    def likelihood(thetas: Floats) -> Floats:
+        squares = sums(thetas)
+        with np.errstate(divide="ignore"):
+            terms = squares[:, given].sum(axis=1) + np.log(squares[:, ~given]) @ problem.counts[~given]
+        return np.asarray(-0.5 * terms, dtype=np.float64)
+
+    adjust = None if result is None else adjustment(problem, result)
+    at_estimate = math.nan if result is None else float(likelihood(result.values[None])[0])
+
     def density(thetas: Floats) -> Floats:
         found = np.full(len(thetas), -np.inf)
         inside = np.flatnonzero(((thetas >= parameters.lower) & (thetas <= parameters.upper)).all(axis=1))
         for first in range(0, inside.size, batch):
             rows = inside[first : first + batch]
-            squares = sums(thetas[rows])
-            terms = np.sum(parameters.prior_residual(thetas[rows]) ** 2, axis=1) + squares[:, given].sum(axis=1)
-            with np.errstate(divide="ignore"):
-                terms += np.log(squares[:, ~given]) @ problem.counts[~given]
-            found[rows] = np.where(np.isnan(terms), -np.inf, -0.5 * terms)
+            own = likelihood(thetas[rows])
+            if adjust is not None and math.isfinite(at_estimate):
+                with np.errstate(invalid="ignore"):
+                    own = adjust(thetas[rows], own, at_estimate)
+            terms = own - 0.5 * np.sum(parameters.prior_residual(thetas[rows]) ** 2, axis=1)
+            found[rows] = np.where(np.isnan(terms), -np.inf, terms)
         return found
 
     return density
@@ -147,7 +164,7 @@ class _Sampler:
         self.far = reach(problem, result)
         # a robust loss is no log density, its variances cannot be integrated out: they stay at their estimates
         robust = np.array([result.variance[name] for name in problem.output_names])
-        self.density = log_density(problem, None if problem.loss is None else robust)
+        self.density = log_density(problem, None if problem.loss is None else robust, result)
         self._check_start()
         self.root = _root(result.covariance)
         self.inverse_root = None if self.root is None else np.linalg.inv(self.root)

@@ -25,11 +25,8 @@ import numpy as np
 from scipy import fft, special
 
 from fmuid.arrays import Floats, Indices
+from fmuid.estimation import table_grid
 
-# Times count as equally spaced, with some missing, where so many steps are whole multiples of the usual one ...
-REGULAR_SHARE, REGULAR_TOLERANCE = 0.95, 0.2
-# ... and a longer gap than this is as good as endless.
-LONGEST_GAP = 1000
 # The autocorrelation of a model is followed until it stays below this.
 NEGLIGIBLE = 1e-6
 # Where the model's spectrum is next to nothing, rounding must not make variances negative.
@@ -47,15 +44,8 @@ def positions(times: Floats) -> tuple[Indices, float]:
         Increasing, s; n ≥ 2. Where they are not near a grid, the samples themselves are counted, and the step is the
         mean one.
     """
-    steps = np.diff(times)
-    usual = float(np.median(steps))
-    if usual > 0:
-        whole = np.rint(steps / usual)
-        near = np.abs(steps / usual - whole) <= REGULAR_TOLERANCE
-        if (whole >= 1).all() and near.mean() >= REGULAR_SHARE:
-            jumps = np.minimum(whole, LONGEST_GAP).astype(np.intp)
-            return np.concatenate([[0], np.cumsum(jumps)]), usual
-    return np.arange(times.size), float(times[-1] - times[0]) / max(times.size - 1, 1)
+    places, step, _ = table_grid(times)
+    return places, step
 
 
 def on_grid(values: Floats, places: Indices) -> Floats:

@@ -20,11 +20,8 @@ from scipy import special
 from fmuid.assessment import (
     SAME_VARIANCE_RATIO,
     SIGNIFICANCE_LEVEL,
-    WRONG_STD,
-    Diagnostics,
     Reading,
     VarianceTest,
-    examine_residuals,
     read_result,
 )
 from fmuid.data import Experiment, Noise, Parameter
@@ -177,9 +174,8 @@ class _Diagnosing:
             self.settings.search,
             self.settings.accuracy,
         )
-        examined = examine_residuals(problem, best)
-        reading, colour = read_result(problem, best, diagnostics=examined), _colour(examined, fault)
-        return _hypothesis(name, fault, system, (healthy, best), nominal[0].criterion, reading, colour, self.freedom)
+        reading, freedom = read_result(problem, best), _freedom(best, fault, self.freedom)
+        return _hypothesis(name, fault, system, (healthy, best), nominal[0].criterion, reading, freedom)
 
     def _problem(
         self,
@@ -269,12 +265,15 @@ def _ended(result: Result) -> bool:
     return result.converged or result.outcome in (Outcome.UNDETERMINED, Outcome.RUNAWAY)
 
 
-def _colour(diagnostics: Diagnostics, fault: Fault) -> float:
-    """Return by how much the residual's colour widens the scatter of the fault parameters, 1 if hardly."""
-    factors = diagnostics.inflation
-    known = [factors[name] for name in fault.parameters if math.isfinite(factors[name])]
-    largest = max(known, default=1.0)
-    return largest if largest >= WRONG_STD else 1.0
+def _colour(result: Result, fault: Fault) -> float:
+    """Return by how much the residual's colour widens the scatter of the fault parameters, at most."""
+    return math.sqrt(result.test_scale(list(fault.parameters)))
+
+
+def _freedom(result: Result, fault: Fault, freedom: float) -> float:
+    """Return the degrees of freedom of a test: what the noise variances leave, and their colour, scatter alike."""
+    inverse = 1.0 / freedom + 1.0 / result.test_freedom(list(fault.parameters))
+    return 1.0 / inverse if inverse > 0.0 else math.inf
 
 
 def _hypothesis(
@@ -284,16 +283,14 @@ def _hypothesis(
     fits: tuple[Result, Result],
     nominal_criterion: float,
     reading: Reading,
-    colour: float,
     freedom: float,
 ) -> Hypothesis:
     without, best = fits
+    colour = _colour(best, fault)
     statistic = max(without.criterion - best.criterion, 0.0) / colour**2
     reference = _reference(fault, best, freedom)
     probability = reference.probability(statistic)
-    sizes = tuple(
-        _size(each, fault, best, system.unit(each) or "", colour, freedom, probability) for each in fault.sizes
-    )
+    sizes = tuple(_size(each, fault, best, system.unit(each) or "", freedom, probability) for each in fault.sizes)
     off_bound = [each for each in sizes if each.value != 0.0 or each.name not in fault.constrained]
     return Hypothesis(
         name=name,
@@ -333,11 +330,9 @@ def _reference(fault: Fault, result: Result, freedom: float) -> Reference:
     return Reference(free, weights, freedom)
 
 
-def _size(
-    name: str, fault: Fault, result: Result, unit: str, colour: float, freedom: float, probability: float
-) -> Size:
+def _size(name: str, fault: Fault, result: Result, unit: str, freedom: float, probability: float) -> Size:
     """Return a size with the probability that it is as far from zero by chance; an only one has that of D."""
-    value, std = result[name], colour * float(result.std[result.names.index(name)])
+    value, std = result[name], float(result.std[result.names.index(name)])
     if len(fault.sizes) > 1:
         ratio = (value / std) ** 2 if 0.0 < std < math.inf else 0.0
         alone = Reference(0, (0.5, 0.5), freedom) if name in fault.constrained else Reference(1, freedom=freedom)
@@ -358,7 +353,7 @@ def _size(
         high,
         located,
         at,
-        colour * float(result.std[result.names.index(located)]),
+        float(result.std[result.names.index(located)]),
         angle.period,
     )
 

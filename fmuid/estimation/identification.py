@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from fmuid.arrays import Floats
 from fmuid.data import Loss
+from fmuid.estimation.colour.sandwich import sandwich_of
 from fmuid.estimation.covariance import AtBound, LocalCovariance, local_covariance
 from fmuid.estimation.criterion import Criterion, prepare
 from fmuid.estimation.history import History
@@ -86,6 +87,8 @@ def point_result(problem: LeastSquares, theta: Floats) -> Result:
         prior_mean=parameters.prior_mean,
         prior_std=parameters.prior_std,
         covariance=covariance,
+        white_covariance=covariance,
+        freedom=np.full(len(parameters), math.inf),
         noise_variance={},
         given_variance={problem.output_names[j]: float(problem.variance[j]) for j in given},
         criterion=math.nan,
@@ -250,7 +253,6 @@ class _Identification:
             magnitudes,
             alone,
             combined,
-            None if spread is None else spread[:data],
         )
 
     def _weighed(self, loss: Loss, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats, Floats]:
@@ -277,6 +279,7 @@ class _Identification:
         state, problem, parameters = self.state, self.problem, self.problem.parameters
         model, history = self._local_model(), self._history()
         local = model.combined
+        coloured = sandwich_of(problem, model, self.estimated <= self.criterion.least_variance)
         at_bounds = tuple(AtBound(parameters.names[i], float(state.theta[i])) for i in np.flatnonzero(state.held))
         given = ~np.isnan(problem.variance)
         # away from a minimum the Jacobian, made where the simulation jumps, says nothing of the parameters
@@ -290,7 +293,9 @@ class _Identification:
             start=self.start.copy(),
             prior_mean=parameters.prior_mean,
             prior_std=parameters.prior_std,
-            covariance=np.full_like(local.covariance, np.nan) if stalled else local.covariance,
+            covariance=np.full_like(local.covariance, np.nan) if stalled else coloured.covariance,
+            white_covariance=np.full_like(local.covariance, np.nan) if stalled else local.covariance,
+            freedom=coloured.freedom,
             noise_variance=dict(zip(problem.output_names, self.estimated.tolist(), strict=True)),
             given_variance={problem.output_names[j]: float(problem.variance[j]) for j in np.flatnonzero(given)},
             criterion=float(state.residual @ state.residual),
@@ -311,6 +316,7 @@ class _Identification:
             moved_start=self.moved_start,
             data=problem.data,
             local=model,
+            noise=coloured.noise,
             history=history,
         )
 

@@ -51,8 +51,6 @@ class LocalModel:
         How large each parameter is.
     data, combined : LocalCovariance
         What the data say of the parameters, alone and with the prior.
-    spread : (n,) array or None
-        Standard deviation of the noise of each row of the data, where it is not 1: with a robust loss.
     """
 
     residual: Floats
@@ -62,7 +60,6 @@ class LocalModel:
     magnitudes: Floats
     data: LocalCovariance
     combined: LocalCovariance
-    spread: Floats | None = None
 
     @cached_property
     def _decomposed(self) -> tuple[Floats, Floats, Floats]:
@@ -70,10 +67,6 @@ class LocalModel:
         u, s, vt = np.linalg.svd(self.jacobian * self.magnitudes, full_matrices=False)
         kept = min(len(s), self.data.rank)
         return u[:, :kept], s[:kept], vt[:kept].T
-
-    def noisy(self, columns: Floats) -> Floats:
-        """Return columns (n, k) over the rows of the data, each row times the standard deviation of its noise."""
-        return columns if self.spread is None else columns * self.spread[:, None]
 
     @property
     def data_basis(self) -> Floats:
@@ -84,6 +77,18 @@ class LocalModel:
         """Return the step to the optimum of the data alone (N,), NaN for parameters that they do not determine."""
         u, s, v = self._decomposed
         return _known(self.data, -self.magnitudes * (v @ ((u.T @ self.residual) / s)))
+
+    def data_std(self, noise: Floats) -> Floats:
+        """Return the standard deviations (N,) of the data's optimum, infinite for what they do not determine.
+
+        Parameters
+        ----------
+        noise : (k, k) array
+            Covariance of the whitened noise in the coordinates of `data_basis`.
+        """
+        _, s, v = self._decomposed
+        give = self.magnitudes[:, None] * v / s
+        return np.nan_to_num(_known(self.data, np.sqrt(np.sum((give @ noise) * give, axis=1))), nan=np.inf)
 
     def moves(self) -> Floats:
         """Return how far the prior of each parameter (columns) has moved each estimate (rows) from the data's optimum.
@@ -126,23 +131,6 @@ class LocalModel:
         _, s, vt = np.linalg.svd(stacked, full_matrices=False)
         rank = min(len(s), self.combined.rank)
         return np.asarray(self.magnitudes[:, None] * vt[:rank].T / s[:rank], dtype=np.float64)
-
-    def covariance_with(self, spread: Floats) -> Floats:
-        """Return the covariance (N, N) of the combined estimate where the noise of the data is not white.
-
-        R (Q + (WR)ᵀWR) Rᵀ: how the estimate follows the data is unchanged, only what they hand on of the noise differs
-        (the sandwich of White, for output errors of Morelli and Klein). NaN for parameters that are not determined.
-
-        Parameters
-        ----------
-        spread : (k, k) array
-            Q = (JR)ᵀ Γ JR, Γ the covariance of the whitened noise; the identity for white noise without prior.
-        """
-        prior = self.prior_jacobian @ self.root
-        covariance = self.root @ (spread + prior.T @ prior) @ self.root.T
-        lost = ~np.isfinite(np.diag(self.combined.covariance))
-        covariance[lost, :] = covariance[:, lost] = np.nan
-        return np.asarray(covariance, dtype=np.float64)
 
 
 def _known(covariance: LocalCovariance, values: Floats) -> Floats:

@@ -18,6 +18,7 @@ from fmuid.data import JointPrior, MeasuredSeries, Measurements, Normal, measure
 from fmuid.errors import InputError
 from fmuid.estimation import result_file
 from fmuid.estimation.accuracy.outcome import Accuracy
+from fmuid.estimation.colour.sandwich import ColouredNoise
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
@@ -26,6 +27,8 @@ from fmuid.estimation.model_derivatives import Sensitivity
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
+# Handed on as a prior, an estimate keeps its interval of this level.
+PRIOR_LEVEL = 0.95
 
 
 def check_level(level: float, of: str = "an interval") -> None:
@@ -53,8 +56,13 @@ class Result:
     prior_mean, prior_std : (N,) arrays
         NaN where there is no prior.
     covariance : (N, N) array
-        Local covariance of the estimates (1.31); infinite variances where a parameter is not determined, NaN
-        throughout where the search stalled: away from a minimum it says nothing.
+        Local covariance of the estimates under noise of the colour that the residual shows
+        (`fmuid.estimation.colour.sandwich`); infinite variances where a parameter is not determined, NaN throughout
+        where the search stalled: away from a minimum it says nothing.
+    white_covariance : (N, N) array
+        What it would be if the noise were white (1.31).
+    freedom : (N,) array
+        Degrees of freedom of the variances on the diagonal of `covariance`; infinite where they are known.
     noise_variance : dict of str to float
         The estimated variance σ̂² of each output's residual, J_j/(K_j − share of N) (1.12).
     given_variance : dict of str to float
@@ -65,7 +73,7 @@ class Result:
         Of the data at the estimate, its constant included, without priors (`LeastSquares.log_likelihood`): what
         compares between runs on the same data. NaN with a robust loss.
     degrees_of_freedom : float
-        Of the variances behind `covariance`: K − N where they are estimated, infinite where all are given.
+        Of the noise variances: K − N where they are estimated, infinite where all are given.
     iterations, simulations : int
     elapsed_s : float
     undetermined : tuple of Direction
@@ -90,6 +98,8 @@ class Result:
         The problem made linear at the estimate, which `fmuid.assessment.prior_and_data` and
         `fmuid.assessment.residuals` start from; with the given noise variances where there are any, else with the
         estimated ones. None where it was not kept in a file.
+    noise : ColouredNoise or None
+        The noise of all rows of the data, as the residual shows it. None where it was not kept in a file.
     history : History or None
         What `trace`, `rounds` and `fit` are made of. None where it was not kept in a file; they are empty then.
     optima : tuple of Optimum
@@ -110,6 +120,8 @@ class Result:
     prior_mean: Floats
     prior_std: Floats
     covariance: Floats
+    white_covariance: Floats
+    freedom: Floats
     noise_variance: Mapping[str, float]
     given_variance: Mapping[str, float]
     criterion: float
@@ -127,6 +139,7 @@ class Result:
     sensitivity: Sensitivity | None = None
     moved_start: tuple[str, ...] = ()
     local: LocalModel | None = None
+    noise: ColouredNoise | None = None
     history: History | None = None
     optima: tuple[Optimum, ...] = ()
     fits: int | None = None
@@ -167,6 +180,47 @@ class Result:
         return np.sqrt(np.diag(self.covariance))
 
     @property
+    def white_std(self) -> Floats:
+        """What the standard deviations would be if the noise were white (N,)."""
+        return np.sqrt(np.diag(self.white_covariance))
+
+    @property
+    def widening(self) -> Floats:
+        """By which factor the colour of the noise widens each standard deviation (N,); NaN where there is none."""
+        known = np.isfinite(self.std) & np.isfinite(self.white_std) & (self.white_std > 0)
+        ratio = np.divide(self.std, self.white_std, out=np.full(len(self.names), np.nan), where=known)
+        return np.asarray(ratio, dtype=np.float64)
+
+    def quantiles(self, level: float) -> Floats:
+        """Return how many standard deviations an interval reaches to each side of each estimate (N,).
+
+        Student's t for the degrees of freedom of each, where they are infinite the normal distribution.
+        """
+        tail, exact = 0.5 + level / 2.0, np.isinf(self.freedom)
+        student = special.stdtrit(np.where(exact, 1.0, self.freedom), tail)
+        return np.asarray(np.where(exact, special.ndtri(tail), student), dtype=np.float64)
+
+    def test_scale(self, names: Sequence[str]) -> float:
+        """Return what the fall of the criterion by freeing parameters is divided by, for the colour of the noise.
+
+        The largest eigenvalue of [H⁻¹]⁻¹V over these parameters, 1 for white noise: of the weighted sum of χ² variables
+        that the fall is, a bound (Kent, "Robust properties of likelihood ratio tests", Biometrika 69, 1982). Those that
+        are not determined are left out.
+        """
+        at = [i for i in map(self._index, names) if np.isfinite(self.std[i]) and np.isfinite(self.white_std[i])]
+        if not at:
+            return 1.0
+        white, coloured = (each[np.ix_(at, at)] for each in (self.white_covariance, self.covariance))
+        unit = np.outer(self.white_std[at], self.white_std[at])
+        ratio = np.linalg.lstsq(white / unit, coloured / unit, rcond=None)[0]
+        return float(np.max(np.linalg.eigvals(ratio).real))
+
+    def test_freedom(self, names: Sequence[str]) -> float:
+        """Return the degrees of freedom of a test of parameters: the harmonic mean of theirs."""
+        inverse = float(np.mean([1.0 / self.freedom[self._index(name)] for name in names]))
+        return 1.0 / inverse if inverse > 0.0 else math.inf
+
+    @property
     def pull(self) -> Floats:
         """How far each estimate lies from its prior mean, in prior standard deviations (N,); NaN without prior."""
         return (self.values - self.prior_mean) / self.prior_std
@@ -203,8 +257,8 @@ class Result:
     def intervals(self, level: float = 0.95) -> pd.DataFrame:
         """Return the confidence interval of each parameter, columns ``lower`` and ``upper``.
 
-        With Student's t for K − N degrees of freedom where noise variances are estimated, with the normal distribution
-        where they are given.
+        With Student's t for the degrees of freedom of each standard deviation (`freedom`), with the normal
+        distribution where they are infinite.
 
         Parameters
         ----------
@@ -217,10 +271,7 @@ class Result:
             If the level is not between 0 and 1.
         """
         check_level(level)
-        tail = 0.5 + level / 2.0
-        exact = not math.isfinite(self.degrees_of_freedom)
-        factor = float(special.ndtri(tail) if exact else special.stdtrit(self.degrees_of_freedom, tail))
-        half = factor * self.std
+        half = self.quantiles(level) * self.std
         return pd.DataFrame({"lower": self.values - half, "upper": self.values + half}, index=list(self.names))
 
     @property
@@ -231,6 +282,7 @@ class Result:
                 "parameter": list(self.names),
                 "value": self.values,
                 "std": self.std,
+                "white_std": self.white_std,
                 "numerical_shift": self.numerical_shift,
                 "start": self.start,
                 "prior_mean": self.prior_mean,
@@ -257,6 +309,9 @@ class Result:
     def prior(self, names: Sequence[str] | None = None, *, inflate: float = 1.0) -> JointPrior:
         """Return these estimates as a joint prior for another identification.
 
+        A prior is normal: it has the standard deviations with which 95 % intervals are those of this result, also
+        where these have few degrees of freedom.
+
         Parameters
         ----------
         names : sequence of str, optional
@@ -276,7 +331,9 @@ class Result:
                 raise InputError(f"{self.names[i]!r} is not determined in this result and cannot serve as a prior")
         if not (math.isfinite(inflate) and inflate > 0):
             raise InputError(f"inflate must be greater than 0, not {inflate!r}")
-        return JointPrior(chosen, self.values[where], inflate**2 * self.covariance[np.ix_(where, where)])
+        wider = inflate * self.quantiles(PRIOR_LEVEL)[where] / float(special.ndtri(0.5 + PRIOR_LEVEL / 2.0))
+        covariance = self.covariance[np.ix_(where, where)] * np.outer(wider, wider)
+        return JointPrior(chosen, self.values[where], covariance)
 
     def normal(self, name: str, *, inflate: float = 1.0) -> Normal:
         """Return the estimate of one parameter as a prior of its own, its correlations left out."""

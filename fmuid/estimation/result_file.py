@@ -29,13 +29,15 @@ def content(result: Any) -> dict[str, Any]:
     columns = {
         "value": result.values,
         "std": result.std,
+        "white_std": result.white_std,
+        "degrees_of_freedom": result.freedom,
         "start": result.start,
         "numerical_shift": result.numerical_shift,
         "prior_mean": result.prior_mean,
         "prior_std": result.prior_std,
         "pull": result.pull,
     }
-    without_prior = list(columns)[:4]
+    without_prior = list(columns)[:6]
     parameters = {
         name: {key: columns[key][i] for key in (without_prior if math.isnan(result.prior_mean[i]) else columns)}
         for i, name in enumerate(result.names)
@@ -48,7 +50,7 @@ def content(result: Any) -> dict[str, Any]:
             "outcome": result.outcome,
             "converged": result.converged,
             "parameters": parameters,
-            "covariance": {"names": result.names, "matrix": result.covariance},
+            "covariance": {"names": result.names, "matrix": result.covariance, "white": result.white_covariance},
             **{key: getattr(result, key) for key in _AS_THEY_ARE},
             "accuracy": accuracy,
         }
@@ -79,12 +81,11 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
         raise ContentError("a value of a parameter is no number")
     if list(names) != data["covariance"]["names"]:
         raise ContentError("the names of parameters and covariance differ")
-    covariance = _array(data["covariance"]["matrix"], np.nan).reshape(len(names), len(names))
-    if (np.diag(covariance) < 0).any():
-        raise ContentError("a variance is negative")
-    lost = np.isnan(np.diag(covariance))
     outcome = Outcome(data["outcome"])
-    covariance[lost, lost] = np.nan if outcome is Outcome.STALLED else np.inf
+    matrix = data["covariance"]["matrix"]
+    covariance = _covariance(matrix, names, outcome)
+    white = _covariance(data["covariance"].get("white", matrix), names, outcome)
+    each = [parameters[name].get("degrees_of_freedom", data.get("degrees_of_freedom")) for name in names]
     return {
         "outcome": outcome,
         "names": names,
@@ -93,6 +94,8 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
         "prior_mean": column["prior_mean"],
         "prior_std": column["prior_std"],
         "covariance": covariance,
+        "white_covariance": white,
+        "freedom": _array(each, np.inf),
         "noise_variance": _floats(data["noise_variance"]),
         "given_variance": _floats(data.get("given_variance", {})),
         "criterion": _number(data["criterion"], math.nan),
@@ -119,6 +122,15 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
 
 def _number(value: float | None, missing: float) -> float:
     return missing if value is None else float(value)
+
+
+def _covariance(rows: Any, names: tuple[str, ...], outcome: Outcome) -> Floats:
+    matrix = _array(rows, np.nan).reshape(len(names), len(names))
+    if (np.diag(matrix) < 0).any():
+        raise ContentError("a variance is negative")
+    lost = np.isnan(np.diag(matrix))
+    matrix[lost, lost] = np.nan if outcome is Outcome.STALLED else np.inf
+    return matrix
 
 
 def _floats(values: Any) -> dict[str, float]:

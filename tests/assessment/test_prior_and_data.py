@@ -12,9 +12,12 @@ from scipy import stats
 from fmuid.arrays import Floats
 from fmuid.assessment.consistency import Deviation
 from fmuid.assessment.prior_and_data import Influence, Obstacle, Reading, read_result
+from fmuid.assessment.residuals import Diagnostics, examine_residuals
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
+from fmuid.estimation.colour.autoregression import Autoregression
+from fmuid.estimation.colour.sandwich import ColouredNoise, Sandwich
 from fmuid.estimation.criterion import prepare
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
@@ -61,11 +64,22 @@ def information() -> Floats:
 
 def white_reading(problem: LeastSquares, result: Result, **words: Any) -> Reading:
     """Read a result with residuals that are taken for white."""
-    from fmuid.assessment.residuals import Diagnostics, examine_residuals
-
     found = examine_residuals(problem, result)
     series = tuple(dataclasses.replace(each, noise_correlation=np.ones(1)) for each in found.series)
-    return read_result(problem, result, diagnostics=Diagnostics(series, found.inflation), **words)
+    assert result.noise is not None
+    models = tuple(Autoregression(np.zeros(0), 1.0, each.samples) for each in result.noise.models)
+    noise = dataclasses.replace(result.noise, models=models, innovations=tuple(map(np.eye, _outputs(result.noise))))
+    taken = dataclasses.replace(result, noise=noise, covariance=result.white_covariance)
+    with pytest.MonkeyPatch.context() as patched:  # also where the optimum of the data is searched
+        patched.setattr(
+            "fmuid.assessment.prior_and_data.sandwich_of", lambda *_: Sandwich(taken.covariance, taken.freedom, noise)
+        )
+        return read_result(problem, taken, diagnostics=Diagnostics(series, found.widening), **words)
+
+
+def _outputs(noise: ColouredNoise) -> list[int]:
+    """Return how many series each grid has."""
+    return [len(each) for each in noise.innovations]
 
 
 @pytest.mark.parametrize("search", [False, True])

@@ -18,12 +18,12 @@ from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.covariance import AtBound
-from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.progress import Event, ProfileStep
 from fmuid.reports.figures import uncertainty as figures_uncertainty
 from fmuid.reports.words.uncertainty import profile_words
+from tests.support.results import identify_white as identify
 
 Array = npt.NDArray[np.float64]
 TIMES = np.linspace(0.0, 4.0, 25)

@@ -56,7 +56,7 @@ def least_squares(healthy: fmuid.Result, experiment: fmuid.Experiment, inflate: 
     target = experiment.output_values.ravel()
     rows, wanted = [COLUMNS[:, which] / STD], [target / STD]
     for i, name in enumerate(TRUTH):
-        std = inflate * healthy.std[i]
+        std = inflate * healthy.normal(name).std
         rows.append(np.eye(len(which))[[i]] / std)
         wanted.append(np.array([healthy[name] / std]))
     matrix, right = np.vstack(rows), np.concatenate(wanted)
@@ -71,11 +71,14 @@ def test_estimates_and_statistics_are_those_of_least_squares(look: Look, healthy
     nothing = least_squares(healthy, experiment, 5.0, [0, 1])
     stator = least_squares(healthy, experiment, 5.0, [0, 1, 2, 3, 4])
     rotor = least_squares(healthy, experiment, 5.0, [0, 1, 5, 6])
-    assert found["stator"].statistic == pytest.approx(nothing[0] - stator[0], rel=1e-4)
+    falls = {each.name: each.statistic * each.colour**2 for each in found.hypotheses}
+    assert falls["stator"] == pytest.approx(nothing[0] - stator[0], rel=1e-4)
     assert [size.value for size in found["stator"].sizes] == pytest.approx(stator[3:], abs=1e-5)
-    assert found["rotor"].statistic == pytest.approx(nothing[0] - rotor[0], rel=1e-4)
+    assert falls["rotor"] == pytest.approx(nothing[0] - rotor[0], rel=1e-4)
     assert found["rotor"]["size"].value == pytest.approx(math.hypot(*rotor[3:]), rel=1e-3)
-    assert found["rotor"].probability == pytest.approx(stats.chi2.sf(nothing[0] - rotor[0], 2), rel=1e-3)
+    half, freedom = 0.5 * found["rotor"].statistic, found["rotor"].reference.freedom
+    assert found["rotor"].probability == pytest.approx(stats.f.sf(half, 2, freedom), rel=1e-3)
+    assert all(0.8 < each.colour < 1.5 for each in found.hypotheses if each.name != "wrong")
     assert (found.kind, found.named) == ("fault", ("stator",))
     assert found["stator"].significant(0.01)[0].name == "eb"
     assert "stator, eb = 0.0" in verdict(found)
@@ -207,7 +210,8 @@ def test_the_colour_of_the_residual_counts(look: Look, plate: fmuid.System) -> N
     found = look(fmuid.Experiment(frame, experiment.inputs, experiment.outputs), faults={"one": fault})["one"]
     assert found.result is not None
     assert found.colour > 2.0  # a mean over 25 samples; 5 for the sum of the residual, less for what wiggles
-    assert found["ea"].std == pytest.approx(found.colour * found.result.std[-1])
+    assert found["ea"].std == found.result.std[-1]
+    assert found.colour == pytest.approx(found.result.widening[-1])
     assert any("D is divided by" in note for note in hypothesis_notes(found))
 
 

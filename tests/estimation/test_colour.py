@@ -14,9 +14,9 @@ from scipy.signal import lfilter
 from fmuid.arrays import Floats
 from fmuid.data import Table
 from fmuid.estimation.colour import autoregression
-from fmuid.estimation.colour.autoregression import Autoregression, impulse_response
+from fmuid.estimation.colour.autoregression import Autoregression, impulse_response, most_orders
 from fmuid.estimation.colour.grid import Grid, Rows
-from fmuid.estimation.colour.sandwich import sandwich
+from fmuid.estimation.colour.sandwich import ColouredNoise, sandwich
 from fmuid.estimation.colour.series import Series, series_of, table_grid
 from tests.support.problems import ar1
 
@@ -40,9 +40,10 @@ def made(
     stacked = np.vstack([jacobian, whitening])
     root = np.linalg.inv(np.linalg.qr(stacked)[1])
     columns, own = jacobian @ root, whitening @ root
-    residual = noise - columns @ (columns.T @ noise)
+    basis = columns if prior is None else np.linalg.qr(jacobian)[0]
+    residual = noise - basis @ (basis.T @ noise)
     white = np.zeros(outputs, dtype=np.bool_)
-    return Rows(residual, columns, root, own.T @ own, np.full(outputs, given), white)
+    return Rows(residual, basis, columns, root, own.T @ own, np.full(outputs, given), white)
 
 
 def dense(first: Autoregression, second: Autoregression, common: float, count: int) -> Floats:
@@ -105,6 +106,12 @@ def test_order_one_is_the_least() -> None:
     assert abs(found.coefficients[0]) < 0.15
 
 
+def test_few_samples_are_taken_for_white() -> None:
+    assert most_orders(24, 24) == 0
+    assert most_orders(25, 25) == 6
+    assert most_orders(1000, 1000) == 30
+
+
 def test_models_of_next_to_nothing_are_white() -> None:
     found = autoregression.fit(np.array([[1.0, -1.0, 2.0]]), np.ones(3, dtype=np.bool_), np.ones(1), 0)
     assert (found.coefficients.size, found.variance) == (0, 2.0)
@@ -138,8 +145,7 @@ def crossed(share: float) -> tuple[Grid, list[Autoregression], Floats]:
     models = [model(SLOW, 1.0), model(OSCILLATING, 0.25)]
     rows = made(jacobian, rng.standard_normal(len(jacobian)), outputs=2)
     grid = Grid(rows, both, [0, 1])
-    grid.take(models)
-    grid.innovations = np.array([[1.0, share], [share, 0.25]])
+    grid.take(models, rows.columns, np.array([[1.0, share], [share, 0.25]]))
     blocks = [
         [dense(models[i], models[j], grid.innovations[i, j], count)[np.ix_(places[i], places[j])] for j in (0, 1)]
         for i in (0, 1)
@@ -149,14 +155,17 @@ def crossed(share: float) -> tuple[Grid, list[Autoregression], Floats]:
 
 @pytest.mark.parametrize("share", [0.0, 0.4])
 def test_the_gram_matrix_is_that_of_the_dense_covariance(share: float) -> None:
-    grid, _, covariance = crossed(share)
+    grid, models, covariance = crossed(share)
     columns = grid.rows.columns
-    np.testing.assert_allclose(grid.gram(), columns.T @ covariance @ columns, rtol=2e-3)
+    expected = columns.T @ covariance @ columns
+    np.testing.assert_allclose(grid.take(models, grid.rows.columns, grid.innovations), expected, rtol=2e-3)
+    noise = ColouredNoise(tuple(grid.series), tuple(models), (grid.innovations,))
+    np.testing.assert_allclose(noise.gram(columns), expected, rtol=2e-3)
 
 
 def test_what_the_fit_removes_is_that_of_projections() -> None:
-    grid, _, covariance = crossed(0.4)
-    grid.add_removed(grid.gram())
+    grid, models, covariance = crossed(0.4)
+    grid.add_removed(grid.take(models, grid.rows.columns, grid.innovations))
     columns = grid.rows.columns
     left = np.eye(len(columns)) - columns @ columns.T
     expected = covariance - left @ covariance @ left
@@ -173,8 +182,8 @@ def test_slopes_of_variances_are_those_of_differences(given: bool) -> None:
 
     def variances(coefficients: Floats, variance: float) -> Floats:
         own = model(coefficients, variance)
-        grid.take([own if not given else model(coefficients, 1.0 / own.gain)])
-        return np.diag(rows.root @ grid.gram() @ rows.root.T)
+        gram = grid.take([own if not given else model(coefficients, 1.0 / own.gain)], rows.columns)
+        return np.diag(rows.root @ gram @ rows.root.T)
 
     at, h = OSCILLATING, 1e-4
     expected = [(variances(at, math.exp(h)) - variances(at, math.exp(-h))) / (2.0 * h)]
@@ -191,7 +200,7 @@ def test_a_prior_adds_its_own_error() -> None:
     prior = np.diag([3.0, 0.0, 5.0])
     noise = ar1(np.random.default_rng(6), 0.8, 200)
     found = sandwich(made(jacobian, noise, prior), [series(np.arange(200), np.arange(200))])
-    own = found.models[0]
+    own = found.noise.models[0]
     inverse = np.linalg.inv(jacobian.T @ jacobian + prior.T @ prior)
     inner = jacobian.T @ dense(own, own, own.variance, 200) @ jacobian + prior.T @ prior
     np.testing.assert_allclose(found.covariance, inverse @ inner @ inverse, rtol=2e-3)
@@ -270,7 +279,7 @@ def test_short_experiments_share_a_model() -> None:
     lags = np.arange(1, count)
     true = (1.0 + 2.0 * float((1.0 - lags / count) @ 0.8**lags)) / count / tests
     assert found.covariance[0, 0] == pytest.approx(true, rel=0.3)
-    assert {each.samples for each in found.models} == {count * tests}
+    assert {each.samples for each in found.noise.models} == {count * tests}
 
 
 # --- series

@@ -304,7 +304,7 @@ def test_covariance_of_a_linear_model() -> None:
     inside = np.abs(f) <= 1.0
     power = np.sum(np.where(inside, f, np.sign(f)) ** 2) / 298.0
     expected = 0.01 * power / np.mean(inside) ** 2 * np.linalg.inv(phi.T @ phi)
-    np.testing.assert_allclose(result.covariance, expected, rtol=1e-5)
+    np.testing.assert_allclose(result.white_covariance, expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ROBUST)

@@ -128,7 +128,7 @@ def test_optima() -> None:
 
 def test_profile_of_which_only_the_estimate_is_known() -> None:
     table = pd.DataFrame({"R": [4.0], "criterion": [10.0]})
-    profile = Profile("R", 4.0, 0.1, 0.95, -np.inf, np.inf, 10.0, 3.84, (), interrupted=False, table=table)
+    profile = Profile("R", 4.0, 0.1, 0.1, 0.95, -np.inf, np.inf, 10.0, 3.84, (), interrupted=False, table=table)
     (axes,) = figures_uncertainty.profiles([profile], {"R": "Ohm"}).axes
     assert axes.get_title("right") == "−∞ to ∞ Ohm"
 

@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.result import Result
 
 
 def result(folder: Path, values: dict[str, tuple[float, float | None]], **changes: Any) -> Path:
@@ -29,3 +36,14 @@ def result(folder: Path, values: dict[str, tuple[float, float | None]], **change
     path = folder / "result.json"
     path.write_text(json.dumps(content | changes))
     return path
+
+
+def identify_white(problem: LeastSquares, *arguments: Any, **words: Any) -> Result:
+    """Identify, and take the noise for white: what closed forms of textbooks are compared with."""
+    return as_white(identify(problem, *arguments, **words))
+
+
+def as_white(result: Result) -> Result:
+    """Return a result whose noise is taken for white."""
+    freedom = np.full(len(result.names), result.degrees_of_freedom)
+    return replace(result, covariance=result.white_covariance, freedom=freedom)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.assessment import LEAST_SAMPLES, WRONG_STD, coloured_gram, noise_model, on_grid, positions
+from fmuid.assessment import LEAST_SAMPLES, WORTH_SAYING, coloured_gram, noise_model, on_grid, positions
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.diagnosis.decision import Reference, orthant_weights
 from fmuid.diagnosis.faults import Fault
@@ -60,7 +60,7 @@ class WindowFit:
     ended : bool
     colour : float
         By which factor the residual's colour widens the scatter of the fault parameters; it is counted where that is
-        enough to matter (`fmuid.assessment.residuals.WRONG_STD`).
+        enough to matter (`fmuid.assessment.residuals.WORTH_SAYING`).
     """
 
     values: Floats
@@ -250,7 +250,7 @@ class Extended:
         white = Belief(free, information, prior.scatter + slopes.T @ slopes)
         coloured = replace(white, scatter=prior.scatter + _gram(slopes, rest, experiment))
         colour = self._widening(coloured, white)
-        after = coloured if colour >= WRONG_STD else white
+        after = coloured if colour >= WORTH_SAYING else white
         return self._found(after, target, float(rest @ rest), rest.size, ended, max(colour, 1.0))
 
     def _widening(self, coloured: Belief, white: Belief) -> float:

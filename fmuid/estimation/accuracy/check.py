@@ -81,7 +81,8 @@ def _weights(problem: LeastSquares, result: Result) -> Floats:
 def with_shift(result: Result, accuracy: Accuracy) -> Result:
     """Return a result whose covariance has what its estimates are shifted by, as far as that is known."""
     moved = np.nan_to_num(accuracy.shift) * np.where(np.isfinite(result.std), result.std, 0.0)
-    return replace(result, covariance=result.covariance + np.outer(moved, moved))
+    both = np.outer(moved, moved)
+    return replace(result, covariance=result.covariance + both, white_covariance=result.white_covariance + both)
 
 
 def fits_worse(problem: LeastSquares, result: Result, other: Result) -> bool:

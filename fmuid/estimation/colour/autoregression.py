@@ -2,9 +2,10 @@
 
 A model x(t) = Σ φ_j x(t − j) + w(t) is fitted to second moments: of the residual itself and of what the fit has taken
 out of it (`fmuid.estimation.colour.sandwich`), columns that count by weights of either sign. Only pairs of samples with
-all samples between them there count, so that gaps may be anywhere (de Waele and Broersen). Order 1 is the least where
-there are samples for it: chance hides a weak colour from any criterion, and leaving it out costs coverage. There Burg's
-estimate is too small by 2 φ/n on average (Kendall, for a known mean), which is put right.
+all samples between them there count, so that gaps may be anywhere (de Waele and Broersen). Order 1 is the least from 25
+samples on: chance hides a weak colour from any criterion, and leaving it out costs coverage. There Burg's estimate is
+too small by 2 φ/n on average (Kendall, for a known mean), which is put right. Fewer samples tell nothing of a colour,
+and are taken for white.
 
 References
 ----------
@@ -29,6 +30,8 @@ from fmuid.arrays import Complexes, Floats
 ORDERS_A_DECADE, ORDERS_SHARE = 10.0, 4
 # An order needs pairs of samples: twice its number and so many more.
 MORE_PAIRS = 4
+# Of fewer samples no colour can be told.
+ENOUGH = 25
 # Kendall: E φ̂ = φ (1 − 2/n) of an autoregression of order 1 whose mean is known.
 BIAS = 2.0
 # An impulse response beyond this is rounding: poles too close to each other and to 1.
@@ -91,6 +94,8 @@ class Autoregression:
 
 def most_orders(samples: int, length: int) -> int:
     """Return the highest order to try for so many samples on a grid of some length."""
+    if samples < ENOUGH:
+        return 0
     return max(0, min(int(ORDERS_A_DECADE * math.log10(samples)), samples // ORDERS_SHARE, length - 1))
 
 

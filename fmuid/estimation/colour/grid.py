@@ -25,7 +25,9 @@ class Rows:
     Attributes
     ----------
     residual : (n,) array
-        Whitened.
+        Whitened, of the data's own optimum: a prior that disagrees with them would pass for colour.
+    basis : (n, m) array
+        An orthonormal basis of what their fit has taken out of it.
     columns : (n, k) array
         C = J R.
     root : (N, k) array
@@ -39,11 +41,63 @@ class Rows:
     """
 
     residual: Floats
+    basis: Floats
     columns: Floats
     root: Floats
     prior: Floats
     given: NDArray[np.bool_]
     white: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Columns of the series of one grid, filtered by 1/A backwards in time.
+
+    Attributes
+    ----------
+    size : int
+        Of the transforms: the grid, and the noise's memory before it.
+    transfers : list of (f,) arrays
+        1/A of each series.
+    filtered : list of (k, f) arrays
+        Z of each series.
+    """
+
+    size: int
+    transfers: list[Complexes]
+    filtered: list[Complexes]
+
+    @classmethod
+    def of(cls, columns: Floats, series: Sequence[Series], models: Sequence[Autoregression]) -> Spectra:
+        """Filter the columns (n, k) of all rows."""
+        size = fft.next_fast_len(length_of(series) + max(model.memory for model in models), real=True)
+        transfers = [model.transfer(size) for model in models]
+        placed = [fft.rfft(on_grid(each, columns, length_of(series)), size) for each in series]
+        return cls(size, transfers, [own * np.conj(t) for own, t in zip(placed, transfers, strict=True)])
+
+    def coupled(self, innovations: Floats) -> list[Complexes]:
+        """Return Σ_b S_ab Z_b of each series (k, f)."""
+        if len(self.filtered) == 1:
+            return [innovations[0, 0] * self.filtered[0]]
+        pairs = [list(zip(row, self.filtered, strict=True)) for row in innovations]
+        return [np.sum([s * z for s, z in row], axis=0) for row in pairs]
+
+    def gram(self, coupled: Sequence[Complexes]) -> Floats:
+        """Return Σ_ab S_ab Z_aᵀ Z_b (k, k)."""
+        total = np.sum([_product(z, c, self.size) for z, c in zip(self.filtered, coupled, strict=True)], axis=0)
+        return np.asarray((total + total.T) / 2.0, dtype=np.float64)
+
+
+def length_of(series: Sequence[Series]) -> int:
+    """Return the length of the grid of some series."""
+    return 1 + max(int(each.places[-1]) for each in series)
+
+
+def on_grid(each: Series, rows: Floats, length: int) -> Floats:
+    """Return the columns of all rows (n, k) that a series has, on its grid (k, length)."""
+    grid = np.zeros((rows.shape[1], length))
+    grid[:, each.places] = rows[each.rows].T
+    return grid
 
 
 class Grid:
@@ -68,8 +122,8 @@ class Grid:
 
     def __init__(self, rows: Rows, series: Sequence[Series], members: Sequence[int]) -> None:
         self.rows, self.series, self.members = rows, series, members
-        self.length = 1 + max(int(each.places[-1]) for each in series)
-        self.columns = [self._placed(each, rows.residual[:, None]) for each in series]
+        self.length = length_of(series)
+        self.columns = [on_grid(each, rows.residual[:, None], self.length) for each in series]
         self.there = self._there()
 
     def _there(self) -> NDArray[np.bool_]:
@@ -78,22 +132,22 @@ class Grid:
             own[each.places] = True
         return there
 
-    def _placed(self, each: Series, rows: Floats) -> Floats:
-        """Return the columns of rows (n, k) that a series has, on the grid (k, length)."""
-        grid = np.zeros((rows.shape[1], self.length))
-        grid[:, each.places] = rows[each.rows].T
-        return grid
+    def take(self, models: Sequence[Autoregression], columns: Floats, innovations: Floats | None = None) -> Floats:
+        """Take models for the noise of the series, and return their part of XᵀΓX (k, k).
 
-    def take(self, models: Sequence[Autoregression]) -> None:
-        """Take models for the noise of the series: filter the columns, find what the innovations have in common."""
+        Parameters
+        ----------
+        models : sequence of Autoregression
+        columns : (n, k) array
+            X.
+        innovations : (m, m) array, optional
+            S; default what the residuals say.
+        """
         self.models = models
-        self.size = fft.next_fast_len(self.length + max(model.memory for model in models), real=True)
-        self.transfers = [model.transfer(self.size) for model in models]
-        self.filtered = [
-            fft.rfft(self._placed(each, self.rows.columns), self.size) * np.conj(transfer)
-            for each, transfer in zip(self.series, self.transfers, strict=True)
-        ]
-        self.innovations = self._innovations()
+        self.spectra = Spectra.of(columns, self.series, models)
+        self.innovations = self._innovations() if innovations is None else innovations
+        self.coupled = self.spectra.coupled(self.innovations)
+        return self.spectra.gram(self.coupled)
 
     def _innovations(self) -> Floats:
         """Return the covariance S of the innovations (m, m): their variances, and the residuals' correlations."""
@@ -123,43 +177,29 @@ class Grid:
         cross = sums / np.maximum(np.rint(pairs), 1.0)
         return float(a @ cross[lags + reach] @ b)
 
-    def _coupled(self) -> list[Complexes]:
-        """Return Σ_b S_ab Z_b of each series, as spectra (k, f)."""
-        return [
-            np.sum([s * z for s, z in zip(row, self.filtered, strict=True)], axis=0)
-            if len(row) > 1
-            else row[0] * self.filtered[0]
-            for row in self.innovations
-        ]
-
-    def gram(self) -> Floats:
-        """Return the grid's part of CᵀΓC (k, k)."""
-        self.coupled = self._coupled()
-        total = np.sum([_product(z, c, self.size) for z, c in zip(self.filtered, self.coupled, strict=True)], axis=0)
-        return np.asarray((total + total.T) / 2.0, dtype=np.float64)
-
-    def add_removed(self, inner: Floats) -> None:
-        """Add the columns C + H and C − H of each series: half of their squares' difference is what is missing."""
-        for index, (each, transfer, coupled) in enumerate(zip(self.series, self.transfers, self.coupled, strict=True)):
-            own = self._placed(each, self.rows.columns)
-            spread = fft.irfft(transfer * coupled, self.size)[:, : self.length] * self.there[index]
-            half = spread - 0.5 * inner.T @ own
+    def add_removed(self, gram: Floats) -> None:
+        """Add the columns Q + H and Q − H of each series: half of their squares' difference is what is missing."""
+        parts = zip(self.series, self.spectra.transfers, self.coupled, strict=True)
+        for index, (each, transfer, coupled) in enumerate(parts):
+            own = on_grid(each, self.rows.basis, self.length)
+            spread = fft.irfft(transfer * coupled, self.spectra.size)[:, : self.length] * self.there[index]
+            half = spread - 0.5 * gram @ own
             self.columns[index] = np.vstack([self.columns[index][:1], own + half, own - half])
 
     def slopes(self) -> list[Floats]:
         """Return of each series the slopes (N, 1 + p) of the V_ii by log σ² and the φ_j."""
-        found = []
+        found, size = [], self.spectra.size
         for each, model, transfer, z, c in zip(
-            self.series, self.models, self.transfers, self.filtered, self.coupled, strict=True
+            self.series, self.models, self.spectra.transfers, self.spectra.filtered, self.coupled, strict=True
         ):
             own, coupled, order = self.rows.root @ z, self.rows.root @ c, model.coefficients.size
-            share = fft.irfft(np.conj(coupled) * own, self.size)[:, :1]
+            share = fft.irfft(np.conj(coupled) * own, size)[:, :1]
             # ∂Z/∂φ_j is Z filtered once more, j samples later
-            slopes = 2.0 * fft.irfft(np.conj(coupled) * own * np.conj(transfer), self.size)[:, 1 : order + 1]
+            slopes = 2.0 * fft.irfft(np.conj(coupled) * own * np.conj(transfer), size)[:, 1 : order + 1]
             if self.rows.given[each.group]:  # as φ changes, the variance of the innovation keeps that of the process
                 power = np.abs(transfer) ** 2
-                gains = 2.0 * fft.irfft(power * np.conj(transfer), self.size)[1 : order + 1]
-                slopes = slopes - share * gains / fft.irfft(power, self.size)[0]
+                gains = 2.0 * fft.irfft(power * np.conj(transfer), size)[1 : order + 1]
+                slopes = slopes - share * gains / fft.irfft(power, size)[0]
                 share = np.zeros_like(share)
             if self.rows.white[each.group]:
                 share = np.zeros_like(share)

@@ -12,7 +12,7 @@ the same time only, cov(w_a, w_b) = S_ab (Parks). With Z_a the columns C_a filte
 The residual r has less of slow noise than e, for the fit takes part of it. What is missing on average under the model
 found last,
 
-    E[e eᵀ − r rᵀ] = C Hᵀ + H Cᵀ,   H = ΓC − C (CᵀΓC + (WR)ᵀWR)/2,
+    E[e eᵀ − r rᵀ] = Q Hᵀ + H Qᵀ,   H = ΓQ − Q (QᵀΓQ)/2,   Q an orthonormal basis of J,
 
 is added to the residual's second moments, and the model fitted again, a few times over (Worsley et al., for their
 images); this works with gaps, and comes close to what restricted likelihood gives.
@@ -38,14 +38,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.estimation.colour.autoregression import Autoregression, fit, most_orders
-from fmuid.estimation.colour.grid import Grid, Rows
-from fmuid.estimation.colour.series import Series
+from fmuid.estimation.colour.grid import Grid, Rows, Spectra
+from fmuid.estimation.colour.series import Series, series_of
+from fmuid.estimation.least_squares import LeastSquares
+
+if TYPE_CHECKING:
+    from fmuid.estimation.local_model import LocalModel
 
 # Rounds of the correction for what the fit takes away, at most; one for long records, where it is slight, and none
 # where it would take too much memory. They end when a round moves no variance by more than the tolerance.
@@ -53,6 +58,32 @@ ROUNDS, LONG, MOST_VALUES = 4, 50_000, 30_000_000
 SETTLED = 2e-3
 # Fewer degrees of freedom than this are no fewer.
 LEAST_FREEDOM = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class ColouredNoise:
+    """The noise of all rows of data.
+
+    Attributes
+    ----------
+    series : tuple of Series
+    models : tuple of Autoregression
+        The noise of each of them.
+    innovations : tuple of (m, m) arrays
+        The covariance S of the innovations of the series of each grid, in the order of the series.
+    """
+
+    series: tuple[Series, ...]
+    models: tuple[Autoregression, ...]
+    innovations: tuple[Floats, ...]
+
+    def gram(self, columns: Floats) -> Floats:
+        """Return XᵀΓX (k, k) of columns X (n, k) over the rows, Γ the covariance of their whitened noise."""
+        total = np.zeros((columns.shape[1], columns.shape[1]))
+        for members, common in zip(_members([each.grid for each in self.series]), self.innovations, strict=True):
+            spectra = Spectra.of(columns, [self.series[i] for i in members], [self.models[i] for i in members])
+            total += spectra.gram(spectra.coupled(common))
+        return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +96,39 @@ class Sandwich:
         V.
     freedom : (N,) array
         Degrees of freedom of its diagonal.
-    gram : (k, k) array
-        CᵀΓC.
-    models : tuple of Autoregression
-        The noise of each series.
+    noise : ColouredNoise
     """
 
     covariance: Floats
     freedom: Floats
-    gram: Floats
-    models: tuple[Autoregression, ...]
+    noise: ColouredNoise
+
+
+def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: NDArray[np.bool_]) -> Sandwich:
+    """Return the covariance of the estimates of a problem under the noise that their residual shows.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    local : LocalModel
+        At the estimate.
+    rounding : (n_outputs,) array of bool
+        Outputs whose residual is nothing but rounding and the noise of the simulation.
+    """
+    root, given = local.root, ~np.isnan(problem.variance)
+    own, basis = local.prior_jacobian @ root, local.data_basis
+    alone = not len(own)
+    # of a robust loss the scale of the influence function is the residual's own
+    given &= problem.loss is None
+    columns = local.jacobian @ root
+    residual = local.residual if alone else local.residual - basis @ (basis.T @ local.residual)
+    rows = Rows(residual, columns if alone else basis, columns, root, own.T @ own, given, rounding)
+    found = sandwich(rows, series_of(problem.experiments, problem.output_names))
+    lost = ~np.isfinite(np.diag(local.combined.covariance))
+    covariance = found.covariance.copy()
+    covariance[lost, :] = covariance[:, lost] = np.nan
+    covariance[lost, lost] = np.inf
+    return replace(found, covariance=covariance)
 
 
 def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
@@ -88,21 +142,24 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
     """
     grids, pools = _members([each.grid for each in series]), _members([each.pool for each in series])
     parts = [Grid(rows, [series[i] for i in members], members) for members in grids]
-    rounds, spread = _rounds(rows), np.full(len(rows.prior), math.inf)
+    rounds, spread = _rounds(rows), np.full(rows.basis.shape[1], math.inf)
     for done in range(rounds + 1):
         models = _models(rows, series, parts, pools)
-        for part in parts:
-            part.take([models[i] for i in part.members])
-        gram = np.sum([part.gram() for part in parts], axis=0)
-        inner, before = gram + rows.prior, spread
-        spread = np.diag(inner).copy()
+        gram = np.sum([part.take([models[i] for i in part.members], rows.basis) for part in parts], axis=0)
+        before, spread = spread, np.diag(gram)
         if done == rounds or (np.abs(spread - before) <= SETTLED * spread).all():
             break
         for part in parts:
-            part.add_removed(inner)
+            part.add_removed(gram)
+    if rows.columns is not rows.basis:
+        gram = np.sum([part.take(part.models, rows.columns, part.innovations) for part in parts], axis=0)
+    inner = gram + rows.prior
     covariance = rows.root @ inner @ rows.root.T
     freedom = _freedom(rows, np.diag(covariance), parts, pools)
-    return Sandwich(covariance, freedom, gram, tuple(models[i] for i in range(len(series))))
+    noise = ColouredNoise(
+        tuple(series), tuple(models[i] for i in range(len(series))), tuple(part.innovations for part in parts)
+    )
+    return Sandwich(covariance, freedom, noise)
 
 
 def _members(numbers: Sequence[int]) -> list[list[int]]:
@@ -151,7 +208,7 @@ def _joined(blocks: Sequence[tuple[Floats, NDArray[np.bool_]]], gap: int) -> tup
 
 def _freedom(rows: Rows, variances: Floats, parts: Sequence[Grid], pools: Sequence[Sequence[int]]) -> Floats:
     """Return the degrees of freedom of the variances (N,), from the scatter of the models they rest on."""
-    worth = max(1.0 - float(np.vdot(rows.columns, rows.columns)) / len(rows.residual), np.finfo(float).eps)
+    worth = max(1.0 - rows.basis.shape[1] / len(rows.residual), np.finfo(float).eps)
     slopes = {index: own for part in parts for index, own in zip(part.members, part.slopes(), strict=True)}
     model = {index: own for part in parts for index, own in zip(part.members, part.models, strict=True)}
     scatter = np.zeros(len(variances))

@@ -52,7 +52,7 @@ def _same(problem: LeastSquares, results: Sequence[Result], criteria: Floats, i:
     # away from the best optimum residuals are larger than their variances, and standard deviations too small
     excess = max(1.0, criteria[best] / max(problem.measured.size - len(problem.parameters), 1))
     there = results[best].values
-    stds = SAME_STDS * math.sqrt(excess) * np.nan_to_num(results[best].std, nan=0.0, posinf=np.inf)
+    stds = SAME_STDS * math.sqrt(excess) * np.nan_to_num(results[best].white_std, nan=0.0, posinf=np.inf)
     reach = np.maximum(stds, SAME_SHARE * problem.parameters.magnitudes(there))
     near = (np.abs(results[i].values - there) <= reach).all()
     return bool(near and criteria[i] - criteria[best] <= SAME_CRITERION * excess)

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
-from fmuid.assessment import WRONG_STD
+from fmuid.assessment import WORTH_SAYING
 from fmuid.estimation import Outcome
 from fmuid.models import HowRun
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
@@ -193,9 +193,9 @@ def _note(found: Findings, name: str) -> str:
     words = []
     if any(bound.name == name for bound in found.result.at_bounds):
         words.append("at its bound")
-    factor = found.diagnostics.inflation.get(name, math.nan)
-    if factor >= WRONG_STD:
-        words.append(f"std {factor:.2g} x too small")
+    factor = found.diagnostics.widening.get(name, math.nan)
+    if factor >= WORTH_SAYING:
+        words.append(f"std {factor:.2g} x white noise's")
     return ", ".join(words)
 
 
@@ -208,9 +208,7 @@ def show_uncertainty(found: Findings) -> None:
     if there.profiles or there.posterior is not None:
         out.print()
         out.print(_intervals(out, found, there))
-    factor = max((each for each in found.diagnostics.inflation.values() if math.isfinite(each)), default=1.0)
-    wide = [f"as the residual is not white, all these intervals are too narrow, by up to {factor:.2g}"]
-    for note in (*(wide if factor >= WRONG_STD else []), *uncertainty_words(there)):
+    for note in uncertainty_words(there):
         out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
     if there.posterior is not None and there.posterior.converged:
         out.print(f"Posterior: {escape(posterior_words(there.posterior))}", soft_wrap=True)

@@ -90,9 +90,9 @@ def _profile(axes: Axes, profile: Profile, unit: str | None) -> None:
         axes.axvspan(*ends, color=BLUE, alpha=0.12, lw=0)
     axes.axhline(profile.threshold, color=RED, lw=1)
     axes.axvline(profile.value, color=INK, lw=0.6, ls=(0, (1, 2)))
-    if math.isfinite(profile.std) and profile.std > 0:
+    if math.isfinite(profile.bend) and profile.bend > 0:
         grid = np.linspace(low, high, 200)
-        axes.plot(grid, ((grid - profile.value) / profile.std) ** 2, color=GREY, ls=(0, (4, 3)), lw=1)
+        axes.plot(grid, ((grid - profile.value) / profile.bend) ** 2, color=GREY, ls=(0, (4, 3)), lw=1)
     axes.plot(*_curve(profile.values, rise, profile.value), color=BLUE)
     axes.plot(profile.values, rise, "o", color=BLUE, ms=3.2)
     axes.set_xlim(low, high)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from fmuid.assessment import WORTH_SAYING
 from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
 from fmuid.text import has_unit, listed, with_std
@@ -89,7 +90,7 @@ def hypothesis_notes(each: Hypothesis) -> list[str]:
             f"without its fault this model is not the healthy machine: its criterion differs by {each.mismatch:.3g}; "
             "check its names and values"
         )
-    if each.colour > 1.0:
+    if each.colour >= WORTH_SAYING:
         notes.append(
             f"the residual is not white: D is divided by {each.colour**2:.3g}, and the standard deviations are larger "
             f"by {each.colour:.3g}"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from fmuid.assessment import LARGE_KURTOSIS, OUTLIER_STDS, RESIDUAL_LEVEL, WRONG_STD, Stated, Trait
+from fmuid.assessment import LARGE_KURTOSIS, OUTLIER_STDS, RESIDUAL_LEVEL, WORTH_SAYING, Trait
 from fmuid.text import listed
 
 if TYPE_CHECKING:
@@ -23,9 +23,9 @@ def residual_words(found: Diagnostics) -> tuple[str, ...]:
     large = [each for each in found.findings if each.large]
     coloured = [each for each in large if each.trait is Trait.COLOURED]
     said = [_large(found, each) for each in coloured]
-    if found.inflation and (coloured or found.stated is not Stated.HOLD):
-        said.append(_stated(found))
+    said += _widening(found, coloured=bool(coloured))
     said += [_large(found, each) for each in large if each.trait is not Trait.COLOURED]
+    said += _off_grid(found)
     return tuple(said + _summary(found, quiet=not said))
 
 
@@ -66,31 +66,33 @@ def _large(found: Diagnostics, finding: Finding) -> str:
     )
 
 
-def _stated(found: Diagnostics) -> str:
-    """Say what the colour of the residuals makes of the stated standard deviations."""
-    known = [factor for factor in found.inflation.values() if math.isfinite(factor)]
-    if found.stated is Stated.HOLD:
-        return "For the estimates this makes little difference: the stated standard deviations hold"
-    if found.stated is Stated.TOO_LARGE:
-        return (
-            "Since neighbouring samples tend to cancel, the stated standard deviations are too large, "
-            f"by a factor of {1.0 / max(known):.2g} or more"
-        )
-    small = found.too_small
-    low, high = min(small, key=small.__getitem__), max(small, key=small.__getitem__)
-    about = f"about {small[high]:.2g}"
-    if small[high] > WRONG_STD * small[low]:
-        about = f"{small[low]:.2g} ({low}) to {small[high]:.2g} ({high})"
-    of = "" if len(small) == len(known) else f" of {listed(tuple(small))}"
-    if found.stated is Stated.TOO_SMALL:
-        return (
-            f"Since neighbouring samples are not independent, the stated standard deviations{of} are too small, "
-            f"by a factor of {about}"
-        )
-    return (
-        "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: the stated "
-        f"standard deviations{of} may be too small, by a factor of {about}"
-    )
+def _widening(found: Diagnostics, *, coloured: bool) -> list[str]:
+    """Say how the standard deviations allow for the colour of the residuals, where that is worth it."""
+    known = {name: factor for name, factor in found.widening.items() if math.isfinite(factor)}
+    other = {name: f for name, f in known.items() if not 1.0 / WORTH_SAYING < f < WORTH_SAYING}
+    if not other:
+        here = "For the estimates this makes little difference; their standard deviations allow for it"
+        return [here] if coloured and known else []
+    low, high = min(known, key=known.__getitem__), max(known, key=known.__getitem__)
+    about = f"{known[high]:.2g} times"
+    if known[high] > WORTH_SAYING * known[low]:
+        about = f"{known[low]:.2g} ({low}) to {known[high]:.2g} times ({high})"
+    sure = any(each.trait is Trait.COLOURED for each in found.findings)
+    why = "Since neighbouring samples are not independent, the"
+    if not sure:
+        why = "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: the"
+    return [f"{why} standard deviations are {about} those that white noise of this size would give"]
+
+
+def _off_grid(found: Diagnostics) -> list[str]:
+    if not found.off_grid:
+        return []
+    several = len({each.experiment for each in found.series}) > 1
+    names = [f"{output} in {experiment}" if several else output for experiment, output in found.off_grid]
+    return [
+        f"The samples of {listed(names)} stand on no grid: how neighbouring ones depend on each other is judged as if "
+        "they were equally spaced"
+    ]
 
 
 def _summary(found: Diagnostics, *, quiet: bool) -> list[str]:
