@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 import fmuid
 from experiments.batches.campaign import NOISE, L, R, coil_current
@@ -92,7 +93,8 @@ def test_identify_writes_tables_and_figures(folder: Path) -> None:
     assert estimates["parameter"].tolist() == ["R", "L"]
     assert estimates["unit"].tolist() == ["Ohm", "H"]
     assert estimates["value"].tolist() == [found["parameters"][name]["value"] for name in ("R", "L")]
-    half = 1.96394 * estimates["std"]  # Student's t for 598 degrees of freedom
+    freedom = [each["degrees_of_freedom"] for each in result(folder / "results")["parameters"].values()]
+    half = stats.t.ppf(0.975, freedom) * estimates["std"]
     np.testing.assert_allclose(estimates["lower"], estimates["value"] - half, rtol=1e-6)
     np.testing.assert_allclose(estimates["upper"], estimates["value"] + half, rtol=1e-6)
 
@@ -254,8 +256,10 @@ def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixtur
     for name in ("R", "L"):
         prior, estimate = healthy["parameters"][name], found["parameters"][name]
         assert estimate["prior_mean"] == prior["value"]
-        assert estimate["prior_std"] == pytest.approx(2 * prior["std"])
-        assert estimate["pull"] == pytest.approx((estimate["value"] - prior["value"]) / (2 * prior["std"]))
+        # the standard deviation whose normal interval is that of the first estimate
+        std = 2 * prior["std"] * stats.t.ppf(0.975, prior["degrees_of_freedom"]) / stats.norm.ppf(0.975)
+        assert estimate["prior_std"] == pytest.approx(std)
+        assert estimate["pull"] == pytest.approx((estimate["value"] - prior["value"]) / std)
     reading = pd.read_csv(folder / "results/reading.csv")
     inside = (reading["combined"] - reading["prior"]) * (reading["data"] - reading["combined"])
     assert reading["parameter"].tolist() == ["R", "L"]
