@@ -93,7 +93,7 @@ def test_identify_writes_tables_and_figures(folder: Path) -> None:
     assert estimates["parameter"].tolist() == ["R", "L"]
     assert estimates["unit"].tolist() == ["Ohm", "H"]
     assert estimates["value"].tolist() == [found["parameters"][name]["value"] for name in ("R", "L")]
-    freedom = [each["degrees_of_freedom"] for each in result(folder / "results")["parameters"].values()]
+    freedom = [each["degrees_of_freedom"] for each in found["parameters"].values()]
     half = stats.t.ppf(0.975, freedom) * estimates["std"]
     np.testing.assert_allclose(estimates["lower"], estimates["value"] - half, rtol=1e-6)
     np.testing.assert_allclose(estimates["upper"], estimates["value"] + half, rtol=1e-6)
