@@ -41,10 +41,12 @@ def positions(times: Floats) -> tuple[Indices, float]:
     Parameters
     ----------
     times : (n,) array
-        Increasing, s; n ≥ 2. Where they are not near a grid, the samples themselves are counted, and the step is the
-        mean one.
+        Never decreasing, s; n ≥ 2. Where they are not near a grid, or two are the same, the samples themselves are
+        counted, and the step is the mean one.
     """
     places, step, _ = table_grid(times)
+    if (np.diff(places) == 0).any():
+        return np.arange(times.size), float(times[-1] - times[0]) / (times.size - 1)
     return places, step
 
 

@@ -65,7 +65,7 @@ def test_the_search_finds_it_in_two_steps(starts: tuple[float, float, float]) ->
     result = identify(problem)
     assert result.converged
     np.testing.assert_allclose(result.values, fit.theta, rtol=1e-6)
-    np.testing.assert_allclose(result.covariance, fit.covariance, rtol=1e-5)
+    np.testing.assert_allclose(result.white_covariance, fit.covariance, rtol=1e-5)
     assert result.noise_variance["y"] == pytest.approx(fit.noise_variance, rel=1e-9)
 
 

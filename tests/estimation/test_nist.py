@@ -95,7 +95,7 @@ def test_certified_values(name: str, start: int) -> None:
     reference, result = solve(name, start)
     assert result.converged, result.outcome
     assert digits(result.values, reference.certified) >= DIGITS
-    assert digits(result.std, reference.std) >= 2
+    assert digits(result.white_std, reference.std) >= 2
     residual = reference.y - result.fit[0]["simulated.y"].to_numpy()
     assert residual @ residual == pytest.approx(reference.sum_of_squares, rel=1e-6)
     free = reference.y.size - reference.certified.size

@@ -359,6 +359,7 @@ def test_absurd_magnitudes_make_no_warnings(magnitude: float, loss: str) -> None
     assert result.converged
     assert result.values * [1.0 / magnitude, magnitude] == pytest.approx(plain.values, rel=1e-5)
     assert result.std * [1.0 / magnitude, magnitude] == pytest.approx(plain.std, rel=1e-4)
+    assert result.freedom == pytest.approx(plain.freedom, rel=1e-3)
 
 
 @pytest.mark.parametrize("start", [1e-90, -1e60, 1e90])

@@ -214,8 +214,10 @@ def _freedom(rows: Rows, variances: Floats, parts: Sequence[Grid], pools: Sequen
     scatter = np.zeros(len(variances))
     for members in pools:
         total = np.sum([slopes[i] for i in members], axis=0)
+        # relative, for in some units squares of variances are beyond all numbers
+        share = np.divide(total, variances[:, None], out=np.zeros_like(total), where=variances[:, None] > 0.0)
         own = model[members[0]]
-        scatter += np.einsum("ij,jl,il->i", total, own.scatter(), total) / (own.samples * worth)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        freedom = 2.0 * variances**2 / scatter
+        scatter += np.einsum("ij,jl,il->i", share, own.scatter(), share) / (own.samples * worth)
+    with np.errstate(divide="ignore"):
+        freedom = 2.0 / scatter
     return np.where(scatter > 0.0, np.maximum(freedom, LEAST_FREEDOM), math.inf)
