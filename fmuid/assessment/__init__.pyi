@@ -34,10 +34,6 @@ from .residuals import Trait as Trait
 from .residuals import examine_residuals as examine_residuals
 from .residuals import residuals_of as residuals_of
 from .sampler import sample as sample
-from .series import coloured_gram as coloured_gram
-from .series import noise_model as noise_model
-from .series import on_grid as on_grid
-from .series import positions as positions
 from .uncertainty import CONFIDENCE_LEVEL as CONFIDENCE_LEVEL
 from .uncertainty import Uncertainty as Uncertainty
 from .uncertainty import UncertaintySettings as UncertaintySettings

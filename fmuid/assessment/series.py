@@ -29,8 +29,6 @@ from fmuid.estimation import table_grid
 
 # The autocorrelation of a model is followed until it stays below this.
 NEGLIGIBLE = 1e-6
-# Where the model's spectrum is next to nothing, rounding must not make variances negative.
-LEAST_SHARE = 1e-9
 # Reflection coefficients do not exceed this; gaps can make them, and beyond 1 no noise has such correlations.
 LARGEST_REFLECTION = 1.0 - 1e-9
 
@@ -177,21 +175,6 @@ def normality(values: Floats, correlation: Floats) -> tuple[float, float, float]
     third, fourth = (values.size / lag_sum(correlation, values.size, power) for power in (3, 4))
     statistic = third * skewness**2 / 6.0 + fourth * kurtosis**2 / 24.0
     return skewness, kurtosis, float(special.chdtrc(2, statistic))
-
-
-def coloured_gram(columns: Floats, places: Indices, correlation: Floats) -> Floats:
-    """Return Xᵀ Γ X (k, k) for the columns X (n, k) of samples, Γ_ij = ρ(|place_i − place_j|)."""
-    grid = np.zeros((int(places[-1]) + 1, columns.shape[1]))
-    grid[places] = columns
-    kept = correlation[: len(grid)]
-    both = np.concatenate([kept[:0:-1], kept])
-    length = fft.next_fast_len(len(grid) + both.size - 1, real=True)
-    spectrum = fft.rfft(grid, length, axis=0) * fft.rfft(both, length)[:, None]
-    smoothed = fft.irfft(spectrum, length, axis=0)[kept.size - 1 : kept.size - 1 + len(grid)]
-    gram = grid.T @ smoothed
-    values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
-    values = np.maximum(values, LEAST_SHARE * np.abs(values).max(initial=0.0))
-    return np.asarray((vectors * values) @ vectors.T, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

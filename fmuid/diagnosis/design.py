@@ -132,7 +132,7 @@ class Design:
 
     def _need(self, covariance: Floats) -> float:
         """Return how many standard deviations a fault must have."""
-        reference = self.model.reference(covariance)
+        reference = self.model.reference(covariance, self.model.freedom)
         threshold = reference.threshold(self.false_alarm)
         if len(reference.weights) == 1:
             return math.sqrt(float(special.chndtrinc(threshold, reference.free, self.miss)))

@@ -10,8 +10,12 @@ from .accuracy.outcome import AccuracyOutcome as AccuracyOutcome
 from .accuracy.outcome import Kept as Kept
 from .accuracy.outcome import Switch as Switch
 from .accuracy.outcome import SwitchCause as SwitchCause
+from .colour.grid import Rows as Rows
 from .colour.sandwich import ColouredNoise as ColouredNoise
+from .colour.sandwich import Sandwich as Sandwich
+from .colour.sandwich import sandwich as sandwich
 from .colour.sandwich import sandwich_of as sandwich_of
+from .colour.series import series_of as series_of
 from .colour.series import table_grid as table_grid
 from .covariance import AtBound as AtBound
 from .covariance import Determined as Determined

@@ -5,14 +5,12 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from fmuid.arrays import Floats
 from fmuid.assessment.series import (
     LaggedSeries,
     autocorrelation,
-    coloured_gram,
     lag_sum,
     ljung_box,
     noise_model,
@@ -122,21 +120,6 @@ def test_every_other_sample() -> None:
     grid[::2] = np.random.default_rng(2).standard_normal(200)
     assert np.isnan(autocorrelation(grid, 3)[0][1])
     assert noise_model(grid).tolist() == [1.0]
-
-
-def test_coloured_gram_is_the_matrix_product() -> None:
-    rng = np.random.default_rng(10)
-    places = np.array([0, 1, 2, 5, 6, 9, 10, 11, 15])
-    columns = rng.standard_normal((9, 3))
-    rho: Floats = np.power(0.8, np.arange(5.0))
-    full = np.zeros(16)
-    full[:5] = rho
-    gamma = toeplitz(full)[np.ix_(places, places)]
-    np.testing.assert_allclose(coloured_gram(columns, places, rho), columns.T @ gamma @ columns, atol=1e-12)
-    np.testing.assert_allclose(coloured_gram(columns, places, np.ones(1)), columns.T @ columns, atol=1e-12)
-    longer: Floats = np.power(0.9, np.arange(40.0))
-    expected = columns.T @ toeplitz(longer[:16])[np.ix_(places, places)] @ columns
-    np.testing.assert_allclose(coloured_gram(columns, places, longer), expected, atol=1e-12)
 
 
 def test_normality_of_white_noise_is_jarque_and_bera() -> None:

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.assessment import LEAST_SAMPLES, WORTH_SAYING, coloured_gram, noise_model, on_grid, positions
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.diagnosis.decision import Reference, orthant_weights
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.monitoring.belief import Belief, nearest
 from fmuid.errors import InputError, SimulationError
+from fmuid.estimation import Rows, Sandwich, sandwich, series_of
 from fmuid.models import System
 from fmuid.simulation import Simulator
 
@@ -59,8 +59,7 @@ class WindowFit:
         After this window, bounds left out.
     ended : bool
     colour : float
-        By which factor the residual's colour widens the scatter of the fault parameters; it is counted where that is
-        enough to matter (`fmuid.assessment.residuals.WORTH_SAYING`).
+        By which factor the residual's colour widens the scatter of the fault parameters, at most.
     """
 
     values: Floats
@@ -247,16 +246,29 @@ class Extended:
                 break
             last, point, halvings = (point, criterion), target, 0
         rest = residual - slopes @ (target - point)
+        noise = self._noise(slopes, rest, information, prior, experiment)
         white = Belief(free, information, prior.scatter + slopes.T @ slopes)
-        coloured = replace(white, scatter=prior.scatter + _gram(slopes, rest, experiment))
-        colour = self._widening(coloured, white)
-        after = coloured if colour >= WORTH_SAYING else white
-        return self._found(after, target, float(rest @ rest), rest.size, ended, max(colour, 1.0))
-
-    def _widening(self, coloured: Belief, white: Belief) -> float:
-        """Return by which factor the residual's colour widens the scatter of the fault parameters at most."""
+        coloured = replace(white, scatter=prior.scatter + noise.noise.gram(slopes))
         ratio = np.diag(self.covariance(coloured)) / np.diag(self.covariance(white))
-        return float(np.sqrt(ratio[self.first :].max()))
+        colour = float(np.sqrt(ratio[self.first :].max()))
+        # the variance is that of the healthy record, its colour that of the window
+        inverse = 1.0 / self.freedom + float(np.mean(1.0 / noise.freedom[self.first :]))
+        freedom = 1.0 / inverse if inverse > 0.0 else math.inf
+        return self._found(coloured, target, float(rest @ rest), rest.size, ended, colour, freedom)
+
+    def _noise(
+        self, slopes: Floats, residual: Floats, information: Floats, prior: Belief, experiment: Experiment
+    ) -> Sandwich:
+        """Return how the minimum scatters under the noise that the residual (n,) shows."""
+        sizes = np.sqrt(np.sum(slopes**2, axis=0))
+        basis, singular, _ = np.linalg.svd(slopes / np.where(sizes > 0, sizes, 1.0), full_matrices=False)
+        basis = basis[:, singular**2 > SINGULAR]
+        outputs, kinds = experiment.output_names, np.zeros(len(experiment.output_names), dtype=np.bool_)
+        known = self.prior.information + prior.scatter
+        own = residual - basis @ (basis.T @ residual)
+        inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        rows = Rows(own, basis, slopes, inverse, known, ~kinds, kinds)
+        return sandwich(rows, series_of([experiment], outputs))
 
     def determined(self, information: Floats) -> bool:
         """Return whether an information matrix (N, N) determines all parameters."""
@@ -295,7 +307,7 @@ class Extended:
         return np.asarray(inverse @ (self.prior.information + belief.scatter) @ inverse)
 
     def _found(
-        self, after: Belief, target: Floats, squares: float, samples: int, ended: bool, colour: float
+        self, after: Belief, target: Floats, squares: float, samples: int, ended: bool, colour: float, freedom: float
     ) -> WindowFit:
         whole = self.covariance(after)
         inverse = np.linalg.inv(after.information)
@@ -306,7 +318,7 @@ class Extended:
             self.thetas(target[None])[0],
             self._std(target, whole),
             statistic,
-            self.reference(own),
+            self.reference(own, freedom),
             max(1, int(np.count_nonzero(kept))),
             squares,
             samples,
@@ -328,10 +340,10 @@ class Extended:
         off = fault - kept
         return max(0.0, float(fault @ information @ fault - off @ information @ off)), kept
 
-    def reference(self, covariance: Floats) -> Reference:
-        """Return the distribution of D without a fault, given the covariance of the fault parameters (k, k)."""
+    def reference(self, covariance: Floats, freedom: float) -> Reference:
+        """Return the distribution of D without a fault, by the covariance of the fault parameters (k, k)."""
         kept = np.ix_(self._constrained, self._constrained)
-        return Reference(len(covariance) - len(self._constrained), orthant_weights(covariance[kept]), self.freedom)
+        return Reference(len(covariance) - len(self._constrained), orthant_weights(covariance[kept]), freedom)
 
     def _std(self, point: Floats, covariance: Floats) -> Floats:
         std = np.sqrt(np.diag(covariance))
@@ -343,19 +355,3 @@ class Extended:
             std[i] = math.sqrt(along @ own @ along)
             std[j] = math.sqrt(across @ own @ across) / size * period / (2.0 * math.pi) if size else math.inf
         return std
-
-
-def _gram(slopes: Floats, residual: Floats, experiment: Experiment) -> Floats:
-    """Return Sᵀ Γ S (N, N), Γ the correlation of the residual (n,), each output's by itself (Morelli and Klein)."""
-    total = np.zeros((slopes.shape[1], slopes.shape[1]))
-    rows, columns = np.nonzero(experiment.counted)
-    for k in range(experiment.counted.shape[1]):
-        own = columns == k
-        values, correlation = residual[own], np.ones(1)
-        places, _ = positions(experiment.times[rows[own]]) if values.size > 1 else (np.zeros(1, np.intp), 0.0)
-        if values.size >= LEAST_SAMPLES and np.ptp(values) > 0:
-            correlation = noise_model(on_grid(values, places))
-        total += (
-            coloured_gram(slopes[own], places, correlation) if correlation.size > 1 else slopes[own].T @ slopes[own]
-        )
-    return total
