@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -18,6 +19,8 @@ MAX_STEPS = 20_000
 EFFECTIVE_SIZE = 2000
 # The share of the chain, at its start, that is not used.
 BURN_SHARE = 0.25
+# An interval that ends at a bound is taken where it is longer than the shortest one by no more than this share.
+LONGER = 0.02
 # Largest R-hat of chains that agree (Vehtari et al., section 4).
 LARGEST_R_HAT = 1.01
 
@@ -98,6 +101,8 @@ class Posterior:
     undetermined : tuple of Direction
         Along which the samples show priors and bounds, not data.
     names : tuple of str
+    lower, upper : (N,) arrays
+        The bounds, infinite where there are none.
     chain : (steps, walkers, N) array
         Every step of every walker, the first `burn` ones included.
     log_density : (steps, walkers) array
@@ -122,6 +127,8 @@ class Posterior:
     wanted: int
     undetermined: tuple[Direction, ...]
     names: tuple[str, ...]
+    lower: Floats
+    upper: Floats
     chain: Floats
     log_density: Floats
     burn: int
@@ -158,7 +165,9 @@ class Posterior:
         return np.asarray(self.samples.std(axis=0, ddof=1))
 
     def intervals(self, level: float = 0.95) -> pd.DataFrame:
-        """Return the interval of each parameter between equal tails, columns ``lower`` and ``upper``.
+        """Return the interval of highest density of each parameter, columns ``lower`` and ``upper``.
+
+        The shortest one that holds so much of the samples; where one that ends at a bound is hardly longer, that one.
 
         Raises
         ------
@@ -166,8 +175,9 @@ class Posterior:
             If the level is not between 0 and 1.
         """
         check_level(level)
-        lower, upper = np.quantile(self.samples, [0.5 - level / 2.0, 0.5 + level / 2.0], axis=0)
-        return pd.DataFrame({"lower": lower, "upper": upper}, index=list(self.names))
+        columns = zip(np.sort(self.samples, axis=0).T, self.lower, self.upper, strict=True)
+        ends = np.array([_densest(own, level, lower, upper) for own, lower, upper in columns])
+        return pd.DataFrame(ends, columns=["lower", "upper"], index=list(self.names))
 
     @property
     def table(self) -> pd.DataFrame:
@@ -191,3 +201,19 @@ class Posterior:
                 "r_hat": self.r_hat,
             }
         )
+
+
+def _densest(samples: Floats, level: float, lower: float, upper: float) -> tuple[float, float]:
+    """Return the shortest interval that holds a share of sorted samples (n,), which lie between two bounds."""
+    reach = min(max(1, round(level * samples.size)), samples.size - 1)
+    widths = samples[reach:] - samples[: samples.size - reach]
+    first = int(np.argmin(widths))
+    found = [(float(samples[first]), float(samples[first + reach]))]
+    # at a bound the density ends abruptly, and which interval is shortest is chance
+    if math.isfinite(lower):
+        found.append((lower, float(samples[reach])))
+    if math.isfinite(upper):
+        found.append((float(samples[samples.size - 1 - reach]), upper))
+    length = [b - a for a, b in found]
+    near = [k for k in range(1, len(found)) if length[k] <= (1.0 + LONGER) * length[0]]
+    return found[min(near, key=lambda k: length[k], default=0)]

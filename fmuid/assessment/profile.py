@@ -151,7 +151,7 @@ def profiles(
     chosen = [problem.parameters.index(name) for name in dict.fromkeys(listed)]
     criterion, origin = best_near(problem, result)
     far, scatter = reach(problem, result), _scatter(problem, result)
-    thresholds, bends = result.quantiles(level) ** 2 * scatter, result.std / np.sqrt(scatter)
+    thresholds, bends = result.reaches(level) ** 2 * scatter, result.std / np.sqrt(scatter)
     found: list[Profile] = []
     for k, i in enumerate(chosen):
         std, threshold = float(result.std[i]), float(thresholds[i])

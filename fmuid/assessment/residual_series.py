@@ -16,12 +16,12 @@ from fmuid.assessment.series import (
     LaggedSeries,
     autocorrelation,
     lag_sum,
-    ljung_box,
     noise_model,
     normality,
     on_grid,
     positions,
 )
+from fmuid.assessment.whiteness import Taken, whiteness
 from fmuid.data import Experiment, Measurements
 
 # Whiteness is tested over so many lags, the habit of the field, but not more than a fifth of the samples.
@@ -190,7 +190,9 @@ class ResidualSeries:
         }
 
 
-def examine_outputs(experiment: Measurements, simulated: Floats, rows: Sequence[Indices]) -> list[ResidualSeries]:
+def examine_outputs(
+    experiment: Measurements, simulated: Floats, rows: Sequence[Indices], taken: Taken | None = None
+) -> list[ResidualSeries]:
     """Examine the residuals of those outputs of an experiment that have samples that count.
 
     Parameters
@@ -199,13 +201,21 @@ def examine_outputs(experiment: Measurements, simulated: Floats, rows: Sequence[
     simulated : (K, n_outputs) array
     rows : sequence of (n,) arrays of int
         For each output, which rows of the problem's residual are its counted samples.
+    taken : Taken, optional
+        What a fit has taken out of the noise of all rows; default: nothing has been fitted.
     """
-    found = [_alone(experiment, column, simulated[:, column], its) for column, its in enumerate(rows) if its.size]
+    found = [
+        _alone(
+            experiment, column, simulated[:, column], its, Taken.nothing(its.size) if taken is None else taken.of(its)
+        )
+        for column, its in enumerate(rows)
+        if its.size
+    ]
     related = _related(experiment, [each for each in found if each.examined])
     return [replace(each, inputs=related.get(each.output, ())) for each in found]
 
 
-def _alone(experiment: Measurements, column: int, simulated: Floats, rows: Indices) -> ResidualSeries:
+def _alone(experiment: Measurements, column: int, simulated: Floats, rows: Indices, taken: Taken) -> ResidualSeries:
     """Examine the residual of one output, the inputs aside."""
     counted, measured = experiment.counted[:, column], experiment.output_values[:, column]
     residual = np.where(counted, measured - simulated, np.nan)
@@ -229,7 +239,7 @@ def _alone(experiment: Measurements, column: int, simulated: Floats, rows: Indic
     grid = on_grid(values, places)
     lags = min(TESTED_LAGS, values.size // LAGS_DIVISOR, len(grid) - 1)
     correlations, pairs = autocorrelation(grid, min(SHOWN_LAGS, len(grid) - 1))
-    statistic, probability = ljung_box(correlations[: lags + 1], pairs[: lags + 1])
+    statistic, probability = whiteness(correlations[: lags + 1], pairs[: lags + 1], np.isfinite(grid), taken)
     noise = noise_model(grid)
     score = mean / std * math.sqrt(values.size / lag_sum(noise, values.size))
     skewness, kurtosis, normal = normality(values, noise)

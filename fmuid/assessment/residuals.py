@@ -25,6 +25,7 @@ import pandas as pd
 
 from fmuid.arrays import Floats
 from fmuid.assessment.residual_series import InputCorrelation, ResidualSeries, examine_outputs
+from fmuid.assessment.whiteness import Taken
 from fmuid.data import Measurements
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result
@@ -193,19 +194,22 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     InputError
         If the result was read from a file, which has no residuals.
     """
-    if result.noise is None:
+    if result.noise is None or result.local is None:
         raise InputError("a result read from a file has no residuals to examine; identify the study again")
     series: list[ResidualSeries] = []
-    first = 0
+    columns, first = result.local.jacobian @ result.local.root, 0
+    taken = Taken(columns, columns.T @ columns)
     for experiment, fit in zip(problem.experiments, result.fit, strict=True):
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
-        series += residuals_of(experiment, simulated, first)
+        series += residuals_of(experiment, simulated, first, taken)
         first += int(experiment.counted.sum())
     off_grid = tuple((each.experiment, each.output) for each in result.noise.series if not each.regular)
     return Diagnostics(tuple(series), dict(zip(result.names, result.widening.tolist(), strict=True)), off_grid)
 
 
-def residuals_of(experiment: Measurements, simulated: Floats, first: int = 0) -> list[ResidualSeries]:
+def residuals_of(
+    experiment: Measurements, simulated: Floats, first: int = 0, taken: Taken | None = None
+) -> list[ResidualSeries]:
     """Examine measured − simulated of an experiment, output by output.
 
     Parameters
@@ -214,7 +218,9 @@ def residuals_of(experiment: Measurements, simulated: Floats, first: int = 0) ->
     simulated : (K, n_outputs) array
     first : int
         Which row of a problem's residual the first of its counted samples is.
+    taken : Taken, optional
+        What a fit has taken out of the noise of all rows; default: nothing has been fitted.
     """
     counted, outputs = np.flatnonzero(experiment.counted), len(experiment.output_names)
     rows = [first + np.flatnonzero(counted % outputs == column) for column in range(outputs)]
-    return examine_outputs(experiment, simulated, rows)
+    return examine_outputs(experiment, simulated, rows, taken)

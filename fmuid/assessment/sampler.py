@@ -278,6 +278,8 @@ class _Sampler:
             wanted=self.settings.effective_size,
             undetermined=self.result.undetermined,
             names=self.problem.parameters.names,
+            lower=self.problem.parameters.lower,
+            upper=self.problem.parameters.upper,
             chain=chain,
             log_density=self.sampler.get_log_prob().copy(),
             burn=len(chain) - len(kept),

@@ -53,6 +53,8 @@ class Result:
         How the search ended.
     names : tuple of str
     values, start : (N,) arrays
+    lower, upper : (N,) arrays
+        The bounds, infinite where there are none.
     prior_mean, prior_std : (N,) arrays
         NaN where there is no prior.
     covariance : (N, N) array
@@ -117,6 +119,8 @@ class Result:
     names: tuple[str, ...]
     values: Floats
     start: Floats
+    lower: Floats
+    upper: Floats
     prior_mean: Floats
     prior_std: Floats
     covariance: Floats
@@ -196,7 +200,19 @@ class Result:
 
         Student's t for the degrees of freedom of each, where they are infinite the normal distribution.
         """
-        tail, exact = 0.5 + level / 2.0, np.isinf(self.freedom)
+        return self._student(np.full(len(self.names), 0.5 + level / 2.0))
+
+    def reaches(self, level: float) -> Floats:
+        """Return how many standard deviations an interval reaches away from each estimate (N,).
+
+        As `quantiles` says, but of an estimate on a bound all that is not in the interval lies on one side of it.
+        """
+        held = [bound.name for bound in self.at_bounds]
+        tail = np.where([name in held for name in self.names], max(level, 0.5), 0.5 + level / 2.0)
+        return self._student(tail)
+
+    def _student(self, tail: Floats) -> Floats:
+        exact = np.isinf(self.freedom)
         student = special.stdtrit(np.where(exact, 1.0, self.freedom), tail)
         return np.asarray(np.where(exact, special.ndtri(tail), student), dtype=np.float64)
 
@@ -258,7 +274,7 @@ class Result:
         """Return the confidence interval of each parameter, columns ``lower`` and ``upper``.
 
         With Student's t for the degrees of freedom of each standard deviation (`freedom`), with the normal
-        distribution where they are infinite.
+        distribution where they are infinite. It ends at bounds, and is one-sided where the estimate stands on one.
 
         Parameters
         ----------
@@ -271,8 +287,9 @@ class Result:
             If the level is not between 0 and 1.
         """
         check_level(level)
-        half = self.quantiles(level) * self.std
-        return pd.DataFrame({"lower": self.values - half, "upper": self.values + half}, index=list(self.names))
+        half = self.reaches(level) * self.std
+        lower, upper = np.maximum(self.values - half, self.lower), np.minimum(self.values + half, self.upper)
+        return pd.DataFrame({"lower": lower, "upper": upper}, index=list(self.names))
 
     @property
     def estimates(self) -> pd.DataFrame:

@@ -32,12 +32,14 @@ def content(result: Any) -> dict[str, Any]:
         "white_std": result.white_std,
         "degrees_of_freedom": result.freedom,
         "start": result.start,
+        "min": result.lower,
+        "max": result.upper,
         "numerical_shift": result.numerical_shift,
         "prior_mean": result.prior_mean,
         "prior_std": result.prior_std,
         "pull": result.pull,
     }
-    without_prior = list(columns)[:6]
+    without_prior = list(columns)[:8]
     parameters = {
         name: {key: columns[key][i] for key in (without_prior if math.isnan(result.prior_mean[i]) else columns)}
         for i, name in enumerate(result.names)
@@ -86,11 +88,17 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
     covariance = _covariance(matrix, names, outcome)
     white = _covariance(data["covariance"].get("white", matrix), names, outcome)
     each = [parameters[name].get("degrees_of_freedom", data.get("degrees_of_freedom")) for name in names]
+    bounds = {
+        key: _array([parameters[name].get(key) for name in names], none)
+        for key, none in (("min", -np.inf), ("max", np.inf))
+    }
     return {
         "outcome": outcome,
         "names": names,
         "values": column["value"],
         "start": column["start"],
+        "lower": bounds["min"],
+        "upper": bounds["max"],
         "prior_mean": column["prior_mean"],
         "prior_std": column["prior_std"],
         "covariance": covariance,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -218,6 +219,35 @@ def sum_only(a: Parameter, b: Parameter) -> LeastSquares:
     )
 
 
+@pytest.mark.parametrize(
+    ("distribution", "lower", "expected"),
+    [
+        (stats.expon(), 0.0, (0.0, -math.log(0.05))),  # densest at its bound
+        (stats.norm(), -10.0, (-1.96, 1.96)),
+        (stats.gamma(3.0), 0.0, (0.3035, 6.4012)),  # equal densities at both ends
+        (stats.truncnorm(-3.0, 0.0), -3.0, (-1.9385, 0.0)),  # and at its upper bound
+    ],
+)
+def test_intervals_of_highest_density(
+    distribution: stats.rv_continuous, lower: float, expected: tuple[float, float]
+) -> None:
+    samples = np.random.default_rng(6).permutation(distribution.ppf((np.arange(20_000) + 0.5) / 20_000))
+    upper = 0.0 if expected[1] == 0.0 else math.inf
+    posterior, _ = sampled(linear()[0], steps=10)
+    one = replace(
+        posterior,
+        names=("x",),
+        lower=np.array([lower]),
+        upper=np.array([upper]),
+        chain=samples.reshape(-1, 4, 1),
+        burn=0,
+    )
+    found = one.intervals().to_numpy()[0].tolist()
+    assert found == pytest.approx(expected, abs=0.03)
+    for end, bound in zip(expected, (lower, upper), strict=True):
+        assert (bound in found) == (end == bound)
+
+
 def test_prior_decides_what_data_leave_open() -> None:
     problem = sum_only(Parameter(1.0, prior=Normal(1.0, 2.0)), Parameter(1.0))
     total = float(problem.measured.mean())
@@ -327,7 +357,9 @@ def test_tables() -> None:
     assert list(posterior.table.columns) == ["a", "b"]
     np.testing.assert_array_equal(posterior.table.to_numpy(), posterior.chain[posterior.burn :].reshape(-1, 2))
     summary = posterior.summary.set_index("parameter")
-    assert summary.loc["a", "lower"] == pytest.approx(np.quantile(posterior.table["a"], 0.025), rel=1e-12)
+    assert summary.loc["a", "lower"] == posterior.intervals(0.95).to_numpy()[0, 0]
+    inside = posterior.table["a"].between(*posterior.intervals(0.8).to_numpy()[0])
+    assert inside.mean() == pytest.approx(0.8, abs=1e-3)
     assert summary.loc["b", "std"] == pytest.approx(posterior.table["b"].std())
     np.testing.assert_allclose(posterior.std, np.sqrt(np.diag(posterior.covariance)))
 

@@ -343,7 +343,8 @@ def test_outputs_that_count_alike_share_the_work_on_the_inputs(monkeypatch: pyte
 
     monkeypatch.setattr("fmuid.assessment.residual_series.LaggedSeries", Counted)
     experiment, simulated = several_outputs()
-    examine_outputs(experiment, simulated, [np.arange(int(counted.sum())) for counted in experiment.counted.T])
+    rows = [np.arange(int(counted.sum())) for counted in experiment.counted.T]
+    examine_outputs(experiment, simulated, rows)
     assert len(made) == 4  # two inputs that move, for y and z together and for g
 
 

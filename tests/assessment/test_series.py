@@ -18,6 +18,7 @@ from fmuid.assessment.series import (
     on_grid,
     positions,
 )
+from fmuid.assessment.whiteness import Taken, whiteness
 from tests.support.problems import ar1
 
 
@@ -120,6 +121,31 @@ def test_every_other_sample() -> None:
     grid[::2] = np.random.default_rng(2).standard_normal(200)
     assert np.isnan(autocorrelation(grid, 3)[0][1])
     assert noise_model(grid).tolist() == [1.0]
+
+
+@pytest.mark.parametrize("gaps", [False, True])
+def test_whiteness_in_short_records_that_a_fit_has_smoothed(gaps: bool) -> None:
+    """A polynomial of five coefficients through 30 samples of white noise: the limit alarms in 6 % for 1 %."""
+    places = np.flatnonzero(np.arange(36) % 6 != 4) if gaps else np.arange(30)
+    columns = np.linalg.qr(np.vander(places / 30.0, 5))[0]
+    rng, tested, limit = np.random.default_rng(3), [], []
+    for _ in range(400):
+        noise = rng.standard_normal(places.size)
+        grid = on_grid(noise - columns @ (columns.T @ noise), places)
+        found = autocorrelation(grid, 6)
+        limit.append(ljung_box(*found)[1])
+        tested.append(whiteness(*found, np.isfinite(grid), Taken(columns, np.eye(5)))[1])
+    assert np.mean(np.array(limit) < 0.05) > 0.1
+    assert np.mean(np.array(tested) < 0.05) == pytest.approx(0.05, abs=0.033)  # three standard errors
+    assert np.mean(np.array(tested) < 0.01) < 0.03
+
+
+def test_what_a_fit_of_several_outputs_takes_from_one() -> None:
+    """The covariance of an output's residual is I − C_a C_aᵀ where that of all is I − C Cᵀ, Cᵀ C = I."""
+    columns = np.linalg.qr(np.random.default_rng(1).standard_normal((40, 6)))[0]
+    taken = Taken(columns[:12], np.eye(6))
+    found = np.cov(taken.draws(np.random.default_rng(2), 40_000).T, bias=True)
+    np.testing.assert_allclose(found, np.eye(12) - columns[:12] @ columns[:12].T, atol=0.03)
 
 
 def test_normality_of_white_noise_is_jarque_and_bera() -> None:

@@ -257,6 +257,34 @@ def test_bounds_are_named() -> None:
     assert result.at_bounds == (AtBound("k", 1.2),)
     assert "widen the bound" in ending(result)
     assert result["k"] == 1.2
+    # one-sided where the estimate stands on a bound
+    lower, upper = result.intervals(0.9).to_numpy()[0].tolist()
+    assert upper == 1.2
+    assert lower == pytest.approx(1.2 - stats.t.ppf(0.9, result.freedom[0]) * result.std[0])
+
+
+def test_intervals_end_at_bounds() -> None:
+    free = identify(two_output_problem())
+    lower, upper = free.intervals().to_numpy()[0].tolist()
+    bound = 0.5 * (free["k"] + upper)
+    held = identify(two_output_problem(parameters={"k": Parameter(1.0, min=0.0, max=bound)}))
+    assert held.intervals().to_numpy()[0].tolist() == pytest.approx([lower, bound], rel=1e-5)
+    assert not held.at_bounds
+
+
+def test_few_samples_of_an_output_widen_what_depends_on_them_alone() -> None:
+    """Three samples, of which one parameter takes one: Student's t of two degrees of freedom."""
+
+    def both(theta: Floats) -> Floats:
+        return np.column_stack([theta[0] * np.exp(-TIMES), np.full(100, theta[1])])
+
+    y = both(np.array([1.0, 2.0])) + np.random.default_rng(4).standard_normal((100, 2)) * [0.1, 0.3]
+    y[[*range(20), *range(21, 50), *range(51, 90), *range(91, 100)], 1] = np.nan
+    parameters = {"a": Parameter(0.5), "c": Parameter(1.0)}
+    result = identify(LeastSquares.from_function(both, y, parameters, outputs=("u", "i"), times=TIMES))
+    assert result.freedom[1] == pytest.approx(2.0, rel=0.02)
+    assert result.freedom[0] > 20.0
+    assert result.std[1] == pytest.approx(np.nanstd(y[:, 1], ddof=1) / math.sqrt(3.0), rel=0.02)
 
 
 def test_parameters_shared_and_per_experiment() -> None:
@@ -356,7 +384,7 @@ def test_result_json_keeps_the_contract(tmp_path: Path) -> None:
     data = result.to_json_dict()
     keys = {"outcome", "converged", "parameters", "covariance", "noise_variance", "criterion", "iterations"}
     assert keys | {"simulations", "elapsed_s", "version"} <= set(data)
-    keys = {"value", "std", "white_std", "degrees_of_freedom", "start", "numerical_shift"}
+    keys = {"value", "std", "white_std", "degrees_of_freedom", "start", "min", "max", "numerical_shift"}
     assert set(data["parameters"]["k"]) == keys | {"prior_mean", "prior_std", "pull"}
     assert set(data["parameters"]["gain"]) == keys
     assert data["covariance"]["names"] == ["k", "gain"]
@@ -364,7 +392,18 @@ def test_result_json_keeps_the_contract(tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
     back = Result.from_json(path)
-    for name in ("values", "start", "covariance", "std", "white_covariance", "freedom", "prior_mean", "prior_std"):
+    for name in (
+        "values",
+        "start",
+        "covariance",
+        "std",
+        "white_covariance",
+        "freedom",
+        "lower",
+        "upper",
+        "prior_mean",
+        "prior_std",
+    ):
         np.testing.assert_array_equal(getattr(back, name), getattr(result, name))
     pd.testing.assert_frame_equal(back.intervals(), result.intervals())
     assert back.to_json_dict() == data

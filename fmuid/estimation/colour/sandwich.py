@@ -155,7 +155,7 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
         gram = np.sum([part.take(part.models, rows.columns, part.innovations) for part in parts], axis=0)
     inner = gram + rows.prior
     covariance = rows.root @ inner @ rows.root.T
-    freedom = _freedom(rows, np.diag(covariance), parts, pools)
+    freedom = _freedom(rows, np.diag(covariance), series, parts, pools)
     noise = ColouredNoise(
         tuple(series), tuple(models[i] for i in range(len(series))), tuple(part.innovations for part in parts)
     )
@@ -206,9 +206,11 @@ def _joined(blocks: Sequence[tuple[Floats, NDArray[np.bool_]]], gap: int) -> tup
     return np.concatenate(columns, axis=1), np.concatenate([np.pad(there, (0, gap)) for _, there in blocks])
 
 
-def _freedom(rows: Rows, variances: Floats, parts: Sequence[Grid], pools: Sequence[Sequence[int]]) -> Floats:
+def _freedom(
+    rows: Rows, variances: Floats, series: Sequence[Series], parts: Sequence[Grid], pools: Sequence[Sequence[int]]
+) -> Floats:
     """Return the degrees of freedom of the variances (N,), from the scatter of the models they rest on."""
-    worth = max(1.0 - rows.basis.shape[1] / len(rows.residual), np.finfo(float).eps)
+    taken = np.sum(rows.basis**2, axis=1)
     slopes = {index: own for part in parts for index, own in zip(part.members, part.slopes(), strict=True)}
     model = {index: own for part in parts for index, own in zip(part.members, part.models, strict=True)}
     scatter = np.zeros(len(variances))
@@ -217,7 +219,9 @@ def _freedom(rows: Rows, variances: Floats, parts: Sequence[Grid], pools: Sequen
         # relative, for in some units squares of variances are beyond all numbers
         share = np.divide(total, variances[:, None], out=np.zeros_like(total), where=variances[:, None] > 0.0)
         own = model[members[0]]
-        scatter += np.einsum("ij,jl,il->i", share, own.scatter(), share) / (own.samples * worth)
+        # of what the fit has taken away nothing can be told
+        left = own.samples - sum(float(taken[series[i].rows].sum()) for i in members)
+        scatter += np.einsum("ij,jl,il->i", share, own.scatter(), share) / max(left, np.finfo(float).tiny)
     with np.errstate(divide="ignore"):
         freedom = 2.0 / scatter
     return np.where(scatter > 0.0, np.maximum(freedom, LEAST_FREEDOM), math.inf)
