@@ -320,6 +320,7 @@ def main() -> None:
         ignore_index=True,
     )
     found.to_csv(HERE / "draws.csv", index=False, float_format="%.6g", lineterminator="\n")
+    found = pd.read_csv(HERE / "draws.csv")  # as the page is checked against it
     counts = []
     for k, resistance in enumerate(WARM):
         part = draws(resistance, 0.0, ALARM_DRAWS, 100 + k)

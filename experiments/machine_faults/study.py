@@ -177,6 +177,7 @@ def main() -> None:
     found = draws()
     print(f"{len(found)} records in {time.perf_counter() - began:.0f} s")
     found.to_csv(HERE / "draws.csv", index=False, float_format="%.6g", lineterminator="\n")
+    found = pd.read_csv(HERE / "draws.csv")  # as the page is checked against it
     drawn = figure(found)
     with style():
         drawn.savefig(HERE / "sizes.png", dpi=DPI)
