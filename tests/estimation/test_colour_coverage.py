@@ -158,7 +158,9 @@ def rise(draw: Draw, result: Result) -> float:
     """Return by how much the criterion is higher at the truth, with the variances of the result."""
     problem = draw.problem
     weights = np.array([result.variance[name] for name in problem.output_names])[problem.groups]
-    return float(np.sum((problem.measured - problem.predict(draw.truth[None])[0]) ** 2 / weights)) - result.criterion
+    misses = problem.measured - problem.predict(np.array([draw.truth, result.values]))
+    there, least = np.sum(misses**2 / weights, axis=1)
+    return float(there - least)
 
 
 def count(case: str, samples: int, draws: int, every: int = 0) -> Count:
