@@ -262,7 +262,7 @@ class Extended:
         """Return how the minimum scatters under the noise that the residual (n,) shows."""
         sizes = np.sqrt(np.sum(slopes**2, axis=0))
         basis, singular, _ = np.linalg.svd(slopes / np.where(sizes > 0, sizes, 1.0), full_matrices=False)
-        basis = basis[:, singular**2 > SINGULAR]
+        basis = basis[:, singular**2 > LEAST_INFORMATION]
         outputs, kinds = experiment.output_names, np.zeros(len(experiment.output_names), dtype=np.bool_)
         known = self.prior.information + prior.scatter
         own = residual - basis @ (basis.T @ residual)
