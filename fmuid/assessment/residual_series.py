@@ -14,14 +14,15 @@ from fmuid.arrays import Floats, Indices
 from fmuid.assessment.series import (
     CrossCorrelation,
     LaggedSeries,
+    Taken,
     autocorrelation,
     lag_sum,
     noise_model,
     normality,
     on_grid,
     positions,
+    whiteness,
 )
-from fmuid.assessment.whiteness import Taken, whiteness
 from fmuid.data import Experiment, Measurements
 
 # Whiteness is tested over so many lags, the habit of the field, but not more than a fifth of the samples.

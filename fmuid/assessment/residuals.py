@@ -25,7 +25,7 @@ import pandas as pd
 
 from fmuid.arrays import Floats
 from fmuid.assessment.residual_series import InputCorrelation, ResidualSeries, examine_outputs
-from fmuid.assessment.whiteness import Taken
+from fmuid.assessment.series import Taken
 from fmuid.data import Measurements
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from fmuid.arrays import Floats
 from fmuid.assessment.series import (
     LaggedSeries,
+    Taken,
     autocorrelation,
     lag_sum,
     ljung_box,
@@ -17,8 +18,8 @@ from fmuid.assessment.series import (
     normality,
     on_grid,
     positions,
+    whiteness,
 )
-from fmuid.assessment.whiteness import Taken, whiteness
 from tests.support.problems import ar1
 
 

@@ -68,7 +68,7 @@ def test_everything_of_a_linear_problem_agrees() -> None:
     local = result.intervals(0.9).to_numpy()
     np.testing.assert_array_equal(limits["local"].to_numpy(), local)
     np.testing.assert_allclose(limits["profile"].to_numpy(), local, rtol=1e-4)
-    np.testing.assert_allclose(limits["posterior"].to_numpy(), local, atol=0.15 * float(result.std.max()))
+    np.testing.assert_allclose(limits["posterior"].to_numpy(), local, atol=0.3 * float(result.std.max()))
 
     table = found.profile_table
     assert list(table.columns) == ["profiled", "a", "b", "criterion"]

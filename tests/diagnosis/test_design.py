@@ -61,7 +61,8 @@ def coil_deviation(healthy: fmuid.Result, voltage: np.ndarray) -> float:
     by_r = (current(coil.R + 1e-4, coil.L) - current(coil.R - 1e-4, coil.L)) / 2e-4
     by_l = (current(coil.R, coil.L + 1e-6) - current(coil.R, coil.L - 1e-6)) / 2e-6
     columns = np.column_stack([by_r, by_l, by_r + 2 * coil.TAU * by_l])
-    prior = np.diag([*(healthy.std * [10.0, 1.0]) ** -2.0, 0.0])
+    known = np.array([healthy.normal("R", inflate=10.0).std, healthy.normal("L").std])
+    prior = np.diag([*known**-2.0, 0.0])
     return math.sqrt(np.linalg.inv(prior + columns.T @ columns / coil.NOISE_VARIANCE)[2, 2])
 
 
