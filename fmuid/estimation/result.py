@@ -192,21 +192,14 @@ class Result:
     def widening(self) -> Floats:
         """By which factor the colour of the noise widens each standard deviation (N,); NaN where there is none."""
         known = np.isfinite(self.std) & np.isfinite(self.white_std) & (self.white_std > 0)
-        ratio = np.divide(self.std, self.white_std, out=np.full(len(self.names), np.nan), where=known)
-        return np.asarray(ratio, dtype=np.float64)
+        return np.asarray(np.divide(self.std, self.white_std, out=np.full(len(self.names), np.nan), where=known))
 
     def quantiles(self, level: float) -> Floats:
-        """Return how many standard deviations an interval reaches to each side of each estimate (N,).
-
-        Student's t for the degrees of freedom of each, where they are infinite the normal distribution.
-        """
+        """Return how many standard deviations an interval reaches to each side of each estimate (N,), Student's t."""
         return self._student(np.full(len(self.names), 0.5 + level / 2.0))
 
     def reaches(self, level: float) -> Floats:
-        """Return how many standard deviations an interval reaches away from each estimate (N,).
-
-        As `quantiles` says, but of an estimate on a bound all that is not in the interval lies on one side of it.
-        """
+        """Return the same for intervals that are one-sided where the estimate stands on a bound."""
         held = [bound.name for bound in self.at_bounds]
         tail = np.where([name in held for name in self.names], max(level, 0.5), 0.5 + level / 2.0)
         return self._student(tail)

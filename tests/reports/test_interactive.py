@@ -62,12 +62,12 @@ def result(rho: float = 0.6) -> Result:
     """Return a result of two parameters with known noise, 4 ± 0.1 and 0.1 ± 0.002."""
     std = np.array([0.1, 0.002])
     covariance = np.outer(std, std) * np.array([[1.0, rho], [rho, 1.0]])
-    empty = np.full(2, np.nan)
+    empty, free = np.full(2, np.nan), np.full(2, np.inf)
     from fmuid.estimation import Outcome
 
     return Result(
-        Outcome.CONVERGED, ("R", "L"), np.array([4.0, 0.1]), np.array([5.0, 0.2]), empty, empty, covariance,
-        {}, {"i": 1.0}, 10.0, 0.0, math.inf, 3, 9, 0.1, (), (), (), (), "0",
+        Outcome.CONVERGED, ("R", "L"), np.array([4.0, 0.1]), np.array([5.0, 0.2]), -free, free,
+        empty, empty, covariance, covariance, free, {}, {"i": 1.0}, 10.0, 0.0, math.inf, 3, 9, 0.1, (), (), (), (), "0",
     )  # fmt: skip
 
 
@@ -325,7 +325,7 @@ def test_map() -> None:
     table["criterion"] = 10.0 + 100.0 * (table["R"] - 4.0) ** 2 + np.log(table["L"] / 0.1) ** 2
     table.loc[0, "criterion"] = np.nan
     block, centre = result().covariance, np.array([4.0, 0.1])
-    chart = CriterionMap(("R", "L"), table, (5, 3), (False, True), centre, 10.0, block, math.inf, {})
+    chart = CriterionMap(("R", "L"), table, (5, 3), (False, True), centre, 10.0, block, 1.0, math.inf, {})
     plot = uncertainty.criterion_map(chart, {"L": "H"})
     assert labels(plot) == ("R", "L (H)")
     data = next(each.data_source.data for each in plot.renderers if type(each.glyph).__name__ == "Quad")

@@ -153,8 +153,9 @@ def _map(table: pd.DataFrame, result: Result) -> CriterionMap:
         (_logarithmic(sides[0]), _logarithmic(sides[1])),
         result.values[where],
         result.criterion,
-        result.covariance[np.ix_(where, where)],
-        result.degrees_of_freedom,
+        result.white_covariance[np.ix_(where, where)],
+        result.test_scale([first, second]),
+        result.test_freedom([first, second]),
         {name: result[name] for name in result.names if name not in (first, second)},
     )
 

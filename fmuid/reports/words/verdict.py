@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fmuid.assessment import SIGNIFICANCE_LEVEL, Deviation, Stated
+from fmuid.assessment import SIGNIFICANCE_LEVEL, Deviation
 from fmuid.reports.words.accuracy import accuracy_words, passed_words
 from fmuid.reports.words.result import capitalised, dependence_words, ending, start_words
 from fmuid.text import listed
@@ -63,8 +63,7 @@ def identification_words(content: Mapping[str, Any], result: Result, fits: Seque
 def _saved(content: Mapping[str, Any]) -> list[Said]:
     """Return what the file says of residuals, of prior and data, and of the uncertainty."""
     found, read, more = (content.get(key) or {} for key in ("diagnostics", "consistency", "uncertainty"))
-    coloured = found.get("stated", Stated.HOLD.value) != Stated.HOLD.value
-    coloured |= any(each["large"] for each in found.get("findings", ()))
+    coloured = any(each["large"] for each in found.get("findings", ()))
     agreement = read.get("prior_against_data") or {}
     odd = agreement.get("probability", 1.0) < SIGNIFICANCE_LEVEL
     odd |= any(each.get("deviation") in _ODD for each in read.get("variances", ()))
