@@ -10,6 +10,8 @@ from .accuracy.outcome import AccuracyOutcome as AccuracyOutcome
 from .accuracy.outcome import Kept as Kept
 from .accuracy.outcome import Switch as Switch
 from .accuracy.outcome import SwitchCause as SwitchCause
+from .colour.autoregression import Autoregression as Autoregression
+from .colour.autoregression import autoregression as autoregression
 from .colour.grid import Rows as Rows
 from .colour.sandwich import ColouredNoise as ColouredNoise
 from .colour.sandwich import Sandwich as Sandwich

@@ -99,6 +99,11 @@ def most_orders(samples: int, length: int) -> int:
     return max(0, min(int(ORDERS_A_DECADE * math.log10(samples)), samples // ORDERS_SHARE, length - 1))
 
 
+def autoregression(values: Floats, there: NDArray[np.bool_]) -> Autoregression:
+    """Fit an autoregressive model to a series on a grid (n,), with False in `there` (n,) where a sample is missing."""
+    return fit(np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size))
+
+
 def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int) -> Autoregression:
     """Fit an autoregressive model to the second moments Σ weight_i x_i x_iᵀ of columns x_i.
 

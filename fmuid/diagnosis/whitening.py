@@ -1,0 +1,90 @@
+"""Whitening of a record by the noise that the healthy record showed.
+
+A model of the noise taken from the new record would whiten the fault away with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.arrays import Floats
+from fmuid.data import Experiment
+from fmuid.estimation import Autoregression, autoregression, series_of
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """The noise of each output.
+
+    Attributes
+    ----------
+    models : mapping of str to Autoregression
+        By output.
+    """
+
+    models: Mapping[str, Autoregression]
+
+    @classmethod
+    def white(cls, variances: Mapping[str, float]) -> Whitening:
+        """Return that of white noise of known variances."""
+        return cls({name: Autoregression(np.zeros(0), variance, 0) for name, variance in variances.items()})
+
+    @classmethod
+    def of(
+        cls, records: Sequence[tuple[Experiment, Floats]], variances: Mapping[str, float] | None = None
+    ) -> Whitening:
+        """Return that of the residuals of healthy records, those of each output together.
+
+        Parameters
+        ----------
+        records : sequence of (Experiment, (K, n_outputs) array)
+            With their residuals.
+        variances : mapping of str to float, optional
+            Of the outputs whose noise is given: they keep their variance, and have the residual's correlation.
+        """
+        models = {}
+        outputs = dict.fromkeys(name for experiment, _ in records for name in experiment.output_names)
+        for name in outputs:
+            placed = [_placed(experiment, residual, name) for experiment, residual in records]
+            whole = np.concatenate([np.append(each, np.nan) for each in placed])  # a gap between records
+            found = autoregression(whole, np.isfinite(whole))
+            if variances is not None and name in variances:
+                found = Autoregression(found.coefficients, variances[name] / found.gain, found.samples, found.memory)
+            models[name] = found
+        return cls(models)
+
+    def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
+        """Return the innovations of columns (K, n_outputs, m) at the counted samples, in units of their std (n, m).
+
+        A sample whose predecessors are missing, the first ones of a record too, has the variance of the process.
+        """
+        found = []
+        for series in series_of([experiment], experiment.output_names):
+            model = self.models[series.output]
+            j = experiment.output_names.index(series.output)
+            rows = np.flatnonzero(experiment.counted[:, j])
+            grid = np.full((1 + int(series.places[-1]), columns.shape[2]), np.nan)
+            grid[series.places] = columns[rows, j]
+            innovation = grid.copy()
+            for lag, coefficient in enumerate(model.coefficients.tolist(), 1):
+                innovation[lag:] -= coefficient * grid[:-lag]
+                innovation[:lag] = np.nan
+            std = np.full((len(grid), 1), model.variance**0.5)
+            alone = np.isnan(innovation).any(axis=1)
+            innovation[alone], std[alone] = grid[alone], (model.variance * model.gain) ** 0.5
+            found.append((innovation / std)[series.places])
+        return np.vstack(found)
+
+
+def _placed(experiment: Experiment, residual: Floats, name: str) -> Floats:
+    """Return one output's residual on the grid of its samples, NaN between them; empty where it has none."""
+    for series in series_of([experiment], experiment.output_names):
+        if series.output == name:
+            j = experiment.output_names.index(name)
+            grid = np.full(1 + int(series.places[-1]), np.nan)
+            grid[series.places] = residual[experiment.counted[:, j], j]
+            return grid
+    return np.zeros(0)
