@@ -19,6 +19,7 @@ from pathlib import Path
 
 from experiments import pages
 from experiments.closed_loop_bias import study as closed_loop_bias
+from experiments.coil import causes
 from experiments.coil import study as coil
 from experiments.equation_error import study as equation_error
 from experiments.induction_machine import chapter
@@ -61,11 +62,17 @@ def batches() -> None:
     pages.rewrite(folder, tables)
 
 
+def coil_pages() -> None:
+    """Rewrite the tables and the figure of the coil."""
+    coil.main()
+    causes.main()
+
+
 PAGES: dict[str, Callable[[], None]] = {
     "induction_machine": induction_machine,
     "batches": batches,
     "closed_loop_bias": closed_loop_bias.main,
-    "coil": coil.main,
+    "coil": coil_pages,
     "equation_error": equation_error.main,
     "machine_faults": machine_faults.main,
 }

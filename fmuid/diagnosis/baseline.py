@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
-from fmuid.data import Noise, Parameter
+from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.faults import common_mode
 from fmuid.errors import InputError
 from fmuid.estimation import Result
@@ -31,6 +31,10 @@ class Baseline:
         Nominal parameters with bounds, or of which the result knows nothing.
     values : mapping
         Variables of the nominal model held at a value; fault models have their own.
+    records : sequence of Experiment
+        The healthy records, with the inputs and outputs of those to be diagnosed. With them errors of sensors and
+        supply are told from faults, and those that the machine always had are no news; four or more at different
+        operating points show the healthy model's own error, too.
 
     Attributes
     ----------
@@ -48,6 +52,7 @@ class Baseline:
     noise_variance: float | Mapping[str, float] | None = None
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+    records: Sequence[Experiment] = ()
     common: dict[str, Parameter] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -32,6 +32,11 @@ class Kind(Enum):
     DELAY = "delay"
     INPUT_GAIN = "input gain"
 
+    @property
+    def is_share(self) -> bool:
+        """Whether its size is a share."""
+        return self in (Kind.GAIN, Kind.INPUT_GAIN)
+
 
 # What a fault's size may be in a sound machine, as a share of its nominal.
 SOUND_SHARE = 0.1

@@ -1,15 +1,16 @@
 """What is new in a record beside the healthy machine: all causes by their signatures, linearised where they are.
 
-The healthy records say what the machine, its sensors and its supply are like, with the joint covariance of all of it; drifts that are no fault widen it; what the new record says beyond
-that is tested at the level asked for; and the causes are weighed against each other. D at the healthy machine is too
-small for large faults, or their name wrong: the models are linearised again at the cause named until the name stays.
+The healthy records say what the machine, its sensors and its supply are like, with the joint covariance of all of it;
+drifts that are no fault widen it; what the new record says beyond that is tested at the level asked for; and the causes
+are weighed against each other. D at the healthy machine is too small for large faults, or their name wrong: the models
+are linearised again at the cause named until the name stays.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +43,11 @@ class Examination:
         At the point where the models were linearised last.
     point : (N,) array
         That point.
+    ratio : float
+        Of the residual's variance and the noise, with what was named.
+    without : float
+        The same without anything new.
+    samples : int
     steady : bool
         Whether the name stayed when the models were linearised again.
     """
@@ -50,7 +56,10 @@ class Examination:
     naming: Naming
     news: News
     point: Floats
-    steady: bool
+    ratio: float
+    without: float
+    samples: int
+    steady: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,37 +80,25 @@ class Healthy:
     drift: Floats
 
 
-def healthy_of(
-    records: Sequence[Machine],
-    whitening: Whitening,
-    coordinates: Coordinates,
-    covariance: Floats,
-    drift: Floats,
-) -> Healthy:
+def healthy_of(records: Sequence[Machine], whitening: Whitening, coordinates: Coordinates, drift: Floats) -> Healthy:
     """Return what healthy records leave known.
 
     Parameters
     ----------
     records : sequence of Machine
-        Over the healthy records; without any, the sensors may be as far off as is normal, and no fault is there.
+        Over at least one healthy record.
     whitening : Whitening
     coordinates : Coordinates
-    covariance : (n, n) array
-        Of the healthy parameters; only where there are no records.
     drift : (N,) array
+        As the class has it.
 
     Raises
     ------
     SimulationError
         If the healthy machine cannot be simulated.
     """
-    if records:
-        said = [_information(machine, whitening, coordinates.healthy, coordinates.healthy) for machine in records]
-        return Healthy(Known.after_several(said, coordinates.normal), whitening, drift)
-    whole = np.diag(coordinates.normal**2)
-    n = len(covariance)
-    whole[:n, :n] = covariance
-    return Healthy(Known(np.zeros(len(whole)), whole), whitening, drift)
+    said = [_information(machine, whitening, coordinates.healthy, coordinates.healthy) for machine in records]
+    return Healthy(Known.after_several(said, coordinates.normal), whitening, drift)
 
 
 def examine(
@@ -129,53 +126,84 @@ def examine(
     SimulationError
         If the healthy machine cannot be simulated.
     """
-    known = healthy.known.drifting(healthy.drift)
-
-    def at(point: Floats) -> Information:
-        said = [_information(machine, healthy.whitening, point, coordinates.healthy) for machine in machines]
-        total = said[0]
-        for each in said[1:]:
-            total = total + each
-        return total
-
+    work = _Examining(machines, healthy, coordinates, level, model_error)
     point = coordinates.healthy
-    said = at(point)
+    said = work.at(point)
     for _ in range(NULL_STEPS):
-        news = News.of(said, known)
-        point = coordinates.healthy + known.mean + known.covariance @ news.score
-        said = at(point)
-    news = News.of(said, known)
-    naming = name(news, coordinates.causes, level, chance=Chance.of(news, coordinates.causes), model_error=model_error)
-    return _settled(at, known, coordinates, Examination(coordinates, naming, news, point, True), level, model_error)
+        point = coordinates.healthy + work.null(News.of(said, work.known))
+        said = work.at(point)
+    without, samples = work.variance(point)
+    news = News.of(said, work.known)
+    chance = Chance.of(news, coordinates.causes)
+    naming = work.named(news, chance)
+    found = Examination(coordinates, naming, news, point, without, without, samples)
+    return work.settled(found, chance) if naming.named else found
 
 
-def _settled(
-    at: Callable[[Floats], Information],
-    known: Known,
-    coordinates: Coordinates,
-    found: Examination,
-    level: float,
-    model_error: float,
-) -> Examination:
-    """Return the examination where the name stays when the models are linearised at the cause named."""
-    for _ in range(NAME_STEPS if found.naming.named else 0):
-        best = found.naming.named[0]
-        columns = [i for cause in best.causes for i in cause.columns]
-        new = np.zeros(len(found.point))
-        new[columns] = best.fit.sizes
-        rest = found.news.score - found.news.information @ new
-        point = coordinates.healthy + known.mean + known.covariance @ rest + new
-        try:
-            news = News.of(at(point), known)
-        except SimulationError:
-            return Examination(coordinates, found.naming, found.news, found.point, False)
-        naming = name(news, coordinates.causes, level, model_error=model_error)
-        same = bool(naming.named) and naming.named[0].names == best.names
-        settled = same and _moved(naming, best.fit.sizes) < SETTLED
-        found = Examination(coordinates, naming if naming.named else found.naming, news, point, same)
-        if settled or not naming.named:
-            break
-    return found
+class _Examining:
+    """What all steps of an examination share."""
+
+    def __init__(
+        self,
+        machines: Sequence[Machine],
+        healthy: Healthy,
+        coordinates: Coordinates,
+        level: float,
+        model_error: float,
+    ) -> None:
+        self.machines, self.healthy, self.coordinates = machines, healthy, coordinates
+        self.level, self.model_error = level, model_error
+        self.known = healthy.known.drifting(healthy.drift)
+
+    def at(self, point: Floats) -> Information:
+        """Return what the records say, linearised at a point (N,)."""
+        first, *others = (
+            _information(machine, self.healthy.whitening, point, self.coordinates.healthy) for machine in self.machines
+        )
+        for each in others:
+            first = first + each
+        return first
+
+    def null(self, news: News, new: Floats | None = None) -> Floats:
+        """Return the estimate of everything beside what is new (N,), relative to the healthy machine."""
+        score = news.score if new is None else news.score - news.information @ new
+        return np.asarray(self.known.mean + self.known.covariance @ score)
+
+    def named(self, news: News, chance: Chance) -> Naming:
+        """Return what is new."""
+        return name(news, self.coordinates.causes, self.level, chance=chance, model_error=self.model_error)
+
+    def variance(self, point: Floats) -> tuple[float, int]:
+        """Return the variance of the whitened residual at a point, and the number of samples."""
+        squares, samples = 0.0, 0
+        for machine in self.machines:
+            outputs = machine.outputs(point)
+            white = self.healthy.whitening(machine.experiment, _residual(machine.experiment, outputs)[:, :, None])
+            squares, samples = squares + float(np.sum(white**2)), samples + white.size
+        return squares / samples, samples
+
+    def settled(self, found: Examination, chance: Chance) -> Examination:
+        """Return the examination where the name stays when the models are linearised at the cause named."""
+        steady = False
+        for _ in range(NAME_STEPS):
+            best = found.naming.named[0]
+            new = np.zeros(len(found.point))
+            new[[i for cause in best.causes for i in cause.columns]] = best.fit.sizes
+            point = self.coordinates.healthy + self.null(found.news, new) + new
+            try:
+                news = News.of(self.at(point), self.known)
+                ratio, _ = self.variance(point)
+            except SimulationError:
+                break
+            naming = self.named(news, chance)
+            if not naming.named:  # large at the healthy machine, and none where it was said to be
+                break
+            steady = naming.named[0].names == best.names
+            ended = steady and _moved(naming, best.fit.sizes) < SETTLED
+            found = replace(found, naming=naming, news=news, point=point, ratio=ratio)
+            if ended:
+                break
+        return replace(found, steady=steady)
 
 
 def _moved(naming: Naming, sizes: Floats) -> float:
@@ -187,8 +215,13 @@ def _moved(naming: Naming, sizes: Floats) -> float:
 
 def _information(machine: Machine, whitening: Whitening, point: Floats, healthy: Floats) -> Information:
     """Return what a record says of all coordinates, linearised at a point and relative to the healthy ones."""
-    experiment: Experiment = machine.experiment
+    experiment = machine.experiment
     outputs, columns = machine.linearise(point)
-    residual = np.where(experiment.counted, experiment.output_values - outputs, 0.0) + columns @ (point - healthy)
+    residual = _residual(experiment, outputs) + columns @ (point - healthy)
     white = whitening(experiment, np.concatenate([residual[:, :, None], columns], axis=2))
     return Information.of(white[:, 1:], white[:, 0])
+
+
+def _residual(experiment: Experiment, outputs: Floats) -> Floats:
+    """Return measured − simulated (K, n_outputs), 0 where no sample counts."""
+    return np.where(experiment.counted, experiment.output_values - outputs, 0.0)

@@ -17,7 +17,7 @@ from fmuid.data import Experiment, Parameter
 from fmuid.diagnosis.coordinates import Coordinates, Kind
 from fmuid.diagnosis.faults import Fault
 from fmuid.models import System
-from fmuid.simulation import Simulator
+from fmuid.simulation import AS_ASKED, Refinement, Simulator, refined
 
 
 class Machine:
@@ -35,6 +35,8 @@ class Machine:
     coordinates : Coordinates
     experiment : Experiment
         The record.
+    refinement : Refinement
+        How fine the simulations are: as those that the healthy estimates come from.
 
     Raises
     ------
@@ -50,11 +52,12 @@ class Machine:
         faults: Mapping[str, Fault],
         coordinates: Coordinates,
         experiment: Experiment,
+        refinement: Refinement = AS_ASKED,
     ) -> None:
         self.experiment, self.coordinates = experiment, coordinates
-        self._models = [_Model(system, None, values, nominal, "", coordinates)]
+        self._models = [_Model(system, None, values, nominal, "", coordinates, refinement)]
         self._models += [
-            _Model(System.of(fault.model), fault, fault.values, nominal, name, coordinates)
+            _Model(System.of(fault.model), fault, fault.values, nominal, name, coordinates, refinement)
             for name, fault in faults.items()
         ]
 
@@ -72,6 +75,20 @@ class Machine:
             model.add(found, alone=model not in there, several=len(there))
         return found.sensed()
 
+    def outputs(self, point: Floats) -> Floats:
+        """Return the outputs (K, n_outputs) at a point (N,).
+
+        Raises
+        ------
+        SimulationError
+            If a simulation fails.
+        """
+        found = _Sum(self.coordinates, point, self.experiment)
+        there = [model for model in self._models if model.there(point)]
+        for model in there:
+            model.add(found, alone=False, several=len(there), slopes=False)
+        return found.sensed()[0]
+
 
 class _Model:
     """The healthy machine, or one fault model, and the coordinates that it has."""
@@ -84,8 +101,10 @@ class _Model:
         nominal: Mapping[str, Parameter],
         name: str,
         coordinates: Coordinates,
+        refinement: Refinement,
     ) -> None:
-        self.system, self.fault, self.values = system, fault, dict(values)
+        self.fault, self.values = fault, dict(values)
+        self.system, self.refinement = system, refinement
         names = {} if fault is None else dict(fault.names)
         self.shared = coordinates.of(Kind.PARAMETER)
         self.own = coordinates.of(Kind.FAULT, fault=name) if fault is not None else []
@@ -99,7 +118,7 @@ class _Model:
         """Return whether the model says what the outputs are: the healthy one does, a fault where it is not zero."""
         return self.fault is None or bool(np.any(point[self.own]))
 
-    def add(self, found: _Sum, *, alone: bool, several: int) -> None:
+    def add(self, found: _Sum, *, alone: bool, several: int, slopes: bool = True) -> None:
         """Add outputs and columns to a sum.
 
         Parameters
@@ -108,9 +127,11 @@ class _Model:
             Only the model's own columns are wanted.
         several : int
             How many models make up the outputs: of them, the healthy one is taken off as often as there are faults.
+        slopes : bool
+            Whether columns are wanted.
         """
         weight = 0.0 if alone else (2.0 - several if self.fault is None else 1.0)
-        wanted = self.own if weight == 0.0 else [*self.shared, *self.own]
+        wanted = [] if not slopes else self.own if weight == 0.0 else [*self.shared, *self.own]
         steps = [self._offsets(found.point, i) for i in wanted]
         points = np.tile(found.point, (1 + 2 * len(wanted), 1))
         for k, (i, (low, high)) in enumerate(zip(wanted, steps, strict=True)):
@@ -124,7 +145,7 @@ class _Model:
             # the slope of the parabola through three points
             slope = (below * (high / low) - above * (low / high)) / (high - low)
             found.columns[:, :, i] += slope * (1.0 if i in self.own else weight)
-        for i in self.gains if weight else []:
+        for i in self.gains if weight and slopes else []:
             self._add_gain(found, i, weight)
 
     def _add_gain(self, found: _Sum, i: int, weight: float) -> None:
@@ -160,7 +181,10 @@ class _Model:
             names = [self.coordinates.each[i].variable for i in self.gains]
             driven = _driven(experiment, dict(zip(names, gains, strict=True)))
             own = driven if self.fault is None else self.fault.renamed(driven)
-            self._simulators[gains] = Simulator(self.system, own, self.parameters, values=self.values)
+            simulator = Simulator(self.system, own, self.parameters, values=self.values)
+            self._simulators[gains] = (
+                refined(simulator, self.system, self.refinement) if self.refinement.any else simulator
+            )
         return self._simulators[gains]
 
     def _theta(self, point: Floats) -> list[float]:

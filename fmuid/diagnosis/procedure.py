@@ -26,8 +26,12 @@ from fmuid.assessment import (
 )
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.baseline import Baseline
+from fmuid.diagnosis.comparison import compare
+from fmuid.diagnosis.coordinates import Causes
 from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL, Reference, at_least_one, orthant_weights, rivals
+from fmuid.diagnosis.evidence.naming import MODEL_ERROR
 from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.findings import Evidence
 from fmuid.diagnosis.fits import Checked, fit_both
 from fmuid.diagnosis.hypothesis import Hypothesis, Size, Strain
 from fmuid.diagnosis.verdict import Diagnosis, Test
@@ -60,20 +64,28 @@ class DiagnosisSettings:
         As for `fmuid.Problem`.
     accuracy : "switch", "check" or "off"
         What is done about the error of the simulation in each fit (`fmuid.identify`).
+    causes : Causes
+        What is looked at beside the faults where there are healthy records: sensors, supply, drift.
+    model_error : float
+        κ, how much of its effect a fault model has wrong along any other cause's signature, as a share.
 
     Raises
     ------
     InputError
-        If the level is not between 0 and 1, or there is no such sensitivity.
+        If the level is not between 0 and 1, there is no such sensitivity, or the models' error is negative.
     """
 
     level: float = FALSE_ALARM_LEVEL
     search: Marquardt = field(default_factory=Marquardt)
     sensitivity: str = "finite-difference"
     accuracy: str = "switch"
+    causes: Causes = field(default_factory=Causes)
+    model_error: float = MODEL_ERROR
 
     def __post_init__(self) -> None:
         check_level(self.level, "a test")
+        if not (math.isfinite(self.model_error) and self.model_error >= 0):
+            raise InputError(f"model_error is a share of a fault's effect, 0 or more, not {self.model_error!r}")
         if self.sensitivity not in SENSITIVITIES:
             near = nearest(self.sensitivity, SENSITIVITIES)
             raise InputError(f"sensitivity {self.sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
@@ -121,7 +133,8 @@ def diagnose(
             progress(FaultStep(share=models.index(fault) / len(models), fault=fault))
 
     tell(None)
-    nominal = work.fit_nominal(System.of(nominal_model))
+    system = System.of(nominal_model)
+    nominal = work.fit_nominal(system)
     found = []
     for name, fault in hypotheses.items():
         tell(name)
@@ -129,14 +142,19 @@ def diagnose(
             found.append(work.fit_fault(name, fault, nominal))
         except InputError as error:
             raise InputError(f"fault {name!r}: {error}") from None
-    return work.decided(nominal, found)
+    return work.decided(nominal, found, work.beside(system, hypotheses) if work.baseline.records else None)
 
 
 class _Diagnosing:
     """What all hypotheses share: the record, the common mode, the noise."""
 
     def __init__(self, experiments: list[Experiment], baseline: Baseline, settings: DiagnosisSettings) -> None:
-        self.experiments, self.common, self.held = experiments, baseline.common, baseline.values
+        self.baseline, self.experiments, self.common, self.held = (
+            baseline,
+            experiments,
+            baseline.common,
+            baseline.values,
+        )
         self.settings, self.level = settings, settings.level
         outputs = tuple(dict.fromkeys(name for each in experiments for name in each.output_names))
         self.freedom, self.variance = baseline.freedom, baseline.variance(outputs)
@@ -177,6 +195,13 @@ class _Diagnosing:
         reading, freedom = read_result(problem, best), _freedom(best, fault, self.freedom)
         return _hypothesis(name, fault, system, (healthy, best), nominal[0].criterion, reading, freedom)
 
+    def beside(self, system: System, faults: Mapping[str, Fault]) -> Evidence:
+        """Say what is new beside the healthy records."""
+        how = self.settings
+        return compare(
+            self.experiments, self.baseline, faults, system, self.refinement, how.causes, self.level, how.model_error
+        )
+
     def _problem(
         self,
         system: System,
@@ -189,8 +214,10 @@ class _Diagnosing:
             system, experiments, parameters, noise=Noise(variance), values=values, sensitivity=self.settings.sensitivity
         )
 
-    def decided(self, nominal: tuple[Result, Reading], found: Sequence[Hypothesis]) -> Diagnosis:
-        """Compare the hypotheses and say what it is."""
+    def decided(
+        self, nominal: tuple[Result, Reading], found: Sequence[Hypothesis], evidence: Evidence | None
+    ) -> Diagnosis:
+        """Compare the hypotheses and say what it is; with healthy records by the evidence of all causes."""
         adjusted = at_least_one([each.probability for each in found])
         share = self.level / len(found)
         thresholds = [each.reference.threshold(share) for each in found]
@@ -212,8 +239,10 @@ class _Diagnosing:
                 for each, p, threshold, bic in zip(found, adjusted, thresholds, information, strict=True)
             ),
             called=tuple(found[i].name for i in called),
-            named=tuple(found[i].name for i in best),
-            unexplained=self._unexplained(nominal[1].variances, found[best[0]].variances if best else None),
+            named=tuple(found[i].name for i in best) if evidence is None else evidence.faults,
+            unexplained=self._unexplained(nominal[1].variances, found[best[0]].variances if best else None)
+            if evidence is None
+            else self._larger(evidence.ratio, evidence.without, evidence.samples, alarm=evidence.alarm),
             samples=samples,
             noise_variance=self.variance,
             nominal={
@@ -224,19 +253,21 @@ class _Diagnosing:
             version=__version__,
             result=result,
             checked=Checked.of(result),
+            evidence=evidence,
         )
 
     def _unexplained(self, without: Sequence[VarianceTest], with_: Sequence[VarianceTest] | None) -> Test:
         """Test whether the residual is larger than the noise; the last test is that of all outputs together."""
-        test, before = (without if with_ is None else with_)[-1], without[-1].ratio
+        test = (without if with_ is None else with_)[-1]
+        return self._larger(test.ratio, without[-1].ratio, round(test.degrees_of_freedom), alarm=with_ is not None)
+
+    def _larger(self, ratio: float, before: float, samples: int, *, alarm: bool) -> Test:
         # both variances are estimates: their ratio is F
         exact = math.isinf(self.freedom)
-        probability = (
-            test.probability if exact else float(special.fdtrc(test.degrees_of_freedom, self.freedom, test.ratio))
-        )
-        larger = test.ratio > SAME_VARIANCE_RATIO and probability < UNEXPLAINED_SHARE * self.level
-        explained = (before - test.ratio) / (before - 1.0) if with_ is not None and before > 1.0 else 0.0
-        return Test(test.ratio, probability, bool(larger), float(np.clip(explained, 0.0, 1.0)))
+        tail = special.chdtrc(samples, samples * ratio) if exact else special.fdtrc(samples, self.freedom, ratio)
+        larger = ratio > SAME_VARIANCE_RATIO and float(tail) < UNEXPLAINED_SHARE * self.level
+        explained = (before - ratio) / (before - 1.0) if alarm and before > 1.0 else 0.0
+        return Test(ratio, float(tail), bool(larger), float(np.clip(explained, 0.0, 1.0)))
 
 
 # --- one hypothesis ---------------------------------------------------------------------

@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from fmuid.diagnosis.findings import Evidence
 from fmuid.diagnosis.fits import Checked
 from fmuid.diagnosis.hypothesis import Estimate, Hypothesis, Strain, estimates_of
 from fmuid.errors import InputError
@@ -71,6 +72,9 @@ class Diagnosis:
         The fit of the healthy model; not kept in a file.
     checked : Checked
         What the error of the simulation does to it.
+    evidence : Evidence or None
+        What is new beside the healthy records, faults and all other causes; None where there are none. It decides
+        what is named.
     """
 
     level: float
@@ -86,6 +90,7 @@ class Diagnosis:
     version: str
     result: Result | None = None
     checked: Checked = field(default_factory=Checked)
+    evidence: Evidence | None = None
 
     def __getitem__(self, name: str) -> Hypothesis:
         """Return one hypothesis."""
@@ -96,10 +101,18 @@ class Diagnosis:
 
     @property
     def kind(self) -> str:
-        """``"fault"``, ``"ambiguous"`` (which one is open), ``"unexplained"``, ``"undecided"`` or ``"healthy"``."""
+        """What it is.
+
+        ``"fault"``, ``"other"`` (a sensor, the supply or a parameter), ``"ambiguous"`` (which one is open),
+        ``"unexplained"``, ``"undecided"`` or ``"healthy"``.
+        """
         if self.unexplained.larger and self.unexplained.explained < EXPLAINED_SHARE:
             return "unexplained"
-        if self.called:
+        if self.evidence is not None and self.evidence.alarm:
+            if len(self.evidence.explanations) > 1:
+                return "ambiguous"
+            return "fault" if self.evidence.faults else "other"
+        if self.evidence is None and self.called:
             return "fault" if len(self.named) == 1 else "ambiguous"
         open_ = not self.ended or any(not each.ended or each.undetermined for each in self.hypotheses)
         return "undecided" if open_ else "healthy"
@@ -148,6 +161,7 @@ class Diagnosis:
             "ended": self.ended,
             "faults": {each.name: each.to_json_dict(self.level) for each in self.hypotheses},
             "strain": self.strain,
+            "evidence": self.evidence,
             "accuracy": self.checked.to_json_dict(),
             "version": self.version,
         }
@@ -187,4 +201,5 @@ class Diagnosis:
                 strain=None if data["strain"] is None else Strain(**data["strain"]),
                 version=str(data["version"]),
                 checked=Checked.of_json(data.get("accuracy")),
+                evidence=None if data["evidence"] is None else Evidence.of_json(data["evidence"]),
             )

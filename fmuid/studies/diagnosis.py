@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Tag
 
-from fmuid.data import Noise, Parameter
-from fmuid.diagnosis import Rule
+from fmuid.data import Experiment, Noise, Parameter
+from fmuid.diagnosis import MODEL_ERROR, Causes, Range, Rule
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.models import System
@@ -24,6 +25,7 @@ from fmuid.studies.words import (
     Count,
     Entries,
     File,
+    Files,
     Kind,
     Names,
     NotNegative,
@@ -163,6 +165,52 @@ class MonitoringWords(Words):
             raise InputError(f"{self.place}: {error}") from None
 
 
+class RangeWords(Words):
+    """How far something may be off."""
+
+    normal: Positive = word(..., "standard deviation of what a sound machine may have at all times", 0.03)
+    size: Positive = word(..., "standard deviation of a change that is worth naming", 0.03)
+
+
+CAUSES = Causes()
+"""What is not said of causes beside the faults."""
+
+RangeOrNone = Annotated[
+    Annotated[Literal[False], Kind("false, or a table { normal = number, size = number }"), Tag(VALUE_TAG)]
+    | Annotated[RangeWords, Tag(TABLE_TAG)],
+    BY_SHAPE,
+]
+
+
+def _shown(of: Range | None) -> dict[str, float]:
+    assert of is not None  # the defaults leave no cause out
+    return {"normal": of.normal, "size": of.size}
+
+
+class CausesWords(Words):
+    """What may have changed beside the faults, where there are healthy records; false leaves one out."""
+
+    gain: RangeOrNone | None = word(None, f"of each sensor, as a share; default {_shown(CAUSES.gain)}")
+    offset: RangeOrNone | None = word(None, f"of each sensor, in std of its noise; default {_shown(CAUSES.offset)}")
+    delay: RangeOrNone | None = word(None, f"of each sensor, in sampling steps; default {_shown(CAUSES.delay)}")
+    input_gain: RangeOrNone | None = word(None, f"of each input, as a share; default {_shown(CAUSES.input_gain)}")
+    parameter: RangeOrNone | None = word(
+        None, f"drift of each parameter beyond inflate, as a share; default {_shown(CAUSES.parameter)}"
+    )
+
+    def causes(self) -> Causes:
+        """Return the causes that the words describe."""
+        given = {name: getattr(self, name) for name in type(self).model_fields}
+        return replace(
+            CAUSES,
+            **{
+                name: Range(each.normal, each.size) if isinstance(each, RangeWords) else None
+                for name, each in given.items()
+                if each is not None
+            },
+        )
+
+
 class DiagnosisWords(Words):
     """Which fault, and how large."""
 
@@ -171,6 +219,9 @@ class DiagnosisWords(Words):
         1.0, "factor on its standard deviations, or one for each parameter: for changes that are no fault"
     )
     level: Share = word(RULE.level, "probability of a false alarm", RULE.level)
+    records: Files = word([], "tables of the healthy machine: sensors and supply are told from faults by them")
+    causes: CausesWords | None = word(None, "what may have changed beside the faults")
+    model_error: NotNegative = word(MODEL_ERROR, "of a fault model along other signatures, a share of its effect")
     faults: dict[str, FaultWords] = word({}, "the faults to look for, by their names")
 
     def settings(self, model: ModelSettings, loss: str, known: Knowns) -> FaultSearch:
@@ -197,6 +248,9 @@ class DiagnosisWords(Words):
             self.inflate,
             self.level,
             {name: each.fault() for name, each in self.faults.items()},
+            tuple(self.records),
+            CAUSES if self.causes is None else self.causes.causes(),
+            self.model_error,
         )
 
 
@@ -270,12 +324,20 @@ class FaultSearch:
         Factor on its standard deviations.
     level : float
     faults : mapping of str to FaultSettings
+    records : tuple of Path
+        Tables of the healthy machine.
+    causes : Causes
+        Beside the faults, where there are healthy records.
+    model_error : float
     """
 
     source: Source
     inflate: float | Mapping[str, float]
     level: float
     faults: Mapping[str, FaultSettings]
+    records: tuple[Path, ...] = ()
+    causes: Causes = CAUSES
+    model_error: float = MODEL_ERROR
 
     def hypotheses(self, system: System, model: ModelSettings) -> dict[str, Fault]:
         """Return the faults; `system` and `model` are the study's own.
@@ -287,8 +349,14 @@ class FaultSearch:
         """
         return {name: each.fault(system, model) for name, each in self.faults.items()}
 
-    def baseline(self, model: ModelSettings, parameters: Mapping[str, Parameter], noise: Noise) -> Baseline:
-        """Return the healthy machine, with the words of the study's other tables.
+    def baseline(
+        self,
+        model: ModelSettings,
+        parameters: Mapping[str, Parameter],
+        noise: Noise,
+        records: Sequence[Experiment] = (),
+    ) -> Baseline:
+        """Return the healthy machine, with the words of the study's other tables, and its records.
 
         Raises
         ------
@@ -298,4 +366,4 @@ class FaultSearch:
         from fmuid.diagnosis import Baseline
 
         variance = None if isinstance(noise.variance, str) else noise.variance
-        return Baseline(self.source.result, self.inflate, variance, parameters, model.values)
+        return Baseline(self.source.result, self.inflate, variance, parameters, model.values, records)

@@ -183,6 +183,7 @@ class Study:
         models = [self.model, *(fault.model for fault in faults if fault.model is not None)]
         found = [path for model in models for path, _ in model.components.values()]
         found += [given.table for given in self.experiments] + [source.path for source in self._all_sources]
+        found += self.diagnosis.records if self.diagnosis is not None else ()
         return tuple(dict.fromkeys([*found, *(self.batch.records().values() if self.batch is not None else ())]))
 
     @property
@@ -333,9 +334,17 @@ class Study:
         from fmuid.diagnosis import DiagnosisSettings, diagnose  # and all that decides
 
         hypotheses = settings.hypotheses(self.system, self.model)
-        how = DiagnosisSettings(settings.level, self.estimator.marquardt, self.sensitivity, self.accuracy)
+        how = DiagnosisSettings(
+            settings.level,
+            self.estimator.marquardt,
+            self.sensitivity,
+            self.accuracy,
+            settings.causes,
+            settings.model_error,
+        )
         try:
-            healthy = settings.baseline(self.model, self.parameters, self.noise)
+            records = [self.experiments[0].read_experiment(path) for path in settings.records]
+            healthy = settings.baseline(self.model, self.parameters, self.noise, records)
             return diagnose(self.tables, healthy, hypotheses, self.system, how, progress)
         except InputError as error:
             raise InputError(f"{settings.source.where}: {error}") from None

@@ -335,6 +335,12 @@ def as_list(value: Any) -> Any:
     return [value] if isinstance(value, str) else value
 
 
+def _listed_files(value: Any) -> Any:
+    if not isinstance(value, list):
+        raise must_be("a list of paths of files")
+    return value
+
+
 def existing_file(value: object, info: ValidationInfo) -> Path:
     """Return the path of a file that must be there, relative to the study file."""
     if not isinstance(value, str) or not value:
@@ -382,3 +388,4 @@ Finites = Annotated[dict[str, Finite], Entries("a table { name = number }")]
 Positives = Annotated[dict[str, Positive], Entries("a table { name = number }")]
 PositiveOrEach = Annotated[Annotated[Positive, Tag(VALUE_TAG)] | Annotated[Positives, Tag(TABLE_TAG)], BY_SHAPE]
 File = Annotated[Path, BeforeValidator(existing_file, json_schema_input_type=str), Kind("the path of a file")]
+Files = Annotated[list[File], BeforeValidator(_listed_files, json_schema_input_type=list[str])]

@@ -8,11 +8,20 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from fmuid.reports.console.layout import console, table_of, unit_text
-from fmuid.reports.words.diagnosis import chance, hypothesis_notes, simulation_notes, strain_words, verdict
+from fmuid.reports.words.diagnosis import (
+    chance,
+    change_name,
+    change_size,
+    hypothesis_notes,
+    scope_notes,
+    simulation_notes,
+    strain_words,
+    verdict,
+)
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Diagnosis, Hypothesis, Size
+    from fmuid.diagnosis import Diagnosis, Evidence, Hypothesis, Size
 
 COLORS = {"healthy": "green", "undecided": "yellow"}
 
@@ -30,6 +39,8 @@ def show_diagnosis(found: Diagnosis) -> None:
         table.add_row(*(escape(row[name]) for name in shown))
     out.print(table)
     out.print()
+    if found.evidence is not None:
+        _show_evidence(found.evidence)
     nominal = ", ".join(f"{name} = {with_std(value, std)}" for name, (value, std) in _common(found).items())
     out.print(f"Common mode: {escape(nominal)}", soft_wrap=True)
     noisy = "larger than" if found.unexplained.larger else "as large as"
@@ -43,8 +54,25 @@ def show_diagnosis(found: Diagnosis) -> None:
     for each in found.hypotheses:
         for note in hypothesis_notes(each):
             out.print(f"[yellow]note:[/] {escape(each.name)}: {escape(note)}", soft_wrap=True)
-    for note in simulation_notes(found):
+    for note in (*simulation_notes(found), *scope_notes(found)):
         out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
+
+
+def _show_evidence(evidence: Evidence) -> None:
+    """Print every cause alone, the likeliest first."""
+    named = {change_name(change) for each in evidence.explanations for change in each.changes}
+    table = table_of("What may be new beside the healthy records", ("cause", "size", "D", "probability", "nearest", ""),
+                     right=("D", "probability"))  # fmt: skip
+    for each in sorted(evidence.suspects, key=lambda each: each.probability):
+        name = change_name(each.change)
+        near = f"{each.rival}, {math.degrees(each.rival_angle):.0f}°" if each.rival else ""
+        table.add_row(
+            escape(name), escape(change_size(each.change)), f"{each.statistic:.4g}", chance(each.probability),
+            escape(near), "named" if name in named else "",
+        )  # fmt: skip
+    out = console()
+    out.print(table)
+    out.print()
 
 
 def _common(found: Diagnosis) -> dict[str, tuple[float, float]]:

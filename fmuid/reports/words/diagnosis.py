@@ -11,17 +11,19 @@ from fmuid.reports.words.directions import direction_words
 from fmuid.text import has_unit, listed, with_std
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Diagnosis, Hypothesis, Size, Strain
+    from fmuid.diagnosis import Change, Diagnosis, Evidence, Explanation, Hypothesis, Size, Strain
 
 
 def diagnosis_words(found: Diagnosis) -> tuple[str, ...]:
     """Return all that is to be said of a diagnosis: the verdict first, then what is to be known of it."""
     own = [f"{each.name}: {note}" for each in found.hypotheses for note in hypothesis_notes(each)]
-    return verdict(found), *strain_words(found.strain), *own, *simulation_notes(found)
+    return verdict(found), *strain_words(found.strain), *own, *simulation_notes(found), *scope_notes(found)
 
 
 def verdict(found: Diagnosis) -> str:
     """Return what it is, in one sentence."""
+    if found.evidence is not None and found.evidence.alarm and found.kind != "unexplained":
+        return _evidence_words(found, found.evidence)
     named = [found[name] for name in found.named]
     if found.kind == "unexplained":
         said = (
@@ -40,11 +42,65 @@ def verdict(found: Diagnosis) -> str:
         return f"Fault found, but the data cannot tell {which} apart: {each_one}{_rest(found)}"
     if found.kind == "undecided":
         return f"Whether there is a fault stays open: {_obstacle(found)}"
+    if found.evidence is not None:
+        return (
+            f"Nothing new found at a false-alarm level of {100 * found.level:g} %, of {len(found.evidence.suspects)} "
+            f"causes looked at (probability of as much by chance {chance(found.evidence.probability)})"
+        )
     nearest = min(found.hypotheses, key=lambda each: each.probability)
     return (
         f"No fault found at a false-alarm level of {100 * found.level:g} %; the most likely one is "
         f"{hypothesis_words(nearest, found.level)} (probability without a fault {chance(nearest.adjusted)})"
     )
+
+
+def _evidence_words(found: Diagnosis, evidence: Evidence) -> str:
+    """Return what is new beside the healthy records, in one sentence."""
+    likely = f"probability if nothing is new {chance(evidence.probability)}"
+    said = [explanation_words(each) for each in evidence.explanations]
+    if found.kind == "ambiguous":
+        head = "Fault found" if all(each.faults for each in evidence.explanations) else "Something has changed"
+        return f"{head}, but the record cannot tell what: {'; or '.join(said)} ({likely}){_rest(found)}"
+    head = "Fault found" if found.kind == "fault" else "No fault, but something else has changed"
+    return f"{head}: {said[0]} ({likely}){_rest(found)}"
+
+
+def explanation_words(each: Explanation) -> str:
+    """Return the changes that explain a record together, with their sizes."""
+    return " together with ".join(change_words(change) for change in each.changes)
+
+
+# What a change is called; {} is its variable.
+CHANGES = {
+    "gain": "the gain of the sensor of {}",
+    "offset": "an offset of the sensor of {}",
+    "delay": "a delay of the sensor of {}",
+    "input gain": "the gain of the input {}",
+    "parameter": "the parameter {} beyond what was foreseen",
+}
+
+
+def change_words(change: Change) -> str:
+    """Return a change with its size."""
+    if change.fault:
+        return f"{change.fault}, {change.variable} = {change_size(change)}"
+    return f"{change_name(change)}, {change_size(change)}"
+
+
+def change_size(change: Change) -> str:
+    """Return the size of a change with its standard deviation; shares in percent."""
+    if change.kind.is_share:
+        return f"{with_std(100 * change.value, 100 * change.std)} %"
+    at = f" at {change.angle} = {change.angle_value:.3g}" if change.angle else ""
+    unit = f" {change.unit}" if has_unit(change.unit) else ""
+    return f"{with_std(change.value, change.std)}{unit}{at}"
+
+
+def change_name(change: Change) -> str:
+    """Return what has changed, without its size."""
+    if change.fault:
+        return f"{change.fault} ({change.variable})"
+    return CHANGES[change.kind.value].format(change.variable)
 
 
 def _rest(found: Diagnosis) -> str:
@@ -105,6 +161,18 @@ def simulation_notes(found: Diagnosis) -> list[str]:
         for words in accuracy_words(checked.names, checked.accuracy):
             said.setdefault(words, name)
     return [f"{name}: {words}" if name else words for words, name in said.items()]
+
+
+def scope_notes(found: Diagnosis) -> list[str]:
+    """Return what was not looked at, or did not settle."""
+    if found.evidence is None:
+        return [
+            "errors of sensors and of the supply were not looked at, and may look like a fault: name the tables of the "
+            "healthy machine as [diagnosis] records"
+        ]
+    if found.evidence.alarm and not found.evidence.steady:
+        return ["the name changes with the point where the models are linearised: take it for one of several"]
+    return []
 
 
 def strain_words(strain: Strain | None) -> list[str]:
