@@ -12,7 +12,7 @@ from scipy import special
 
 from fmuid.diagnosis.coordinates import Coordinate, Coordinates, Kind
 from fmuid.diagnosis.evidence.causes import Cause
-from fmuid.diagnosis.evidence.detection import Fit, fit, probability
+from fmuid.diagnosis.evidence.detection import CauseFit, fit, probability
 from fmuid.diagnosis.evidence.naming import angle
 from fmuid.diagnosis.examination import Examination
 from fmuid.diagnosis.faults import Fault
@@ -179,7 +179,7 @@ def _change(data: Mapping[str, Any]) -> Change:
 
 
 def changes(
-    causes: Sequence[Cause], found: Fit, coordinates: Coordinates, faults: Mapping[str, Fault]
+    causes: Sequence[Cause], found: CauseFit, coordinates: Coordinates, faults: Mapping[str, Fault]
 ) -> tuple[Change, ...]:
     """Return causes with their sizes; a vector of the plane is a size with its angle."""
     said, first = [], 0
