@@ -1,6 +1,6 @@
 from .baseline import Baseline as Baseline
+from .coordinates import CauseKind as CauseKind
 from .coordinates import Causes as Causes
-from .coordinates import Kind as Kind
 from .coordinates import Range as Range
 from .decision import FALSE_ALARM_LEVEL as FALSE_ALARM_LEVEL
 from .design import MISS_PROBABILITY as MISS_PROBABILITY

@@ -22,7 +22,7 @@ from fmuid.errors import InputError
 from fmuid.models import System
 
 
-class Kind(Enum):
+class CauseKind(Enum):
     """What a cause is a cause of."""
 
     FAULT = "fault"
@@ -35,7 +35,7 @@ class Kind(Enum):
     @property
     def is_share(self) -> bool:
         """Whether its size is a share."""
-        return self in (Kind.GAIN, Kind.INPUT_GAIN)
+        return self in (CauseKind.GAIN, CauseKind.INPUT_GAIN)
 
 
 # What a fault's size may be in a sound machine, as a share of its nominal.
@@ -100,7 +100,7 @@ class Coordinate:
 
     Attributes
     ----------
-    kind : Kind
+    kind : CauseKind
     variable : str
         Parameter, fault parameter, output or input, by the healthy machine's names (a fault's own by its model's).
     fault : str
@@ -115,7 +115,7 @@ class Coordinate:
         Whether it is the second component of a vector of the plane.
     """
 
-    kind: Kind
+    kind: CauseKind
     variable: str
     unit: str
     step: float
@@ -146,7 +146,7 @@ class Coordinates:
         """What a sound machine may have of each (N,)."""
         return np.array([coordinate.normal for coordinate in self.each])
 
-    def of(self, kind: Kind, variable: str | None = None, fault: str = "") -> list[int]:
+    def of(self, kind: CauseKind, variable: str | None = None, fault: str = "") -> list[int]:
         """Return the places of the coordinates of a kind, of one variable or of all, of one fault."""
         return [
             i
@@ -188,7 +188,9 @@ def coordinates_of(
     made = _Made()
     for name, parameter in nominal.items():
         magnitude = parameter.nominal or abs(parameter.start) or 1.0
-        of = Coordinate(Kind.PARAMETER, name, system.unit(name) or "", DIFFERENCE_STEP * magnitude, OPEN * magnitude)
+        of = Coordinate(
+            CauseKind.PARAMETER, name, system.unit(name) or "", DIFFERENCE_STEP * magnitude, OPEN * magnitude
+        )
         made.add(of, parameter.start, None if causes.parameter is None else causes.parameter.size * magnitude)
     for name, fault in faults.items():
         _add_fault(made, name, fault)
@@ -196,16 +198,16 @@ def coordinates_of(
     for output in experiment.output_names:
         unit = system.unit(output) or "" if "+" not in output else ""
         for kind, range_, scale, own in (
-            (Kind.GAIN, causes.gain, 1.0, ""),
-            (Kind.OFFSET, causes.offset, noise[output], unit),
-            (Kind.DELAY, causes.delay, step, "s"),
+            (CauseKind.GAIN, causes.gain, 1.0, ""),
+            (CauseKind.OFFSET, causes.offset, noise[output], unit),
+            (CauseKind.DELAY, causes.delay, step, "s"),
         ):
             if range_ is not None:
                 made.add(Coordinate(kind, output, own, math.nan, range_.normal * scale), 0.0, range_.size * scale)
     if causes.input_gain is not None:
         for name in experiment.input_names:
             if np.any(experiment.input_values[:, experiment.input_names.index(name)]):
-                of = Coordinate(Kind.INPUT_GAIN, name, "", DIFFERENCE_STEP, causes.input_gain.normal)
+                of = Coordinate(CauseKind.INPUT_GAIN, name, "", DIFFERENCE_STEP, causes.input_gain.normal)
                 made.add(of, 0.0, causes.input_gain.size)
     return Coordinates(tuple(made.each), tuple(made.causes), np.array(made.healthy))
 
@@ -235,9 +237,9 @@ def _add_fault(made: _Made, name: str, fault: Fault) -> None:
         magnitude = parameter.nominal or 1.0
         unit = system.unit(size) or ""
         step, normal = DIFFERENCE_STEP * magnitude, SOUND_SHARE * magnitude
-        first = Coordinate(Kind.FAULT, size, unit, step, normal, name)
+        first = Coordinate(CauseKind.FAULT, size, unit, step, normal, name)
         if size in fault.located:
-            made.add([first, Coordinate(Kind.FAULT, size, unit, step, normal, name, second=True)], 0.0, magnitude)
+            made.add([first, Coordinate(CauseKind.FAULT, size, unit, step, normal, name, second=True)], 0.0, magnitude)
         else:
             sign = 1 if parameter.min == 0.0 else -1 if parameter.max == 0.0 else 0
             made.add(first, 0.0, magnitude, sign)
@@ -245,8 +247,8 @@ def _add_fault(made: _Made, name: str, fault: Fault) -> None:
 
 def name_of(coordinate: Coordinate) -> str:
     """Return the name of a cause: ``stator.eta_a``, ``gain(ids)``, ``Rs``."""
-    if coordinate.kind is Kind.FAULT:
+    if coordinate.kind is CauseKind.FAULT:
         return f"{coordinate.fault}.{coordinate.variable}"
-    if coordinate.kind is Kind.PARAMETER:
+    if coordinate.kind is CauseKind.PARAMETER:
         return coordinate.variable
     return f"{coordinate.kind.value}({coordinate.variable})"

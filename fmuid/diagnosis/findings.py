@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from fmuid.diagnosis.coordinates import Coordinate, Coordinates, Kind
+from fmuid.diagnosis.coordinates import CauseKind, Coordinate, Coordinates
 from fmuid.diagnosis.evidence.causes import Cause
 from fmuid.diagnosis.evidence.detection import CauseFit, fit, probability
 from fmuid.diagnosis.evidence.naming import angle
@@ -24,7 +24,7 @@ class Change:
 
     Attributes
     ----------
-    kind : Kind
+    kind : CauseKind
     variable : str
         Parameter, fault parameter, output or input.
     fault : str
@@ -39,7 +39,7 @@ class Change:
         NaN without.
     """
 
-    kind: Kind
+    kind: CauseKind
     variable: str
     fault: str
     value: float
@@ -175,7 +175,7 @@ class Evidence:
 def _change(data: Mapping[str, Any]) -> Change:
     angle_value = math.nan if data["angle_value"] is None else float(data["angle_value"])
     std = math.inf if data["std"] is None else float(data["std"])
-    return Change(**{**data, "kind": Kind(data["kind"]), "angle_value": angle_value, "std": std})
+    return Change(**{**data, "kind": CauseKind(data["kind"]), "angle_value": angle_value, "std": std})
 
 
 def changes(

@@ -14,7 +14,7 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.data import Experiment, Parameter
-from fmuid.diagnosis.coordinates import Coordinates, Kind
+from fmuid.diagnosis.coordinates import CauseKind, Coordinates
 from fmuid.diagnosis.faults import Fault
 from fmuid.models import System
 from fmuid.simulation import AS_ASKED, Refinement, Simulator, refined
@@ -106,9 +106,9 @@ class _Model:
         self.fault, self.values = fault, dict(values)
         self.system, self.refinement = system, refinement
         names = {} if fault is None else dict(fault.names)
-        self.shared = coordinates.of(Kind.PARAMETER)
-        self.own = coordinates.of(Kind.FAULT, fault=name) if fault is not None else []
-        self.gains = coordinates.of(Kind.INPUT_GAIN)
+        self.shared = coordinates.of(CauseKind.PARAMETER)
+        self.own = coordinates.of(CauseKind.FAULT, fault=name) if fault is not None else []
+        self.gains = coordinates.of(CauseKind.INPUT_GAIN)
         self.parameters = [names.get(each, each) for each in nominal]
         self.parameters += [] if fault is None else list(fault.parameters)
         self.coordinates = coordinates
@@ -234,7 +234,7 @@ class _Sum:
         """Return what the sensors show, and its derivatives."""
         outputs, columns = self.outputs.copy(), self.columns.copy()
         for j, name in enumerate(self.experiment.output_names):
-            at = {kind: self._of(kind, name) for kind in (Kind.GAIN, Kind.OFFSET, Kind.DELAY)}
+            at = {kind: self._of(kind, name) for kind in (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)}
             gain, offset, delay = (self.point[i] if i is not None else 0.0 for i in at.values())
             rate = _rate(self.experiment.times, self.outputs[:, j])
             late = self.outputs[:, j] - delay * rate
@@ -245,7 +245,7 @@ class _Sum:
                     columns[:, j, i] = column
         return outputs, columns
 
-    def _of(self, kind: Kind, name: str) -> int | None:
+    def _of(self, kind: CauseKind, name: str) -> int | None:
         found: Sequence[int] = self.coordinates.of(kind, name)
         return found[0] if found else None
 

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Tag
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis import MODEL_ERROR, Causes, Range, Rule
 from fmuid.errors import InputError
-from fmuid.estimation import Result
+from fmuid.estimation import Marquardt, Result
 from fmuid.models import System
 from fmuid.studies.model import ModelSettings, ModelWords
 from fmuid.studies.parameters import Knowns, Source
@@ -40,7 +40,7 @@ from fmuid.studies.words import (
 )
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Angle, Baseline, Fault
+    from fmuid.diagnosis import Angle, Baseline, DiagnosisSettings, Fault
 
 RULE = Rule()
 """What is not said of a test."""
@@ -165,7 +165,7 @@ class MonitoringWords(Words):
             raise InputError(f"{self.place}: {error}") from None
 
 
-class RangeWords(Words):
+class CauseRangeWords(Words):
     """How far something may be off."""
 
     normal: Positive = word(..., "standard deviation of what a sound machine may have at all times", 0.03)
@@ -177,7 +177,7 @@ CAUSES = Causes()
 
 RangeOrNone = Annotated[
     Annotated[Literal[False], Kind("false, or a table { normal = number, size = number }"), Tag(VALUE_TAG)]
-    | Annotated[RangeWords, Tag(TABLE_TAG)],
+    | Annotated[CauseRangeWords, Tag(TABLE_TAG)],
     BY_SHAPE,
 ]
 
@@ -204,7 +204,7 @@ class CausesWords(Words):
         return replace(
             CAUSES,
             **{
-                name: Range(each.normal, each.size) if isinstance(each, RangeWords) else None
+                name: Range(each.normal, each.size) if isinstance(each, CauseRangeWords) else None
                 for name, each in given.items()
                 if each is not None
             },
@@ -348,6 +348,12 @@ class FaultSearch:
             If an FMU of theirs cannot be read or their parameters are no fault's.
         """
         return {name: each.fault(system, model) for name, each in self.faults.items()}
+
+    def how(self, search: Marquardt, sensitivity: str, accuracy: str) -> DiagnosisSettings:
+        """Return the settings of the diagnosis, with those of the study's estimator."""
+        from fmuid.diagnosis import DiagnosisSettings
+
+        return DiagnosisSettings(self.level, search, sensitivity, accuracy, self.causes, self.model_error)
 
     def baseline(
         self,

@@ -331,17 +331,10 @@ class Study:
                 f'{self.path} has no [diagnosis]: give it, with healthy = "healthy/result.json" and the fault '
                 "models as [diagnosis.faults.<name>]"
             )
-        from fmuid.diagnosis import DiagnosisSettings, diagnose  # and all that decides
+        from fmuid.diagnosis import diagnose  # and all that decides
 
         hypotheses = settings.hypotheses(self.system, self.model)
-        how = DiagnosisSettings(
-            settings.level,
-            self.estimator.marquardt,
-            self.sensitivity,
-            self.accuracy,
-            settings.causes,
-            settings.model_error,
-        )
+        how = settings.how(self.estimator.marquardt, self.sensitivity, self.accuracy)
         try:
             records = [self.experiments[0].read_experiment(path) for path in settings.records]
             healthy = settings.baseline(self.model, self.parameters, self.noise, records)

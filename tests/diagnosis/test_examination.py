@@ -12,7 +12,7 @@ from scipy import signal
 
 import fmuid
 from fmuid.cli.app import run
-from fmuid.diagnosis import Causes, Kind, Range
+from fmuid.diagnosis import CauseKind, Causes, Range
 from fmuid.diagnosis.coordinates import Coordinates, coordinates_of
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.diagnosis.whitening import Whitening
@@ -92,7 +92,7 @@ def test_a_column_that_two_inputs_share_is_scaled_for_one(coil: fmuid.System) ->
     made = coordinates_of(coil, NOMINAL, {}, shared, {"i": NOISE}, Causes())
     Machine(coil, {}, NOMINAL, {}, made, shared).linearise(made.healthy)
     assert shared.frame["u"].to_numpy() == pytest.approx(VOLTAGE)
-    assert [each.variable for each in made.each if each.kind is Kind.INPUT_GAIN] == ["u"]
+    assert [each.variable for each in made.each if each.kind is CauseKind.INPUT_GAIN] == ["u"]
 
 
 def test_whitening() -> None:
@@ -134,12 +134,12 @@ def look(coil: fmuid.System, faults: dict[str, fmuid.Fault]) -> Look:
     return diagnosis
 
 
-def names(found: fmuid.Diagnosis) -> list[list[tuple[Kind, str]]]:
+def names(found: fmuid.Diagnosis) -> list[list[tuple[CauseKind, str]]]:
     assert found.evidence is not None
     return [[(each.kind, each.variable) for each in one.changes] for one in found.evidence.explanations]
 
 
-TURNS = [(Kind.FAULT, "dR")]
+TURNS = [(CauseKind.FAULT, "dR")]
 
 
 @pytest.mark.parametrize(
@@ -147,12 +147,12 @@ TURNS = [(Kind.FAULT, "dR")]
     [
         ({"turns": 1.0}, TURNS),
         ({"turns": 1.0, "R": 1.0}, TURNS),
-        ({"offset": NOISE / 2}, [(Kind.OFFSET, "i")]),
-        ({"delay": 1e-3}, [(Kind.DELAY, "i")]),
+        ({"offset": NOISE / 2}, [(CauseKind.OFFSET, "i")]),
+        ({"delay": 1e-3}, [(CauseKind.DELAY, "i")]),
     ],
     ids=["turns", "turns, warm", "offset", "delay"],
 )
-def test_what_has_changed_is_named(look: Look, off: dict[str, float], first: list[tuple[Kind, str]]) -> None:
+def test_what_has_changed_is_named(look: Look, off: dict[str, float], first: list[tuple[CauseKind, str]]) -> None:
     """An offset of half a standard deviation of the noise is not silent, a late sensor no loss of turns."""
     found = look(1, **off)
     assert names(found) == [first]
@@ -171,8 +171,8 @@ def test_what_looks_alike_is_named_together(look: Look) -> None:
     assert found.kind == "ambiguous"
     assert found.evidence is not None
     named = [one[0] for one in names(found)]
-    assert (Kind.PARAMETER, "L") in named
-    assert (Kind.FAULT, "dR") in named
+    assert (CauseKind.PARAMETER, "L") in named
+    assert (CauseKind.FAULT, "dR") in named
     suspect = next(each for each in found.evidence.suspects if each.change.fault)
     assert np.degrees(suspect.rival_angle) < 10
     assert "Something has changed, but the record cannot tell what: " in verdict(found)
@@ -190,7 +190,7 @@ def test_causes_may_be_left_out(look: Look) -> None:
     none = Causes(None, None, None, None, None)
     found = look(2, L=0.012, causes=none)
     assert found.evidence is not None
-    assert [each.change.kind for each in found.evidence.suspects] == [Kind.FAULT]
+    assert [each.change.kind for each in found.evidence.suspects] == [CauseKind.FAULT]
     assert names(found) == [TURNS]
     with pytest.raises(InputError, match="must be positive, not 0"):
         Range(0.0, 1.0)
@@ -204,7 +204,7 @@ def test_level_and_names_over_draws(look: Look) -> None:
     for k in range(40):
         found = look(300 + k, delay=1e-3)
         assert found.kind != "fault"
-        assert [(Kind.DELAY, "i")] in names(found)
+        assert [(CauseKind.DELAY, "i")] in names(found)
 
 
 def test_files_and_words(look: Look, tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ HOPELESS = 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class Explanation:
+class CauseSet:
     """A cause, or two of them, that explains what is new.
 
     Attributes
@@ -60,7 +60,7 @@ class Naming:
         That chance makes any cause as likely.
     alarm : bool
         Whether that is below the level.
-    named : tuple of Explanation
+    named : tuple of CauseSet
         The best one, and those that the data do not exclude beside it; empty without an alarm.
     temper : float
         Factor on variances and on all that is asked after the alarm: 1 + κ² D of the strongest cause.
@@ -69,7 +69,7 @@ class Naming:
     statistics: dict[str, float]
     probability: float
     alarm: bool
-    named: tuple[Explanation, ...] = ()
+    named: tuple[CauseSet, ...] = ()
     temper: float = 1.0
 
 
@@ -119,12 +119,12 @@ def _pairs(news: News, causes: Sequence[Cause], single: float, temper: float, le
     return [pair for pair, gain in zip(pairs, gains, strict=True) if gain > gains[best] - HOPELESS]
 
 
-def _likely(news: News, sets: Sequence[tuple[Cause, ...]]) -> tuple[Explanation, ...]:
+def _likely(news: News, sets: Sequence[tuple[Cause, ...]]) -> tuple[CauseSet, ...]:
     """Return the sets of causes within the odds of the best, the best first."""
     evidence = np.array([log_bayes_factor(news, each) + sum(math.log(c.probability) for c in each) for each in sets])
     odds = np.exp(evidence - evidence.max())
     order = np.argsort(-odds, kind="stable")
-    return tuple(Explanation(sets[i], float(odds[i]), fit(news, sets[i])) for i in order if odds[i] * ODDS > 1.0)
+    return tuple(CauseSet(sets[i], float(odds[i]), fit(news, sets[i])) for i in order if odds[i] * ODDS > 1.0)
 
 
 def log_bayes_factor(news: News, causes: Sequence[Cause]) -> float:
