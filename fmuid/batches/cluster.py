@@ -20,6 +20,7 @@ import numpy as np
 from dask.system import CPU_COUNT
 from numpy.typing import NDArray
 
+from fmuid.batches.local_workers import CALM
 from fmuid.batches.parcel import Parcel
 from fmuid.batches.scratch import scratch_folder
 from fmuid.batches.worker import SINGLE_THREADED, GroupResult, difference, forget, run_group, versions
@@ -257,7 +258,7 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[C
             yield Crew(client, scheduler, None)
             return
         folder, locks = stack.enter_context(scratch_folder())
-        stack.enter_context(dask.config.set({"temporary-directory": str(folder)}))
+        stack.enter_context(dask.config.set({"temporary-directory": str(folder)} | CALM))
         options = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"}
         options["allowed_failures"] = MOST_WORKER_ENDS
         cluster = stack.enter_context(

@@ -10,11 +10,13 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import dask
 import psutil
 import pytest
 
 from fmuid.batches import scratch
 from fmuid.batches.cluster import crew
+from fmuid.batches.local_workers import CALM
 from fmuid.batches.scratch import scratch_folder
 from fmuid.errors import FmuidError
 
@@ -122,6 +124,17 @@ def test_the_folder_of_workers_is_locked(place: Path) -> None:
         if descriptors.is_dir():
             assert inode in {each.stat().st_ino for each in descriptors.iterdir() if each.exists()}
     assert not list(place.iterdir())
+
+
+@pytest.mark.usefixtures("place")
+def test_workers_of_this_machine_do_not_watch_themselves() -> None:
+    """Neither they nor who schedules them: what Dask does so every few milliseconds nobody sees here."""
+    with crew(workers=1) as there:
+        there._client.wait_for_workers(1)
+        for name, value in CALM.items():
+            assert dask.config.get(name) == value
+            assert set(there._client.run(dask.config.get, name).values()) == {value}
+    assert dask.config.get("distributed.admin.tick.interval") != CALM["distributed.admin.tick.interval"]
 
 
 @pytest.mark.usefixtures("place")
