@@ -199,17 +199,17 @@ class Experiment:
         if given.shape != self.output_values.shape or np.isinf(given).any():
             shape = self.output_values.shape
             raise InputError(f"{self.source}: outputs must be finite or NaN, of shape {shape}; theirs is {given.shape}")
-        frame, outputs = self.frame.copy(deep=False), {name: self.columns[name] for name in self.output_names}
+        outputs = {name: self.columns[name] for name in self.output_names}
         taken = [self.time, *self.columns.values()]
-        for k, (variable, column) in enumerate(outputs.items()):
+        for variable, column in outputs.items():
             if taken.count(column) > 1:  # another variable reads this column too, and must go on doing so
-                column = outputs[variable] = f"{column} as {variable}"
-            frame[column] = given[:, k]
+                outputs[variable] = f"{column} as {variable}"
         counted = _counted(self.source, self.times, given, outputs, outputs, self.discard)
         columns = self.columns | outputs
         other = copy.copy(self)
-        derived = {"frame": frame, "outputs": outputs, "measured": True, "columns": columns}
+        derived = {"outputs": outputs, "measured": True, "columns": columns, _LateFrame.BASE: self.frame}
         other._set(derived | {"output_values": given, "counted": counted})
+        del vars(other)["frame"]
         return other
 
     def _set(self, fields: Mapping[str, object]) -> None:
@@ -218,6 +218,24 @@ class Experiment:
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
             object.__setattr__(self, name, value)
+
+
+class _LateFrame:
+    """The table of an experiment with other measurements, made when it is first asked for: batches never do."""
+
+    BASE = "_frame_before"
+
+    def __get__(self, experiment: Experiment | None, _class: type[Experiment]) -> object:
+        if experiment is None:
+            return self
+        frame = vars(experiment)[self.BASE].copy(deep=False)
+        for k, name in enumerate(experiment.output_names):
+            frame[experiment.columns[name]] = experiment.output_values[:, k]
+        vars(experiment)["frame"] = frame  # where it is found from now on
+        return frame
+
+
+type.__setattr__(Experiment, "frame", _LateFrame())  # not in the class itself: a dataclass would take it for a default
 
 
 def _roles(source: str, word: str, given: Sequence[str] | Mapping[str, str]) -> dict[str, str]:

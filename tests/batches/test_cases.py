@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 import math
+import pickle
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -505,6 +506,9 @@ def test_other_measurements_of_an_experiment() -> None:
     values = np.stack([np.arange(120.0), np.full(120, 2.0)]).T
     values[70, 0] = np.nan
     after = before.with_outputs(values)
+    sent = pickle.loads(pickle.dumps(after))  # without its table, which is not made before it is asked for
+    assert sent.frame.equals(after.frame)
+    assert after.frame is after.frame
     again = Experiment(after.frame, after.inputs, after.outputs, discard=0.1, units={"i": "A"})
     for experiment in (after, again):
         assert np.array_equal(experiment.output_values, values, equal_nan=True)
