@@ -64,7 +64,9 @@ def simulate(
 
         files.make_folder(folder)
         console.note_sources(read)
-        console.warn_unfed(read.simulators())
+        simulators = read.simulators()
+        console.warn_unfed(simulators)
+        console.warn_of_time(read, simulators)
         fits = read.fits() if result is None else _fits_at(read, result)
         console.show_misfits(fits)
         table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
@@ -109,7 +111,9 @@ def identify(
         from fmuid.reports.console.progress import Display
 
         console.note_sources(read)
-        console.warn_unfed(read.simulators())
+        simulators = read.simulators()
+        console.warn_unfed(simulators)
+        console.warn_of_time(read, simulators)
         try:
             with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
                 shown = partial(_show_event, display, read)

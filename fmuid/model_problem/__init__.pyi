@@ -6,3 +6,6 @@ from .prediction import estimates_for as estimates_for
 from .prediction import predict as predict
 from .problem import Problem as Problem
 from .region import CheckedRegion as CheckedRegion
+from .time_scale import TimeScale as TimeScale
+from .time_scale import TimeScaleDoubt as TimeScaleDoubt
+from .time_scale import doubt_of_time as doubt_of_time

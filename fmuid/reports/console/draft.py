@@ -11,6 +11,7 @@ from rich.prompt import Prompt
 
 from fmuid.errors import InputError
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of, unit_text
+from fmuid.reports.words.result import time_words
 from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnLink, Draft, Reason, Record, proposal
 from fmuid.text import has_unit
 
@@ -104,6 +105,7 @@ def show_draft(made: Draft, output: Path) -> None:
         for each in shown:
             table.add_row(*(escape(cell) for cell in _proposed(each)))
         out.print(table)
+    show_remarks(time_words(each) for each in found.doubts)
     if found.failure:
         show_remarks([f"nothing is known of the parameters: {found.failure}"])
     text = "free the parameters to identify in it, under \\[parameters]."

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Into a file or a pipe, where nobody can widen the window: what a README shows without scrolling.
 PLAIN_WIDTH = 110
+# Records whose time is compared with the model's time constants: each costs a simulation.
+MOST_TIMED = 5
 # Rows of a table on a terminal; more scroll away what was first. A pipe gets them all.
 TERMINAL_ROWS = 60
 
@@ -96,6 +98,16 @@ def warn_unfed(simulators: Iterable[Simulator]) -> None:
         if simulator.unfed_inputs:
             names = ", ".join(simulator.unfed_inputs)
             show_notes([f"{simulator.experiment.source} feeds no {names}: kept at the start value"])
+
+
+def warn_of_time(study: Study, simulators: Sequence[Simulator]) -> None:
+    """Say which records last much longer or shorter than what the model does."""
+    from fmuid.model_problem import doubt_of_time
+    from fmuid.reports.words.result import time_words
+
+    starts = [parameter.start for parameter in study.parameters.values()]
+    doubts = (doubt_of_time(each, starts) for each in simulators[:MOST_TIMED])
+    show_notes([time_words(doubt) for doubt in doubts if doubt is not None])
 
 
 def note_sources(study: Study) -> None:

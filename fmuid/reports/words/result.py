@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fmuid.estimation import Determined, Outcome
+from fmuid.model_problem import TimeScale
 from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
 from fmuid.studies import SourceDoubt
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
+    from fmuid.model_problem import TimeScaleDoubt
     from fmuid.studies import SourceNote
 
 ENDS = {
@@ -104,6 +106,17 @@ def dependence_words(result: Result) -> tuple[str, ...]:
 def capitalised(words: str) -> str:
     """Return words with a capital at their beginning."""
     return words[0].upper() + words[1:]
+
+
+def time_words(doubt: TimeScaleDoubt) -> str:
+    """Return why the unit of a record's time is to be looked at."""
+    lasts = f"{doubt.source} lasts {doubt.duration:.3g} s in steps of {doubt.step:.3g} s"
+    look = 'look at the unit of its time, and say it by time_unit = "ms" or what it is'
+    match doubt.kind:
+        case TimeScale.TOO_LONG:
+            return f"{lasts}, and what the model does is over in {doubt.time_constant:.2g} s (ms?): {look}"
+        case TimeScale.TOO_SHORT:
+            return f"{lasts}, and the model takes {doubt.time_constant:.2g} s for what it does (s, not ms?): {look}"
 
 
 def source_words(note: SourceNote) -> str:

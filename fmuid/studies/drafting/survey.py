@@ -24,6 +24,7 @@ from fmuid.errors import InputError, SimulationError
 if TYPE_CHECKING:
     from fmuid.data import Experiment
     from fmuid.fmi import Description, Variable
+    from fmuid.model_problem import TimeScaleDoubt
     from fmuid.models import System
 
 STEP = 1e-3
@@ -116,11 +117,14 @@ class Survey:
     Attributes
     ----------
     candidates : tuple of Candidate
+    doubts : tuple of TimeScaleDoubt
+        The records that last much longer or shorter than what the model does.
     failure : str
         Why there are none: the simulation that failed, empty where none did.
     """
 
     candidates: tuple[Candidate, ...] = ()
+    doubts: tuple[TimeScaleDoubt, ...] = ()
     failure: str = ""
     names: frozenset[str] = field(init=False, repr=False)
 
@@ -139,7 +143,9 @@ def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
     The FMU runs in a process of its own. A simulation that fails ends nothing, and neither does an FMU or a table that
     do not go together: `Survey.failure` says it.
     """
+    from fmuid.model_problem import doubt_of_time
     from fmuid.models import Isolation, System
+    from fmuid.simulation import Simulator
 
     try:
         with System(fmu, isolation=Isolation()) as system:
@@ -150,7 +156,8 @@ def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
             freed = _freed_starts(changes, begun)
             if freed:  # what a parameter changes may depend on where the record begins
                 changes = _changes(system, experiments, description, names, freed)
-            return Survey(_proposed(description, changes, freed))
+            doubts = (doubt_of_time(Simulator(system, each), ()) for each in experiments)
+            return Survey(_proposed(description, changes, freed), tuple(each for each in doubts if each is not None))
     except (InputError, SimulationError) as error:
         return Survey(failure=str(error))
 
