@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Tag
 
@@ -33,6 +33,7 @@ from fmuid.studies.words import (
     Place,
     Positive,
     Words,
+    said_of_table,
     word,
 )
 from fmuid.text import nearest
@@ -90,7 +91,11 @@ Groups = Annotated[dict[str, Names], Entries("a table { group = experiments }")]
 class ParameterWords(Words):
     """A parameter to identify, by its name in the FMU."""
 
-    start: Number = word(..., "where the search begins")
+    start: Number = word(
+        ...,
+        "where the search begins; of a vector or a matrix, rows of numbers: [[1.0, 0.0], [0.0, 1.0]]",
+        json_schema_extra={"type": ["number", "array"]},
+    )
     min: Number = word(-math.inf, "lower bound")
     max: Number = word(math.inf, "upper bound")
     nominal: Positive | None = word(None, "size, needed where the start is 0")
@@ -98,6 +103,50 @@ class ParameterWords(Words):
         False, 'one value for each experiment, or for each group of them: { cold = ["run1", "run2"], warm = ["run3"] }'
     )
     prior: PriorWords | None = word(None, "what is known of it")
+
+
+MOST_DIMENSIONS = 8
+"""Of an array: what is nested more deeply is none."""
+
+
+def by_element(parameters: Any) -> Any:
+    """Return the table of parameters with those that are vectors or matrices element by element, ``A[1,2]``.
+
+    Bounds and nominals that are rows too belong to their elements, single ones to all.
+    """
+    if not isinstance(parameters, dict):
+        return parameters
+    found: dict[str, Any] = {}
+    for name, words in parameters.items():
+        whole = isinstance(words, dict) and isinstance(words.get("start"), list)
+        if whole and "prior" in words:
+            raise said_of_table(f"has a prior of all of {name!r}: give each element its own, or use [prior]")
+        for place in _places(name, words["start"]) if whole else [()]:
+            element = f"{name}[{','.join(str(k + 1) for k in place)}]" if whole else name
+            if element in found:
+                raise said_of_table(f"has {element!r} by itself and in the whole array: keep one of the two")
+            found[element] = {key: _at(name, key, given, place) for key, given in words.items()} if whole else words
+    return found
+
+
+def _places(name: str, rows: list[Any], depth: int = 1) -> list[tuple[int, ...]]:
+    """Return the indices, from 0, of the elements of an array."""
+    deep = depth > MOST_DIMENSIONS
+    below = [_places(name, row, depth + 1) if isinstance(row, list) else [()] for row in rows if not deep]
+    if not below or any(each != below[0] for each in below):
+        raise said_of_table(f"has a start of {name!r} that is no vector or matrix: give rows of one length")
+    return [(k, *rest) for k, each in enumerate(below) for rest in each]
+
+
+def _at(name: str, key: str, given: Any, place: Sequence[int]) -> Any:
+    """Return what a key says of one element; a single value is for all."""
+    if not isinstance(given, list):
+        return given
+    for k in place:
+        if not isinstance(given, list) or k >= len(given):
+            raise said_of_table(f"has {key} of {name!r} in another shape than its start: give as many rows and columns")
+        given = given[k]
+    return given
 
 
 class SourceDoubt(Enum):

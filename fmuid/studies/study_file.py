@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+from pydantic import BeforeValidator
+
 from fmuid.studies.batch import BatchSettings
 from fmuid.studies.diagnosis import DiagnosisWords, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelWords
-from fmuid.studies.parameters import JointPriorWords, ParameterWords
+from fmuid.studies.parameters import JointPriorWords, ParameterWords, by_element
 from fmuid.studies.settings import EstimatorWords, IsolationWords, NoiseWords, UncertaintyWords
 from fmuid.studies.words import Text, Words, word
 
@@ -16,7 +20,9 @@ class StudyFile(Words):
     title: Text = word("", "what the study is about")
     model: ModelWords = word({}, "the model", validate_default=True)
     experiments: list[ExperimentSettings] = word([], "the measurements")
-    parameters: dict[str, ParameterWords] = word({}, "the parameters to identify")
+    parameters: Annotated[dict[str, ParameterWords], BeforeValidator(by_element)] = word(
+        {}, "the parameters to identify"
+    )
     prior: JointPriorWords | None = word(None, "what is known of several parameters together")
     noise: NoiseWords = word({}, "the noise of the measurements", validate_default=True)
     estimator: EstimatorWords = word({}, "how the parameters are searched for", validate_default=True)
