@@ -190,7 +190,8 @@ class _Work:
             try:
                 values = evaluate(expression, self.column, len(self.frame))
             except InputError as error:
-                raise InputError(f"{self.source}: column {name!r}: {error}") from None
+                why = str(error).removeprefix(f"{self.source}: ")
+                raise InputError(f"{self.source}: column {name!r}: {why}") from None
             self.put([name], np.where(np.isfinite(values), values, np.nan)[:, None])
 
     def turn(self, axes: Axes) -> None:
