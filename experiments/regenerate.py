@@ -24,6 +24,7 @@ from experiments.coil import study as coil
 from experiments.equation_error import study as equation_error
 from experiments.induction_machine import chapter
 from experiments.machine_faults import study as machine_faults
+from experiments.simulation_error import campaign as simulation_error
 
 HERE = Path(__file__).parent
 
@@ -75,6 +76,7 @@ PAGES: dict[str, Callable[[], None]] = {
     "coil": coil_pages,
     "equation_error": equation_error.main,
     "machine_faults": machine_faults.main,
+    "simulation_error": simulation_error.main,
 }
 
 
