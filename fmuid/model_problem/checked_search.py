@@ -40,7 +40,7 @@ from fmuid.estimation import (
 from fmuid.model_problem.problem import Problem
 from fmuid.model_problem.region import CheckedRegion, Verdict
 from fmuid.progress import Progress
-from fmuid.simulation import Refinement, is_controlled, is_free, replaces_interface
+from fmuid.simulation import Refinement, is_controlled, is_free, next_refinement, replaces_interface
 from fmuid.text import nearest
 
 ACCURACIES = ("switch", "check", "off")
@@ -48,6 +48,8 @@ ACCURACIES = ("switch", "check", "off")
 # The search goes by model exchange where the outputs at the start differ by more than this share of their spread.
 START_LIMIT = 0.01
 START_TOLERANCE = 1e-6  # which that does not ask more of
+# Where a start fails its steps are divided so often at most: what fails in the sixteenth of a step has other reasons.
+START_DIVISIONS = 2
 # Shifts below this are known to be small from the error at another point of the same cell of a region.
 SURE = SHIFT_LIMIT / 3.0
 # Optima whose criterion is higher by less are as good as the best: χ² of one parameter is larger in 5 % of all cases.
@@ -151,15 +153,14 @@ class _CheckedSearch:
     def _compare_start(self, at: Floats) -> None:
         """Go by model exchange where co-simulation fails at a start (N,), or is far off there."""
         problem, finer = self.problem, self.problem.next_sure_refinement
-        if (
-            problem.refinement.any
-            or finer is None
-            or not replaces_interface(problem.system, finer)
-            or not is_free(problem.system)
-        ):
+        if problem.refinement.any or finer is None or not is_free(problem.system):
             return
         if at.shape != (len(problem.parameters),):
             return  # which the search will say
+        if not replaces_interface(problem.system, finer):
+            if finer.tolerance is None and self.region is None:
+                self._shorten_steps(at)
+            return
         if self.region is not None and self.region.one_start:
             wrong = self.region.start(problem, lambda: self._wrong_start(finer, at, problem.predict(at[None])[0]))
         else:
@@ -171,6 +172,20 @@ class _CheckedSearch:
                 self.foreseen = 1
         if wrong is not None:
             self._switch(finer, *wrong)
+
+    def _shorten_steps(self, at: Floats) -> None:
+        """Go by shorter steps where there is nothing else and co-simulation fails at a start (N,)."""
+        problem, finer = self.problem, self.problem.next_sure_refinement
+        predicted = problem.predict(at[None])[0]
+        for _ in range(0 if _is_sound(predicted) else START_DIVISIONS):
+            if finer is None:
+                break
+            if _is_sound(problem.predict_by(finer, at)):
+                self._switch(finer, SwitchCause.START_FAILED, math.nan)
+                return
+            finer = next_refinement(problem.system, finer, surely=True)
+        problem.remember(at, predicted)
+        self.foreseen = 1
 
     def _wrong_start(self, finer: Refinement, at: Floats, predicted: Floats) -> Verdict:
         """Return why the start (N,), simulated as `predicted` (n,), should not be simulated that way."""
@@ -325,6 +340,12 @@ class _CheckedSearch:
             accuracy=found,
         )
         return with_shift(result, found) if found.outcome is AccuracyOutcome.SHIFTED else result
+
+
+def _is_sound(predicted: Floats) -> bool:
+    """Return whether simulated samples (n,) are finite, and not so large that their squares are not."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return math.isfinite(float(predicted @ predicted))
 
 
 def _single(fits: Sequence[Result]) -> tuple[Optimum, ...]:

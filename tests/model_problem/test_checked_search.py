@@ -297,6 +297,25 @@ def test_a_box_that_holds_the_alias_alone() -> None:
     assert [switch.cause for switch in result.accuracy.switches] == [SwitchCause.SHIFT]
 
 
+def test_a_start_that_shorter_steps_alone_can_simulate(folder: Path, motor_table: fmuid.Experiment) -> None:
+    """Without model exchange; a start that nothing can simulate is said to be one."""
+    start = dict(zip(MOTOR_TRUTH, (1.43, 2.1e-4, 0.035, 6.6e-5), strict=True))
+    parameters = {name: fmuid.Parameter(value, min=1e-7) for name, value in start.items()}
+    fmu = stepping_fmu(folder, MOTOR, order=4)
+    with pytest.raises(fmuid.SimulationError):
+        fmuid.identify(fmuid.Problem(fmu, motor_table, parameters, values={"F": FRICTION}), accuracy="off")
+    problem = fmuid.Problem(fmu, motor_table, parameters, values={"F": FRICTION})
+    result = fmuid.identify(problem)
+    assert result.accuracy is not None
+    assert result.accuracy.switches[0].cause is SwitchCause.START_FAILED
+    assert result.accuracy.outcome is AccuracyOutcome.PASSED
+    assert result.simulations == problem.simulations
+    assert (np.abs(result.values - np.array(list(MOTOR_TRUTH.values()))) < 3.5 * result.std).all()
+    far = parameters | {"L": fmuid.Parameter(1e-6, min=1e-7)}
+    with pytest.raises(fmuid.SimulationError):
+        fmuid.identify(fmuid.Problem(fmu, motor_table, far, values={"F": FRICTION}))
+
+
 @pytest.mark.parametrize("order", [1, 4])
 def test_a_motor_faster_than_its_steps(folder: Path, motor_table: fmuid.Experiment, order: int) -> None:
     parameters = {name: fmuid.Parameter(2.0 * value, min=1e-7) for name, value in MOTOR_TRUTH.items()}
