@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Set
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -23,6 +24,19 @@ OPEN = ("fmuid.reports.console", "fmuid.reports.figures")
 EXTRAS = {"casadi", "pymoca", "antlr4", "ziglang"}
 
 
+@cache
+def tree(path: Path) -> ast.Module:
+    """Return what a file says, parsed."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def imported(path: Path) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    """Return the statements of a file that import, wherever they stand."""
+    return tuple(node for node in ast.walk(tree(path)) if isinstance(node, ast.Import | ast.ImportFrom))
+
+
+@cache
 def modules() -> dict[str, Path]:
     """Return every module of the package below its name, packages' own files left out."""
     found = {}
@@ -36,10 +50,10 @@ def modules() -> dict[str, Path]:
 def imports(path: Path) -> set[str]:
     """Return the modules of the package that a file imports, anywhere in it."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in imported(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert node.level == 0, f"{path}:{node.lineno}: relative import"
             names.add(node.module or "")
     return {name for name in names if name.startswith("fmuid.")}
@@ -56,10 +70,10 @@ def test_layers() -> None:
 def uses(path: Path, known: Set[str]) -> set[str]:
     """Return the modules that a file imports or whose names it imports, for annotations alone too."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in imported(path):
         if isinstance(node, ast.Import):
             found |= {alias.name.removeprefix("fmuid.") for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif node.module:
             above = node.module.removeprefix("fmuid").removeprefix(".")
             found |= {above, *(f"{above}.{alias.name}".removeprefix(".") for alias in node.names)}
     return found & known
@@ -76,12 +90,10 @@ def test_no_circles_between_modules() -> None:
 @pytest.mark.parametrize("module", modules())
 def test_other_packages_are_seen_by_their_faces(module: str) -> None:
     own = module.partition(".")[0]
-    for imported in imports(modules()[module]):
-        package, _, inner = imported.removeprefix("fmuid.").partition(".")
-        if package != own and inner and not imported.startswith(OPEN):
-            raise AssertionError(
-                f"{module} imports {imported}: give the name to the face of {package}, import it there"
-            )
+    for other in imports(modules()[module]):
+        package, _, inner = other.removeprefix("fmuid.").partition(".")
+        if package != own and inner and not other.startswith(OPEN):
+            raise AssertionError(f"{module} imports {other}: give the name to the face of {package}, import it there")
 
 
 def test_imports_are_seen() -> None:
@@ -101,7 +113,7 @@ def test_what_a_face_names_is_there(face: str) -> None:
 def test_no_two_classes_share_a_name() -> None:
     places: dict[str, list[str]] = {}
     for module, path in modules().items():
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in tree(path).body:
             if isinstance(node, ast.ClassDef):
                 places.setdefault(node.name, []).append(module)
     assert "LeastSquares" in places

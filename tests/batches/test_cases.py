@@ -199,6 +199,7 @@ def monte_carlo(folder: Path, draws: int, **more: Any) -> CaseRunner:
     )
 
 
+@pytest.mark.slow
 def test_estimates_of_a_monte_carlo_scatter_as_the_closed_form_says(folder: Path) -> None:
     draws, h = 150, 1e-6
     runner = monte_carlo(folder, draws)

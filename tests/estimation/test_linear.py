@@ -41,6 +41,7 @@ def test_badly_scaled_columns_keep_their_digits() -> None:
     np.testing.assert_allclose(fit.theta, [1.0, 1e9], rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_variance_is_unbiased_and_the_covariance_is_that_of_repeated_experiments() -> None:
     draws = [linear_least_squares(*regression(seed)) for seed in range(400)]
     assert np.mean([fit.noise_variance for fit in draws]) == pytest.approx(0.09, rel=0.02)

@@ -160,6 +160,7 @@ def test_the_barycentre_of_prior_and_data() -> None:
     np.testing.assert_allclose(result.pull, (expected - [0.9, 2.6]) / [0.02, 0.1], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_intervals_cover_as_often_as_they_say() -> None:
     """200 draws of a nonlinear problem with 12 samples, where Student's t differs from the normal distribution."""
     times = np.linspace(0.0, 2.0, 12)

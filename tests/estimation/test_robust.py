@@ -307,7 +307,7 @@ def test_covariance_of_a_linear_model() -> None:
     np.testing.assert_allclose(result.white_covariance, expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", ROBUST)
+@pytest.mark.parametrize("name", [ROBUST[0], *(pytest.param(name, marks=pytest.mark.slow) for name in ROBUST[1:])])
 def test_profiles_agree_with_the_local_intervals(name: str) -> None:
     """As they do for plain squares, in the mean of some draws: the rise is measured by how the estimates scatter."""
     ratios = []

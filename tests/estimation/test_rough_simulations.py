@@ -96,8 +96,13 @@ def test_a_search_that_gains_nothing_ends() -> None:
     assert (np.abs(result.values - GROWTH_TRUTH) < 4.0 * result.std).all()
 
 
-@pytest.mark.parametrize("amplitude", [1e-6, 1e-5, 1e-4])
-@pytest.mark.parametrize("std", [0.1, 0.01])
+@pytest.mark.parametrize(
+    ("std", "amplitude"),
+    [
+        *((0.1, 1e-6), (0.1, 1e-4), (0.01, 1e-5)),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.1, 1e-5), (0.01, 1e-6), (0.01, 1e-4))),
+    ],
+)
 def test_noise_that_was_not_there_at_the_start(amplitude: float, std: float) -> None:
     """The optimum and the standard deviations of the smooth simulation, and nothing that cannot be told apart."""
     y, reference = smooth(std)

@@ -53,6 +53,7 @@ def test_the_prior_sharpens_every_estimate_as_the_barycentre_says(pair: dict[str
     assert (np.abs(both.values - chapter.TRUTH) < 3 * both.std).all()
 
 
+@pytest.mark.slow
 def test_the_search_with_prior_takes_no_more_iterations_and_on_average_fewer(table: pd.DataFrame) -> None:
     data = chapter.experiment(table)
     found = [chapter.pair(data, start) for start in chapter.corners(0.5)]

@@ -59,6 +59,7 @@ def test_sensitivities_are_those_of_the_model() -> None:
         np.testing.assert_allclose(found[:, k], difference[:, 0], rtol=0, atol=1e-6 * np.abs(difference).max())
 
 
+@pytest.mark.slow
 def test_the_expectations_are_those_of_the_draws() -> None:
     """E[Σ σ b] and E[Σ σ σᵀ], by simulated loops whose voltage is linear in the noise."""
     clean = study.simulate(np.zeros(study.SAMPLES))["u"].to_numpy()
@@ -95,7 +96,8 @@ def test_the_bias_grows_as_the_signal_gets_weaker_and_as_predicted(committed: pd
         assert ((strong["bias"] - strong["predicted"]).abs() < 3 * strong["error"]).all()
 
 
-@pytest.mark.parametrize("kind", [COLOURED, *(pytest.param(kind, marks=pytest.mark.slow) for kind in (OPEN, WHITE))])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [COLOURED, OPEN, WHITE])
 def test_the_committed_numbers_are_these(kind: str, committed: pd.DataFrame) -> None:
     """All draws at a signal-to-noise ratio of 3, drawn anew; the loop identified whole takes longer."""
     weak = study.cell(kind, 3.0)

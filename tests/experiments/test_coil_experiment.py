@@ -83,7 +83,8 @@ def test_identifiability_with_and_without_prior() -> None:
     assert math.isinf(without["turns"]["dR"].std)
 
 
-@pytest.mark.parametrize("number", [1, *(pytest.param(number, marks=pytest.mark.slow) for number in (2, 5))])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [1, 2, 5])
 def test_fresh_draws_scatter_and_alarm_as_the_theory_says(number: int) -> None:
     case, count = study.TESTS[number], 40
     expected = study.theory(case.R, case.fault)

@@ -173,7 +173,7 @@ def drawn(known: fmuid.Baseline, committed: pd.DataFrame) -> Callable[[str], dic
     return again
 
 
-@pytest.mark.parametrize("case", ["healthy", "warm"])
+@pytest.mark.parametrize("case", ["healthy", pytest.param("warm", marks=pytest.mark.slow)])
 def test_no_fault_no_alarm(drawn: Callable[[str], dict[str, Any]], case: str) -> None:
     row = drawn(case)
     assert row["verdict"] == "none"
@@ -183,6 +183,7 @@ def test_no_fault_no_alarm(drawn: Callable[[str], dict[str, Any]], case: str) ->
     assert [row["Rs"], row["Rr"]] == pytest.approx([warmth * TRUTH["Rs"], warmth * TRUTH["Rr"]], rel=0.03)
 
 
+@pytest.mark.slow
 def test_shorted_turns_are_found(drawn: Callable[[str], dict[str, Any]]) -> None:
     row = drawn("stator_a20")
     assert row["verdict"] == "stator a"

@@ -276,8 +276,7 @@ def test_sources_of_a_committed_fmu_are_what_its_model_gives(
     "model",
     [
         "Coil",
-        "PositionDrive",
-        *(pytest.param(m, marks=pytest.mark.slow) for m in MODELS if m not in ("Coil", "PositionDrive")),
+        *(pytest.param(m, marks=pytest.mark.slow) for m in MODELS if m != "Coil"),
     ],
 )
 def test_committed_fmu_is_what_its_source_gives(tmp_path: Path, model: str) -> None:

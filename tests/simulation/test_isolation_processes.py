@@ -137,7 +137,14 @@ simulator(np.tile([2.0, float(mode)], (4, 1)))
 """
 
 
-@pytest.mark.parametrize(("name", "mode"), [("SIGKILL", Mode.STUBBORN), ("SIGTERM", Mode.LOOP), ("SIGINT", Mode.LOOP)])
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [
+        ("SIGKILL", Mode.STUBBORN),
+        ("SIGTERM", Mode.LOOP),
+        pytest.param("SIGINT", Mode.LOOP, marks=pytest.mark.slow),  # as Ctrl-C in a terminal, of the commands' tests
+    ],
+)
 def test_no_process_is_left_when_fmuid_ends(folder: Path, name: str, mode: Mode) -> None:
     command = [sys.executable, "-c", SCRIPT, str(misbehaving_fmu(folder)), str(int(mode))]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
