@@ -90,9 +90,9 @@ def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) 
             drawn = figures_batch.draw(frame, found.truth, found.units, given_noise=found.given_noise)
             written += plots.save(drawn, job.folder / "figures", figures)
         if report:
-            from fmuid.reports.page import write
+            from fmuid.reports import write_report
 
-            written.append(write.write_report(job.folder))
+            written.append(write_report(job.folder))
         console.show_files([*job.dataset.files(), *written])
     if found.interrupted:
         print(

@@ -11,11 +11,11 @@ from .fit import Fit as Fit
 from .fit import fit_of as fit_of
 from .fit import parameter_units as parameter_units
 from .isolation.ends import End as End
+from .isolation.fork_server import SERVER as SERVER
 from .isolation.isolated import printed as printed
 from .isolation.keeper import FIRST_TIME_LIMIT as FIRST_TIME_LIMIT
 from .isolation.keeper import Keeper as Keeper
 from .isolation.process import PRINTED_KEPT_BYTES as PRINTED_KEPT_BYTES
-from .isolation.process import SERVER as SERVER
 from .isolation.process import Host as Host
 from .isolation.server import AVAILABLE as AVAILABLE
 from .sensitivities import derivatives_of as derivatives_of

@@ -15,7 +15,8 @@ import pytest
 from fmuid.models.component import Isolation
 from fmuid.simulation.isolation import cgroup
 from fmuid.simulation.isolation.family import Footprint
-from fmuid.simulation.isolation.process import SERVER, Host
+from fmuid.simulation.isolation.fork_server import SERVER
+from fmuid.simulation.isolation.process import Host
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, RECORD, expected, processes, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu

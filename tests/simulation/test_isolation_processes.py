@@ -25,7 +25,8 @@ from fmuid.models.system import System
 from fmuid.processes import MEMORY_KEPT
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.isolation.channel import Channel, Look
-from fmuid.simulation.isolation.process import SERVER, ForkServer, Host
+from fmuid.simulation.isolation.fork_server import SERVER, ForkServer
+from fmuid.simulation.isolation.process import Host
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
     NAMES,

@@ -1,26 +1,20 @@
-"""The near side of `server`: the server that forks hosts, and one host with its memory, watched while it works."""
+"""The near side of `server`: one host with its memory, watched while it works."""
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import errno
 import fcntl
 import math
 import mmap
 import os
-import pickle
 import signal
 import socket
-import subprocess
-import sys
 import tempfile
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,12 +23,12 @@ from numpy.typing import NDArray
 
 from fmuid.errors import FmuidError
 from fmuid.fmi import codes
-from fmuid.processes import MEMORY_KEPT, Child
 from fmuid.simulation.isolation import cgroup
 from fmuid.simulation.isolation import server as far
 from fmuid.simulation.isolation.channel import Channel, GarbledError, pass_on
 from fmuid.simulation.isolation.ends import CRASHED, EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, End
 from fmuid.simulation.isolation.family import Condition, Footprint, condition_of, family, numbered, wants_processor
+from fmuid.simulation.isolation.fork_server import CLOSING_LIMIT, SERVER
 
 LARGEST_GROWTH = 256e6
 """Growth of a process beyond its size after its first simulations at which it is replaced, bytes.
@@ -43,101 +37,13 @@ Far above what buffers and caches of a sound FMU take up, far below what a machi
 """
 
 PREPARATION_LIMIT = 120.0  # s for instantiation and loading code: some FMUs read large files
-CLOSING_LIMIT = 2.0  # s for freeing instances, after which the process is killed: nothing of it is needed any more
 LOOK_SECONDS = 0.05  # between looks whether all is well with a host that works
-MOST_STARTS = 6  # of the server, which may be killed from outside while it loads
-ENDING_LIMIT = 2.0  # s that a process which has closed its socket may take to end
 PRINTED_KEPT_BYTES = 1 << 16  # of what FMUs print that are kept until they are read: a thousand lines
 PRINTED_LARGEST_BYTES = 1 << 20  # that may pile up in the file before it is cut
 MOST_RELATIVES = 100  # processes below it, also ended ones, for which nobody there waits
 MEASURE_SECONDS = 0.25  # between looks at its memory while simulations come and go
 STANDSTILL_SECONDS = 0.5  # between looks at which this process has stood still, and the machine with it
 COMPUTED_SHARE = 0.5  # of a time limit: what computes for less than that is not hung but waits for a processor
-
-
-class ForkServer:
-    """The server of this process (`fmuid.simulation.isolation.server.Server`), started when it is first needed."""
-
-    def __init__(self) -> None:
-        self._lock = threading.RLock()
-        self._channel: socket.socket | None = None
-        self._process: Child | None = None
-        self._owner, self._loaded, self._asking = 0, False, False
-
-    def start(self) -> socket.socket:
-        """Start the server where there is none; it loads its code while this process goes on."""
-        with self._lock:
-            if self._channel is not None and self._owner == os.getpid():
-                return self._channel
-            self._owner, self._loaded = os.getpid(), False
-            self._channel, other = socket.socketpair()
-            self._process = Child(
-                "fmuid.simulation.isolation.server",
-                str(other.fileno()),
-                stdin=subprocess.DEVNULL,  # its socket is its lifeline
-                pass_fds=[other.fileno()],
-                environment={"OPENBLAS_NUM_THREADS": "1", **MEMORY_KEPT},
-            )
-            other.close()
-            return self._channel
-
-    def fork(self, modules: Sequence[str], descriptors: Sequence[int]) -> tuple[int, Path | None]:
-        """Return process id and control group of a new host that has loaded the modules and got the descriptors."""
-        for _ in range(MOST_STARTS):
-            with self._lock:
-                try:
-                    found = self._ask("fork", list(modules), descriptors=descriptors)
-                except (EOFError, ConnectionError):
-                    continue  # somebody has killed it: once more
-                self._loaded = True
-                if isinstance(found, str):
-                    raise FmuidError(f"no process can be made for the FMU: {found}")
-                pid, group = found
-                return pid, group
-        raise FmuidError(
-            f"{sys.executable} -m fmuid.simulation.isolation.server, which starts the processes of FMUs, ends again "
-            "and again as soon as it begins: have FMUs run inside this process"
-        )
-
-    def status(self, pid: int) -> int | None:
-        """Return the status with which a host ended, None if it has not or nobody knows."""
-        with self._lock:
-            if self._channel is None or self._asking:  # by a collection of garbage in the middle of another question
-                return None
-            try:
-                status: int | None = self._ask("wait", pid, ENDING_LIMIT)
-            except (EOFError, ConnectionError):
-                return None
-            return status
-
-    def _ask(self, *order: object, descriptors: Sequence[int] = ()) -> Any:
-        """Give an order and return the answer; whatever interrupts that ends the server, or the next took the answer.
-
-        All hosts end with it, which costs no simulation: there will be new ones.
-        """
-        self._asking = True
-        try:
-            channel = self.start()
-            socket.send_fds(channel, [pickle.dumps(order)], list(descriptors))
-            return Channel(channel).receive()
-        except BaseException:
-            self.stop()
-            raise
-        finally:
-            self._asking = False
-
-    def stop(self) -> None:
-        """End the server, and with it all hosts."""
-        with self._lock:
-            if self._channel is not None:
-                self._channel.close()
-            if self._process is not None and self._owner == os.getpid():
-                self._process.end(CLOSING_LIMIT if self._loaded else 0.0)
-            self._channel = self._process = None
-
-
-SERVER = ForkServer()
-atexit.register(SERVER.stop)
 
 
 @dataclass
