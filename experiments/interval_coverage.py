@@ -25,9 +25,9 @@ from scipy.stats import binom
 
 import fmuid
 from experiments.induction_machine import make_table
-from fmuid.assessment.posterior import Sampling
 from fmuid.assessment.profile import profiles
-from fmuid.assessment.sampler import sample
+from fmuid.assessment.sampling.posterior import Sampling
+from fmuid.assessment.sampling.sampler import sample
 
 FMUS = Path(__file__).parents[1] / "fmus"
 METHODS = ("local", "profile", "posterior")

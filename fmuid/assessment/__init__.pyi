@@ -12,10 +12,6 @@ from .criterion_map import CriterionMap as CriterionMap
 from .criterion_map import map_criterion as map_criterion
 from .ends import EndKind as EndKind
 from .ends import Remark as Remark
-from .posterior import LARGEST_R_HAT as LARGEST_R_HAT
-from .posterior import Posterior as Posterior
-from .posterior import Sampling as Sampling
-from .posterior import SamplingDoubt as SamplingDoubt
 from .prior_and_data import Influence as Influence
 from .prior_and_data import Obstacle as Obstacle
 from .prior_and_data import Reading as Reading
@@ -33,7 +29,11 @@ from .residuals import Finding as Finding
 from .residuals import Trait as Trait
 from .residuals import examine_residuals as examine_residuals
 from .residuals import residuals_of as residuals_of
-from .sampler import sample as sample
+from .sampling.posterior import LARGEST_R_HAT as LARGEST_R_HAT
+from .sampling.posterior import Posterior as Posterior
+from .sampling.posterior import Sampling as Sampling
+from .sampling.posterior import SamplingDoubt as SamplingDoubt
+from .sampling.sampler import sample as sample
 from .uncertainty import CONFIDENCE_LEVEL as CONFIDENCE_LEVEL
 from .uncertainty import Uncertainty as Uncertainty
 from .uncertainty import UncertaintySettings as UncertaintySettings

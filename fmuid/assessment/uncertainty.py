@@ -18,8 +18,8 @@ from fmuid.progress import Event, MapStep, Progress
 
 if TYPE_CHECKING:
     from fmuid.assessment.criterion_map import CriterionMap
-    from fmuid.assessment.posterior import Posterior, Sampling
     from fmuid.assessment.profile import Profile
+    from fmuid.assessment.sampling.posterior import Posterior, Sampling
 
 CONFIDENCE_LEVEL = 0.95
 # A criterion on a map lower than at the estimate by more than this shows another optimum; less may be rounding, or
@@ -276,7 +276,7 @@ class _Explorer:
     def _sample(self) -> bool:
         if self.settings.posterior is None:
             return True
-        from fmuid.assessment.sampler import sample
+        from fmuid.assessment.sampling.sampler import sample
 
         self.posterior = sample(self.problem, self.result, self.settings.posterior, self.progress)
         return not self.posterior.interrupted

@@ -13,9 +13,9 @@ from scipy import stats
 from scipy.integrate import quad
 
 from experiments.interval_coverage import coverage
-from fmuid.assessment.chains import effective_size, r_hat
-from fmuid.assessment.posterior import Posterior, Sampling, SamplingDoubt
-from fmuid.assessment.sampler import log_density, sample
+from fmuid.assessment.sampling.chains import effective_size, r_hat
+from fmuid.assessment.sampling.posterior import Posterior, Sampling, SamplingDoubt
+from fmuid.assessment.sampling.sampler import log_density, sample
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.data.predictors import FunctionPredictions, Table

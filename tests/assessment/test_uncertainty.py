@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmuid.arrays import Floats
-from fmuid.assessment.posterior import Sampling
+from fmuid.assessment.sampling.posterior import Sampling
 from fmuid.assessment.uncertainty import UncertaintySettings, explore
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Parameter

@@ -17,9 +17,9 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from fmuid.arrays import Floats
-from fmuid.assessment.posterior import Sampling
 from fmuid.assessment.profile import profiles
-from fmuid.assessment.sampler import sample
+from fmuid.assessment.sampling.posterior import Sampling
+from fmuid.assessment.sampling.sampler import sample
 from fmuid.data.parameters import Parameter
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from fmuid.assessment.posterior import Sampling
+from fmuid.assessment.sampling.posterior import Sampling
 from fmuid.assessment.uncertainty import UncertaintySettings
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter

@@ -1,4 +1,4 @@
-"""Samples of the posterior, and the settings of the sampler (`fmuid.assessment.sampler`)."""
+"""Samples of the posterior, and the settings of the sampler (`fmuid.assessment.sampling.sampler`)."""
 
 from __future__ import annotations
 
@@ -110,11 +110,11 @@ class Posterior:
     burn : int
         Number of discarded steps at the start.
     effective_size : (N,) array
-        Effective sample sizes (`fmuid.assessment.chains.effective_size`).
+        Effective sample sizes (`fmuid.assessment.sampling.chains.effective_size`).
     autocorrelation_time : (N,) array
         Integrated, in samples.
     r_hat : (N,) array
-        1 where all walkers agree (`fmuid.assessment.chains.r_hat`).
+        1 where all walkers agree (`fmuid.assessment.sampling.chains.r_hat`).
     acceptance : float
         Share of the moves that were accepted.
     simulations : int

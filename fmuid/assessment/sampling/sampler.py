@@ -35,10 +35,10 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.assessment.adjustment import adjustment
-from fmuid.assessment.chains import effective_size, r_hat
 from fmuid.assessment.conditional import check_result
-from fmuid.assessment.posterior import LARGEST_R_HAT, Posterior, Sampling, SamplingDoubt
 from fmuid.assessment.profile import reach
+from fmuid.assessment.sampling.chains import effective_size, r_hat
+from fmuid.assessment.sampling.posterior import LARGEST_R_HAT, Posterior, Sampling, SamplingDoubt
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result
 from fmuid.progress import Progress, SamplingStep

@@ -1,0 +1,1 @@
+"""Samples of the posterior: the sampler, its chains, and what they tell."""
