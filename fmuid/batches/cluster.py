@@ -84,12 +84,12 @@ class Crew:
         Connected to their scheduler.
     address : str
         Of the scheduler, for messages.
-    host : _LocalWorkers or None
+    local : _LocalWorkers or None
         What keeps workers of this machine; None where the scheduler has its own.
     """
 
-    def __init__(self, client: Client, address: str, host: _LocalWorkers | None) -> None:
-        self._client, self._host, self._address = client, host, address
+    def __init__(self, client: Client, address: str, local: _LocalWorkers | None) -> None:
+        self._client, self._local, self._address = client, local, address
         self._looked, self.threads = 0.0, 0
         self._flying: dict[Future, list[int]] = {}
         self._done: queue.SimpleQueue[Future] = queue.SimpleQueue()
@@ -116,7 +116,7 @@ class Crew:
             yield from self._run(parcel, cases, record_of)
         finally:
             with contextlib.suppress(Exception):  # a scheduler that is lost has its workers forget by itself
-                if self._host is None and self._client.status == "running":
+                if self._local is None and self._client.status == "running":
                     self._client.run(forget, parcel.token)
 
     def _run(self, parcel: Parcel, cases: NDArray[np.intp], record_of: RecordOf) -> Results:
@@ -172,8 +172,8 @@ class Crew:
 
     def _look(self) -> None:
         """See how many threads there are, and that there is still a scheduler."""
-        if self._host is not None:
-            self._host.look()
+        if self._local is not None:
+            self._local.look()
         if time.monotonic() - self._looked < LOOK_SECONDS:
             return
         with self._watched():
@@ -266,9 +266,9 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[C
         )
         _quieten(cluster)
         client = stack.enter_context(_client(cluster.scheduler_address))
-        host = _LocalWorkers(cluster.scheduler_address, workers or CPU_COUNT, folder, locks)
-        stack.callback(host.close)
-        yield Crew(client, cluster.scheduler_address, host)
+        local = _LocalWorkers(cluster.scheduler_address, workers or CPU_COUNT, folder, locks)
+        stack.callback(local.close)
+        yield Crew(client, cluster.scheduler_address, local)
 
 
 @contextlib.contextmanager

@@ -51,9 +51,9 @@ START_TOLERANCE = 1e-6  # which that does not ask more of
 # Where a start fails its steps are divided so often at most: what fails in the sixteenth of a step has other reasons.
 START_DIVISIONS = 2
 # Shifts below this are known to be small from the error at another point of the same cell of a region.
-SURE = SHIFT_LIMIT / 3.0
+SURE_SHIFT = SHIFT_LIMIT / 3.0
 # Optima whose criterion is higher by less are as good as the best: χ² of one parameter is larger in 5 % of all cases.
-RIVAL = 3.84
+RIVAL_CRITERION = 3.84
 # By a finer simulation the search goes on from so many of the best optima of a box at most.
 MOST_OPTIMA = 10
 
@@ -214,7 +214,7 @@ class _CheckedSearch:
         """Check the optima that are as good as the best, and go on by finer simulations until one passes."""
         while True:
             best = self.optima[0]
-            rivals = [each for each in self.optima if each is best or each.criterion - best.criterion < RIVAL]
+            rivals = [each for each in self.optima if each is best or each.criterion - best.criterion < RIVAL_CRITERION]
             checks = [self._check(each.fit) for each in rivals]
             sound = [found for found in checks if not found.doubtful]
             if sound and len(sound) < len(checks):
@@ -240,7 +240,7 @@ class _CheckedSearch:
         controlled = is_controlled(problem.system, problem.refinement)
         if self.region is not None:
             found = checked(problem, fit, self.region.error(problem, finer, fit.values), controlled=controlled)
-            if found.outcome is AccuracyOutcome.UNCHECKABLE or found.change < SHIFT_LIMIT or found.largest < SURE:
+            if found.outcome is AccuracyOutcome.UNCHECKABLE or found.change < SHIFT_LIMIT or found.largest < SURE_SHIFT:
                 return replace(found, finer=problem.how_run(finer))
         # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
         predicted = simulated(fit) if finer.tolerance else problem.predict(fit.values[None])[0]

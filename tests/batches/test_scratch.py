@@ -116,7 +116,7 @@ def test_no_room(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_folder_of_workers_is_locked(place: Path) -> None:
     """By the process that keeps them too."""
     with crew(workers=1) as there:
-        host = there._host
+        host = there._local
         assert host is not None
         (lock,) = host._locks
         inode = os.fstat(lock).st_ino

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from fmuid.assessment import WORTH_SAYING
 from fmuid.estimation import Outcome
+from fmuid.model_problem import RIVAL_CRITERION
 from fmuid.models import HowRun
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
 from fmuid.reports.words.accuracy import passed_words, shift_text
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from fmuid.reports.findings import Findings
     from fmuid.simulation import Fit
 
-# Criteria that differ by less are as good as each other: χ² of one degree of freedom is larger in 5 % of all cases.
-RIVAL = 3.84
 SHIFT = "numerical shift"
 """The column of what the error of the simulation moves each estimate by, in its standard deviations."""
 # To ask how wide a table would be.
@@ -98,7 +97,7 @@ def _rivals(result: Result) -> list[str]:
         + ", ".join(f"{name} = {value:.5g}" for name, value in zip(result.names, other.theta.tolist(), strict=True))
         + ": the data do not tell which is true; narrow the bounds, give a prior or measure more"
         for other in result.optima[1:]
-        if other.criterion - best.criterion < RIVAL
+        if other.criterion - best.criterion < RIVAL_CRITERION
     ]
 
 
