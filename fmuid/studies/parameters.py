@@ -120,7 +120,7 @@ def by_element(parameters: Any) -> Any:
     for name, words in parameters.items():
         whole = isinstance(words, dict) and isinstance(words.get("start"), list)
         if whole and "prior" in words:
-            raise said_of_table(f"has a prior of all of {name!r}: give each element its own, or use [prior]")
+            raise said_of_table(f"{name!r}: a prior must be of single elements: give each its own, or use [prior]")
         for place in _places(name, words["start"]) if whole else [()]:
             element = f"{name}[{','.join(str(k + 1) for k in place)}]" if whole else name
             if element in found:
@@ -134,7 +134,7 @@ def _places(name: str, rows: list[Any], depth: int = 1) -> list[tuple[int, ...]]
     deep = depth > MOST_DIMENSIONS
     below = [_places(name, row, depth + 1) if isinstance(row, list) else [()] for row in rows if not deep]
     if not below or any(each != below[0] for each in below):
-        raise said_of_table(f"has a start of {name!r} that is no vector or matrix: give rows of one length")
+        raise said_of_table(f"{name!r}: start must be a number, a vector or a matrix with rows of one length")
     return [(k, *rest) for k, each in enumerate(below) for rest in each]
 
 
@@ -144,7 +144,7 @@ def _at(name: str, key: str, given: Any, place: Sequence[int]) -> Any:
         return given
     for k in place:
         if not isinstance(given, list) or k >= len(given):
-            raise said_of_table(f"has {key} of {name!r} in another shape than its start: give as many rows and columns")
+            raise said_of_table(f"{name!r}: {key} must be a single one, or have as many rows and columns as start")
         given = given[k]
     return given
 

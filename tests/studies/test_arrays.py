@@ -49,13 +49,16 @@ def test_by_element(tmp_path: Path) -> None:
     [
         (
             "A = { start = [[1.0, 2.0], [3.0]] }",
-            r"\[parameters\] has a start of 'A' that is no vector or matrix",
+            r"\[parameters\] 'A': start must be a number, a vector or a matrix with rows of one length",
         ),
-        ("A = { start = " + 100 * "[" + "1.0" + 100 * "]" + " }", "'A' that is no vector or matrix"),
-        ("A = { start = [] }", "'A' that is no vector or matrix"),
-        ("A = { start = [1.0, [2.0]] }", "'A' that is no vector or matrix"),
-        ("A = { start = [1.0, 2.0], min = [0.0] }", "min of 'A' in another shape than its start"),
-        ("A = { start = [1.0, 2.0], prior = { mean = 1.0, std = 1.0 } }", "has a prior of all of 'A'"),
+        ("A = { start = " + 100 * "[" + "1.0" + 100 * "]" + " }", "'A': start must be a number, a vector or a matrix"),
+        ("A = { start = [] }", "'A': start must be a number, a vector or a matrix"),
+        ("A = { start = [1.0, [2.0]] }", "'A': start must be a number, a vector or a matrix"),
+        (
+            "A = { start = [1.0, 2.0], min = [0.0] }",
+            "'A': min must be a single one, or have as many rows and columns as start",
+        ),
+        ("A = { start = [1.0, 2.0], prior = { mean = 1.0, std = 1.0 } }", "'A': a prior must be of single elements"),
         ('"A[2]" = { start = 1.0 }\nA = { start = [1.0, 2.0] }', r"has 'A\[2\]' by itself and in the whole array"),
         ('A = { start = [1.0, "x"] }', r"\[parameters.\"A\[2\]\"\] start must be a number"),
         ("A = { start = [1.0, 2.0], min = [0.0, [1.0]] }", r"min must be a number, not \[1.0\]"),
