@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 import fmuid
 from fmuid.cli.options import DONE, WRONG_INPUT
@@ -96,7 +97,9 @@ def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
     assert chart.logarithmic == (False, False)
     np.testing.assert_array_equal(chart.grid[2].ravel(), chart.table["criterion"])
     written = json.loads((results / "result.json").read_text())
-    assert written["profiles"]["R"]["threshold"] == pytest.approx(3.85, abs=0.02)
+    own = written["parameters"]["R"]
+    reach = stats.t.ppf(0.975, own["degrees_of_freedom"]) * own["std"] / own["white_std"]
+    assert written["profiles"]["R"]["threshold"] == pytest.approx(reach**2, rel=1e-6)
 
 
 def test_it_says_the_verdict_first_and_links_to_what_proves_it(page: Page) -> None:
