@@ -282,6 +282,19 @@ def test_short_experiments_share_a_model() -> None:
     assert {each.samples for each in found.noise.models} == {count * tests}
 
 
+def test_what_a_fit_hardly_takes_is_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 3000 samples of white noise three parameters take a thousandth: with the correction variances are the same."""
+    rows = made(regressors(3000), np.random.default_rng(12).standard_normal(3000))
+    own = [series(np.arange(3000), np.arange(3000))]
+    calls: list[Floats] = []
+    monkeypatch.setattr(Grid, "add_removed", lambda _, gram: calls.append(gram))
+    without = sandwich(rows, own).covariance
+    assert not calls
+    monkeypatch.undo()
+    monkeypatch.setattr("fmuid.estimation.colour.sandwich.SLIGHT", 0.0)
+    np.testing.assert_allclose(np.diag(without), np.diag(sandwich(rows, own).covariance), rtol=5e-3)
+
+
 # --- series
 
 

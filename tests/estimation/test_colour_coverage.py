@@ -200,10 +200,9 @@ def main(draws: int, every: int, names: list[str], samples: list[int]) -> None:
     for name in names:
         for n in samples:
             found = count(name, n, draws, every)
-            more = max(found.more, 1)
-            cells = [
-                f"{100 * value:.1f}"
-                for value in (found.local / found.draws, found.profile / more, found.posterior / more)
+            cells = [f"{100 * found.local / found.draws:.1f}"]
+            cells += [
+                f"{100 * each / found.more:.1f}" if found.more else "–" for each in (found.profile, found.posterior)
             ]
             cells += [f"{100 * found.plain / found.draws:.1f}", f"{np.median(found.wider):.2f}"]
             cells += [f"{100 * value / found.draws:.1f}" for value in (found.ratio, found.wald)]

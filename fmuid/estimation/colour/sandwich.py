@@ -36,7 +36,7 @@ H. White, "Maximum likelihood estimation of misspecified models", Econometrica 5
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -56,6 +56,8 @@ if TYPE_CHECKING:
 # where it would take too much memory. They end when a round moves no variance by more than the tolerance.
 ROUNDS, LONG, MOST_VALUES = 4, 50_000, 30_000_000
 SETTLED = 2e-3
+# Nor is there any where the fit has taken no more than this share of the squares of each output's noise.
+SLIGHT = 2e-3
 # Fewer degrees of freedom than this are no fewer.
 LEAST_FREEDOM = 1.0
 
@@ -149,6 +151,8 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
         before, spread = spread, np.diag(gram)
         if done == rounds or (np.abs(spread - before) <= SETTLED * spread).all():
             break
+        if not done and _slight(float(spread.sum()), models.values()):
+            break
         for part in parts:
             part.add_removed(gram)
     if rows.columns is not rows.basis:
@@ -174,6 +178,11 @@ def _rounds(rows: Rows) -> int:
     if rows.columns.size > MOST_VALUES:
         return 0
     return ROUNDS if len(rows.residual) <= LONG else 1
+
+
+def _slight(taken: float, models: Iterable[Autoregression]) -> bool:
+    """Return whether the fit, which has taken so much of the sum of squares, has hardly taken any of an output's."""
+    return all(taken <= SLIGHT * each.samples * each.variance * each.gain for each in models)
 
 
 def _models(
