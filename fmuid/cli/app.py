@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from fmuid.cli import batch as cli_batch
+from fmuid.cli import design as cli_design
 from fmuid.cli import models as cli_models
 from fmuid.cli import results as cli_results
 from fmuid.cli import studies as cli_studies
@@ -58,6 +59,7 @@ for command in (
     cli_studies.monitor,
     cli_batch.batch,
     cli_studies.report,
+    cli_design.design,
     cli_results.predict,
     cli_results.compare,
     cli_models.apply,

@@ -28,6 +28,8 @@ from fmuid.errors import InputError
 from fmuid.files import replacing
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from fmuid.progress import Event
     from fmuid.reports.console.progress import Display
     from fmuid.simulation import Fit
@@ -50,11 +52,14 @@ def simulate(
     ] = None,
     set_: Overrides = None,
     in_process: InProcess = False,
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="Also what relative changes of the parameters do to the outputs.")
+    ] = False,
     figures: Annotated[FigureFormat, typer.Option("--figures", help="How the figures are drawn.")] = FigureFormat.PNG,
 ) -> int:
     """Simulate a study at the parameters' starts, or at a result, and compare with the measurements."""
     folder = folder_of(output, study)
-    with _opened(study, set_, in_process, folder) as read:
+    with opened(study, set_, in_process, folder) as read:
         from fmuid import files
         from fmuid.reports import clear_figures
         from fmuid.reports import findings as report
@@ -70,11 +75,26 @@ def simulate(
         fits = read.fits() if result is None else _fits_at(read, result)
         console.show_misfits(fits)
         table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
-        written = [files.write_table(folder / "simulated.csv", table)]
+        written, drawn = [files.write_table(folder / "simulated.csv", table)], figures_fit.fits(fits)
+        if sensitivities:
+            written.append(_sensitivities(read, folder, drawn))
         clear_figures(folder / "figures")
-        written += plots.save(figures_fit.fits(fits), folder / "figures", figures)
+        written += plots.save(drawn, folder / "figures", figures)
         console.show_files(written)
         return DONE
+
+
+def _sensitivities(study: Study, folder: Path, drawn: dict[str, Figure]) -> Path:
+    """Write the sensitivities of a study, and add their figures."""
+    from fmuid.files import write_table
+    from fmuid.reports import findings as report
+    from fmuid.reports.figures.sensitivities import sensitivity_figures
+    from fmuid.studies import sensitivities_of
+
+    found = sensitivities_of(study)
+    drawn |= sensitivity_figures(found)
+    table = report.stacked([each.experiment for each in found], [each.table for each in found])
+    return write_table(folder / "sensitivities.csv", table)
 
 
 def _fits_at(study: Study, result: Path) -> tuple[Fit, ...]:
@@ -104,7 +124,7 @@ def identify(
 ) -> int:
     """Identify the parameters of a study and write result, tables and a report."""
     folder = folder_of(output, study)
-    with _opened(study, set_, in_process, folder) as read:
+    with opened(study, set_, in_process, folder) as read:
         from fmuid.reports import SearchInterruptedError, run_study
         from fmuid.reports.console import layout as console
         from fmuid.reports.console import result as console_result
@@ -169,7 +189,7 @@ def diagnose(
 ) -> int:
     """Look for the faults that a study names, and write verdict, tables and a report; exit code 1 for a fault."""
     folder = folder_of(output, study)
-    with _opened(study, set_, in_process, folder) as read:
+    with opened(study, set_, in_process, folder) as read:
         from fmuid.reports import run_diagnosis
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.progress import Display
@@ -202,7 +222,7 @@ def monitor(
 ) -> int:
     """Look for the faults that a study names in records, window by window; exit code 1 for an alarm."""
     folder = folder_of(output, study)
-    with _opened(study, set_, in_process, folder) as read:
+    with opened(study, set_, in_process, folder) as read:
         from fmuid.reports import run_monitoring
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.progress import Display
@@ -249,7 +269,7 @@ def report(
 
 
 @contextmanager
-def _opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path) -> Iterator[Study]:
+def opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path) -> Iterator[Study]:
     """Read a study whose FMUs run in a process of their own; what they print goes into the output folder."""
     with logged(folder, in_process) as isolated:
         from fmuid.studies import Study

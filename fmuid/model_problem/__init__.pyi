@@ -7,6 +7,11 @@ from .prediction import estimates_for as estimates_for
 from .prediction import predict as predict
 from .problem import Problem as Problem
 from .region import CheckedRegion as CheckedRegion
+from .sensitivity_functions import ExpectedAccuracy as ExpectedAccuracy
+from .sensitivity_functions import SensitivityFunctions as SensitivityFunctions
+from .sensitivity_functions import expected_accuracy as expected_accuracy
+from .sensitivity_functions import rank_excitations as rank_excitations
+from .sensitivity_functions import sensitivity_functions as sensitivity_functions
 from .time_scale import TimeScale as TimeScale
 from .time_scale import TimeScaleDoubt as TimeScaleDoubt
 from .time_scale import doubt_of_time as doubt_of_time

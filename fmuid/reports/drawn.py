@@ -12,7 +12,7 @@ REPORT_FILE = "report.html"
 # What the figures of a run are called, before a hyphen where there are several of a kind.
 KINDS = (
     *("parameters", "criterion", "rounds", "fit", "residuals", "optima", "map", "profiles", "posterior"),
-    *("estimates", "distributions", "swept", "starts", "prediction"),
+    *("estimates", "distributions", "swept", "starts", "prediction", "sensitivities"),
 )
 
 

@@ -15,6 +15,8 @@ from rich.text import Text
 from fmuid.text import has_unit, label, visible
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from fmuid.simulation import Fit, Simulator
     from fmuid.studies import Study
 
@@ -115,6 +117,14 @@ def note_sources(study: Study) -> None:
     from fmuid.reports.words.result import source_words
 
     show_notes(map(source_words, study.notes))
+
+
+def show_frame(title: str, frame: pd.DataFrame) -> None:
+    """Print a table of numbers with four digits each."""
+    table = table_of(title, frame.columns, right=[name for name in frame.columns if frame[name].dtype.kind in "fi"])
+    for row in frame.itertuples(index=False):
+        table.add_row(*(escape(f"{cell:.4g}" if isinstance(cell, float) else str(cell)) for cell in row))
+    console().print(table)
 
 
 def show_notes(notes: Iterable[str]) -> None:

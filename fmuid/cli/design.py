@@ -1,0 +1,44 @@
+"""The command ``fmuid design``: parse, call, print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fmuid.cli.options import DONE, Folder, InProcess, Overrides, StudyFile, folder_of
+from fmuid.cli.studies import opened
+
+
+def design(
+    study: StudyFile,
+    tables: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="TABLE", help="Excitations, or folders of them: tables that need no outputs.", show_default=False
+        ),
+    ],
+    output: Folder = None,
+    by: Annotated[
+        str, typer.Option("--by", metavar="WORD", help="Accuracy by 'determinant', or by the 'worst' relative std.")
+    ] = "determinant",
+    fault: Annotated[
+        str | None,
+        typer.Option("--fault", metavar="NAME", help="Instead: by the smallest size of this fault that is found."),
+    ] = None,
+    set_: Overrides = None,
+    in_process: InProcess = False,
+) -> int:
+    """Compare excitations before anything is measured: how accurate estimates will be, or which fault they show."""
+    folder = folder_of(output, study)
+    with opened(study, set_, in_process, folder) as read:
+        from fmuid import files
+        from fmuid.reports.console import layout as console
+        from fmuid.studies import ranked_excitations
+
+        files.make_folder(folder)
+        ranked = ranked_excitations(read, tables, by=by, fault=fault)
+        console.show_frame("Excitations, the best first", ranked)
+        console.show_files([files.write_table(folder / "design.csv", ranked)])
+        return DONE

@@ -1,0 +1,77 @@
+"""Excitations compared by what they promise for a study: accuracy, or the smallest fault that they show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+
+from fmuid.errors import InputError
+from fmuid.model_problem import SensitivityFunctions, expected_accuracy, rank_excitations, sensitivity_functions
+from fmuid.studies.monitoring import design_of, record_files
+from fmuid.studies.study import Study
+
+
+def ranked_excitations(
+    study: Study, tables: Sequence[Path], *, by: str = "determinant", fault: str | None = None
+) -> pd.DataFrame:
+    """Compare excitations for a study: one row each, the best first.
+
+    Parameters
+    ----------
+    study : Study
+        Its model, the words of its first experiment, the starts of its parameters, their priors, and its noise.
+    tables : sequence of Path
+        Tables of inputs, and folders of them.
+    by : "determinant" or "worst"
+        By the accuracy of the estimates (`fmuid.model_problem.rank_excitations`).
+    fault : str, optional
+        By the smallest size of this fault that is found (`fmuid.Design`).
+
+    Raises
+    ------
+    InputError
+        If the study has no parameters, no such fault or does not say its noise, or a table does not fit.
+    SimulationError
+        If a simulation fails.
+    """
+    words = study.experiments[0]
+    candidates = {
+        path.stem: words.model_copy(update={"name": path.stem}).read_experiment(path, measured=False)
+        for path in record_files(tables)
+    }
+    if fault is not None:
+        return design_of(study, fault).rank(candidates)
+    _check_parameters(study)
+    variance = study.known_variance
+    for name in words.outputs:
+        if name not in variance:
+            raise InputError(
+                f"{study.path} does not say how large the noise of {name!r} is: give its variance under [noise]"
+            )
+    parameters = {name: replace(each, per_experiment=False) for name, each in study.parameters.items()}
+    values = study.model.values
+    found = [expected_accuracy(study.system, each, parameters, variance, values) for each in candidates.values()]
+    return rank_excitations(found, by=by)
+
+
+def sensitivities_of(study: Study) -> tuple[SensitivityFunctions, ...]:
+    """Return the normalised sensitivities (1.33) over every experiment of a study, at the parameters' starts.
+
+    Raises
+    ------
+    InputError
+        If the study has no parameters.
+    SimulationError
+        If a simulation fails.
+    """
+    _check_parameters(study)
+    parameters = {name: replace(each, per_experiment=False) for name, each in study.parameters.items()}
+    return tuple(sensitivity_functions(study.system, each, parameters, study.model.values) for each in study.tables)
+
+
+def _check_parameters(study: Study) -> None:
+    if not study.parameters:
+        raise InputError(f"{study.path}: no parameters: name at least one under [parameters]")
