@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fmuid.cli.options import DONE, InProcess, Overrides
+from fmuid.cli.options import DONE, Figures, InProcess, Overrides
 from fmuid.cli.studies import logged
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def predict(
         ),
     ] = None,
     level: Annotated[float, typer.Option("--level", metavar="P", help="Of the bands.")] = 0.95,
+    figures: Figures = None,
     set_: Overrides = None,
     in_process: InProcess = False,
 ) -> int:
@@ -76,7 +77,7 @@ def predict(
         found = run_prediction(path, records, study=read, free=free or (), like=like, folds=folds, level=level)
         show_predictions(found)
         files.make_folder(folder)
-        written = [*found.write(folder), *found.draw(folder)]
+        written = [*found.write(folder), *(() if figures is None else found.draw(folder, figures))]
         console.show_files(written)
         return DONE
 

@@ -15,7 +15,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.model_problem import Prediction
 from fmuid.progress import Progress
-from fmuid.reports.drawn import clear_figures
+from fmuid.reports.drawn import check_format, clear_figures
 from fmuid.reports.findings import stacked
 from fmuid.reports.words.prediction import fold_words, prediction_words
 from fmuid.studies import (
@@ -86,7 +86,11 @@ class PredictionFindings:
         return content
 
     def write(self, folder: Path) -> tuple[Path, ...]:
-        """Write ``prediction.json``, ``prediction.csv`` and ``scores.csv``, and return their paths."""
+        """Write ``prediction.json``, ``prediction.csv`` and ``scores.csv``, and return their paths.
+
+        Figures of an earlier run are removed.
+        """
+        clear_figures(folder / "figures")
         table = stacked([each.fit.experiment for each in self.predictions], [each.table for each in self.predictions])
         return (
             files.write_json(folder / "prediction.json", self.to_json_dict()),
@@ -94,15 +98,21 @@ class PredictionFindings:
             files.write_table(folder / "scores.csv", self.scores),
         )
 
-    def draw(self, folder: Path) -> list[Path]:
-        """Draw into ``figures/`` of a folder, and return the paths."""
+    def draw(self, folder: Path, figures: str) -> list[Path]:
+        """Draw into ``figures/`` of a folder, as ``png``, ``svg`` or ``pdf``, and return the paths.
+
+        Raises
+        ------
+        InputError
+            If there is no such format.
+        """
+        check_format(figures)
         from fmuid.reports.figures import prediction, residuals, style
 
-        clear_figures(folder / "figures")
         units = {score.output: score.unit for each in self.predictions for score in each.scores}
         series = Diagnostics(tuple(one for each in self.predictions for one in each.residuals.series), {})
         drawn = prediction.predictions(self.predictions) | residuals.residuals(series, units)
-        return style.save(drawn, folder / "figures")
+        return style.save(drawn, folder / "figures", figures)
 
 
 def run_prediction(

@@ -28,7 +28,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tables = (made / "second.csv", made / "third.csv")
-    assert fmuid_("predict", made / "results", *tables, "--free", "i_start", "-o", tmp_path, "--in-process") == DONE
+    words = ("--free", "i_start", "-o", tmp_path, "--in-process")
+    assert fmuid_("predict", made / "results", *tables, *words, "--figures", "png") == DONE
     out, error = capsys.readouterr()
     assert error == ""
     for word in ("second", "third", "RMSE", "in the band", "Estimated again on third: i_start = 0.2", "prediction.csv"):
@@ -42,6 +43,8 @@ def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.Captur
     assert len(pd.read_csv(tmp_path / "prediction.csv")) == 1200
     figures = {path.stem for path in (tmp_path / "figures").iterdir()}
     assert {"prediction-second", "prediction-third", "residuals-second"} <= figures
+    assert fmuid_("predict", made / "results", *tables, *words) == DONE
+    assert list((tmp_path / "figures").iterdir()) == []  # those of an earlier run
 
 
 def test_the_record_of_the_result_is_no_prediction(
