@@ -12,6 +12,7 @@ from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.faults import common_mode
 from fmuid.errors import InputError
 from fmuid.estimation import Result
+from fmuid.simulation import AS_ASKED, Refinement
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +71,12 @@ class Baseline:
         if isinstance(given, cls):
             return given
         return cls(given if isinstance(given, Result) else Result.from_json(given))  # type: ignore[arg-type]
+
+    @property
+    def refinement(self) -> Refinement:
+        """How much finer than asked for the healthy machine was simulated: what is compared with it must be, too."""
+        known = self.result.accuracy
+        return AS_ASKED if known is None else Refinement(known.tolerance, known.divisor)
 
     @property
     def freedom(self) -> float:

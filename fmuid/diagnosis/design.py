@@ -88,7 +88,9 @@ class Design:
         if not 0 < miss < 0.5:
             raise InputError(f"the rate of misses must be above 0 and below 0.5, not {miss!r}")
         healthy = Baseline.of(baseline)
-        self.model = Extended("the fault", fault, healthy.common, healthy.variances, healthy.freedom)
+        self.model = Extended(
+            "the fault", fault, healthy.common, healthy.variances, healthy.freedom, healthy.refinement
+        )
         self.false_alarm, self.miss = false_alarm, miss
 
     def detectable(self, excitation: Experiment) -> tuple[Detectable, ...]:

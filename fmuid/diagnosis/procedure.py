@@ -41,7 +41,6 @@ from fmuid.fmi import FMU
 from fmuid.model_problem import Problem, identify
 from fmuid.models import System
 from fmuid.progress import FaultStep, Progress
-from fmuid.simulation import AS_ASKED, Refinement
 from fmuid.text import nearest
 from fmuid.version import __version__
 
@@ -158,8 +157,7 @@ class _Diagnosing:
         self.settings, self.level = settings, settings.level
         outputs = tuple(dict.fromkeys(name for each in experiments for name in each.output_names))
         self.freedom, self.variance = baseline.freedom, baseline.variance(outputs)
-        known = baseline.result.accuracy
-        self.refinement = Refinement(known.tolerance, known.divisor) if known is not None else AS_ASKED
+        self.refinement = baseline.refinement
 
     def fit_nominal(self, model: System) -> tuple[Result, Reading]:
         """Fit the healthy machine."""

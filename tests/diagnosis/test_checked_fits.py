@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,3 +112,16 @@ def test_both_fits_are_simulated_alike(motor: fmuid.System) -> None:
     assert without.accuracy.tolerance == 1e-9
     assert abs(best["F"] - 0.05) < 3.0 * best.std[1]
     assert best.std[1] < 0.001
+
+
+def test_windows_are_simulated_as_the_healthy_record_was(motor: fmuid.System, healthy: fmuid.Result) -> None:
+    """Its estimates come from model exchange; Euler's steps would stand out in every window of a sound machine."""
+    noise = dict(zip("iw", np.square(NOISE).tolist(), strict=True))
+    fault = fmuid.Fault(motor, {"F": FAULT}, values=HELD)
+    found = []
+    for result in (healthy, replace(healthy, accuracy=None)):
+        baseline = fmuid.Baseline(result, noise_variance=noise, values={**HELD, "F": 0.0})
+        monitor = fmuid.Monitor(baseline, {"friction": fault}, fmuid.Rule())
+        monitor.add(record(0.0, 5))
+        found.append(bool(monitor.table["unexplained"].any()))
+    assert found == [False, True]

@@ -93,7 +93,7 @@ class Monitor:
         healthy = Baseline.of(baseline)
         self._freedom, self.rule = healthy.freedom, rule
         self.models = tuple(
-            Extended(name, fault, healthy.common, healthy.variances, self._freedom)
+            Extended(name, fault, healthy.common, healthy.variances, self._freedom, healthy.refinement)
             for name, fault in hypotheses.items()
         )
         self.gaps: tuple[Gap, ...] = ()

@@ -22,7 +22,7 @@ from fmuid.diagnosis.monitoring.belief import Belief, nearest
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Rows, Sandwich, sandwich, series_of
 from fmuid.models import System
-from fmuid.simulation import Simulator
+from fmuid.simulation import AS_ASKED, Refinement, Simulator, refined
 
 # Differences are central, over this share of a parameter's magnitude: their error is of its square.
 DIFFERENCE_STEP = 1e-3
@@ -89,6 +89,8 @@ class Extended:
         Noise variance of each output by the healthy machine's names.
     freedom : float
         Its degrees of freedom.
+    refinement : Refinement
+        How much finer than asked for the model is simulated.
 
     Attributes
     ----------
@@ -109,8 +111,9 @@ class Extended:
         common: Mapping[str, Parameter],
         variance: Mapping[str, float],
         freedom: float = math.inf,
+        refinement: Refinement = AS_ASKED,
     ) -> None:
-        self.name, self.fault, self.freedom = name, fault, freedom
+        self.name, self.fault, self.freedom, self.refinement = name, fault, freedom, refinement
         self.system = System.of(fault.model)
         nominal = {fault.names.get(each, each): parameter for each, parameter in common.items()}
         for each in fault.parameters:
@@ -156,7 +159,8 @@ class Extended:
         InputError
             If the experiment has other inputs or outputs than the model.
         """
-        return Simulator(self.system, experiment, self.names, values=self.fault.values)
+        found = Simulator(self.system, experiment, self.names, values=self.fault.values)
+        return refined(found, self.system, self.refinement) if self.refinement.any else found
 
     def thetas(self, points: Floats) -> Floats:
         """Return parameters of the model (m, N) from points of the search (m, N)."""
