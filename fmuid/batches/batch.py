@@ -25,6 +25,7 @@ from fmuid.batches.parcel import Bundle, changes
 from fmuid.batches.run_case import CaseRunner
 from fmuid.batches.summary import Summary, condensed, summarize
 from fmuid.batches.worker import GroupResult, versions
+from fmuid.displays import Plotted
 from fmuid.errors import InputError
 from fmuid.progress import BatchStep, Progress
 from fmuid.simulation import parameter_units
@@ -39,7 +40,7 @@ RATE_SECONDS = 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class BatchResult:
+class BatchResult(Plotted):
     """What a batch has found so far.
 
     Attributes

@@ -16,6 +16,7 @@ from fmuid.arrays import Floats
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
 from fmuid.data.tables import UNITS, numeric_column, read_table
 from fmuid.data.times import column_of, missing_column
+from fmuid.displays import Displayed
 from fmuid.errors import InputError
 from fmuid.text import nearest
 
@@ -24,7 +25,7 @@ _TIME_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class Experiment(Displayed):
     """A table with roles: columns that drive the model, and columns that it must reproduce.
 
     Checked on construction. The table is copied, and the arrays are read-only. Rows are counted from 1 in messages,
@@ -105,6 +106,11 @@ class Experiment:
     held: npt.NDArray[np.bool_] = field(init=False, repr=False)
     curved: npt.NDArray[np.bool_] = field(init=False, repr=False)
     input_slopes: Floats = field(init=False, repr=False)
+
+    def __repr__(self) -> str:
+        span = f"{self.times[0]:g} to {self.times[-1]:g} s"
+        roles = f"{', '.join(self.input_names)} → {', '.join(self.output_names)}"
+        return f"Experiment({self.name!r}, {len(self.times)} samples, {span}, {roles})"
 
     def __post_init__(self) -> None:
         source = self.source

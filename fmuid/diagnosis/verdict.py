@@ -13,6 +13,7 @@ import pandas as pd
 from fmuid.diagnosis.findings import Evidence
 from fmuid.diagnosis.fits import Checked
 from fmuid.diagnosis.hypothesis import Estimate, Hypothesis, Strain, estimates_of
+from fmuid.displays import Plotted
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import as_json, content_of, write_json
@@ -44,7 +45,7 @@ class Test:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(Plotted):
     """What a diagnosis found.
 
     Attributes
@@ -91,6 +92,9 @@ class Diagnosis:
     result: Result | None = None
     checked: Checked = field(default_factory=Checked)
     evidence: Evidence | None = None
+
+    def __repr__(self) -> str:
+        return f"Diagnosis({self.kind}{': ' if self.named else ''}{', '.join(self.named)})"
 
     def __getitem__(self, name: str) -> Hypothesis:
         """Return one hypothesis."""

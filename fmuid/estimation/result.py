@@ -15,6 +15,7 @@ from scipy import special
 
 from fmuid.arrays import Floats
 from fmuid.data import JointPrior, MeasuredSeries, Measurements, Normal, measured_series
+from fmuid.displays import Plotted
 from fmuid.errors import InputError
 from fmuid.estimation import result_file
 from fmuid.estimation.accuracy.outcome import Accuracy
@@ -24,11 +25,14 @@ from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
+from fmuid.text import with_std
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
 # Handed on as a prior, an estimate keeps its interval of this level.
 PRIOR_LEVEL = 0.95
+# Parameters that a result names where it is printed in a line.
+REPR_PARAMETERS = 8
 
 
 def check_level(level: float, of: str = "an interval") -> None:
@@ -44,7 +48,7 @@ def check_level(level: float, of: str = "an interval") -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Plotted):
     """What an identification found.
 
     Attributes
@@ -173,6 +177,12 @@ class Result:
     def converged(self) -> bool:
         """Whether the search converged and every parameter is determined."""
         return self.outcome.converged
+
+    def __repr__(self) -> str:
+        pairs = zip(self.names, self.values.tolist(), self.std.tolist(), strict=True)
+        told = [f"{name} = {with_std(value, std)}" for name, value, std in pairs]
+        more = f", {len(told) - REPR_PARAMETERS} more" if len(told) > REPR_PARAMETERS else ""
+        return f"Result({self.outcome.value}: {', '.join(told[:REPR_PARAMETERS])}{more})"
 
     def __getitem__(self, name: str) -> float:
         """Return the estimate of one parameter."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
+from fmuid.displays import Displayed
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.fmi.files.archive import Zipped
@@ -13,7 +14,7 @@ from fmuid.fmi.files.reading import read_description
 from fmuid.fmi.files.unpacking import file_digest, unpacked
 
 
-class FMU:
+class FMU(Displayed):
     """An FMU file; nothing is unpacked or loaded before it is needed.
 
     Parameters

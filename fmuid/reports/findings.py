@@ -13,6 +13,7 @@ import pandas as pd
 
 from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.data import ParameterSet
+from fmuid.displays import Plotted
 from fmuid.errors import InputError
 from fmuid.estimation import Outcome, Result, optima_table
 from fmuid.files import file_name, write_json, write_table
@@ -91,7 +92,7 @@ def at_minimum(result: Result) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
+class Findings(Plotted):
     """All that a run has found so far.
 
     Attributes
@@ -127,6 +128,9 @@ class Findings:
     files: tuple[Path, ...] = ()
     study: Mapping[str, Any] | None = None
     origin: Origin | None = None
+
+    def __repr__(self) -> str:
+        return f"Findings({self.result!r})"
 
     @property
     def succeeded(self) -> bool:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from fmuid.assessment import Uncertainty, UncertaintySettings, explore
 from fmuid.data import Experiment, JointPrior, Noise, Parameter
+from fmuid.displays import Displayed
 from fmuid.errors import InputError
 from fmuid.estimation import Method, Result
 from fmuid.model_problem import Problem, identify
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Study:
+class Study(Displayed):
     """A study file, read and checked; nothing is loaded or simulated before a method asks for it.
 
     Attributes

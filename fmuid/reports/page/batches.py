@@ -14,8 +14,8 @@ from fmuid.reports.interactive import batch
 from fmuid.reports.page.contents import read_json, read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
+from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.result import capitalised
-from fmuid.reports.words.verdict import Said
 from fmuid.text import has_unit, rounded
 
 CASES = "Estimates of the cases that converged, with their intervals where there are few; the amber line is the truth."

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from fmuid.reports.words.verdict import Said
+from fmuid.reports.page.verdict import Said
 from fmuid.text import visible
 
 

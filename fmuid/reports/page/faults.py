@@ -15,8 +15,8 @@ from fmuid.reports.interactive import diagnosis
 from fmuid.reports.page.contents import read_json, read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
+from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.diagnosis import chance, diagnosis_words
-from fmuid.reports.words.verdict import Said
 from fmuid.text import has_unit, rounded, with_std
 
 EVIDENCE = (
@@ -58,10 +58,11 @@ def part_of_diagnosis(folder: Path) -> Part:
         sections.append(Section("explained", "What the fault explains", RESIDUAL, drawn, 1))
     good = found.kind == "healthy"
     shown = [each for each in sections if each.figures]
-    return Part("Diagnosis", found.kind, good, said, _faults(found), shown, origin(content))
+    return Part("Diagnosis", found.kind, good, said, faults_table(found), shown, origin(content))
 
 
-def _faults(found: Diagnosis) -> str:
+def faults_table(found: Diagnosis) -> str:
+    """Return the table of the faults that were looked for, as HTML."""
     heads = ("fault", "size", "value", "unit", "95 % interval", "D", "threshold", "probability without")
     columns: dict[str, list[str]] = {head: [] for head in heads}
     for each in found.hypotheses:

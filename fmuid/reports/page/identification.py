@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.estimation import Result
 from fmuid.reports.interactive import estimates, fit, residuals, search, uncertainty
-from fmuid.reports.interactive.style import MAX_EXPERIMENTS, MAX_OUTPUTS, MAX_PARAMETERS, named
+from fmuid.reports.interactive.style import MAX_EXPERIMENTS, MAX_OUTPUTS, MAX_PARAMETERS, Units, named
 from fmuid.reports.page.contents import Identification
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
+from fmuid.reports.page.verdict import identification_words
 from fmuid.reports.words.accuracy import shift_text
-from fmuid.reports.words.verdict import identification_words
 from fmuid.text import has_unit, rounded, with_std
 
 CAPTIONS = {
@@ -67,13 +68,21 @@ def part(folder: Path) -> Part:
     rows = {f"model {each['name']}": f"SHA-256 {each['digest']}" for each in result.models.values()}
     end = origin(found.content, rows | {"search": _search_words(result)})
     shown = [each for each in sections if each.figures]
-    return Part("Identification", state, good, said, _estimates(found), shown, end)
+    return Part("Identification", state, good, said, estimates_table(result, found.units, found.level), shown, end)
 
 
-def _estimates(found: Identification) -> str:
-    """Return the table of the estimates."""
-    result, units = found.result, found.units
-    ends = result.intervals(found.level)
+def estimates_table(result: Result, units: Units, level: float = CONFIDENCE_LEVEL) -> str:
+    """Return the table of the estimates, as HTML.
+
+    Parameters
+    ----------
+    result : Result
+    units : mapping of str to str
+        Of the parameters.
+    level : float
+        Of the intervals.
+    """
+    ends = result.intervals(level)
     rows = zip(result.names, result.values.tolist(), result.std.tolist(), strict=True)
     columns: dict[str, list[str]] = {key: [] for key in ("parameter", "value", "unit", "relative std", "interval")}
     for i, (name, value, std) in enumerate(rows):
@@ -84,7 +93,7 @@ def _estimates(found: Identification) -> str:
         columns["relative std"].append(f"{100 * std / abs(value):.2g} %" if value and math.isfinite(std) else "")
         low, high = (rounded(float(end), std) for end in ends.iloc[i])
         columns["interval"].append(f"{low} to {high}" if math.isfinite(std) else "")
-    columns[f"{100 * found.level:g} % interval"] = columns.pop("interval")
+    columns[f"{100 * level:g} % interval"] = columns.pop("interval")
     if np.isfinite(result.prior_mean).any():
         pairs = zip(result.prior_mean.tolist(), result.prior_std.tolist(), strict=True)
         columns["prior"] = [with_std(mean, std) if math.isfinite(mean) else "" for mean, std in pairs]
