@@ -25,24 +25,15 @@ from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
-from fmuid.text import with_std
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
 # Handed on as a prior, an estimate keeps its interval of this level.
 PRIOR_LEVEL = 0.95
-# Parameters that a result names where it is printed in a line.
-REPR_PARAMETERS = 8
 
 
 def check_level(level: float, of: str = "an interval") -> None:
-    """Check the level of an interval or a region.
-
-    Raises
-    ------
-    InputError
-        If it is not between 0 and 1.
-    """
+    """Check the level of an interval or a region: an `InputError` if it is not between 0 and 1."""
     if not 0.0 < level < 1.0:
         raise InputError(f"the level of {of} must lie between 0 and 1, not {level!r}")
 
@@ -163,8 +154,7 @@ class Result(Plotted):
     def rounds(self) -> pd.DataFrame:
         """One row a repetition of docs/method.md section 7.
 
-        Columns round, iterations, criterion, and for each output the variance used (``used.<output>``) and the one
-        estimated from the residual (``estimated.<output>``).
+        Columns round, iterations, criterion, and for each output the variance used (``used.``) and ``estimated.``.
         """
         return pd.DataFrame() if self.history is None else self.history.rounds_frame()
 
@@ -178,11 +168,7 @@ class Result(Plotted):
         """Whether the search converged and every parameter is determined."""
         return self.outcome.converged
 
-    def __repr__(self) -> str:
-        pairs = zip(self.names, self.values.tolist(), self.std.tolist(), strict=True)
-        told = [f"{name} = {with_std(value, std)}" for name, value, std in pairs]
-        more = f", {len(told) - REPR_PARAMETERS} more" if len(told) > REPR_PARAMETERS else ""
-        return f"Result({self.outcome.value}: {', '.join(told[:REPR_PARAMETERS])}{more})"
+    __repr__ = result_file.line
 
     def __getitem__(self, name: str) -> float:
         """Return the estimate of one parameter."""

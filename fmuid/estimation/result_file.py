@@ -16,12 +16,23 @@ from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
 from fmuid.files import ContentError, as_json, content_of
+from fmuid.text import with_std
 
+# Parameters that a result names where it is printed in a line.
+LINE_PARAMETERS = 8
 _AS_THEY_ARE = (
     *("noise_variance", "given_variance", "criterion", "log_likelihood", "degrees_of_freedom", "iterations"),
     *("simulations", "elapsed_s", "undetermined", "weak", "prior_determined", "at_bounds", "version", "models"),
     *("sensitivity", "moved_start", "data"),
 )
+
+
+def line(result: Any) -> str:
+    """Return a `fmuid.Result` in a line, of many parameters the first ones."""
+    pairs = zip(result.names, result.values.tolist(), result.std.tolist(), strict=True)
+    told = [f"{name} = {with_std(value, std)}" for name, value, std in pairs]
+    more = f", {len(told) - LINE_PARAMETERS} more" if len(told) > LINE_PARAMETERS else ""
+    return f"Result({result.outcome.value}: {', '.join(told[:LINE_PARAMETERS])}{more})"
 
 
 def content(result: Any) -> dict[str, Any]:

@@ -96,6 +96,12 @@ def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
     assert chart.shape == (41, 41)
     assert chart.logarithmic == (False, False)
     np.testing.assert_array_equal(chart.grid[2].ravel(), chart.table["criterion"])
+    assert chart.criterion == chart.table["criterion"].min()
+    content = json.loads((results / "result.json").read_text())
+    (results / "result.json").write_text(json.dumps(content | {"criterion": 5.0}))  # of other noise variances
+    again = Identification.read(results).maps[0].criterion
+    (results / "result.json").write_text(json.dumps(content))
+    assert again == chart.criterion
     written = json.loads((results / "result.json").read_text())
     own = written["parameters"]["R"]
     reach = stats.t.ppf(0.975, own["degrees_of_freedom"]) * own["std"] / own["white_std"]

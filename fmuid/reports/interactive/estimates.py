@@ -154,9 +154,10 @@ def ellipses(result: Result, units: Units | None = None, level_: float = 0.95) -
     matrix, intervals = result.correlation.to_numpy(), result.intervals(level_)
     known = [i for i in range(len(result.names)) if math.isfinite(result.std[i]) and result.std[i] > 0]
     pairs = sorted(combinations(known, 2), key=lambda pair: -abs(matrix[pair]))[:MAX_ELLIPSES]
-    radius = math.sqrt(ellipse_rise(level_, result.degrees_of_freedom))
     plots = []
     for i, j in sorted(pairs):
+        freedom = result.test_freedom([result.names[i], result.names[j]])
+        radius = math.sqrt(ellipse_rise(level_, freedom))
         x, y = ellipse(result.values[[i, j]], result.covariance[np.ix_([i, j], [i, j])], radius)
         plot = panel(x=named(result.names[i], units), y=named(result.names[j], units), height=260)
         drawn = plot.line(x, y, line_color=BLUE, line_width=2)

@@ -222,7 +222,8 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: fl
     """Draw by how much the criterion exceeds its minimum over two parameters, the estimate and its ellipse.
 
     The dashed line is where the section itself has risen by as much as the border of the confidence region allows:
-    where it leaves the ellipse, the local covariance is not the whole truth. White: the simulation failed.
+    where it leaves the ellipse, the local covariance is not the whole truth. Without colour: the simulation
+    failed.
 
     Parameters
     ----------
@@ -247,12 +248,13 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: fl
     low = max(FLOOR_SHARE * rise, float(known.min(initial=FLOOR_SHARE * rise)))
     high = max(float(np.percentile(known, TOP_PERCENTILE)) if known.size else 0.0, 2.0 * low)
     colors = LogColorMapper(palette=Blues256, low=low, high=high, nan_color=WHITE)
-    cells = plot.quad(source=_cells(chart, excess), fill_color={"field": "v", "transform": colors}, line_color=None)
+    shade = {"field": "v", "transform": colors}
+    cells = plot.quad(source=_cells(chart, excess), fill_color=shade, line_color=shade)
     hover(plot, cells, ("point", "@x{0.000000}, @y{0.000000}"), ("above the minimum", "@v{0.000}"))
     section = []
     if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
-        plot.contour(first, second, excess.T, levels=[rise], line_color=RED, line_dash="dashed", line_width=1.6)
-        section.append(plot.line([], [], line_color=RED, line_dash="dashed"))
+        line = {"line_color": RED, "line_dash": "dashed", "line_width": 1.6}
+        section.append(plot.contour(first, second, excess.T, levels=[rise], **line).line_renderer)
     border = chart.ellipse(degree)
     line = [plot.line(border[:, 0], border[:, 1], line_color=RED, line_width=1.8)] if len(border) else []
     dot = plot.scatter(*([each] for each in chart.estimate), size=9, fill_color=AMBER, line_color=INK)
@@ -264,6 +266,7 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: fl
     )
     bar.background_fill_color, bar.major_label_text_color, bar.title_text_color = WHITE, GREY, INK
     bar.major_label_text_font = bar.title_text_font = FONT
+    bar.title_text_font_style = "normal"
     plot.add_layout(bar, "right")
     reach(plot, x=_ends(first, logarithmic=chart.logarithmic[0]), y=_ends(second, logarithmic=chart.logarithmic[1]))
     return plot

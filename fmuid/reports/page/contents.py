@@ -57,7 +57,7 @@ class Identification:
         tables = {file.stem: read_table(file) for file in sorted(folder.glob("*.csv")) if _is_mine(file.stem)}
         try:
             fits = _fits(content, tables)
-            maps = tuple(_map(table, result) for name, table in tables.items() if name.startswith("map-"))
+            maps = _maps([table for name, table in tables.items() if name.startswith("map-")], result)
         except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
             raise InputError(
                 f"{folder} has tables that do not go with its result.json ({error}); identify the study again"
@@ -142,7 +142,13 @@ def _fit(given: Mapping[str, Any], table: pd.DataFrame) -> Fit:
     return Fit(given["name"], times, outputs, tuple(given["outputs"].values()), measured, simulated, counted)
 
 
-def _map(table: pd.DataFrame, result: Result) -> CriterionMap:
+def _maps(tables: list[pd.DataFrame], result: Result) -> tuple[CriterionMap, ...]:
+    """Return the maps; the least of them is at the estimate, whose own criterion may be of other noise variances."""
+    least = min((float(table["criterion"].min()) for table in tables), default=math.nan)
+    return tuple(_map(table, result, least) for table in tables)
+
+
+def _map(table: pd.DataFrame, result: Result, least: float) -> CriterionMap:
     first, second = (str(name) for name in table.columns[:2])
     where = [result.names.index(name) for name in (first, second)]
     sides = [np.unique(table[name].to_numpy(np.float64)) for name in (first, second)]
@@ -152,7 +158,7 @@ def _map(table: pd.DataFrame, result: Result) -> CriterionMap:
         (sides[0].size, sides[1].size),
         (_logarithmic(sides[0]), _logarithmic(sides[1])),
         result.values[where],
-        result.criterion,
+        least,
         result.white_covariance[np.ix_(where, where)],
         result.test_scale([first, second]),
         result.test_freedom([first, second]),
