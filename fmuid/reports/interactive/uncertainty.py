@@ -253,8 +253,8 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: fl
     hover(plot, cells, ("point", "@x{0.000000}, @y{0.000000}"), ("above the minimum", "@v{0.000}"))
     section = []
     if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
-        line = {"line_color": RED, "line_dash": "dashed", "line_width": 1.6}
-        section.append(plot.contour(first, second, excess.T, levels=[rise], **line).line_renderer)
+        look: dict[str, Any] = {"line_color": RED, "line_dash": "dashed", "line_width": 1.6}
+        section.append(plot.contour(first, second, excess.T, levels=[rise], **look).line_renderer)
     border = chart.ellipse(degree)
     line = [plot.line(border[:, 0], border[:, 1], line_color=RED, line_width=1.8)] if len(border) else []
     dot = plot.scatter(*([each] for each in chart.estimate), size=9, fill_color=AMBER, line_color=INK)
