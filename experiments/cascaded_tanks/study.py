@@ -74,7 +74,7 @@ def table(folder: Path) -> str:
         count = result.data[0].samples
         first = (result.noise_variance["y"] * result.degrees_of_freedom / count) ** 0.5
         row = rows.loc[name]
-        numbers = f"{row['parameters']} | {first:.3f} V | {row['behind']:.0f} | {row['rmse.y']:.3f} V"
+        numbers = f"{row['parameters']:.0f} | {first:.3f} V | {row['behind']:.0f} | {row['rmse.y']:.3f} V"
         lines.append(f"| {name} | {numbers} |")
     return "\n".join(lines)
 
