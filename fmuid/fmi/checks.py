@@ -89,7 +89,8 @@ def _arrays(plan: Plan, grid: TimeGrid) -> list[tuple[str, NDArray[Any], type[np
     found += [("references", plan.references, np.uint32)]
     found += [(name, getattr(grid, name), np.intp) for name in ("substeps", "strides")]
     found += [(name, getattr(grid, name), np.float64) for name in ("times", "inputs")]
-    return found if grid.slopes is None else [*found, ("slopes", grid.slopes, np.float64)]
+    open_ = (("slopes", grid.slopes), ("states", grid.states), ("gain", grid.gain), ("measured", grid.measured))
+    return [*found, *((name, array, np.float64) for name, array in open_ if array is not None)]
 
 
 def _check_operation(plan: Plan, given: Operation, versions: Sequence[int]) -> None:
@@ -152,4 +153,10 @@ def _check_grid(plan: Plan, grid: TimeGrid, n: int) -> None:
     _demand(grid.inputs.shape == shape, "inputs", f"are not {shape}")
     _demand(grid.slopes is None or grid.slopes.shape == shape, "slopes", f"are not {shape}")
     _demand(grid.substeps.shape == (n_times - 1,) and (grid.substeps > 0).all(), "substeps", "are not positive")
+    if grid.states is not None or grid.gain is not None:
+        (integration,) = plan.integrations if n == 1 else (None,)
+        _demand(integration is not None and integration.sensitivities is None, "states", "have no single component")
+    _demand((grid.gain is None) == (grid.measured is None), "gain", "has nothing measured")
+    n_y = len(plan.output_terms) - 1
+    _demand(grid.measured is None or grid.measured.shape == (n_times, n_y), "measured", "are not those of the outputs")
     _demand(grid.strides.shape == (n,) and (grid.strides > 0).all(), "strides", "are not positive")

@@ -106,6 +106,10 @@ class TimeGrid(NamedTuple):
 
     Times (K,), substeps of each interval (K-1,), how many substeps each component's own step has (n_components,), input
     values (K, n_u) and, where any input goes along a cubic curve, the slopes at the samples, else None.
+
+    A single component for model exchange is shown `states` (K, n_x) in place of integrating it, at times in any order;
+    or its states are corrected after each sample by a `gain` (n_x, n_y) times `measured` (K, n_y) less the outputs, but
+    for what is NaN.
     """
 
     times: NDArray[np.float64]
@@ -113,6 +117,9 @@ class TimeGrid(NamedTuple):
     strides: NDArray[np.intp]
     inputs: NDArray[np.float64]
     slopes: NDArray[np.float64] | None
+    states: NDArray[np.float64] | None = None
+    gain: NDArray[np.float64] | None = None
+    measured: NDArray[np.float64] | None = None
 
 
 def new_reports(count: int) -> NDArray[np.intp]:

@@ -59,7 +59,7 @@ class Loop:
         )
         self._plan = self._lay_out(plan, grid)
         strides = grid.strides if (grid.strides > 1).any() else None
-        arrays = (grid.times, grid.inputs, grid.slopes, grid.substeps, strides)
+        arrays = (grid.times, grid.inputs, grid.slopes, grid.substeps, strides, grid.states, grid.gain, grid.measured)
         self._grid = native.GridStruct(len(grid.times), *map(address, arrays))
         self._bound = tuple(map(ctypes.byref, (self._plan, self._grid, self._cancel)))
 

@@ -21,6 +21,7 @@ from .isolation.server import AVAILABLE as AVAILABLE
 from .sensitivities import derivatives_of as derivatives_of
 from .simulator import Simulator as Simulator
 from .smoke import Stage as Stage
+from .states.right_hand_side import RightHandSide as RightHandSide
 from .validation import TIME_LIMIT as TIME_LIMIT
 from .validation import Binary as Binary
 from .validation import Check as Check

@@ -120,6 +120,21 @@ def refined(simulator: Simulator, system: System, refinement: Refinement) -> Sim
     return simulator.by(system, refinement.divisor, refinement.tolerance)
 
 
+def by_model_exchange(system: System, tolerance: float | None = None) -> System | None:
+    """Return a system with all its components run by model exchange, None where one of them cannot be.
+
+    Parameters
+    ----------
+    system : System
+    tolerance : float, optional
+        Relative; default: what each component says.
+    """
+    exchanged = _exchanged(system)
+    if len(exchanged) < len(system.components):
+        return None
+    return system.run_by({name: _exchange(m, tolerance or m.numerics.tolerance) for name, m in exchanged.items()})
+
+
 def how_run(system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()) -> dict[str, HowRun]:
     """Return how each component is run.
 
@@ -151,7 +166,7 @@ def _exchanged(system: System) -> dict[str, Component]:
     }
 
 
-def _exchange(model: Component, tolerance: float = FINE_TOLERANCE) -> Numerics:
+def _exchange(model: Component, tolerance: float | None = FINE_TOLERANCE) -> Numerics:
     """Return how a component is run by model exchange: by the integrator asked for, if its error is controlled."""
     asked = model.numerics
     integrator = None if asked.integrator == "rk4" else asked.integrator

@@ -128,8 +128,8 @@ class Simulator:
         """The variables held at a value, and the largest step, s."""
         return self._target_values(), self._given[1]
 
-    def _set(self, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the values of all variables that thetas (m, N) set."""
+    def target_values(self, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values of all variables (`targets`) that thetas (m, N) set."""
         if len(self._targets) == len(self.parameters) and not self.system.connectors:
             return thetas
         columns = np.array([column for _, column, _, _ in self._targets], np.intp)
@@ -197,11 +197,15 @@ class Simulator:
         outputs = np.empty((len(given), self._run.grid.times.size, len(self.output_names)))
         reports = new_reports(len(given))
         with self._executor.lock:
-            self._executor.run(self._run, self._set(given), outputs, reports)
+            self._executor.run(self._run, self.target_values(given), outputs, reports)
             errors = self._explain(given, outputs, reports)
+        return Simulations(self.in_table_units(outputs), errors)
+
+    def in_table_units(self, outputs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Convert what the FMU gives (m, K, n_outputs) to the units of the experiment's columns, in place."""
         for j, (factor, offset) in self._conversions.items():
             outputs[:, :, j] = factor * outputs[:, :, j] + offset
-        return Simulations(outputs, errors)
+        return outputs
 
     def over(self, experiment: Experiment) -> Simulator:
         """Return the simulator of another experiment with the same model, parameters and values."""
@@ -220,6 +224,24 @@ class Simulator:
             is.
         """
         return self._like(system, self.experiment, divisor, tolerance)
+
+    def corrected(self, system: System, tolerance: float, gain: NDArray[np.float64]) -> Simulator:
+        """Return the simulator of the same experiment whose states the measurements correct after each sample.
+
+        Parameters
+        ----------
+        system : System
+            This one, a single FMU, run by model exchange.
+        tolerance : float
+        gain : (n_states, n_outputs) array
+            States move by it times measured less simulated outputs, in the units of the FMU.
+        """
+        other = self._like(system, self.experiment, 1, tolerance)
+        measured = self.experiment.output_values.copy()
+        for j, (factor, offset) in self._conversions.items():
+            measured[:, j] = (measured[:, j] - offset) / factor
+        other._run.grid = other._run.grid._replace(gain=np.ascontiguousarray(gain), measured=measured)
+        return other
 
     def _like(self, system: System, experiment: Experiment, divisor: int, tolerance: float | None) -> Simulator:
         values, step_size = self._given
@@ -250,7 +272,7 @@ class Simulator:
         errors: list[SimulationError | None] = [None] * len(thetas)
         for i in np.flatnonzero(suspect):
             named = dict(zip(self.parameters, thetas[i].tolist(), strict=True))
-            theta = self._set(thetas[i : i + 1])[0]
+            theta = self.target_values(thetas[i : i + 1])[0]
             # what the FMU says costs another simulation: for the first failure
             explain = not any(errors)
             errors[i] = self._executor.failure(self._run, theta, outputs[i], reports[i], named, explain)

@@ -152,6 +152,7 @@ class GridStruct(Mirror):
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         ("n_times", c_size_t),
         *((name, c_void_p) for name in ("times", "inputs", "slopes", "substeps", "strides")),
+        *((name, c_void_p) for name in ("states", "gain", "measured")),
     ]
 
 

@@ -152,6 +152,24 @@ static bool step3(Simulation *self, size_t c, double until) {
   return fail(self, STUCK, c, fmi2OK);
 }
 
+/* Show the only component the states of a sample. */
+bool show_states(Simulation *self, size_t sample) {
+  Integrator *integrator = self->plan->components[0].integrator;
+  if (self->plan->components[0].mode == IN_EVENTS && !leave_events(self, 0, self->now)) return false;
+  const double *states = self->grid->states + sample * integrator->how.n_states;
+  return integrated(self, 0, integrator_show(integrator, self->now, states));
+}
+
+/* Correct the states of the only component by the errors of the outputs. */
+bool correct_states(Simulation *self, size_t sample) {
+  const Grid *grid = self->grid;
+  const size_t n = self->plan->n_outputs;
+  Integrator *integrator = self->plan->components[0].integrator;
+  if (self->plan->components[0].mode == IN_EVENTS && !leave_events(self, 0, self->now)) return false;
+  const double *measured = grid->measured + sample * n, *outputs = self->outputs + sample * n;
+  return integrated(self, 0, integrator_correct(integrator, self->now, grid->gain, measured, outputs, n));
+}
+
 /* Take a component that is not of co-simulation by FMI 2.0 from one of its communication points to the next. */
 bool step_on(Simulation *self, size_t c, double from, double until) {
   Component *component = &self->plan->components[c];

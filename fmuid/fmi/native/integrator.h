@@ -150,6 +150,9 @@ int integrator_begin(Integrator *self, double t);
 int integrator_enter_events(Integrator *self, double t);
 int integrator_leave_events(Integrator *self, double t);
 int integrator_advance(Integrator *self, double t);
+int integrator_show(Integrator *self, double t, const double *x);
+int integrator_correct(Integrator *self, double t, const double *gain, const double *measured, const double *outputs,
+                       size_t n);
 
 #ifndef _WIN32
 #pragma GCC visibility push(hidden)

@@ -60,7 +60,7 @@ static const Place places[] = {
     FIELD(Plan, by_rows)
 
     WHOLE(Grid) FIELD(Grid, n_times) FIELD(Grid, times) FIELD(Grid, inputs) FIELD(Grid, slopes) FIELD(Grid, substeps)
-    FIELD(Grid, strides)
+    FIELD(Grid, strides) FIELD(Grid, states) FIELD(Grid, gain) FIELD(Grid, measured)
 
     WHOLE(Sundials) FIELD(Sundials, SUNContext_Create) FIELD(Sundials, SUNContext_ClearErrHandlers)
     FIELD(Sundials, SUNContext_Free) FIELD(Sundials, N_VMake_Serial) FIELD(Sundials, N_VGetArrayPointer)

@@ -95,7 +95,7 @@ INLINE bool advance_all(Simulation *self, double now, double h, double until, bo
 INLINE bool walk_interval(Simulation *self, size_t sample) {
   const Plan *plan = self->plan;
   const double begin = self->grid->times[sample], end = self->grid->times[sample + 1], length = end - begin;
-  self->stepped = length <= 0.0;
+  self->stepped = length <= 0.0 || self->grid->states;
   if (self->stepped) return true; /* a time given twice: a step of the inputs */
   const int64_t n = self->grid->substeps[sample];
   const double h = n == 1 ? length : length / (double)n; /* a division is dear here */
@@ -130,7 +130,8 @@ INLINE bool record(Simulation *self, size_t sample) {
   self->now = self->grid->times[sample];
   self->substep = 0;
   set_inputs(self, sample, 0.0, HELD);
-  if (!settle_inputs(self) || !perform(self, plan->outputs)) return false;
+  if (!settle_inputs(self) || (self->grid->states && !show_states(self, sample))) return false;
+  if (!perform(self, plan->outputs)) return false;
   if (plan->direct_outputs) return true;
   for (size_t j = 0; j < plan->n_outputs; j++) {
     double value = 0.0;
@@ -196,6 +197,7 @@ static bool run(Simulation *self, const double *theta) {
   if (plan->by_rows) return walk_rows(self);
   for (size_t k = 0; k < self->grid->n_times; k++) {
     if (is_cancelled(self) || !record(self, k)) return false;
+    if (self->grid->gain && !correct_states(self, k)) return false;
     if (k + 1 < self->grid->n_times && !walk_interval(self, k)) return false;
   }
   return true;

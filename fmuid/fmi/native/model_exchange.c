@@ -226,6 +226,37 @@ int integrator_enter_events(Integrator *self, double t) {
 
 int integrator_leave_events(Integrator *self, double t) { return leave_event_mode(self, t); }
 
+/* Give the FMU states x at time t, and the events that they cause; integration starts anew from there. */
+int integrator_show(Integrator *self, double t, const double *x) {
+  copy(self->n_total, x, self->x_end);
+  self->step_start = self->step_end = t;
+  self->step_length = 0.0;
+  self->can_go_on = false;
+  self->pending = SETTLED;
+  self->held = NAN;
+  const Outcome outcome = put(self, t, self->x_end);
+  if (outcome != DONE || get_indicators(self, self->z_at) != DONE) return FAILED;
+  self->fmu_is_at_end = true;
+  if (crossed(self, self->z_at) || self->next_event <= t)
+    return enter_event_mode(self) == DONE ? leave_event_mode(self, t) : FAILED;
+  copy(self->how.n_indicators, self->z_at, self->z_start);
+  return DONE;
+}
+
+/* Move the states at the present time t, which may lie within the last step, by gain (n_states, n) times what was
+ * measured less the outputs; NAN was not. */
+int integrator_correct(Integrator *self, double t, const double *gain, const double *measured, const double *outputs,
+                       size_t n) {
+  if (t < self->step_end && interpolate(self, t) != DONE) return FAILED;
+  if (t == self->step_end && self->pending != SETTLED && complete_step(self) != DONE) return FAILED;
+  double *x = self->x_at;
+  if (t == self->step_end) copy(self->n_total, self->x_end, x);
+  for (size_t i = 0; i < self->how.n_states; i++)
+    for (size_t j = 0; j < n; j++)
+      if (!isnan(measured[j])) x[i] += gain[i * n + j] * (measured[j] - outputs[j]);
+  return integrator_show(self, t, x);
+}
+
 /* Integrate from the present time to t, events handled on the way and at t; the FMU then holds t, u(t), x(t). */
 int integrator_advance(Integrator *self, double t) {
   self->held = NAN; /* the curves are others */

@@ -140,11 +140,16 @@ typedef struct {
 } Plan;
 
 /* The samples: times (n_times), inputs (n_times, n_inputs), their slopes likewise or NULL, substeps of the intervals
- * (n_times - 1), and how many of these a component's own step has (n_components), NULL where all have one. */
+ * (n_times - 1), and how many of these a component's own step has (n_components), NULL where all have one.
+ *
+ * A single component for model exchange may be shown states (n_times, n_states) at the samples in place of integrating
+ * it; times need not increase then. Or its states are corrected after each sample by a gain (n_states, n_outputs) times
+ * what was measured (n_times, n_outputs) less the outputs, but for what is NAN. Each is NULL without. */
 typedef struct {
   size_t n_times;
   const double *times, *inputs, *slopes;
   const int64_t *substeps, *strides;
+  const double *states, *gain, *measured;
 } Grid;
 
 /* Simulate for each row of thetas (count, n_parameters), on the same instances one after the other, into outputs
