@@ -156,7 +156,7 @@ class CaseRunner:
         key = case.table, tuple(case.held.items()), tuple(case.free)
         region = self._regions.get(key, lambda: self._region(problem))
         before, accuracy = region.checks, self.study.accuracy
-        result = identify(problem, self.study.estimator, accuracy=accuracy, region=region)
+        result = identify(problem, self.study.estimator, accuracy=accuracy, remedies=False, region=region)
         if result.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
         found = result.accuracy

@@ -15,6 +15,7 @@ from .parameters import JointPrior as JointPrior
 from .parameters import Normal as Normal
 from .parameters import Parameter as Parameter
 from .parameters import ParameterSet as ParameterSet
+from .predictors import FunctionPredictions as FunctionPredictions
 from .predictors import FunctionPredictor as FunctionPredictor
 from .predictors import Measurements as Measurements
 from .predictors import Predictor as Predictor

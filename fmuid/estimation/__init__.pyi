@@ -55,3 +55,9 @@ from .model_derivatives import Sensitivity as Sensitivity
 from .result import Optimum as Optimum
 from .result import Result as Result
 from .result import check_level as check_level
+from .starts.noise_level import second_difference_noise as second_difference_noise
+from .starts.outcome import LARGEST_MISFIT as LARGEST_MISFIT
+from .starts.outcome import Attempt as Attempt
+from .starts.outcome import Remedy as Remedy
+from .starts.outcome import Trouble as Trouble
+from .starts.weak_form import WeakForm as WeakForm

@@ -25,6 +25,7 @@ from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
+from fmuid.estimation.starts.outcome import Attempt
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
@@ -108,6 +109,8 @@ class Result(Plotted):
         where the simulation was not checked.
     data : tuple of MeasuredSeries
         Which measurements it was made from.
+    attempts : tuple of Attempt
+        The starts that were tried, where the one that was given did not lead to a good end at once; empty where it did.
     """
 
     outcome: Outcome
@@ -144,6 +147,7 @@ class Result(Plotted):
     fits: int | None = None
     accuracy: Accuracy | None = None
     data: tuple[MeasuredSeries, ...] = ()
+    attempts: tuple[Attempt, ...] = ()
 
     @cached_property
     def trace(self) -> pd.DataFrame:

@@ -15,6 +15,7 @@ from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
+from fmuid.estimation.starts.outcome import Attempt
 from fmuid.files import ContentError, as_json, content_of
 from fmuid.text import with_std
 
@@ -23,7 +24,7 @@ LINE_PARAMETERS = 8
 _AS_THEY_ARE = (
     *("noise_variance", "given_variance", "criterion", "log_likelihood", "degrees_of_freedom", "iterations"),
     *("simulations", "elapsed_s", "undetermined", "weak", "prior_determined", "at_bounds", "version", "models"),
-    *("sensitivity", "moved_start", "data"),
+    *("sensitivity", "moved_start", "data", "attempts"),
 )
 
 
@@ -136,6 +137,7 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
         "moved_start": tuple(map(str, data.get("moved_start", ()))),
         "accuracy": Accuracy.of_json(data["accuracy"], column["numerical_shift"]) if data.get("accuracy") else None,
         "data": tuple(map(MeasuredSeries.of_json, data.get("data", ()))),
+        "attempts": tuple(map(Attempt.of_json, data.get("attempts", ()))),
     }
 
 

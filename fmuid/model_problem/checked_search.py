@@ -66,6 +66,7 @@ def identify(
     *,
     accuracy: str = "switch",
     region: CheckedRegion | None = None,
+    start_limit: float = START_LIMIT,
 ) -> Result:
     """Identify the parameters of a problem, and check what the error of the simulation does to them.
 
@@ -86,6 +87,8 @@ def identify(
         box that are as good as the best, and that a finer simulation does not bear out, are no optima.
     region : CheckedRegion, optional
         What is known of the simulation from other searches on like data, of the same parameters.
+    start_limit : float
+        The search goes by model exchange where the outputs at the start differ by more than this share of their spread.
 
     Returns
     -------
@@ -110,7 +113,7 @@ def identify(
     method = settings or Marquardt()
     if accuracy == "off" or not isinstance(problem, Problem):
         return method.search(problem, progress, start)
-    return _CheckedSearch(problem, method, progress, region, switching=accuracy == "switch").run(start)
+    return _CheckedSearch(problem, method, progress, region, start_limit, switching=accuracy == "switch").run(start)
 
 
 class _CheckedSearch:
@@ -122,10 +125,12 @@ class _CheckedSearch:
         method: Method,
         progress: Progress | None,
         region: CheckedRegion | None = None,
+        start_limit: float = START_LIMIT,
         *,
         switching: bool,
     ) -> None:
         self.problem, self.method, self.progress, self.region = problem, method, progress, region
+        self.start_limit = start_limit
         self.switching = switching
         self.clock, self.before = time.perf_counter(), problem.simulations
         self.switches: list[Switch] = []
@@ -195,7 +200,7 @@ class _CheckedSearch:
         if not np.isfinite(predicted).all():
             return SwitchCause.START_FAILED, math.nan
         size = self._difference(predicted, exact)
-        return (SwitchCause.START_DIFFERED, size) if size > START_LIMIT else None
+        return (SwitchCause.START_DIFFERED, size) if size > self.start_limit else None
 
     def _difference(self, one: Floats, other: Floats) -> float:
         """Return the largest difference of an output between two simulations (n,), as a share of its spread."""

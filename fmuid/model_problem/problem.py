@@ -95,6 +95,7 @@ class Problem(LeastSquares):
         self.refinement = AS_ASKED
         self._finer: dict[Refinement, Problem] = {}
         self._known: tuple[Floats, Floats] | None = None
+        self._due = 0
         super().__init__(
             self._simulators,
             listed,
@@ -159,6 +160,20 @@ class Problem(LeastSquares):
             self._finer[refinement] = other
         return self._finer[refinement]
 
+    def simulated_by(self, simulators: Sequence[Simulator]) -> Problem:
+        """Return this problem by other simulators of its experiments; derivatives are differences, and it is counted.
+
+        Parameters
+        ----------
+        simulators : sequence of Simulator
+        """
+        other = copy.copy(self)
+        other._simulators, other._predictors = list(simulators), tuple(simulators)
+        other.sensitivity, other._derivatives = "finite-difference", ()
+        other._finer, other._known = {}, None
+        other.simulations, other.failures, other._reasons = 0, 0, {}
+        return other
+
     def simulate_by(self, refinement: Refinement) -> None:
         """Simulate in a finer way from now on."""
         if refinement == self.refinement:
@@ -190,14 +205,15 @@ class Problem(LeastSquares):
         self.failures += other.failures
         other.simulations = other.failures = 0
 
-    def remember(self, theta: Floats, predicted: Floats) -> None:
-        """Take a simulation (n,) at theta (N,) for the next one that is asked for there."""
-        self._known = theta.copy(), predicted
+    def remember(self, theta: Floats, predicted: Floats, due: int = 0) -> None:
+        """Take a simulation (n,) at theta (N,) for the next one that is asked for there, and count it then as `due`."""
+        self._known, self._due = (theta.copy(), predicted), due
 
     def predict(self, thetas: Floats) -> Floats:
         """Simulate as `LeastSquares.predict` does, but for what is known."""
         known, self._known = self._known, None
         if known is not None and np.array_equal(thetas, known[0][None]):
+            self.simulations, self._due = self.simulations + self._due, 0
             return known[1][None].copy()
         return super().predict(thetas)
 

@@ -110,6 +110,11 @@ class EstimatorWords(Words):
         'deviations, just say so ("check"), or do not look ("off")',
         "switch",
     )
+    remedies: bool = word(
+        True,
+        "other starts are tried where a search cannot begin or end, or its residual is more than three times the noise "
+        "that the data show; batches search from the starts that they are given",
+    )
     max_iterations: Count = word(SEARCH.max_iterations, "steps tried, accepted or not")
     tolerance: Positive = word(SEARCH.tolerance, "the largest change left for any parameter, relative")
     first_radius: Positive = word(SEARCH.first_radius, "length of the first step, relative; smaller is more careful")

@@ -67,6 +67,8 @@ class Study(Displayed):
         How the derivatives of the outputs by the parameters are found.
     accuracy : "switch", "check" or "off"
         What is done about the error of the simulation (`fmuid.identify`).
+    remedies : bool
+        Whether other starts are tried where the search fails or fits badly.
     diagnosis : FaultSearch or None
         The faults to look for, and what is known of the healthy machine.
     monitoring : MonitoringWords
@@ -90,6 +92,7 @@ class Study(Displayed):
     uncertainty_settings: UncertaintySettings = field(default_factory=UncertaintySettings)
     sensitivity: str = "finite-difference"
     accuracy: str = "switch"
+    remedies: bool = True
     diagnosis: FaultSearch | None = None
     monitoring: MonitoringWords = field(default_factory=MonitoringWords)
     batch: BatchSettings | None = None
@@ -166,6 +169,7 @@ class Study(Displayed):
             asked,
             estimator.sensitivity,
             estimator.accuracy,
+            estimator.remedies,
             None if diagnosis is None else diagnosis.settings(model, estimator.loss, known),
             words.monitoring,
             None if batch is None else batch.of(known.parameters, experiments, noise),
@@ -309,7 +313,7 @@ class Study(Displayed):
         start : (N,) array, optional
             An earlier result, which makes a search of the whole box needless.
         """
-        return identify(problem, self.estimator, progress, start, accuracy=self.accuracy)
+        return identify(problem, self.estimator, progress, start, accuracy=self.accuracy, remedies=self.remedies)
 
     def diagnose(self, progress: Progress | None = None) -> Diagnosis:
         """Look for the faults that ``[diagnosis]`` names.

@@ -1,0 +1,1 @@
+"""Better starts for a search: numerics of the remedies, which know no FMU."""

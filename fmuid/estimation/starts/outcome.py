@@ -1,0 +1,77 @@
+"""What was tried where a search from the start that was given failed or fits badly, as values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+
+class Remedy(Enum):
+    """Where a search set out from; the values are what ``result.json`` has."""
+
+    GIVEN = "given"
+    """The start that was given."""
+    EQUATION_ERROR = "equation_error"
+    """Where the model's equations hold best at the measured states (`fmuid.estimation.starts.weak_form`)."""
+    CORRECTION = "correction"
+    """Where simulations fit best whose states the measurements correct at each sample."""
+    SOBOL = "sobol"
+    """The best of a few points of the box."""
+
+
+class Trouble(Enum):
+    """What is wrong with a start or with where the search from it ended."""
+
+    NONE = "none"
+    FAR = "far"
+    """The simulation at the start fails or is worse than the mean of an output, and was not searched from."""
+    FAILED = "failed"
+    """The start cannot be simulated."""
+    NO_EFFECT = "no_effect"
+    """A parameter acts on no output there, or something else cannot be searched."""
+    UNFINISHED = "unfinished"
+    """The search stalled, or ended at a limit."""
+    MISFIT = "misfit"
+    """The residual of an output is above `LARGEST_MISFIT` times the noise that its second differences show."""
+
+
+LARGEST_MISFIT = 3.0
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One start that was tried.
+
+    Attributes
+    ----------
+    remedy : Remedy
+    trouble : Trouble
+    misfit : float
+        Largest root mean square of an output's residual by its noise from second differences; NaN where unknown.
+    simulations : int
+    kept : bool
+        Whether the result is of this one.
+    """
+
+    remedy: Remedy
+    trouble: Trouble
+    misfit: float = math.nan
+    simulations: int = 0
+    kept: bool = False
+
+    @classmethod
+    def of_json(cls, data: Mapping[str, Any]) -> Attempt:
+        """Return an attempt of a file.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If the data are not of one.
+        """
+        misfit = math.nan if data["misfit"] is None else float(data["misfit"])
+        return cls(
+            Remedy(data["remedy"]), Trouble(data["trouble"]), misfit, int(data["simulations"]), bool(data["kept"])
+        )

@@ -1,0 +1,209 @@
+"""A start from the equations of the model: the weak form of ẋ = f(x, u, θ) at the measured states, without simulation.
+
+It needs a single FMU that offers model exchange, and outputs that tell all its states. Noise in the states biases what
+it finds, by factors where a time constant is shorter than the sampling: a start, and never a result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmuid.arrays import Floats
+from fmuid.data import FunctionPredictions, Noise, Parameter, Table
+from fmuid.errors import FmuidError, InputError
+from fmuid.estimation import LeastSquares, Marquardt, WeakForm, second_difference_noise
+from fmuid.model_problem.problem import Problem
+from fmuid.simulation import RightHandSide
+
+# How far a parameter may move from where the search sets out, as a factor, where its bounds say nothing narrower.
+FARTHEST = 300.0
+MOST_ITERATIONS = 50
+# Changes by which it is found out what acts on what, as shares of the magnitudes.
+CHANGE = 0.01
+# Outputs tell the states where the least singular value of ∂y/∂x, by their scales, is at least this share of the
+# largest.
+INDEPENDENT = 1e-6
+# Samples at the beginning whose median is the first state.
+FIRST_SAMPLES = 3
+
+
+def equation_start(problem: Problem, start: Floats) -> Floats | None:
+    """Return a start (N,) by the weak form, None where it cannot be had.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : (N,) array
+        Where the search for it sets out.
+    """
+    try:
+        records = [_MeasuredStates.of(problem, index, start) for index in range(len(problem.experiments))]
+        found = _fitted(problem, [each for each in records if each is not None], start)
+    except FmuidError:
+        return None
+    return None if found is None else _with_initial_states(problem, records, found)
+
+
+@dataclass(frozen=True, eq=False)
+class _MeasuredStates:
+    """One experiment: its right-hand side and windows, and the states (K, n_x) that the outputs tell."""
+
+    side: RightHandSide
+    columns: NDArray[np.intp]
+    windows: WeakForm
+    states: Floats
+    points: Floats
+    scale: Floats
+
+    @classmethod
+    def of(cls, problem: Problem, index: int, start: Floats) -> _MeasuredStates | None:
+        simulator, experiment = problem.simulators[index], problem.experiments[index]
+        side = RightHandSide.of(simulator)
+        if side is None:
+            raise InputError("the model shows no right-hand side")
+        times, values = experiment.times, experiment.output_values
+        there = ~np.isnan(values)
+        if (there.sum(axis=0) < FIRST_SAMPLES).any():
+            return None
+        filled = np.column_stack(
+            [np.interp(times, times[own], column[own]) for own, column in zip(there.T, values.T, strict=True)]
+        )
+        noise = np.array([second_difference_noise(times, column) for column in values.T])
+        _, columns = problem.parameters.for_experiment(index)
+        gain, states = _told(side, start[columns], filled)
+        seen = there[:, np.argmax(np.abs(gain) * np.std(filled, axis=0), axis=1)]  # by the output that tells most
+        scale = np.sqrt((gain**2) @ np.maximum(noise, 1e-9 * np.nanstd(values, axis=0)) ** 2)
+        windows = WeakForm(times, seen)
+        return cls(side, columns, windows, states, np.repeat(states, 2, axis=0)[1:-1], scale)
+
+    def residuals(self, thetas: Floats) -> Floats:
+        """Return the whitened residual of all windows and states (m, n), NaN where f cannot be had."""
+        slopes, _ = self.side(self.points, np.ascontiguousarray(thetas[:, self.columns]))
+        found = [self.windows.residual(self.states, own[::2], own[1::2]) for own in slopes]
+        return np.array(found).reshape(len(thetas), -1) / np.tile(self.scale, self.windows.shape[0]) / self._noise
+
+    @property
+    def _noise(self) -> Floats:
+        return np.repeat(self.windows.noise[:, 0], self.windows.shape[1])
+
+    @property
+    def size(self) -> int:
+        """The number of residuals."""
+        return int(np.prod(self.windows.shape))
+
+
+def _told(side: RightHandSide, theta: Floats, outputs: Floats) -> tuple[Floats, Floats]:
+    """Return C⁺ (n_x, n_y) with C = ∂y/∂x, and the states (K, n_x) that outputs (K, n_y) tell.
+
+    C is found at the beginning and taken for constant.
+
+    Raises
+    ------
+    InputError
+        If the outputs do not tell all states.
+    """
+    slopes, base, at = side.output_slopes(theta)
+    if not np.isfinite(at).all() or not np.isfinite(slopes).all():
+        raise InputError("the outputs cannot be had")
+    sizes = np.maximum(np.std(outputs, axis=0), 1e-300)
+    values = np.linalg.svd(slopes / sizes[:, None], compute_uv=False)
+    if len(values) < len(side.states) or values[-1] <= INDEPENDENT * values[0]:
+        raise InputError("the outputs do not tell all states")
+    gain = side.nominals[:, None] * np.linalg.pinv(slopes / sizes[:, None], rcond=INDEPENDENT) / sizes
+    return gain, base + (outputs - at) @ gain.T
+
+
+class _Scaled:
+    """The residuals of all records over logarithms, or shares, of the parameters that act on f; a predictor."""
+
+    def __init__(self, records: list[_MeasuredStates], start: Floats, acting: NDArray[np.intp], scale: Floats) -> None:
+        self.records, self.start, self.acting = records, start, acting
+        self._scale, self._logs = scale[acting], start[acting] != 0.0
+
+    def thetas(self, given: Floats) -> Floats:
+        """Return the parameters (m, N) of what the search moves (m, n_acting)."""
+        found = np.tile(self.start, (len(given), 1))
+        logs = self._logs
+        with np.errstate(over="ignore"):
+            found[:, self.acting[logs]] *= np.exp(given[:, logs])
+        found[:, self.acting[~logs]] = given[:, ~logs] * self._scale[~logs]
+        return found
+
+    def many(self, thetas: ArrayLike) -> FunctionPredictions:
+        """Return the residuals (m, n, 1)."""
+        given = np.asarray(thetas, dtype=np.float64)
+        found = np.concatenate([record.residuals(self.thetas(given)) for record in self.records], axis=1)
+        failed = ~np.isfinite(found).all(axis=1)
+        found[failed] = np.nan
+        error = ArithmeticError("the right-hand side cannot be had")
+        return FunctionPredictions(found[:, :, None], tuple(error if each else None for each in failed))
+
+    def parameters(self, lower: Floats, upper: Floats) -> dict[str, Parameter]:
+        """Return what the search moves, within the bounds (N,) and `FARTHEST`."""
+        found = {}
+        for j, (i, log) in enumerate(zip(self.acting.tolist(), self._logs.tolist(), strict=True)):
+            value, scale = float(self.start[i]), float(self._scale[j])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ends = np.array([lower[i], upper[i]]) / (value if log else scale)
+                ends = np.sort(np.log(np.maximum(ends, 0.0)) if log else ends)
+            farthest = np.log(FARTHEST) if log else FARTHEST
+            found[f"p{i}"] = Parameter(0.0, max(float(ends[0]), -farthest), min(float(ends[1]), farthest), nominal=1.0)
+        return found
+
+
+def _fitted(problem: Problem, records: list[_MeasuredStates], start: Floats) -> Floats | None:
+    """Return the parameters (N,) that act on f as the weak form finds them, None where it finds nothing."""
+    if not records:
+        return None
+    every = np.arange(start.size)
+    moved = np.vstack([start, start + np.diag(CHANGE * problem.parameters.magnitudes(start))])
+    moved = np.clip(moved, problem.parameters.lower, problem.parameters.upper)
+    still = moved[1:] == start  # at the upper bound
+    moved[1:][still.all(axis=1)] -= np.diag(CHANGE * problem.parameters.magnitudes(start))[still.all(axis=1)]
+    values = np.concatenate([record.residuals(moved) for record in records], axis=1)
+    if not np.isfinite(values[0]).all():
+        return None
+    acting = every[(np.abs(values[1:] - values[0]) > 0.0).any(axis=1)]
+    size = values.shape[1]
+    if not acting.size or size <= acting.size:
+        return None
+    scaled = _Scaled(records, start, acting, problem.parameters.scale)
+    table = Table("windows", np.arange(size, dtype=np.float64), ("r",), np.zeros((size, 1)), np.ones((size, 1), bool))
+    given = scaled.parameters(problem.parameters.lower, problem.parameters.upper)
+    search = LeastSquares([scaled], [table], given, noise=Noise(1.0))
+    found = Marquardt(max_iterations=MOST_ITERATIONS).search(search)
+    return np.asarray(scaled.thetas(found.values[None])[0], dtype=np.float64)
+
+
+def _with_initial_states(problem: Problem, records: list[_MeasuredStates | None], theta: Floats) -> Floats:
+    """Move the parameters that act on initial states alone to where these are the first measured ones."""
+    parameters, found = problem.parameters, theta.copy()
+    for record in records:
+        if record is None:
+            continue
+        columns = record.columns
+        moved = found[columns] + np.vstack([np.zeros(columns.size), np.diag(parameters.scale[columns])])
+        states = record.side.initial(moved)
+        if states is None or not np.isfinite(states).all():
+            continue
+        slopes = (states[1:] - states[0]).T / record.side.nominals[:, None]
+        free = (np.abs(slopes) > 0.0).any(axis=0) & ~_acts(record, moved)
+        if not free.any():
+            continue
+        first = np.median(record.states[:FIRST_SAMPLES], axis=0)
+        step = np.linalg.lstsq(slopes[:, free], (first - states[0]) / record.side.nominals, rcond=1e-8)[0]
+        where = columns[free]
+        found[where] = np.clip(
+            found[where] + step * parameters.scale[where], parameters.lower[where], parameters.upper[where]
+        )
+    return found
+
+
+def _acts(record: _MeasuredStates, moved: Floats) -> NDArray[np.bool_]:
+    """Return which of the experiment's parameters act on f, each moved in its row of (1 + n, n)."""
+    slopes, _ = record.side(record.points, moved)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(~(slopes[1:] == slopes[0]).all(axis=(1, 2)), dtype=np.bool_)

@@ -1,0 +1,310 @@
+"""Searches that go on from another start where the one that was given leads nowhere, or to a bad fit.
+
+A start that explains little is not searched from at once where the equations of the model give a better one
+(`fmuid.model_problem.equation_start`). After each search it is asked whether it ended, and whether its residual is
+about as large as the noise of the data themselves; if not, the next start is tried: the other one of these two, then
+points of the box. A search from elsewhere that ends where another did confirms it: then it is the model, not the start.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import qmc
+
+from fmuid.arrays import Floats
+from fmuid.errors import FmuidError, InputError, SimulationError
+from fmuid.estimation import (
+    LARGEST_MISFIT,
+    Attempt,
+    LeastSquares,
+    Marquardt,
+    Method,
+    Outcome,
+    Remedy,
+    Result,
+    Trouble,
+    second_difference_noise,
+)
+from fmuid.model_problem import checked_search
+from fmuid.model_problem.corrected_start import corrected_start
+from fmuid.model_problem.equation_start import equation_start
+from fmuid.model_problem.problem import Problem
+from fmuid.model_problem.region import CheckedRegion
+from fmuid.progress import Progress
+
+# A start that is worse than the mean of an output is a far one.
+FAR = 1.0
+# From another start than the one that was given the search goes by model exchange where the outputs differ by more than
+# this share of their spread: what co-simulation has inside is rough in many places, and there is no past to agree with.
+START_LIMIT = 1e-6
+# Points of the box that are simulated, how many of the best are searched from, and how far the box reaches without
+# bounds: as a factor, or so many times the nominal magnitude.
+POINTS, BEST, FACTOR, MULTIPLE, SEED = 16, 3, 10.0, 3.0, 0
+# Two searches ended at the same place where the estimates differ by less than so many standard deviations.
+SAME_PLACE = 1.0
+# One wild sample must not decide between points: squares of residuals count up to here, in those of the noise.
+LARGEST_SQUARE = 1e12
+UNFINISHED = (Outcome.STALLED, Outcome.ITERATION_LIMIT, Outcome.FAILING, Outcome.RUNAWAY, Outcome.UNSETTLED)
+
+
+def identify(
+    problem: LeastSquares,
+    settings: Method | None = None,
+    progress: Progress | None = None,
+    start: ArrayLike | None = None,
+    *,
+    accuracy: str = "switch",
+    remedies: bool = True,
+    region: CheckedRegion | None = None,
+) -> Result:
+    """Identify the parameters of a problem, and check what the error of the simulation does to them.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+        Only a `Problem`, whose predictors run FMUs, has a simulation to check, and remedies. It is simulated in a finer
+        way from then on where the search has to go on by one.
+    settings : Marquardt or GlobalSearch, optional
+        Default: Marquardt's search from the parameters' starts.
+    progress : callable, optional
+        Called with every `fmuid.progress.SearchStep`, and `GlobalStep` of a search of the box.
+    start : (N,) array, optional
+        Start elsewhere than the parameters say.
+    accuracy : "switch", "check" or "off"
+        Go on by a finer simulation where the error moves an estimate by more than `SHIFT_LIMIT` of its standard
+        deviation, if that goes against nothing that was asked for; just say what it does; or do not look. Optima of a
+        box that are as good as the best, and that a finer simulation does not bear out, are no optima.
+    remedies : bool
+        Try other starts where the search cannot begin or end, or where a residual is larger than
+        `fmuid.estimation.LARGEST_MISFIT` times the noise that the data show; `Result.attempts` says what was tried. A
+        search of the whole box needs none.
+    region : CheckedRegion, optional
+        What is known of the simulation from other searches on like data, of the same parameters.
+
+    Returns
+    -------
+    Result
+        With `Result.accuracy`. Also where the search did not converge or was interrupted from the keyboard: its
+        `outcome` says so. Then nothing more is simulated, and samples that do not count are NaN in `Result.fit`.
+
+    Raises
+    ------
+    SimulationError
+        If the simulation at the start fails, and at all others that were tried.
+    InputError
+        If a parameter without prior acts on no output, neither at the start nor at some points of its box, or a search
+        of the box lacks bounds.
+    KeyboardInterrupt
+        If that comes before the first step: there is no better point than the start then.
+    """
+    method = settings or Marquardt()
+    if not remedies or method.whole_box or not isinstance(problem, Problem):
+        return checked_search.identify(problem, method, progress, start, accuracy=accuracy, region=region)
+    return _GuardedSearch(problem, method, progress, accuracy, region).run(start)
+
+
+@dataclass(frozen=True, eq=False)
+class _Ended:
+    """A search that came to an end, and the attempt that it was."""
+
+    result: Result
+    attempt: Attempt
+    number: int
+
+
+class _GuardedSearch:
+    """The starts of one search, and what became of them."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        method: Method,
+        progress: Progress | None,
+        accuracy: str,
+        region: CheckedRegion | None,
+    ) -> None:
+        self.problem, self.method, self.progress = problem, method, progress
+        self.accuracy, self.region = accuracy, region
+        self.clock, self.before = time.perf_counter(), problem.simulations
+        self.attempts: list[Attempt] = []
+        self.ended: list[_Ended] = []
+        self.error: FmuidError | None = None
+        self.noise = _noise(problem)
+
+    def run(self, start: ArrayLike | None) -> Result:
+        """Try one start after the other until one leads to an end that fits, or two to the same."""
+        problem = self.problem
+        given = problem.parameters.start if start is None else np.array(start, dtype=np.float64)
+        if given.shape != problem.parameters.start.shape:
+            return self._search(given)  # which says what is wrong
+        problem.check_measured()
+        before = problem.simulations
+        for remedy, theta in self._starts(given):
+            try:
+                result = self._search(theta, given=remedy is Remedy.GIVEN and start is None)
+            except (InputError, SimulationError) as error:
+                failed = isinstance(error, SimulationError)
+                self.error = error if self.error is None or remedy is Remedy.GIVEN else self.error
+                self._note(remedy, Trouble.FAILED if failed else Trouble.NO_EFFECT, before)
+                before = problem.simulations
+                continue
+            attempt = self._judge(remedy, result, before)
+            before = problem.simulations
+            self.ended.append(_Ended(result, attempt, len(self.attempts) - 1))
+            if self._settled():
+                break
+        if not self.ended:
+            raise self.error or InputError("there is no start to search from")
+        return self._concluded(given)
+
+    # --- where to begin
+
+    def _starts(self, given: Floats) -> Iterator[tuple[Remedy, Floats]]:
+        far = self._is_far(given)
+        if far:
+            equation = equation_start(self.problem, given)
+            if equation is not None:
+                self.attempts.append(Attempt(Remedy.GIVEN, Trouble.FAR, simulations=1))
+                yield Remedy.EQUATION_ERROR, equation
+        yield Remedy.GIVEN, given
+        if not far:
+            equation = equation_start(self.problem, given)
+            if equation is not None:
+                yield Remedy.EQUATION_ERROR, equation
+        corrected = corrected_start(self.problem, given, self.progress)
+        if corrected is not None:
+            yield Remedy.CORRECTION, corrected
+        for theta in self._points(given):
+            yield Remedy.SOBOL, theta
+
+    def _is_far(self, given: Floats) -> bool:
+        """Whether the simulation at a start fails, or explains little of an output."""
+        problem = self.problem
+        with problem.uncounted():
+            before = problem.simulations
+            predicted = problem.predict(given[None])[0]
+            spent = problem.simulations - before
+        problem.remember(given, predicted, due=spent)
+        if not np.isfinite(predicted).all():
+            return True
+        for j in range(problem.counts.size):
+            own = problem.groups == j
+            measured = problem.measured[own]
+            with np.errstate(over="ignore"):
+                left = float(np.mean((measured - predicted[own]) ** 2))
+            if left > FAR * float(np.var(measured)):
+                return True
+        return False
+
+    def _points(self, given: Floats) -> Iterator[Floats]:
+        """Return the best of some points of the box, by one batch of simulations."""
+        parameters = self.problem.parameters
+        units = qmc.Sobol(given.size, seed=SEED).random(POINTS)
+        scale = parameters.magnitudes(given)
+        multiples = given + (2.0 * units - 1.0) * MULTIPLE * scale
+        factors = given * FACTOR ** (2.0 * units - 1.0)
+        points = np.where(np.abs(given) > 0.0, factors, multiples)
+        bounded = np.isfinite(parameters.lower) & np.isfinite(parameters.upper)
+        width = np.where(bounded, parameters.upper, 0.0) - np.where(bounded, parameters.lower, 0.0)
+        narrow = bounded & (width < FACTOR * scale)
+        points[:, narrow] = (np.where(bounded, parameters.lower, 0.0) + units * width)[:, narrow]
+        points = np.clip(points, parameters.lower, parameters.upper)
+        predicted = self.problem.predict(points)
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = ((predicted - self.problem.measured) / self.noise[self.problem.groups]) ** 2
+        misfits = np.minimum(np.nan_to_num(squares, nan=np.inf), LARGEST_SQUARE).sum(axis=1)
+        yield from (points[i] for i in np.argsort(misfits, kind="stable")[:BEST] if np.isfinite(predicted[i]).all())
+
+    # --- one search
+
+    def _search(self, theta: Floats, *, given: bool = False) -> Result:
+        return checked_search.identify(
+            self.problem,
+            self.method,
+            self.progress,
+            None if given else theta,
+            accuracy=self.accuracy,
+            region=self.region if given else None,
+            start_limit=checked_search.START_LIMIT if given else START_LIMIT,
+        )
+
+    def _judge(self, remedy: Remedy, result: Result, before: int) -> Attempt:
+        misfit = self._misfit(result)
+        trouble = Trouble.NONE
+        if result.outcome in UNFINISHED:
+            trouble = Trouble.UNFINISHED
+        elif misfit > LARGEST_MISFIT:
+            trouble = Trouble.MISFIT
+        return self._note(remedy, trouble, before, misfit)
+
+    def _note(self, remedy: Remedy, trouble: Trouble, before: int, misfit: float = math.nan) -> Attempt:
+        self.attempts.append(Attempt(remedy, trouble, misfit, self.problem.simulations - before))
+        return self.attempts[-1]
+
+    def _misfit(self, result: Result) -> float:
+        """Return the largest root mean square of an output's residual, by its noise."""
+        variances = [result.noise_variance[name] for name in self.problem.output_names]
+        ratios = np.sqrt(variances) / self.noise
+        return float(np.nanmax(ratios)) if np.isfinite(ratios).any() else math.nan
+
+    def _settled(self) -> bool:
+        """Whether the last search ended well, was interrupted, or ended where another did."""
+        last = self.ended[-1]
+        if last.attempt.trouble is Trouble.NONE or last.result.outcome is Outcome.INTERRUPTED:
+            return True
+        if last.attempt.trouble is Trouble.UNFINISHED or last.attempt.remedy is Remedy.CORRECTION:
+            return False  # corrections set out from the start that was given, and confirm nothing
+        others = [each for each in self.ended[:-1] if each.attempt.trouble is Trouble.MISFIT]
+        return any(_same_place(each.result, last.result) for each in others)
+
+    def _concluded(self, given: Floats) -> Result:
+        """Return the best result with all that was tried."""
+        best = min(self.ended, key=lambda each: self._worth(each.result))
+        self.attempts[best.number] = replace(best.attempt, kept=True)
+        tried = tuple(self.attempts) if len(self.attempts) > 1 else ()
+        return replace(
+            best.result,
+            start=given.copy(),
+            simulations=self.problem.simulations - self.before,
+            elapsed_s=time.perf_counter() - self.clock,
+            attempts=tried,
+        )
+
+    def _worth(self, result: Result) -> float:
+        """Return Σ K_j log σ̂_j², by which results of any variances compare."""
+        variances = [result.noise_variance[name] for name in self.problem.output_names]
+        with np.errstate(divide="ignore"):
+            return float(self.problem.counts @ np.log(variances))
+
+
+def _same_place(one: Result, other: Result) -> bool:
+    """Whether two results are the same optimum, by their standard deviations where they have such."""
+    std = np.fmax(one.std, other.std)
+    apart = np.abs(one.values - other.values)
+    near = apart <= np.where(np.isfinite(std), SAME_PLACE * std, np.inf)
+    return bool(near.all())
+
+
+def _noise(problem: Problem) -> Floats:
+    """Return the standard deviation of each output's noise (n_outputs,) as its second differences show it."""
+    squares = np.zeros(problem.counts.size)
+    counts = np.zeros(problem.counts.size)
+    for experiment in problem.experiments:
+        for name, values, counted in zip(
+            experiment.output_names, experiment.output_values.T, experiment.counted.T, strict=True
+        ):
+            j, own = problem.output_names.index(name), np.where(counted, values, np.nan)
+            size, found = int(counted.sum()), second_difference_noise(experiment.times, own)
+            if math.isfinite(found):
+                squares[j] += size * found**2
+                counts[j] += size
+    # what does not move, or in steps, shows no noise at all: rounding of its largest value
+    floor = [1e-9 * float(np.max(np.abs(problem.measured[problem.groups == j]))) for j in range(counts.size)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.fmax(np.sqrt(squares / counts), np.maximum(floor, 1e-300))

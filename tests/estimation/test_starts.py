@@ -1,0 +1,84 @@
+"""Numerics of better starts: the weak form against closed forms, and the noise that data show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fmuid
+from fmuid.estimation import Attempt, Remedy, Trouble, WeakForm, second_difference_noise
+from fmuid.estimation.starts.weak_form import WINDOW
+
+RNG = np.random.default_rng(0)
+TIMES = np.cumsum(RNG.uniform(0.4, 1.6, 400) * 1e-2)
+
+
+def windows(there: np.ndarray | None = None) -> WeakForm:
+    return WeakForm(TIMES, np.ones((400, 1), dtype=bool) if there is None else there)
+
+
+def test_the_weak_form_of_a_true_right_hand_side_vanishes() -> None:
+    """x = sin 3t and f = 3 cos 3t: what is left are the trapezoids' errors, of second order in the step."""
+    x, f = np.sin(3.0 * TIMES)[:, None], 3.0 * np.cos(3.0 * TIMES)[:, None]
+    weak = windows()
+    left = weak.residual(x, f[:-1], f[1:])
+    wrong = weak.residual(x, 1.1 * f[:-1], 1.1 * f[1:])
+    assert left.shape == weak.shape
+    assert np.abs(left).max() < 0.01 * np.abs(wrong).max()
+
+
+def test_steps_of_the_right_hand_side_at_samples_are_exact() -> None:
+    """x of a held slope is a broken line, which trapezoids of w′ x follow only roughly, but to second order."""
+    slopes = RNG.choice([-1.0, 1.0], 399)
+    x = np.concatenate([[0.0], np.cumsum(slopes * np.diff(TIMES))])[:, None]
+    left = windows().residual(x, slopes[:, None], slopes[:, None])
+    # f of the mean of both slopes at a sample, as without the left and right limits, is an order larger
+    mean = np.concatenate([[slopes[0]], 0.5 * (slopes[:-1] + slopes[1:]), [slopes[-1]]])[:, None]
+    blurred = windows().residual(x, mean[:-1], mean[1:])
+    assert np.sqrt(np.mean(left**2)) < 0.5 * np.sqrt(np.mean(blurred**2))
+
+
+def test_the_noise_of_the_windows_is_what_it_says() -> None:
+    weak, zero = windows(), np.zeros((399, 1))
+    found = [weak.residual(RNG.standard_normal((400, 1)), zero, zero)[:, 0] for _ in range(400)]
+    assert np.std(found, axis=0) == pytest.approx(weak.noise[:, 0], rel=0.2)
+
+
+def test_windows_without_samples_do_not_count() -> None:
+    there = np.ones((400, 1), dtype=bool)
+    there[100:150] = False
+    assert windows(there).shape[0] < windows().shape[0]
+    for few in (TIMES[:WINDOW], TIMES[:2]):
+        with pytest.raises(fmuid.InputError, match="no window with enough samples"):
+            WeakForm(few, np.ones((few.size, 1), dtype=bool))
+
+
+def test_a_time_constant_by_the_weak_form_alone() -> None:
+    """Linear in 1/τ: its least squares is unbiased but for the noise in x, which windows average."""
+    x = np.exp(-TIMES / 0.7) + 1e-3 * RNG.standard_normal(400)
+    weak = windows()
+    ones = weak.residual(x[:, None], np.zeros((399, 1)), np.zeros((399, 1)))[:, 0]
+    slope = weak.residual(np.zeros((400, 1)), -x[:-1, None], -x[1:, None])[:, 0]
+    rate = -(slope @ ones) / (slope @ slope)
+    assert 1.0 / rate == pytest.approx(0.7, rel=0.02)
+
+
+@pytest.mark.parametrize("std", [0.01, 0.3])
+def test_second_differences_show_the_noise_of_what_moves_slowly(std: float) -> None:
+    values = np.sin(TIMES) + std * RNG.standard_normal(400)
+    values[RNG.random(400) < 0.3] = np.nan
+    values[200:] += 5.0  # one step
+    assert second_difference_noise(TIMES, values) == pytest.approx(std, rel=0.2)
+
+
+def test_second_differences_of_straight_lines_and_of_nearly_nothing() -> None:
+    assert second_difference_noise(TIMES, 3.0 * TIMES) == pytest.approx(0.0, abs=1e-14)
+    assert np.isnan(second_difference_noise(TIMES[:4], TIMES[:4]))
+    assert np.isnan(second_difference_noise(np.zeros(6), np.arange(6.0)))
+
+
+def test_attempts_survive_a_file() -> None:
+    attempt = Attempt(Remedy.SOBOL, Trouble.MISFIT, 4.5, 12, kept=True)
+    assert Attempt.of_json(
+        {"remedy": "sobol", "trouble": "misfit", "misfit": 4.5, "simulations": 12, "kept": True}
+    ) == (attempt)

@@ -1,0 +1,195 @@
+"""Starts that are far away, or lead to a bad fit: what is tried then, and what is said of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from experiments.starts.draws import DC_MOTOR, Record, draw
+from fmuid.arrays import Floats
+from fmuid.estimation import Remedy, Trouble
+from fmuid.files import as_json
+from fmuid.model_problem import guarded_search
+from fmuid.model_problem.corrected_start import corrected_start
+from fmuid.model_problem.equation_start import equation_start
+from fmuid.reports.words.starts import ENDS, PLACES, attempt_words
+from tests.support.exported import export_text
+from tests.support.paths import FMUS
+
+EXPERIMENTS = FMUS.parent / "experiments"
+
+MODEL = (EXPERIMENTS / "starts" / "DcMotor.mo").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def motor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_text(tmp_path_factory.mktemp("motor"), MODEL)
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    """A motor whose start is three to thirty times away in every parameter."""
+    return draw("dc", 2, 3.0, 30.0)
+
+
+def problem(motor: Path, record: Record, start: Floats | None = None) -> fmuid.Problem:
+    machine = DC_MOTOR
+    columns = {f"m_{name}": values for name, values in zip(machine.outputs, record.measured.T, strict=True)}
+    frame = pd.DataFrame({"time": record.times, "u": record.inputs[:, 0], **columns})
+    names = {name: f"m_{name}" for name in machine.outputs}
+    given = record.start if start is None else start
+    parameters = {n: fmuid.Parameter(s, min=0.0) for n, s in zip(machine.parameters, given.tolist(), strict=True)}
+    parameters |= {n: fmuid.Parameter(0.0, nominal=s) for n, s in zip(machine.states, machine.nominal, strict=True)}
+    return fmuid.Problem(motor, fmuid.Experiment(frame, ["u"], names, interpolation="hold"), parameters)
+
+
+def fits(result: fmuid.Result, record: Record) -> bool:
+    """Whether the residual of each output is that of the truth, within 2 %."""
+    noise = np.sqrt(np.nanmean((record.measured - record.clean) ** 2, axis=0))
+    found = np.sqrt([result.noise_variance[name] for name in DC_MOTOR.outputs])
+    return bool((found < 1.02 * noise).all())
+
+
+def test_a_motor_from_far_away_is_found_by_its_equations(motor: Path, record: Record) -> None:
+    whole = problem(motor, record)
+    result = fmuid.identify(whole)
+    assert result.converged
+    assert fits(result, record)
+    assert [(each.remedy, each.trouble) for each in result.attempts] == [
+        (Remedy.GIVEN, Trouble.FAR),
+        (Remedy.EQUATION_ERROR, Trouble.NONE),
+    ]
+    assert [each.kept for each in result.attempts] == [False, True]
+    assert result.start == pytest.approx(whole.parameters.start)
+    assert result.simulations <= 400
+    (said,) = attempt_words(result)
+    assert said == (
+        "several starts were tried: the start that was given was put off, for it explains too little of the data and "
+        "where the model's equations hold best at the measured states ended well, which is kept"
+    )
+    assert said in fmuid.describe(result).replace("Several", "several")
+    data = json.loads(json.dumps(as_json(result.to_json_dict())))
+    assert [each["remedy"] for each in data["attempts"]] == ["given", "equation_error"]
+
+
+def test_the_equations_give_a_start_and_the_initial_states(motor: Path, record: Record) -> None:
+    whole = problem(motor, record)
+    theta = equation_start(whole, whole.parameters.start)
+    assert theta is not None
+    assert whole.simulations == 0
+    ratios = theta[:6] / record.truth
+    assert (ratios > 1 / 3).all()
+    assert (ratios < 3).all()
+    first = record.measured[:6]
+    assert theta[6:] == pytest.approx(np.nanmedian(first, axis=0), abs=0.5 * np.ptp(record.clean[:10], axis=0).max())
+
+
+def test_one_word_switches_it_off(motor: Path, record: Record) -> None:
+    whole = problem(motor, record)
+    result = fmuid.identify(whole, fmuid.Marquardt(max_iterations=3), remedies=False)
+    assert result.attempts == ()
+    study = EXPERIMENTS / "coil" / "healthy.toml"
+    assert fmuid.Study.read(study).remedies
+    assert not fmuid.Study.read(study, ["estimator.remedies=false"]).remedies
+
+
+def test_a_good_start_takes_what_it_took(motor: Path, record: Record) -> None:
+    """Not one simulation more, and the same estimates to the last bit."""
+    near, alone = problem(motor, record, record.truth * 1.02), problem(motor, record, record.truth * 1.02)
+    result, plain = fmuid.identify(near), fmuid.identify(alone, remedies=False)
+    assert result.attempts == ()
+    assert result.simulations == plain.simulations
+    assert (result.values == plain.values).all()
+
+
+CURVED = """model Curved
+  parameter Real a = 1;
+  parameter Real b = 1;
+  output Real x(start=0, fixed=true);
+  output Real y;
+equation
+  der(x) = 1;
+  y = a*sin(b*x);
+end Curved;
+"""
+
+
+@pytest.fixture(scope="module")
+def curved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_text(tmp_path_factory.mktemp("curved"), CURVED)
+
+
+def wave(curved: Path, start: float, extra: Callable[[Floats], Floats] | None = None) -> fmuid.Problem:
+    """A sine, whose frequency has secondary optima; its state is not measured, so that the equations do not help."""
+    times = np.linspace(0.0, 10.0, 300)
+    y = np.sin(3.0 * times) + 0.02 * np.random.default_rng(3).standard_normal(300)
+    y = y if extra is None else y + extra(times)
+    frame = pd.DataFrame({"time": times, "y": y})
+    parameters = {"a": fmuid.Parameter(0.5, min=0.0, max=3.0), "b": fmuid.Parameter(start, min=0.5, max=5.0)}
+    return fmuid.Problem(curved, fmuid.Experiment(frame, [], ["y"]), parameters)
+
+
+def test_a_secondary_optimum_is_left_for_points_of_the_box(curved: Path) -> None:
+    stuck = fmuid.identify(wave(curved, 1.0), remedies=False)
+    assert abs(stuck["b"] - 3.0) > 0.1
+    result = fmuid.identify(wave(curved, 1.0))
+    assert result["b"] == pytest.approx(3.0, abs=0.01)
+    assert result.attempts[0].remedy is Remedy.GIVEN
+    assert result.attempts[0].trouble in (Trouble.MISFIT, Trouble.UNFINISHED)
+    assert result.attempts[0].misfit > 3.0
+    assert result.attempts[-1].remedy is Remedy.SOBOL
+    assert result.attempts[-1].kept
+    assert result.simulations == sum(each.simulations for each in result.attempts)
+
+
+def test_a_model_that_is_wrong_is_confirmed_by_a_second_start(curved: Path) -> None:
+    """What the model does not know moves the output far beyond the noise: no start mends that, and it is said."""
+    result = fmuid.identify(wave(curved, 2.9, lambda t: 0.3 * np.cos(1.3 * t)))
+    assert result.converged
+    kept = next(each for each in result.attempts if each.kept)
+    assert kept.trouble is Trouble.MISFIT
+    assert "other starts fit no better: look at the model" in fmuid.describe(result)
+
+
+def test_where_nothing_helps_the_error_is_that_of_the_start() -> None:
+    coil = FMUS / "Coil" / "Coil.fmu"
+    frame = pd.DataFrame({"time": np.linspace(0.0, 1.0, 50), "u": 1.0, "i": np.linspace(0.0, 0.2, 50)})
+    parameters = {"R": fmuid.Parameter(4.0), "i_start": fmuid.Parameter(0.0, min=-1e-30, max=1e-30, nominal=1e-30)}
+    whole = fmuid.Problem(coil, fmuid.Experiment(frame, ["u"], ["i"]), parameters)
+    with pytest.raises(fmuid.InputError) as plain:
+        fmuid.identify(whole, remedies=False)
+    with pytest.raises(fmuid.InputError) as guarded:
+        fmuid.identify(whole)
+    assert str(guarded.value) == str(plain.value)
+
+
+def test_corrections_give_a_start_too(motor: Path, record: Record) -> None:
+    whole = problem(motor, record, record.truth * 2.0)
+    theta = corrected_start(whole, whole.parameters.start)
+    assert theta is not None
+    assert whole.simulations > 0
+    assert np.abs(np.log(theta[:6] / record.truth)).max() < np.log(3.0)
+
+
+def test_the_problem_is_simulated_as_before_after_corrections(motor: Path, record: Record) -> None:
+    whole = problem(motor, record, record.truth)
+    before = whole.predict(whole.parameters.start[None])
+    corrected_start(whole, whole.parameters.start)
+    assert (whole.predict(whole.parameters.start[None]) == before).all()
+
+
+def test_every_attempt_has_words() -> None:
+    assert set(PLACES) == set(Remedy)
+    assert set(ENDS) == set(Trouble)
+
+
+def test_the_noise_of_an_output_is_never_zero(curved: Path) -> None:
+    frame = pd.DataFrame({"time": np.linspace(0.0, 1.0, 20), "y": np.zeros(20)})
+    flat = fmuid.Problem(curved, fmuid.Experiment(frame, [], ["y"]), {"a": fmuid.Parameter(1.0)})
+    assert (guarded_search._noise(flat) > 0.0).all()
