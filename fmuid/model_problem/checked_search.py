@@ -291,6 +291,8 @@ class _CheckedSearch:
         problem, best = self.problem, self.optima[0].fit
         if not self.switches or self.switches[0].cause is SwitchCause.SHIFT or not best.converged or best.at_bounds:
             return
+        if self.start_limit < START_LIMIT and self.switches[0].size <= START_LIMIT:
+            return  # left for a smoother simulation alone, not for another model
         other = problem.refined(self.origin)
         error = problem.predict_by(self.origin, best.values) - simulated(best)
         if would_fit_better(problem, best, other, checked(problem, best, error).shift):

@@ -193,3 +193,11 @@ def test_the_noise_of_an_output_is_never_zero(curved: Path) -> None:
     frame = pd.DataFrame({"time": np.linspace(0.0, 1.0, 20), "y": np.zeros(20)})
     flat = fmuid.Problem(curved, fmuid.Experiment(frame, [], ["y"]), {"a": fmuid.Parameter(1.0)})
     assert (guarded_search._noise(flat) > 0.0).all()
+
+
+def test_no_search_goes_back_to_a_rougher_simulation(motor: Path) -> None:
+    """This motor's co-simulation is so rough that a search by it crawls on for thousands of simulations."""
+    result = fmuid.identify(problem(motor, draw("dc", 22)))
+    assert result.converged
+    assert [each.kept for each in result.attempts] == [False, True]
+    assert result.simulations < 400
