@@ -30,6 +30,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield fuzz.first_result(tmp_path_factory.mktemp("result"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fuzz.CASES)
 def test_fuzz(result: str, name: str) -> None:
     @settings(

@@ -96,12 +96,12 @@ def fit_both(
     accuracy : "switch", "check" or "off"
         As for `fmuid.identify`.
     """
-    healthy = identify(without, search, start=start, accuracy=accuracy)
+    healthy = identify(without, search, start=start, accuracy=accuracy, remedies=False)
     problem.simulate_by(without.refinement)
     found = starts(healthy)
-    best = identify(problem, _Starts(found[1:], search), start=found[0], accuracy=accuracy)
+    best = identify(problem, _Starts(found[1:], search), start=found[0], accuracy=accuracy, remedies=False)
     if problem.refinement != without.refinement:
         without.simulate_by(problem.refinement)
         accuracy = "check" if accuracy == "switch" else accuracy
-        healthy = identify(without, search, start=healthy.values, accuracy=accuracy)
+        healthy = identify(without, search, start=healthy.values, accuracy=accuracy, remedies=False)
     return healthy, replace(best, optima=())

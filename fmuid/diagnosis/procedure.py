@@ -163,7 +163,8 @@ class _Diagnosing:
         """Fit the healthy machine."""
         problem = self._problem(model, self.experiments, self.common, self.variance, self.held)
         problem.simulate_by(self.refinement)  # that of the healthy record, whose estimates are the prior
-        result = identify(problem, self.settings.search, accuracy=self.settings.accuracy)
+        # a fault that is not in the model leaves a residual: no reason to search elsewhere
+        result = identify(problem, self.settings.search, accuracy=self.settings.accuracy, remedies=False)
         return result, read_result(problem, result)
 
     def fit_fault(self, name: str, fault: Fault, nominal: tuple[Result, Reading]) -> Hypothesis:

@@ -131,5 +131,6 @@ def _moves(values: Floats, record: Experiment) -> bool:
     """Return whether an output moves in a simulation about as much as it was measured to."""
     if not record.measured:
         return True
-    measured = np.nanstd(record.output_values, axis=0)
+    with np.errstate(over="ignore"):  # numbers beyond all measure move
+        measured = np.nanstd(record.output_values, axis=0)
     return bool((np.ptp(values, axis=0) > MOVES * measured).any())

@@ -56,6 +56,7 @@ def test_criteria_are_the_books() -> None:
     assert found.tests == ()  # what is held is not known
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_a_right_model_is_rejected_as_rarely_as_the_level_says(colour: float) -> None:
     """The line against the cubic: 5 % within what 60 draws allow; without the correction, most of them."""

@@ -86,6 +86,7 @@ def test_a_simulation_that_is_wrong_for_all(tmp_path: Path) -> None:
     assert any("3 of them were searched by a finer" in sentence for sentence in summary_words(summarize(found)))
 
 
+@pytest.mark.slow
 def test_the_summary_of_a_batch_says_how_many_were_checked(tmp_path: Path) -> None:
     """From its files, of which a summary reads what it needs."""
     data = dict(Study.read(COIL).data) | {"batch": {"noise": {"draws": 4, "std": 0.035}}}

@@ -245,6 +245,7 @@ def test_a_damaged_part_is_run_again(folder: Path, here: Any) -> None:
     same(found.frame, expected(folder))
 
 
+@pytest.mark.slow
 def test_full_disk(folder: Path, here: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     calls, fsync = [], os.fsync
 

@@ -160,6 +160,7 @@ def test_a_study_is_isolated_where_it_is_asked_to_be(tmp_path: Path, fmu: Path) 
     assert Study.read(path, isolated=True).identify().values == pytest.approx(right.values, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_a_terminal_ends_a_command_whose_fmu_loops(tmp_path: Path, fmu: Path) -> None:
     """A terminal sends it to all processes of the group; one sentence comes of it, and nothing stays."""
     study = write_study(tmp_path, fmu, Mode.STUBBORN)

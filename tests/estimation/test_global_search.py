@@ -90,6 +90,7 @@ def test_finds_the_best_of_many_optima(method: Strategy, seed: int) -> None:
     assert found.names == ("w",)
 
 
+@pytest.mark.slow
 def test_multistart_lists_all_optima_in_order() -> None:
     """The grid's minima and the ends of the box, each once, their criterion being the grid's sums of squares."""
     minima, squares = dense_minima()
@@ -283,6 +284,7 @@ def fragile(limit: float) -> LeastSquares:
     return LeastSquares.from_function(simulate, sinusoid().measured, {"w": Parameter(5.0, min=RANGE[0], max=RANGE[1])})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_failing_simulations_are_passed_over(method: Strategy) -> None:
     events: list[Event] = []
@@ -322,6 +324,7 @@ def test_error_where_no_fit_is_possible() -> None:
 # --- seeds, progress, interruption, settings --------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_seed_makes_it_repeatable(method: Strategy) -> None:
     steps: dict[int, list[float]] = {}
@@ -365,6 +368,7 @@ def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
     return LeastSquares.from_function(simulate, sinusoid().measured, parameters), seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "calls", "complete", "fitted"),
     [

@@ -191,6 +191,7 @@ def test_shorted_turns_are_found(drawn: Callable[[str], dict[str, Any]]) -> None
     assert row["stator_D"] > 10 * row["rotor_D"]
 
 
+@pytest.mark.slow
 def test_a_broken_bar_is_found(drawn: Callable[[str], dict[str, Any]]) -> None:
     row = drawn("bars_1")
     assert row["verdict"] == "rotor"

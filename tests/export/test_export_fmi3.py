@@ -219,6 +219,7 @@ def test_unknown_version(tmp_path: Path) -> None:
         export_fmu(FMUS / "Coil" / "Coil.mo", tmp_path / "Coil.fmu", fmi="1.0")
 
 
+@pytest.mark.slow
 def test_binaries_and_bytes(tmp_path: Path) -> None:
     """Binaries for four platforms with all of FMI 3.0's functions; the same bytes again from elsewhere."""
     first = export_fmu(FMUS / "Coil" / "Coil.mo", tmp_path / "first.fmu", fmi="3.0")

@@ -350,6 +350,7 @@ def test_samples_close_to_each_other_do_not_shorten_later_steps(make: Maker) -> 
     assert steps[0] == steps[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jacobian", ["exact", "differences", "broken"])
 def test_stiff_van_der_pol_against_radau(make: Maker, jacobian: str, stiff: NDArray[np.float64]) -> None:
     without = ("GetDirectionalDerivative",) if jacobian == "differences" else ()

@@ -122,6 +122,7 @@ def test_a_fatal_end_of_one_is_not_waited_for(folder: Path) -> None:
     check(Simulator(fmu, RECORD, NAMES, interface="model-exchange"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [("co-simulation",) * 4, KINDS * 2], ids=["one interface", "both"])
 def test_systems_in_threads_wait_for_each_other(folder: Path, kinds: tuple[str, ...]) -> None:
     """Threads of the user's own, as those of a worker of a cluster, each with a system of the same FMU."""

@@ -49,6 +49,7 @@ def test_what_does_not_settle_or_fails_is_not_doubted() -> None:
     assert doubt_of_time(Simulator(COIL, driven, ["R", "L"]), [0.0, L]) is None  # an integrator
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "said"), [(1.0, False), (1000.0, True)])
 def test_it_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], factor: float, said: bool) -> None:
     coil_table(tmp_path / "run.csv", 0.0, seed=1)

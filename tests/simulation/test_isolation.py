@@ -213,6 +213,7 @@ def test_a_library_that_prints_when_it_is_loaded(folder: Path) -> None:
 # --- memory
 
 
+@pytest.mark.slow
 def test_recycling_bounds_the_memory_of_an_fmu_that_leaks(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """8 MB a simulation, 60 simulations: a process that is replaced every ten has 80 MB of it before its end."""
     simulator, plain = (

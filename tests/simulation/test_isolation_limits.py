@@ -139,6 +139,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells")
 
 
 @linux
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [Mode.SHARE, Mode.BROOD])
 def test_memory_that_is_shared_or_that_of_children_counts(folder: Path, mode: Mode) -> None:
     words = "its process took more than 300 MB and was stopped"

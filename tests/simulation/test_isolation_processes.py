@@ -47,6 +47,7 @@ from tests.support.misbehaving import Mode, lag, misbehaving_fmu
 pytestmark = PROCESSES
 
 
+@pytest.mark.slow
 def test_nothing_is_left_of_closed_systems(folder: Path) -> None:
     def use() -> None:
         simulators = [Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation()) for _ in range(6)]
