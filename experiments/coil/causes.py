@@ -23,7 +23,7 @@ from experiments.coil import study
 from fmuid.arrays import Floats
 
 HERE = Path(__file__).parent
-DRAWS, SEED, SETTLING = 200, 7, 50
+DRAWS, SEED, SETTLING = 50, 7, 50
 DRIFT_R, DRIFT_L = 0.5, 0.0013  # Ω, H: standard deviations of what may change without being a fault
 
 
