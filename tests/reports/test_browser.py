@@ -95,9 +95,11 @@ def test_a_report_is_as_wide_as_its_window_and_follows_its_colours(browser: Any,
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     opened(browser, report)
+    from selenium.webdriver.support.ui import WebDriverWait
+
     of_labels = "[...Bokeh.documents[0].all_models].map(model => model.axis_label_text_color).filter(color => color)"
     colors = f"return [...new Set({of_labels})]"
     assert browser.execute_script(colors) == ["#24292f"]
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", dark)
-    assert browser.execute_script(colors) == ["#e6edf3"]
+    WebDriverWait(browser, PATIENCE).until(lambda it: it.execute_script(colors) == ["#e6edf3"])
