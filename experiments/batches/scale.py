@@ -169,7 +169,7 @@ def repeat_rows(source: Path, target: Path, rows: int) -> None:
         part = table.take(pa.array(numbers % table.num_rows))
         for name in ("case", "draw"):
             part = part.set_column(part.schema.get_field_index(name), name, pa.array(numbers))
-        pq.write_table(part, target / "cases" / f"part-{first:09d}-again.parquet", compression="zstd")
+        pq.write_table(part, target / "cases" / f"part-{first:09d}-{first:012x}.parquet", compression="zstd")
 
 
 def show_costs(plain: float, runs: list[Run], finished: pd.Series[pd.Timestamp]) -> float:
