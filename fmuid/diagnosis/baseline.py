@@ -12,7 +12,8 @@ from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.faults import common_mode
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.simulation import AS_ASKED, Refinement
+from fmuid.model_problem import refinement_of
+from fmuid.simulation import Refinement
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +76,7 @@ class Baseline:
     @property
     def refinement(self) -> Refinement:
         """How much finer than asked for the healthy machine was simulated: what is compared with it must be, too."""
-        known = self.result.accuracy
-        return AS_ASKED if known is None else Refinement(known.tolerance, known.divisor)
+        return refinement_of(self.result)
 
     @property
     def freedom(self) -> float:

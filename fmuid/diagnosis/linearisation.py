@@ -182,9 +182,7 @@ class _Model:
             driven = _driven(experiment, dict(zip(names, gains, strict=True)))
             own = driven if self.fault is None else self.fault.renamed(driven)
             simulator = Simulator(self.system, own, self.parameters, values=self.values)
-            self._simulators[gains] = (
-                refined(simulator, self.system, self.refinement) if self.refinement.any else simulator
-            )
+            self._simulators[gains] = refined(simulator, self.system, self.refinement)
         return self._simulators[gains]
 
     def _theta(self, point: Floats) -> list[float]:

@@ -38,9 +38,9 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result, check_level
 from fmuid.fmi import FMU
 from fmuid.model_problem.checked_search import identify
-from fmuid.model_problem.problem import Problem
+from fmuid.model_problem.problem import Problem, refinement_of
 from fmuid.models import System, Value, column_conversion
-from fmuid.simulation import AS_ASKED, Fit, Refinement, Simulator, fit_of, refined
+from fmuid.simulation import Fit, Simulator, fit_of, refined
 from fmuid.text import nearest
 
 # Sensitivities are differences over the parameters' standard deviations, but at most over this share of their
@@ -272,8 +272,7 @@ class _Record:
         self.at = [result.names.index(name) for name in known.values()]
         self.theta = result.values[self.at]
         self.held = {name: value for name, value in values.items() if name not in known and name not in free}
-        accuracy = result.accuracy
-        self.finer = AS_ASKED if accuracy is None else Refinement(accuracy.tolerance, accuracy.divisor)
+        self.finer = refinement_of(result)
         self.noise_std = np.array([self._noise_std(name) for name in experiment.output_names])
 
     def _noise_std(self, output: str) -> float:
@@ -304,8 +303,7 @@ class _Record:
         simulator = Simulator(
             self.system, experiment, (*self.names, *self.free), values=self.held, step_size=self.step_size
         )
-        if self.finer.any:
-            simulator = refined(simulator, self.system, self.finer)
+        simulator = refined(simulator, self.system, self.finer)
         point = self.theta if again is None else np.concatenate([self.theta, again.values])
         covariance = self.result.covariance[np.ix_(self.at, self.at)]
         own = np.zeros((0, 0)) if again is None else again.covariance

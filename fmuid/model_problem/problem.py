@@ -14,7 +14,7 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.data import Experiment, JointPrior, Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation import SENSITIVITIES, LeastSquares
+from fmuid.estimation import SENSITIVITIES, LeastSquares, Result
 from fmuid.fmi import FMU
 from fmuid.models import System
 from fmuid.simulation import (
@@ -216,6 +216,12 @@ class Problem(LeastSquares):
             self.simulations, self._due = self.simulations + self._due, 0
             return known[1][None].copy()
         return super().predict(thetas)
+
+
+def refinement_of(result: Result) -> Refinement:
+    """Return how much finer than asked for a result was simulated: what is compared with it must be, too."""
+    accuracy = result.accuracy
+    return AS_ASKED if accuracy is None else Refinement(accuracy.tolerance, accuracy.divisor)
 
 
 def _derivatives(simulators: Sequence[Simulator], sensitivity: str) -> list[Callable[[Floats], Floats]]:

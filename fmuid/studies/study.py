@@ -18,10 +18,10 @@ from fmuid.data import Experiment, JointPrior, Noise, Parameter
 from fmuid.displays import Displayed
 from fmuid.errors import InputError
 from fmuid.estimation import Method, Result
-from fmuid.model_problem import Problem, identify
+from fmuid.model_problem import Problem, identify, refinement_of
 from fmuid.models import System
 from fmuid.progress import Progress
-from fmuid.simulation import Fit, Refinement, Simulator, fit_of
+from fmuid.simulation import Fit, Simulator, fit_of
 from fmuid.studies.diagnosis import FaultSearch, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelSettings, named
 from fmuid.studies.overrides import override
@@ -364,8 +364,7 @@ class Study(Displayed):
             If the simulation fails at the result.
         """
         problem = self.problem()
-        if result.accuracy is not None:
-            problem.simulate_by(Refinement(result.accuracy.tolerance, result.accuracy.divisor))
+        problem.simulate_by(refinement_of(result))
         return explore(problem, result, self.uncertainty_settings, progress, box=self.estimator.whole_box)
 
     def simulators(self) -> tuple[Simulator, ...]:

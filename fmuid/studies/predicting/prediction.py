@@ -10,9 +10,9 @@ from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.data import Experiment, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.model_problem import Prediction, estimates_for, predict
+from fmuid.model_problem import Prediction, estimates_for, predict, refinement_of
 from fmuid.progress import Progress
-from fmuid.simulation import Fit, Refinement, Simulator, fit_of, refined
+from fmuid.simulation import Fit, Simulator, fit_of, refined
 from fmuid.studies.model import ExperimentSettings
 from fmuid.studies.monitoring import record_files
 from fmuid.studies.parameters import Source, SourceNote
@@ -119,15 +119,14 @@ def fits_at(study: Study, result: Result) -> tuple[Fit, ...]:
     SimulationError
         If a simulation fails.
     """
-    found, accuracy = [], result.accuracy
+    found = []
     for table in study.tables:
         known = estimates_for(result, study.system, table, ())
         values = {name: parameter.start for name, parameter in study.parameters.items()}
         values |= {variable: result[name] for variable, name in known.items()}
         held = {name: value for name, value in study.model.values.items() if name not in values}
         simulator = Simulator(study.system, table, tuple(values), values=held)
-        if accuracy is not None:
-            simulator = refined(simulator, study.system, Refinement(accuracy.tolerance, accuracy.divisor))
+        simulator = refined(simulator, study.system, refinement_of(result))
         found.append(fit_of(study.system, table, simulator(list(values.values()))))
     return tuple(found)
 
