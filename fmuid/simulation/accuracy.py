@@ -101,9 +101,7 @@ def is_free(system: System) -> bool:
 
 
 def refined(simulator: Simulator, system: System, refinement: Refinement) -> Simulator:
-    """Return what simulates the same experiment in a finer way; it needs no closing but its system's.
-
-    Where nothing is finer it is the simulator itself.
+    """Return what simulates the same experiment in a finer way, or again as asked for; it closes with the system.
 
     Parameters
     ----------
@@ -117,8 +115,6 @@ def refined(simulator: Simulator, system: System, refinement: Refinement) -> Sim
     InputError
         If an FMU cannot step that way.
     """
-    if not refinement.any:
-        return simulator
     if refinement.tolerance is not None:
         system = system.run_by({name: _exchange(model) for name, model in _exchanged(system).items()})
     return simulator.by(system, refinement.divisor, refinement.tolerance)

@@ -160,7 +160,7 @@ class Extended:
             If the experiment has other inputs or outputs than the model.
         """
         found = Simulator(self.system, experiment, self.names, values=self.fault.values)
-        return refined(found, self.system, self.refinement)
+        return refined(found, self.system, self.refinement) if self.refinement.any else found
 
     def thetas(self, points: Floats) -> Floats:
         """Return parameters of the model (m, N) from points of the search (m, N)."""
