@@ -22,8 +22,8 @@ from .residual_series import LARGE_KURTOSIS as LARGE_KURTOSIS
 from .residual_series import LEAST_SAMPLES as LEAST_SAMPLES
 from .residual_series import OUTLIER_STDS as OUTLIER_STDS
 from .residual_series import ResidualSeries as ResidualSeries
+from .residuals import LEAST_STD_FACTOR as LEAST_STD_FACTOR
 from .residuals import RESIDUAL_LEVEL as RESIDUAL_LEVEL
-from .residuals import WORTH_SAYING as WORTH_SAYING
 from .residuals import Diagnostics as Diagnostics
 from .residuals import Finding as Finding
 from .residuals import Trait as Trait

@@ -36,7 +36,7 @@ RESIDUAL_LEVEL = 0.01
 # ... and matters: an autocorrelation this large,
 LARGE_AUTOCORRELATION = 0.1
 # standard deviations that are wider or narrower than those of white noise by this factor,
-WORTH_SAYING = 1.25
+LEAST_STD_FACTOR = 1.25
 # a correlation with an input: it explains a hundredth of the residual's variance,
 LARGE_CORRELATION = 0.1
 # a mean in standard deviations.

@@ -29,13 +29,13 @@ from fmuid.arrays import Floats, Indices
 from fmuid.estimation import table_grid
 
 # The autocorrelation of a model is followed until it stays below this.
-NEGLIGIBLE = 1e-6
+NEGLIGIBLE_CORRELATION = 1e-6
 # Reflection coefficients do not exceed this; gaps can make them, and beyond 1 no noise has such correlations.
 LARGEST_REFLECTION = 1.0 - 1e-9
 # Whiteness of longer records is as its limit says, and of shorter ones drawn ...
-SHORT = 500
+SHORT_RECORD = 500
 # ... but for what nobody would doubt, for or against.
-CLEAR = (1e-9, 0.15)
+CLEAR_PROBABILITIES = (1e-9, 0.15)
 DRAWS, SEED = 600, 0
 
 
@@ -150,7 +150,7 @@ def whiteness(correlations: Floats, pairs: Floats, there: NDArray[np.bool_], tak
     taken : Taken
     """
     statistic, probability = ljung_box(correlations, pairs)
-    if pairs[0] > SHORT or not CLEAR[0] < probability < CLEAR[1]:
+    if pairs[0] > SHORT_RECORD or not CLEAR_PROBABILITIES[0] < probability < CLEAR_PROBABILITIES[1]:
         return statistic, probability
     drawn = _statistics(taken.draws(np.random.default_rng(SEED), DRAWS), pairs, there)
     mean, variance = float(drawn.mean()), float(drawn.var())
@@ -188,7 +188,7 @@ def noise_model(grid: Floats) -> Floats:
         return np.ones(1)
     start = np.clip(known[: model.size + 1], -1.0, 1.0)
     whole = _continued(start, model, length)
-    return whole[: int(np.flatnonzero(np.abs(whole) >= NEGLIGIBLE)[-1]) + 1]
+    return whole[: int(np.flatnonzero(np.abs(whole) >= NEGLIGIBLE_CORRELATION)[-1]) + 1]
 
 
 def _continued(start: Floats, model: Floats, length: int) -> Floats:
@@ -197,7 +197,7 @@ def _continued(start: Floats, model: Floats, length: int) -> Floats:
     whole[: start.size] = start
     for lag in range(start.size, length):
         before = whole[lag - model.size : lag]
-        if lag % model.size == 0 and np.abs(before).max() < NEGLIGIBLE * NEGLIGIBLE:
+        if lag % model.size == 0 and np.abs(before).max() < NEGLIGIBLE_CORRELATION * NEGLIGIBLE_CORRELATION:
             break
         whole[lag] = before @ model[::-1]
     return whole

@@ -20,7 +20,7 @@ TIME_LIMIT = 60.0
 
 # Shares of the default experiment that are simulated, the second where the first takes too long: it tells a model that
 # is merely slow from one that hangs.
-SHARES = (1.0, 0.01)
+DURATION_SHARES = (1.0, 0.01)
 
 
 class Subject(Enum):
@@ -180,7 +180,7 @@ def _binary(fmu: FMU, kind: str, identifier: str) -> Check:
 
 def _interface(fmu: FMU, kind: str) -> list[Check]:
     tries: list[Trial] = []
-    for share in SHARES:
+    for share in DURATION_SHARES:
         tries.append(_try(fmu, kind, share))
         report = tries[-1].report
         if report.simulated or not (report.instantiated and tries[-1].code is None):

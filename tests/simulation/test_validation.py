@@ -173,7 +173,7 @@ def test_a_shared_library_that_is_missing(probe: ProbeMaker, tmp_path: Path) -> 
 def test_a_hang_is_ended(troubled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PROBE_FAULT", "hang")
     monkeypatch.setattr(validation, "TIME_LIMIT", 2.0)
-    monkeypatch.setattr(validation, "SHARES", (1.0,))
+    monkeypatch.setattr(validation, "DURATION_SHARES", (1.0,))
     checks = validate(troubled)
     assert not checks.passed
     assert any("did not end within 2 s" in text for check in checks.checks for text in check_words(check))

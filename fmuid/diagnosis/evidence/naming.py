@@ -18,7 +18,7 @@ from fmuid.diagnosis.evidence.information import News
 # Causes within these odds of the best one are all named: beyond it evidence is strong (Kass and Raftery, section 3.2)
 ODDS = 20.0
 # ... and excluded in this share of records.
-SURE = 0.9
+LARGE_PROBABILITY = 0.9
 # How much of its effect a fault model has wrong along any other cause's signature, where no trials tell.
 MODEL_ERROR = 0.05
 # Pairs whose statistic is so much below the best pair's cannot come within the odds.
@@ -173,7 +173,7 @@ def told_apart_from(news: News, one: Cause, other: Cause, model_error: float = M
     ln 20 (1 + κ² D), where z is the 90 % point of the normal distribution.
     """
     sine = math.sin(angle(news, one, other))
-    z, strong = float(special.ndtri(SURE)), math.log(ODDS)
+    z, strong = float(special.ndtri(LARGE_PROBABILITY)), math.log(ODDS)
     room = 0.5 * sine**2 - strong * model_error**2
     if room <= 0.0:
         return math.inf

@@ -18,7 +18,7 @@ from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.misfit import fitted, misfits
 from fmuid.estimation.result import Result
 
-CLEARLY = 10.0
+CLEARLY_BETTER_CRITERION = 10.0
 """Criteria that differ by more are not alike by chance."""
 # No measurement is better than this share of its spread; a table without noise is, and no solver follows it.
 LEAST_NOISE = 1e-5
@@ -89,9 +89,10 @@ def fits_worse(problem: LeastSquares, result: Result, other: Result) -> bool:
     """Return whether a result fits the data clearly worse than another one.
 
     An error e of the simulation, in standard deviations, makes the criterion larger by ‖e‖² on average, with a standard
-    deviation of 2‖e‖: that a wrong simulation is better by `CLEARLY` happens in less than one of 1000 cases.
+    deviation of 2‖e‖: that a wrong simulation is better by `CLEARLY_BETTER_CRITERION` happens in
+    less than one of 1000 cases.
     """
-    return misfit_of(problem, result) - misfit_of(problem, other) > CLEARLY
+    return misfit_of(problem, result) - misfit_of(problem, other) > CLEARLY_BETTER_CRITERION
 
 
 def would_fit_better(problem: LeastSquares, result: Result, other: LeastSquares, shift: Floats) -> bool:

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
-from fmuid.assessment import WORTH_SAYING
+from fmuid.assessment import LEAST_STD_FACTOR
 from fmuid.estimation import Outcome
 from fmuid.model_problem import RIVAL_CRITERION
 from fmuid.models import HowRun
@@ -193,7 +193,7 @@ def _note(found: Findings, name: str) -> str:
     if any(bound.name == name for bound in found.result.at_bounds):
         words.append("at its bound")
     factor = found.diagnostics.widening.get(name, math.nan)
-    if factor >= WORTH_SAYING:
+    if factor >= LEAST_STD_FACTOR:
         words.append(f"std {factor:.2g} x white noise's")
     return ", ".join(words)
 

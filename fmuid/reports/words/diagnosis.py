@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from fmuid.assessment import WORTH_SAYING
+from fmuid.assessment import LEAST_STD_FACTOR
 from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
 from fmuid.text import has_unit, listed, with_std
@@ -146,7 +146,7 @@ def hypothesis_notes(each: Hypothesis) -> list[str]:
             f"without its fault this model is not the healthy machine: its criterion differs by {each.mismatch:.3g}; "
             "check its names and values"
         )
-    if each.colour >= WORTH_SAYING:
+    if each.colour >= LEAST_STD_FACTOR:
         notes.append(
             f"the residual is not white: D is divided by {each.colour**2:.3g}, and the standard deviations are larger "
             f"by {each.colour:.3g}"

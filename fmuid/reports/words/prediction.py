@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fmuid.model_problem import OutputScore, Prediction
 
 # Residuals that are larger than expected by this factor are an error of the model rather than chance.
-WORTH_SAYING = 1.25
+LEAST_RATIO = 1.25
 
 
 def prediction_words(found: Prediction) -> tuple[str, ...]:
@@ -37,7 +37,7 @@ def _score_words(found: Prediction, score: OutputScore) -> str:
     if math.isnan(score.expected):
         return f"{said}; the result was not made from such an output, so nothing says how large the residual should be"
     band = f"{100 * score.inside:.3g} % of {score.samples} samples lie in the {100 * found.level:.4g} % band"
-    if score.ratio <= WORTH_SAYING:
+    if score.ratio <= LEAST_RATIO:
         return f"{said}, as noise and estimates let expect ({with_unit(score.expected, score.unit)}): {band}"
     return (
         f"{said}, {score.ratio:.2g} times what noise and estimates let expect "
@@ -57,7 +57,7 @@ def fold_words(predictions: Sequence[Prediction]) -> str:
     if not ratios:
         return "Nothing says how large the residuals should be"
     worst = max(ratios)
-    if worst <= WORTH_SAYING:
+    if worst <= LEAST_RATIO:
         return f"Left out in turn, the experiments are predicted as noise and estimates let expect ({worst:.2g} times)"
     return (
         f"Left out in turn, experiments are predicted up to {worst:.2g} times worse than noise and estimates let "
@@ -69,7 +69,7 @@ def fold_words(predictions: Sequence[Prediction]) -> str:
 
 # Criteria of Akaike's that differ by less than the first are as good as each other, by more than the second they tell
 # clearly (Burnham and Anderson, section 2.6).
-AS_GOOD, CLEAR = 2.0, 10.0
+ALIKE_AIC, CLEAR_AIC = 2.0, 10.0
 # A smaller model that chance rejects this rarely is rejected.
 SIGNIFICANT = 0.01
 # Samples that depend on each other more than this make what takes them for independent too sure.
@@ -94,13 +94,13 @@ def comparison_words(found: Comparison | None, misfits: Mapping[str, float]) -> 
 
 def _by_likelihood(found: Comparison) -> list[str]:
     best, *rest = found.ranks
-    near = [rank for rank in rest if rank.behind < AS_GOOD]
+    near = [rank for rank in rest if rank.behind < ALIKE_AIC]
     second = rest[0].behind
     if near:
-        names, less = listed([best.name, *(rank.name for rank in near)]), f"differs by less than {AS_GOOD:g}"
+        names, less = listed([best.name, *(rank.name for rank in near)]), f"differs by less than {ALIKE_AIC:g}"
         said = [f"The data do not tell {names} apart (Akaike's criterion {less}): prefer the simplest"]
     else:
-        how = "clearly the best" if second >= CLEAR else "the best, not clearly,"
+        how = "clearly the best" if second >= CLEAR_AIC else "the best, not clearly,"
         said = [f"{best.name} is {how} by Akaike's criterion: {rest[0].name} is {second:.3g} behind"]
     by_bic = min(found.ranks, key=lambda rank: rank.corrected_bic)
     if by_bic is not best:

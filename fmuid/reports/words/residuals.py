@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from fmuid.assessment import LARGE_KURTOSIS, OUTLIER_STDS, RESIDUAL_LEVEL, WORTH_SAYING, Trait
+from fmuid.assessment import LARGE_KURTOSIS, LEAST_STD_FACTOR, OUTLIER_STDS, RESIDUAL_LEVEL, Trait
 from fmuid.text import listed
 
 if TYPE_CHECKING:
@@ -69,13 +69,13 @@ def _large(found: Diagnostics, finding: Finding) -> str:
 def _widening(found: Diagnostics, *, coloured: bool) -> list[str]:
     """Say how the standard deviations allow for the colour of the residuals, where that is worth it."""
     known = {name: factor for name, factor in found.widening.items() if math.isfinite(factor)}
-    other = {name: f for name, f in known.items() if not 1.0 / WORTH_SAYING < f < WORTH_SAYING}
+    other = {name: f for name, f in known.items() if not 1.0 / LEAST_STD_FACTOR < f < LEAST_STD_FACTOR}
     if not other:
         here = "For the estimates this makes little difference; their standard deviations allow for it"
         return [here] if coloured and known else []
     low, high = min(known, key=known.__getitem__), max(known, key=known.__getitem__)
     about = f"{known[high]:.2g} times"
-    if known[high] > WORTH_SAYING * known[low]:
+    if known[high] > LEAST_STD_FACTOR * known[low]:
         about = f"{known[low]:.2g} ({low}) to {known[high]:.2g} times ({high})"
     sure = any(each.trait is Trait.COLOURED for each in found.findings)
     why = "Since neighbouring samples are not independent, the"
