@@ -9,8 +9,21 @@ _by: list[str] = []
 
 
 def shown_by(module: str) -> None:
-    """Say which module shows findings: its ``html(found)`` as a table, its ``plots(found)`` as figures."""
+    """Say which module shows findings: its ``html(found)``, ``text(found)`` and ``plots(found)``."""
     _by[:] = [module]
+
+
+class Text(str):
+    """A text of several lines that a shell shows as it is."""
+
+    __slots__ = ()
+
+    __repr__ = str.__str__
+
+
+def text_of(found: object) -> Text:
+    """Return what is printed of a finding; its ``repr`` where nobody shows it."""
+    return Text(import_module(_by[0]).text(found) if _by else repr(found))
 
 
 class Displayed:

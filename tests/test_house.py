@@ -152,6 +152,14 @@ def test_public_names_resolve(name: str) -> None:
     assert value.__module__ != "fmuid"
 
 
+def test_the_listing_of_names_is_the_public_ones() -> None:
+    """Also where a package below has been imported, or a helper is in use."""
+    stub = ast.parse((PACKAGE / "__init__.pyi").read_text())
+    named = [alias.name for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+    importlib.import_module("fmuid.reports.notebook")
+    assert dir(fmuid) == sorted(named)
+
+
 def test_unknown_name() -> None:
     name = "Fmu"
     with pytest.raises(AttributeError, match="Fmu"):

@@ -63,7 +63,7 @@ def table(folder: Path) -> str:
     for name, text in MODELS.items():
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
         found = fmuid.run_study(folder / f"{name}.toml", folder / name)
-        print(name, fmuid.describe(found.result), found.result.estimates, sep="\n")
+        print(name, fmuid.describe(found.result), found.result.to_frame(), sep="\n")
     compared = fmuid.run_comparison([folder / name for name in MODELS], [folder / "second.csv"])
     print(compared.table, *compared.words, sep="\n")
     rows = compared.table.set_index("name")

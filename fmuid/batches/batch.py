@@ -75,6 +75,9 @@ class BatchResult(Plotted):
     interrupted: bool = False
     lost: tuple[Path, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"BatchResult({self.finished} of {self.total} cases, {str(self.folder)!r})"
+
     @cached_property
     def frame(self) -> pd.DataFrame:
         """One row a finished case, sorted by case, with the columns of `CaseRunner.columns`; read when asked for."""

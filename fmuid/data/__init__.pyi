@@ -11,6 +11,7 @@ from .losses import robust_variance as robust_variance
 from .measured import MeasuredSeries as MeasuredSeries
 from .measured import measured_series as measured_series
 from .noise import Noise as Noise
+from .parameter_estimate import ParameterEstimate as ParameterEstimate
 from .parameters import JointPrior as JointPrior
 from .parameters import Normal as Normal
 from .parameters import Parameter as Parameter

@@ -22,6 +22,7 @@ from .colour.series import table_grid as table_grid
 from .covariance import AtBound as AtBound
 from .covariance import Determined as Determined
 from .covariance import Direction as Direction
+from .covariance import check_level as check_level
 from .covariance import local_covariance as local_covariance
 from .criterion import Criterion as Criterion
 from .criterion import prepare as prepare
@@ -54,7 +55,6 @@ from .model_derivatives import SENSITIVITIES as SENSITIVITIES
 from .model_derivatives import Sensitivity as Sensitivity
 from .result import Optimum as Optimum
 from .result import Result as Result
-from .result import check_level as check_level
 from .starts.noise_level import second_difference_noise as second_difference_noise
 from .starts.outcome import LARGEST_MISFIT as LARGEST_MISFIT
 from .starts.outcome import Attempt as Attempt

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
+from fmuid.errors import InputError
 from fmuid.estimation.marquardt.step import triangle
 
 # A direction whose standard deviation exceeds this share of the parameters' magnitudes is hardly determined ...
@@ -44,6 +45,12 @@ JACOBIAN_ERRORS = 2.0
 NAMED_SHARE = 0.05
 # Below this share they are no longer considered part of an undetermined direction.
 INVOLVED_SHARE = 1e-3
+
+
+def check_level(level: float, of: str = "an interval") -> None:
+    """Check the level of an interval or a region: an `InputError` if it is not between 0 and 1."""
+    if not 0.0 < level < 1.0:
+        raise InputError(f"the level of {of} must lie between 0 and 1, not {level!r}")
 
 
 class Determined(Enum):

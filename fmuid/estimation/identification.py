@@ -107,6 +107,7 @@ def point_result(problem: LeastSquares, theta: Floats) -> Result:
         models=problem.models,
         sensitivity=problem.used_sensitivity,
         data=problem.data,
+        units=problem.units,
     )
 
 
@@ -319,6 +320,7 @@ class _Identification:
             sensitivity=problem.used_sensitivity,
             moved_start=self.moved_start,
             data=problem.data,
+            units=problem.units,
             local=model,
             noise=coloured.noise,
             history=history,

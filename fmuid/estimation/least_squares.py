@@ -170,6 +170,11 @@ class LeastSquares:
         return {}
 
     @property
+    def units(self) -> dict[str, str]:
+        """The units of the parameters that have one; none are known here."""
+        return {}
+
+    @property
     def data(self) -> tuple[MeasuredSeries, ...]:
         """Which measurements there are."""
         return tuple(series for experiment in self.experiments for series in measured_series(experiment))

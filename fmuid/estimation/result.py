@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,13 @@ import pandas as pd
 from scipy import special
 
 from fmuid.arrays import Floats
-from fmuid.data import JointPrior, MeasuredSeries, Measurements, Normal, measured_series
-from fmuid.displays import Plotted
+from fmuid.data import JointPrior, MeasuredSeries, Measurements, Normal, ParameterEstimate, measured_series
+from fmuid.displays import Plotted, Text, text_of
 from fmuid.errors import InputError
 from fmuid.estimation import result_file
 from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.colour.sandwich import ColouredNoise
-from fmuid.estimation.covariance import AtBound, Direction
+from fmuid.estimation.covariance import AtBound, Direction, check_level
 from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
@@ -31,12 +32,6 @@ from fmuid.estimation.starts.outcome import Attempt
 STRONG_CORRELATION = 0.95
 # Handed on as a prior, an estimate keeps its interval of this level.
 PRIOR_LEVEL = 0.95
-
-
-def check_level(level: float, of: str = "an interval") -> None:
-    """Check the level of an interval or a region: an `InputError` if it is not between 0 and 1."""
-    if not 0.0 < level < 1.0:
-        raise InputError(f"the level of {of} must lie between 0 and 1, not {level!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +106,8 @@ class Result(Plotted):
         Which measurements it was made from.
     attempts : tuple of Attempt
         The starts that were tried, where the one that was given did not lead to a good end at once; empty where it did.
+    units : mapping of str to str
+        Of the parameters that have one.
     """
 
     outcome: Outcome
@@ -148,6 +145,7 @@ class Result(Plotted):
     accuracy: Accuracy | None = None
     data: tuple[MeasuredSeries, ...] = ()
     attempts: tuple[Attempt, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def trace(self) -> pd.DataFrame:
@@ -174,9 +172,19 @@ class Result(Plotted):
 
     __repr__ = result_file.line
 
-    def __getitem__(self, name: str) -> float:
-        """Return the estimate of one parameter."""
-        return float(self.values[self._index(name)])
+    def __str__(self) -> str:
+        return str(self.summary())
+
+    def summary(self) -> Text:
+        """Return the estimates as a table and what is to be said of them, in 25 lines at most, as `print` shows it."""
+        return text_of(self)
+
+    def __getitem__(self, name: str) -> ParameterEstimate:
+        """Return the estimate of one parameter: a number with its std, interval, unit, start and prior."""
+        row = self.to_frame().iloc[self._index(name)].to_dict()
+        known = {"name": name, "std": row["std"], "start": row["start"], "unit": self.units.get(name)}
+        prior = None if math.isnan(row["prior_mean"]) else Normal(row["prior_mean"], row["prior_std"])
+        return ParameterEstimate(row["value"], interval=(row["lower"], row["upper"]), prior=prior, **known)
 
     @property
     def std(self) -> Floats:
@@ -255,12 +263,9 @@ class Result(Plotted):
     def strong_correlations(self) -> tuple[tuple[str, str, float], ...]:
         """Pairs of parameters whose correlation exceeds 0.95 in magnitude, the strongest first."""
         matrix = self.correlation.to_numpy()
-        pairs = [
-            (self.names[i], self.names[j], float(matrix[i, j]))
-            for i in range(len(self.names))
-            for j in range(i + 1, len(self.names))
-            if abs(matrix[i, j]) > STRONG_CORRELATION
-        ]
+        every = combinations(range(len(self.names)), 2)
+        pairs = [(self.names[i], self.names[j], float(matrix[i, j])) for i, j in every]
+        pairs = [pair for pair in pairs if abs(pair[2]) > STRONG_CORRELATION]
         return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
 
     def intervals(self, level: float = 0.95) -> pd.DataFrame:
@@ -284,22 +289,21 @@ class Result(Plotted):
         lower, upper = np.maximum(self.values - half, self.lower), np.minimum(self.values + half, self.upper)
         return pd.DataFrame({"lower": lower, "upper": upper}, index=list(self.names))
 
-    @property
-    def estimates(self) -> pd.DataFrame:
-        """The parameters as a table, a row each."""
-        return pd.DataFrame(
-            {
-                "parameter": list(self.names),
-                "value": self.values,
-                "std": self.std,
-                "white_std": self.white_std,
-                "numerical_shift": self.numerical_shift,
-                "start": self.start,
-                "prior_mean": self.prior_mean,
-                "prior_std": self.prior_std,
-                "pull": self.pull,
-            }
-        )
+    def to_frame(self, level: float = 0.95) -> pd.DataFrame:
+        """Return the parameters as a table, a row each by its name, with intervals of a level."""
+        columns = {
+            "value": self.values,
+            "std": self.std,
+            **self.intervals(level),
+            "white_std": self.white_std,
+            "numerical_shift": self.numerical_shift,
+            "start": self.start,
+            "prior_mean": self.prior_mean,
+            "prior_std": self.prior_std,
+            "pull": self.pull,
+            "unit": [self.units.get(name, "") for name in self.names],
+        }
+        return pd.DataFrame(columns, index=pd.Index(self.names, name="parameter"))
 
     def made_from(self, experiment: Measurements) -> bool:
         """Return whether the measurements of an experiment are among those that this was made from."""
@@ -308,13 +312,8 @@ class Result(Plotted):
     def after(self, earlier: Result) -> Result:
         """Return this result as one of a search that began with an earlier one, from where this one set out."""
         history = self.history and (self.history if earlier.history is None else self.history.after(earlier.history))
-        return replace(
-            self,
-            start=earlier.start,
-            moved_start=earlier.moved_start,
-            iterations=earlier.iterations + self.iterations,
-            history=history,
-        )
+        total = earlier.iterations + self.iterations
+        return replace(self, start=earlier.start, moved_start=earlier.moved_start, iterations=total, history=history)
 
     def prior(self, names: Sequence[str] | None = None, *, inflate: float = 1.0) -> JointPrior:
         """Return these estimates as a joint prior for another identification.

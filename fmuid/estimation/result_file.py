@@ -54,6 +54,7 @@ def content(result: Any) -> dict[str, Any]:
     without_prior = list(columns)[:8]
     parameters = {
         name: {key: columns[key][i] for key in (without_prior if math.isnan(result.prior_mean[i]) else columns)}
+        | ({"unit": result.units[name]} if name in result.units else {})
         for i, name in enumerate(result.names)
     }
     accuracy = None if result.accuracy is None else {**vars(result.accuracy)}
@@ -138,6 +139,7 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
         "accuracy": Accuracy.of_json(data["accuracy"], column["numerical_shift"]) if data.get("accuracy") else None,
         "data": tuple(map(MeasuredSeries.of_json, data.get("data", ()))),
         "attempts": tuple(map(Attempt.of_json, data.get("attempts", ()))),
+        "units": {name: str(parameters[name]["unit"]) for name in names if parameters[name].get("unit")},
     }
 
 

@@ -24,6 +24,7 @@ from fmuid.simulation import (
     derivatives_of,
     how_run,
     next_refinement,
+    parameter_units,
     refined,
 )
 from fmuid.text import nearest
@@ -115,6 +116,12 @@ class Problem(LeastSquares):
             name: {"name": model.fmu.name, "digest": model.fmu.digest, "run": run[name]}
             for name, model in self.system.components.items()
         }
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The units of the parameters that have one."""
+        names = self.parameters.names
+        return {name: unit for name, unit in zip(names, parameter_units(self.system, names), strict=True) if unit}
 
     def how_run(self, refinement: Refinement) -> dict[str, dict[str, Any]]:
         """Return how each component is run with a refinement, as far as it is known which are stiff.

@@ -76,16 +76,6 @@ def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFram
     return together[["experiment", *together.columns.drop("experiment")]]
 
 
-def estimates_frame(result: Result, units: Sequence[str | None], level: float = CONFIDENCE_LEVEL) -> pd.DataFrame:
-    """Return ``estimates.csv``: the result's estimates with units and the limits of their intervals."""
-    intervals = result.intervals(level)
-    frame = result.estimates
-    frame.insert(3, "lower", intervals["lower"].to_numpy())
-    frame.insert(4, "upper", intervals["upper"].to_numpy())
-    frame["unit"] = [unit or "" for unit in units]
-    return frame
-
-
 def at_minimum(result: Result) -> bool:
     """Return whether a search has ended where more can be asked of the criterion, sure or not."""
     return result.converged or result.outcome is Outcome.UNDETERMINED
@@ -98,8 +88,6 @@ class Findings(Plotted):
     Attributes
     ----------
     result : Result
-    units : tuple of str or None
-        Of the parameters.
     fits : tuple of Fit
         One an experiment.
     diagnostics : Diagnostics
@@ -119,7 +107,6 @@ class Findings(Plotted):
     """
 
     result: Result
-    units: tuple[str | None, ...]
     fits: tuple[Fit, ...]
     diagnostics: Diagnostics
     reading: Reading
@@ -145,7 +132,7 @@ class Findings(Plotted):
     @property
     def estimates(self) -> pd.DataFrame:
         """The content of ``estimates.csv``."""
-        return estimates_frame(self.result, self.units, self.level)
+        return self.result.to_frame(self.level).reset_index()
 
     @property
     def optima(self) -> pd.DataFrame:
@@ -155,7 +142,7 @@ class Findings(Plotted):
     @property
     def unit_of(self) -> dict[str, str | None]:
         """The unit of each parameter."""
-        return dict(zip(self.result.names, self.units, strict=True))
+        return {name: self.result.units.get(name) for name in self.result.names}
 
     @property
     def output_units(self) -> dict[str, str | None]:
@@ -234,9 +221,9 @@ def _experiment(fit: Fit) -> dict[str, Any]:
     return {"name": fit.experiment, "outputs": units, "counted_from": first}
 
 
-def write_point(folder: Path, result: Result, units: Sequence[str | None]) -> list[Path]:
+def write_point(folder: Path, result: Result) -> list[Path]:
     """Write what is known of a point where a search was interrupted, its values, and return the paths."""
-    return _write(folder, result.to_json_dict(), {"estimates": estimates_frame(result, units)})
+    return _write(folder, result.to_json_dict(), {"estimates": result.to_frame().reset_index()})
 
 
 def write_diagnosis(folder: Path, found: Diagnosis, also: Mapping[str, Any] | None = None) -> list[Path]:

@@ -14,7 +14,9 @@ from fmuid.diagnosis import Diagnosis
 from fmuid.errors import InputError
 from fmuid.estimation import Result, optima_table
 from fmuid.fmi import FMU
+from fmuid.reports.batch_words import noted
 from fmuid.reports.findings import Findings
+from fmuid.reports.page.batches import summary_table
 from fmuid.reports.page.document import table
 from fmuid.reports.page.faults import faults_table
 from fmuid.reports.page.identification import estimates_table
@@ -34,9 +36,9 @@ def html(found: object) -> str | None:
     """Return what a notebook shows of a finding, a study, a model or a table, as HTML."""
     match found:
         case Findings():
-            return _with_words(found.result, estimates_table(found.result, found.unit_of, found.level))
+            return _with_words(found.result, estimates_table(found.result, found.result.units, found.level))
         case Result():
-            return _with_words(found, estimates_table(found, {}))
+            return _with_words(found, estimates_table(found, found.units))
         case Diagnosis():
             return _with_words(found, faults_table(found))
         case Study():
@@ -46,8 +48,16 @@ def html(found: object) -> str | None:
         case Experiment():
             return _experiment(found)
         case BatchResult():
-            return _heading(f"{found.finished} of {found.total} cases", str(found.folder))
+            head = _heading(f"{found.finished} of {found.total} cases", str(found.folder))
+            return head + summary_table(noted(found.summary()[0].parameters))
     return None
+
+
+def text(found: object) -> str:
+    """Return what is printed of a finding."""
+    from fmuid.reports.console.result import summary
+
+    return summary(found) if isinstance(found, Result) else repr(found)
 
 
 def _with_words(found: Result | Diagnosis, rows: str) -> str:
@@ -158,9 +168,9 @@ def plots(found: object) -> Any:
     """
     match found:
         case Findings():
-            return ResultPlots(found.result, found.unit_of, found.fits, found)
+            return ResultPlots(found.result, found.fits, found)
         case Result():
-            return ResultPlots(found, {}, _fits(found))
+            return ResultPlots(found, _fits(found))
         case Diagnosis():
             return DiagnosisPlots(found)
         case BatchResult():
@@ -169,7 +179,7 @@ def plots(found: object) -> Any:
 
 
 def _fits(result: Result) -> tuple[Fit, ...]:
-    """Return measured and simulated outputs of a result, without units, which it does not know."""
+    """Return measured and simulated outputs of a result, whose units it does not know."""
     fits = []
     for k, frame in enumerate(result.fit):
         names = tuple(
@@ -186,10 +196,8 @@ def _fits(result: Result) -> tuple[Fit, ...]:
 class ResultPlots:
     """Figures of an identification: ``found.plot.fit()`` and its like."""
 
-    def __init__(
-        self, result: Result, units: dict[str, str | None], fits: Sequence[Fit], findings: Findings | None = None
-    ) -> None:
-        self._result, self._units, self._fits, self._findings = result, units, fits, findings
+    def __init__(self, result: Result, fits: Sequence[Fit], findings: Findings | None = None) -> None:
+        self._result, self._units, self._fits, self._findings = result, result.units, fits, findings
 
     def fit(self) -> Drawing:
         """Measured and simulated outputs, the residual below."""
@@ -219,12 +227,11 @@ class ResultPlots:
 
     def search(self) -> Drawing:
         """Parameters and criterion against the iteration."""
-        from fmuid.reports.findings import estimates_frame
         from fmuid.reports.interactive import search
 
         trace = self._result.trace
         self._kept(len(trace) > 0)
-        table_ = estimates_frame(self._result, [self._units.get(name) for name in self._result.names])
+        table_ = self._result.to_frame().reset_index()
         return Drawing([*search.parameters(trace, table_), *search.criterion(trace)], 3)
 
     def optima(self) -> Drawing:
@@ -244,7 +251,7 @@ class ResultPlots:
         """Shift of each estimate under a finer simulation."""
         from fmuid.reports.interactive import estimates as drawn
 
-        return Drawing([drawn.accuracy(self._result.estimates)])
+        return Drawing([drawn.accuracy(self._result.to_frame().reset_index())])
 
     def belief(self) -> Drawing:
         """Prior, data alone, and both; of `Findings` only."""

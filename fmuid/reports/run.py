@@ -15,7 +15,6 @@ from fmuid.reports.apply import write_estimates
 from fmuid.reports.drawn import REPORT_FILE, check_format, clear_figures
 from fmuid.reports.findings import Findings, at_minimum, result_fits, resumed_start, write_point
 from fmuid.reports.origin import Origin
-from fmuid.simulation import parameter_units
 from fmuid.studies import Study, origin_of
 
 # A search that took longer than this, s, is not repeated with the data alone without a word.
@@ -142,7 +141,6 @@ class _Run:
         study, diagnostics = self.study, examine_residuals(problem, result)
         return Findings(
             result,
-            parameter_units(study.system, result.names),
             result_fits(study.system, study.tables, result),
             diagnostics,
             read_result(
@@ -168,8 +166,7 @@ class _Run:
     def _save_point(self, result: Result) -> None:
         """Write the best point of a search that was interrupted before a fit began from it."""
         if self.folder is not None:
-            units = parameter_units(self.study.system, result.names)
-            self.files += write_point(self.folder, result, units)
+            self.files += write_point(self.folder, result)
             self.files += write_estimates(self.folder, self.study.system, result)
             self._clear()
 

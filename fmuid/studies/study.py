@@ -29,6 +29,7 @@ from fmuid.studies.parameters import Reader, Source, SourceNote
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import read_toml
 from fmuid.studies.words import Place
+from fmuid.text import bounded
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,6 +99,10 @@ class Study(Displayed):
     batch: BatchSettings | None = None
     data: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
+    def __repr__(self) -> str:
+        tables, names = (", ".join(each) for each in ((given.name for given in self.experiments), self.parameters))
+        return bounded(f"Study({self.title!r}: {tables}; {names or 'no parameters'}", 110) + ")"
+
     @classmethod
     def read(cls, path: str | Path, overrides: Sequence[str] = (), *, isolated: bool = False) -> Study:
         """Read a study file.
@@ -149,12 +154,10 @@ class Study(Displayed):
         isolation = words.isolation.settings()  # checked also where it is not asked for
         model = replace(words.model.settings(), isolation=isolation if isolated else None)
         experiments = named(words.experiments, top)
-        names = [given.name for given in experiments]
-        known = Reader(top, model.values).read(words.parameters, words.prior, names)
+        known = Reader(top, model.values).read(words.parameters, words.prior, [given.name for given in experiments])
         estimator, asked, noise = words.estimator, words.uncertainty.settings(known.names), words.noise.settings()
         search = estimator.settings()
         estimator.check_loss(search, asked, top)
-        diagnosis, batch = words.diagnosis, words.batch
         return cls(
             path,
             words.title,
@@ -170,9 +173,9 @@ class Study(Displayed):
             estimator.sensitivity,
             estimator.accuracy,
             estimator.remedies,
-            None if diagnosis is None else diagnosis.settings(model, estimator.loss, known),
+            None if words.diagnosis is None else words.diagnosis.settings(model, estimator.loss, known),
             words.monitoring,
-            None if batch is None else batch.of(known.parameters, experiments, noise),
+            None if words.batch is None else words.batch.of(known.parameters, experiments, noise),
             data,
         )
 
@@ -193,8 +196,7 @@ class Study(Displayed):
 
     @property
     def _all_sources(self) -> tuple[Source, ...]:
-        sources = (*self.model.sources, *self.sources)
-        return sources if self.diagnosis is None else (*sources, self.diagnosis.source)
+        return (*self.model.sources, *self.sources, *(() if self.diagnosis is None else (self.diagnosis.source,)))
 
     @cached_property
     def system(self) -> System:
@@ -238,13 +240,12 @@ class Study(Displayed):
                 "such as R = { start = 4.0 }"
             )
         self.check_sources()
-        model = self.model
         return Problem(
             self.system,
             self.tables if experiments is None else experiments,
             self.parameters,
             noise=self.noise,
-            values=model.values,
+            values=self.model.values,
             joint_prior=self.joint_prior,
             loss=self.loss,
             sensitivity=self.sensitivity,
@@ -269,8 +270,7 @@ class Study(Displayed):
         InputError
             If one of them is a result of another model.
         """
-        for source in self._all_sources:
-            source.compare(self.system)
+        _ = self.notes
 
     @property
     def known_variance(self) -> dict[str, float]:
@@ -395,5 +395,5 @@ class Study(Displayed):
         SimulationError
             If a simulation fails.
         """
-        starts = [parameter.start for parameter in self.parameters.values()]
+        starts = [each.start for each in self.parameters.values()]
         return tuple(fit_of(self.system, each.experiment, each(starts)) for each in self.simulators())

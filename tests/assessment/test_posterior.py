@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -493,3 +494,24 @@ def test_coverage_of_the_coil() -> None:
     assert shares.to_numpy().min() >= 8 / 12
     # and it is the intervals that decide
     assert coverage("coil", 3, level=0.1, sampling=sampling).to_numpy().mean() < 0.6
+
+
+def test_samples_as_arviz_takes_them() -> None:
+    """A chain a walker, in the order of the steps, without the burn-in."""
+    rng = np.random.default_rng(3)
+    chain, density = rng.normal(size=(7, 4, 2)), rng.normal(size=(7, 4))
+    one = np.ones(2)
+    posterior = Posterior(
+        None, "", False, 1, (), ("R", "L"), -one, one, chain, density, 2, one, one, one, 0.5, 28, 0.1
+    )  # fmt: skip
+    tree = posterior.to_arviz()
+    assert dict(tree["posterior"].sizes) == {"chain": 4, "draw": 5}
+    np.testing.assert_array_equal(tree["posterior"]["L"].sel(chain=3, draw=1), chain[3, 3, 1])
+    np.testing.assert_array_equal(tree["sample_stats"]["lp"].sel(chain=3, draw=1), density[3, 3])
+
+
+def test_samples_without_arviz(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "arviz_base", None)
+    posterior, _ = sampled(linear()[0], steps=20, effective_size=1)
+    with pytest.raises(InputError, match=r"pip install 'fmuid\[arviz\]'"):
+        posterior.to_arviz()

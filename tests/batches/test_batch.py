@@ -147,6 +147,7 @@ def test_rows_do_not_depend_on_groups(folder: Path, here: Any, seed: int) -> Non
     assert (found.truth, found.units) == ({"R": 4.0, "L": 0.1}, {"R": "Ohm", "L": "H"})
     assert (found.total, found.interrupted, found.lost, found.given_noise) == (DRAWS, False, (), False)
     assert len(list((folder / "out" / "cases").iterdir())) == 1
+    assert "<th scope=row>L</th>" in (found._repr_html_() or "")
 
 
 def test_messages_name_the_users_own_files(fleet: Path, here: Any) -> None:
@@ -218,7 +219,9 @@ def test_failed_cases_are_finished(fleet: Path, here: Any) -> None:
 
 def test_where_nothing_is_finished_nothing_is_refused(folder: Path, here: Any) -> None:
     here(stop_after=0)
-    assert run(folder).frame.empty
+    nothing = run(folder)
+    assert nothing.frame.empty
+    assert (nothing._repr_html_() or "").startswith(f"<p><b>0 of {DRAWS} cases")
     write(folder, NOISE.format(draws=10))
     here()
     same(run(folder).frame, expected(folder))

@@ -493,8 +493,8 @@ def test_the_level_of_an_interval() -> None:
 
 def test_estimates_as_a_table() -> None:
     result = identify(two_output_problem())
-    table = result.estimates
-    assert table["parameter"].tolist() == ["k", "gain"]
+    table = result.to_frame()
+    assert table.index.tolist() == ["k", "gain"]
     np.testing.assert_array_equal(table["value"], result.values)
     assert table["prior_mean"].isna().all()
     correlation = result.correlation

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import math
+import pickle
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 
 import fmuid
+from fmuid.batches.dataset import Dataset
 from fmuid.displays import shown_by
+from fmuid.estimation import Determined, Direction, Outcome
 from fmuid.reports.notebook import Drawing
+from fmuid.text import with_std
 from tests.support.coil_study import COIL, STUDY, coil_table
 
 # A notebook with five figures is no larger than this, bytes.
@@ -74,10 +82,81 @@ def test_tables(found: fmuid.Findings, tmp_path: Path) -> None:
     assert all(f"<th scope=row>{name}</th>" in coil for name in ("R", "L", "u", "i"))
 
 
-def test_texts_are_short(found: fmuid.Findings) -> None:
+def test_a_parameter_of_a_result_knows_more_than_its_value(found: fmuid.Findings) -> None:
+    result, own = found.result, found.result["R"]
+    assert own == own.value == result.values[0]
+    assert own + 1.0 == result.values[0] + 1.0
+    assert json.loads(json.dumps({"R": own})) == {"R": result.values[0]}
+    assert str(own) == f"{own}" == str(own.value)
+    assert (own.std, own.start, own.unit) == (result.std[0], result.start[0], "Ohm")
+    assert own.interval == tuple(result.intervals().loc["R"])
+    assert own.prior == fmuid.Normal(4.0, 0.2)
+    assert result["L"].prior is None
+    assert repr(own).startswith("R = ")
+    assert repr(own).endswith(" Ohm")
+    again = pickle.loads(pickle.dumps(own))
+    assert (again, again.std, again.prior) == (own, own.std, own.prior)
+    with pytest.raises(fmuid.InputError, match="it has R, L"):
+        result["Rs"]
+
+
+def test_units_are_kept_in_the_file(found: fmuid.Findings, tmp_path: Path) -> None:
+    found.write(tmp_path)
+    again = fmuid.Result.from_json(tmp_path / "result.json")
+    assert again.units == found.result.units == {"R": "Ohm", "L": "H"}
+    table = pd.read_csv(tmp_path / "estimates.csv", index_col="parameter")
+    pd.testing.assert_frame_equal(table, again.to_frame(), check_index_type=False)
+
+
+def test_a_result_is_printed_as_a_table(found: fmuid.Findings) -> None:
+    lines = str(found.result).splitlines()
+    assert repr(found.result.summary()) == str(found.result)
+    assert lines[0].split()[0] == "parameter"
+    assert lines[2].split()[:3] == ["R", *with_std(*row(found.result)).split()[:2]]
+    assert "Converged" in lines
+
+
+def row(result: fmuid.Result) -> tuple[float, float]:
+    return float(result.values[0]), float(result.std[0])
+
+
+def many(count: int, directions: int) -> fmuid.Result:
+    """Return a result of many parameters, of which as much is to be said as there are directions."""
+    names = tuple(f"a_parameter_whose_name_takes_room_{i}" for i in range(count))
+    own, free = np.ones(count), np.full(count, np.inf)
+    weak = tuple(
+        Direction(Determined.HARDLY, names[i % count : i % count + 1], (1.0,), 2.0, (1.0,), (1.0,))
+        for i in range(directions)
+    )
+    return fmuid.Result(
+        Outcome.CONVERGED, names, own, own, -free, free, np.nan * own, np.nan * own, np.eye(count), np.eye(count), free,
+        {}, {"i": 1.0}, 10.0, 0.0, math.inf, 3, 9, 0.1, (), weak, (), (), "0",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("count", "directions"), [(1, 0), (22, 0), (23, 0), (100, 0), (100, 60), (3, 60), (20, 4)])
+def test_a_printed_result_takes_25_lines(count: int, directions: int) -> None:
+    text = str(many(count, directions))
+    lines = text.splitlines()
+    assert len(lines) <= 25
+    assert lines[2].startswith("a_parameter_whose_name_takes_room_0 ")
+    shown = sum(line.startswith("a_parameter") for line in lines[2:])
+    hidden = [line for line in lines if line.startswith("… ") and line.endswith(" more")]
+    assert hidden == ([] if shown == count else [f"… {count - shown} more"])
+    assert shown >= min(count, 10)
+    assert ("fmuid.describe" in text) == (directions == 60)
+
+
+def test_texts_are_short(found: fmuid.Findings, tmp_path: Path) -> None:
     """What a notebook keeps beside the HTML is a line; of many parameters the first ones."""
     assert repr(found.result).startswith("Result(converged: R = ")
-    for shown in (found, found.result):
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    (tmp_path / "study.toml").write_text(STUDY)
+    study = fmuid.Study.read(tmp_path / "study.toml")
+    assert repr(study) == "Study('Coil': first; R, L)"
+    batch = fmuid.BatchResult(Dataset(tmp_path, {}), 3, 4, {}, {}, Path("batch"), given_noise=False)
+    assert repr(batch) == "BatchResult(3 of 4 cases, 'batch')"
+    for shown in (found, found.result, study, study.tables[0], study.system, fmuid.FMU(COIL)):
         assert len(repr(shown)) < 200
         assert "\n" not in repr(shown)
 

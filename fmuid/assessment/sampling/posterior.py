@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -201,6 +202,27 @@ class Posterior:
                 "r_hat": self.r_hat,
             }
         )
+
+    def to_arviz(self) -> Any:
+        """Return the samples as ArviZ takes them: an ``xarray.DataTree``, a chain a walker, without the burn-in.
+
+        Group ``posterior`` has a variable a parameter, ``sample_stats`` the log density as ``lp``.
+
+        Raises
+        ------
+        InputError
+            If the extra dependency is missing.
+        """
+        try:
+            from arviz_base import from_dict
+        except ImportError:
+            raise InputError("samples for ArviZ need 'arviz-base': pip install 'fmuid[arviz]'") from None
+        chains = np.swapaxes(self.chain[self.burn :], 0, 1)  # to (walkers, steps, N)
+        groups = {
+            "posterior": {name: chains[:, :, i] for i, name in enumerate(self.names)},
+            "sample_stats": {"lp": self.log_density[self.burn :].T},
+        }
+        return from_dict(groups)
 
 
 def _densest(samples: Floats, level: float, lower: float, upper: float) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from scipy import fft, linalg, special
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
-from fmuid.estimation.result import check_level
+from fmuid.estimation.covariance import check_level
 from fmuid.text import listed
 
 # Regressors, each of length 1, are dependent where a combination of them is shorter than this.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -11,16 +13,16 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
-from fmuid.assessment import LEAST_STD_FACTOR
+from fmuid.assessment import CONFIDENCE_LEVEL, LEAST_STD_FACTOR
 from fmuid.estimation import Outcome
 from fmuid.model_problem import RIVAL_CRITERION
 from fmuid.models import HowRun
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.reports.console.layout import PLAIN_WIDTH, TERMINAL_ROWS, console, table_of, unit_text
 from fmuid.reports.words.accuracy import passed_words, shift_text
 from fmuid.reports.words.models import run_words, sensitivity_words
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
-from fmuid.reports.words.result import capitalised, ending, remarks
+from fmuid.reports.words.result import capitalised, ending, remarks, result_words
 from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
 from fmuid.text import rounded, with_std
 
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 
 SHIFT = "numerical shift"
 """The column of what the error of the simulation moves each estimate by, in its standard deviations."""
+# Lines that a result takes where it is printed, those of the table's head among them.
+SUMMARY_LINES, HEAD_LINES = 25, 2
 # To ask how wide a table would be.
 UNLIMITED_WIDTH = 10_000
 
@@ -45,7 +49,7 @@ def show_result(found: Findings) -> None:
         for remark in _rivals(result):
             out.print(f"[yellow]note:[/] {escape(remark)}", soft_wrap=True)
         out.print()
-    out.print(_estimates(out, found))
+    out.print(_filled(_estimates(out, result, found.level)))
     if found.has_prior:
         out.print()
         out.print(_reading(out, found))
@@ -101,9 +105,28 @@ def _rivals(result: Result) -> list[str]:
     ]
 
 
-def _estimates(out: Console, found: Findings) -> Table:
-    """Return the table of estimates; on a narrow console with fewer columns."""
-    return _filled(_narrowed(out, _columns(found), ("start", "rel. std", SHIFT, "note")))
+def summary(result: Result) -> str:
+    """Return the table of estimates, of many the first ones, and the sentences on them, in `SUMMARY_LINES` at most."""
+    out = Console(file=io.StringIO(), width=PLAIN_WIDTH, highlight=False)
+    columns = _estimates(out, result, CONFIDENCE_LEVEL)
+    said = [line for words in result_words(result) for line in wrap(capitalised(words), PLAIN_WIDTH)]
+    room = SUMMARY_LINES - HEAD_LINES
+    rows, hidden = len(result.names), 0
+    if rows + 1 + len(said) > room:
+        shown = max(room - 2 - len(said), room // 2)
+        rows, hidden = min(rows, shown), max(0, rows - shown)
+        left = room - rows - 1 - (hidden > 0)
+        said = said if len(said) <= left else [*said[: left - 1], "… fmuid.describe(result) says the rest"]
+    out.width = UNLIMITED_WIDTH  # so that no cell takes a second line
+    out.print(_filled({head: cells[:rows] for head, cells in columns.items()}))
+    assert isinstance(out.file, io.StringIO)
+    lines = [line.rstrip() for line in out.file.getvalue().splitlines()]
+    return "\n".join([*lines, *([f"… {hidden} more"] if hidden else []), "", *said])
+
+
+def _estimates(out: Console, result: Result, level: float) -> dict[str, list[str]]:
+    """Return the columns of the table of estimates; on a narrow console fewer."""
+    return _narrowed(out, _columns(result, level), ("start", "rel. std", SHIFT, "note"))
 
 
 def _reading(out: Console, found: Findings) -> Table:
@@ -123,7 +146,7 @@ def _reading(out: Console, found: Findings) -> Table:
     columns["moved by prior"] = [
         f"{moved:+z.2f} std ({by})" if math.isfinite(moved) and by else "" for moved, by in moves
     ]
-    columns["unit"] = [unit_text(unit) for unit in found.units]
+    columns["unit"] = list(map(unit_text, found.unit_of.values()))
     return _filled(_narrowed(out, columns, ("unit", "moved by prior")), title="Prior and data")
 
 
@@ -159,27 +182,26 @@ def _fits(out: Console, columns: Mapping[str, Sequence[str]]) -> bool:
     return Measurement.get(out, unlimited, _filled(columns)).maximum <= out.width
 
 
-def _columns(found: Findings) -> dict[str, list[str]]:
+def _columns(result: Result, level: float) -> dict[str, list[str]]:
     """Return the cells of the table of estimates, column by column."""
-    result = found.result
     cells: dict[str, list[str]] = {"parameter": list(result.names)}
     rows = list(zip(result.values.tolist(), result.std.tolist(), strict=True))
     known = [math.isfinite(std) for _, std in rows]
-    limits = result.intervals(found.level).to_numpy().tolist()
+    limits = result.intervals(level).to_numpy().tolist()
     # where nothing is known of a value, its digits must not look as if there were
     cells["value"] = [f"{value:.2g} ± ?" if std == math.inf else with_std(value, std) for value, std in rows]
     if result.outcome is not Outcome.STALLED:  # which has no intervals
         shares = [f"{100 * std / abs(value):.2g} %" if value and std < math.inf else "" for value, std in rows]
         cells["rel. std"] = shares
-        cells[_interval_head(found.level)] = [
+        cells[_interval_head(level)] = [
             f"{rounded(lower, std)} to {rounded(upper, std)}" if sure else "not determined"
             for (lower, upper), (_, std), sure in zip(limits, rows, known, strict=True)
         ]
     if result.accuracy is not None:
         cells[SHIFT] = list(map(shift_text, result.numerical_shift.tolist()))
-    cells["unit"] = [unit_text(unit) for unit in found.units]
+    cells["unit"] = [unit_text(result.units.get(name)) for name in result.names]
     cells["start"] = [f"{start:.6g}" for start in result.start]
-    notes = [_note(found, name) for name in result.names]
+    notes = [_note(result, name, factor) for name, factor in zip(result.names, result.widening, strict=True)]
     return cells | ({"note": notes} if any(notes) else {})
 
 
@@ -187,12 +209,11 @@ def _interval_head(level: float) -> str:
     return f"{100 * level:.4g} % interval"
 
 
-def _note(found: Findings, name: str) -> str:
+def _note(result: Result, name: str, factor: float) -> str:
     """Return what the table's last column says of one parameter."""
     words = []
-    if any(bound.name == name for bound in found.result.at_bounds):
+    if any(bound.name == name for bound in result.at_bounds):
         words.append("at its bound")
-    factor = found.diagnostics.widening.get(name, math.nan)
     if factor >= LEAST_STD_FACTOR:
         words.append(f"std {factor:.2g} x white noise's")
     return ", ".join(words)
@@ -226,7 +247,7 @@ def _intervals(out: Console, found: Findings, there: Uncertainty) -> Table:
     if posterior is not None:
         pairs = zip(posterior.mean.tolist(), posterior.std.tolist(), strict=True)
         columns["posterior mean"] = [with_std(mean, std) for mean, std in pairs]
-    columns["unit"] = [unit_text(unit) for unit in found.units]
+    columns["unit"] = list(map(unit_text, found.unit_of.values()))
     columns = _narrowed(out, columns, ("unit", "posterior mean"))
     return _filled(columns, title=f"Intervals at {100 * found.level:.4g} %")
 

@@ -51,7 +51,8 @@ def part(folder: Path) -> Part:
     said.insert(0, Said(f"{done} of {total} cases converged", "failures"))
     shown = [each for each in sections if each.figures]
     rows = {"cases": ", ".join(f"{count} {name}" for name, count in counts.items())}
-    return Part("Batch", f"{done} of {total}", done == total, said, _summary(tables), shown, origin(content, rows))
+    head = summary_table(tables["summary"]) if "summary" in tables else ""
+    return Part("Batch", f"{done} of {total}", done == total, said, head, shown, origin(content, rows))
 
 
 _TABLES = ("summary", "failures")
@@ -98,10 +99,9 @@ def _tables(columns: Columns) -> tuple[str, ...]:
     return ("table",) if "table" in columns.repeats else ()
 
 
-def _summary(tables: dict[str, pd.DataFrame]) -> str:
-    if "summary" not in tables:
-        return ""
-    rows = tables["summary"][tables["summary"]["cases"] > 0].to_dict("records")
+def summary_table(summary: pd.DataFrame) -> str:
+    """Return what ``summary.csv`` has, a row a parameter that there are estimates of, as HTML."""
+    rows = summary[summary["cases"] > 0].to_dict("records")
     columns = {
         "parameter": [str(row["parameter"]) for row in rows],
         "cases": [str(row["cases"]) for row in rows],
@@ -111,7 +111,7 @@ def _summary(tables: dict[str, pd.DataFrame]) -> str:
         "spread / stated": [_digits(row["ratio"], 3) for row in rows],
         "unit": [str(row["unit"]) if has_unit(row["unit"]) else "" for row in rows],
     }
-    if "truth" in tables["summary"]:
+    if "truth" in summary:
         columns["truth"] = [_digits(row["truth"], 6) for row in rows]
         held = [_digits(100 * row["coverage"], 3) for row in rows]
         columns["95 % intervals hold it"] = [f"{share} %" if share else "" for share in held]
