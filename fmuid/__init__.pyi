@@ -1,3 +1,4 @@
+from . import datasets as datasets
 from .assessment import Compared as Compared
 from .assessment import Sampling as Sampling
 from .assessment import compare as compare

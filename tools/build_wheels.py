@@ -7,6 +7,7 @@ environment where no compiler is found, and runs the study of the README.
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import tarfile
@@ -49,8 +50,11 @@ def check_sources(archive: Path) -> None:
 
 
 def check_wheel(archive: Path, tag: str) -> None:
-    """Raise ValueError unless a wheel has one library of its platform, and no C sources."""
+    """Raise ValueError unless a wheel has one library of its platform, no C sources, and the models of the records."""
     with zipfile.ZipFile(archive) as opened:
+        models = [name for name in opened.namelist() if re.fullmatch(r"fmuid/datasets/\w+\.fmu", name)]
+        if len(models) != len(list((ROOT / "fmuid" / "datasets").glob("*.csv"))):
+            raise ValueError(f"{archive}: of the records' models it has {models}")
         names = [name for name in opened.namelist() if name.startswith(NATIVE.as_posix())]
         (library,) = (name for name in names if Path(name).name.startswith("core-"))
         content = opened.read(library)
