@@ -192,7 +192,11 @@ class ResidualSeries:
 
 
 def examine_outputs(
-    experiment: Measurements, simulated: Floats, rows: Sequence[Indices], taken: Taken | None = None
+    experiment: Measurements,
+    simulated: Floats,
+    rows: Sequence[Indices],
+    taken: Taken | None = None,
+    scale: Floats | None = None,
 ) -> list[ResidualSeries]:
     """Examine the residuals of those outputs of an experiment that have samples that count.
 
@@ -204,19 +208,22 @@ def examine_outputs(
         For each output, which rows of the problem's residual are its counted samples.
     taken : Taken, optional
         What a fit has taken out of the noise of all rows; default: nothing has been fitted.
+    scale : (n,) array, optional
+        The standard deviation of the noise of each row against that of its output: tests are of residuals over it.
     """
-    found = [
-        _alone(
-            experiment, column, simulated[:, column], its, Taken.nothing(its.size) if taken is None else taken.of(its)
-        )
-        for column, its in enumerate(rows)
-        if its.size
-    ]
+    found = []
+    for column, its in enumerate(rows):
+        if its.size:
+            left = Taken.nothing(its.size) if taken is None else taken.of(its)
+            levels = np.ones(its.size) if scale is None else scale[its]
+            found.append(_alone(experiment, column, simulated[:, column], its, left, levels))
     related = _related(experiment, [each for each in found if each.examined])
     return [replace(each, inputs=related.get(each.output, ())) for each in found]
 
 
-def _alone(experiment: Measurements, column: int, simulated: Floats, rows: Indices, taken: Taken) -> ResidualSeries:
+def _alone(
+    experiment: Measurements, column: int, simulated: Floats, rows: Indices, taken: Taken, scale: Floats
+) -> ResidualSeries:
     """Examine the residual of one output, the inputs aside."""
     counted, measured = experiment.counted[:, column], experiment.output_values[:, column]
     residual = np.where(counted, measured - simulated, np.nan)
@@ -236,6 +243,8 @@ def _alone(experiment: Measurements, column: int, simulated: Floats, rows: Indic
     rounding = ROUNDING_SHARE * float(np.sqrt(np.mean(measured[counted] ** 2)))
     if values.size < LEAST_SAMPLES or not std > rounding:
         return ResidualSeries(**there, **_unknown(values.size))
+    values = values / scale
+    mean, std = float(values.mean()), float(values.std())
     places, step = positions(experiment.times[counted])
     grid = on_grid(values, places)
     lags = min(TESTED_LAGS, values.size // LAGS_DIVISOR, len(grid) - 1)

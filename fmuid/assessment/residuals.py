@@ -201,14 +201,18 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     taken = Taken(columns, columns.T @ columns)
     for experiment, fit in zip(problem.experiments, result.fit, strict=True):
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
-        series += residuals_of(experiment, simulated, first, taken)
+        series += residuals_of(experiment, simulated, first, taken, problem.levels.scale)
         first += int(experiment.counted.sum())
     off_grid = tuple((each.experiment, each.output) for each in result.noise.series if not each.regular)
     return Diagnostics(tuple(series), dict(zip(result.names, result.widening.tolist(), strict=True)), off_grid)
 
 
 def residuals_of(
-    experiment: Measurements, simulated: Floats, first: int = 0, taken: Taken | None = None
+    experiment: Measurements,
+    simulated: Floats,
+    first: int = 0,
+    taken: Taken | None = None,
+    scale: Floats | None = None,
 ) -> list[ResidualSeries]:
     """Examine measured − simulated of an experiment, output by output.
 
@@ -220,7 +224,9 @@ def residuals_of(
         Which row of a problem's residual the first of its counted samples is.
     taken : Taken, optional
         What a fit has taken out of the noise of all rows; default: nothing has been fitted.
+    scale : (n,) array, optional
+        The standard deviation of the noise of each row against that of its output; default 1.
     """
     counted, outputs = np.flatnonzero(experiment.counted), len(experiment.output_names)
     rows = [first + np.flatnonzero(counted % outputs == column) for column in range(outputs)]
-    return examine_outputs(experiment, simulated, rows, taken)
+    return examine_outputs(experiment, simulated, rows, taken, scale)

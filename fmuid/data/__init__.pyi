@@ -11,6 +11,8 @@ from .losses import robust_variance as robust_variance
 from .measured import MeasuredSeries as MeasuredSeries
 from .measured import measured_series as measured_series
 from .noise import Noise as Noise
+from .noise_levels import NoiseLevels as NoiseLevels
+from .noise_levels import levels_of as levels_of
 from .parameter_estimate import ParameterEstimate as ParameterEstimate
 from .parameters import JointPrior as JointPrior
 from .parameters import Normal as Normal

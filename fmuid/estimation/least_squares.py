@@ -19,6 +19,7 @@ from fmuid.data import (
     ParameterSet,
     Predictor,
     Table,
+    levels_of,
     loss_of,
     measured_series,
     robust_variance,
@@ -59,15 +60,18 @@ class LeastSquares:
     experiments : tuple
     output_names : tuple of str
         All measured outputs; those of the same name in several experiments share one noise variance.
+    levels : NoiseLevels
+        What is known of the noise.
     measured : (n,) array
         All counted samples, experiment by experiment, sample by sample; NaN of outputs that are names only
-        (`check_measured`).
+        (`check_measured`). Where the noise differs from sample to sample, they are divided by the `scale` of `levels`,
+        as are `predict` and `derivatives`: what is left has noise of one variance for each output.
     groups : (n,) array of int
         Which output each of them belongs to.
     counts : (n_outputs,) array of int
         Samples of each output.
     variance : (n_outputs,) array
-        The given noise variances, NaN where they are estimated.
+        The given noise variances, NaN where they are estimated; of samples that differ, their mean.
     first_variance : (n_outputs,) array
         Where the estimation of the variances starts, NaN where the residual decides.
     loss : Loss or None
@@ -112,16 +116,14 @@ class LeastSquares:
         if not self.output_names:
             raise InputError("no outputs are measured; name at least one output to compare with the simulation")
         self._counted = [np.flatnonzero(e.counted) for e in experiments]
-        self.measured = np.concatenate(
-            [e.output_values.ravel()[kept] for e, kept in zip(experiments, self._counted, strict=True)]
-        )
+        self.levels = levels_of(noise, experiments, self.output_names)
+        self.measured = self.stacked([e.output_values for e in experiments])
         columns = [np.array([self.output_names.index(n) for n in e.output_names], dtype=np.intp) for e in experiments]
         self.groups = np.concatenate(
             [np.tile(c, len(e.times))[kept] for e, c, kept in zip(experiments, columns, self._counted, strict=True)]
         )
         self.counts = np.bincount(self.groups, minlength=len(self.output_names))
-        self.variance = noise.known(self.output_names)
-        self.first_variance = noise.first(self.output_names)
+        self.variance, self.first_variance = self.levels.variance, self.levels.first
         self._check_counts()
 
     @staticmethod
@@ -211,6 +213,21 @@ class LeastSquares:
             name = self.output_names[missing[0]]
             raise InputError(f"output {name!r} has not been measured: there is nothing to identify from it")
 
+    def stacked(self, tables: Sequence[Floats]) -> Floats:
+        """Return the counted samples (n,) of the outputs (K, n_outputs) of each experiment, as `measured` has them."""
+        rows = np.concatenate([own.ravel()[kept] for own, kept in zip(tables, self._counted, strict=True)])
+        return rows if self.levels.scale is None else rows / self.levels.scale
+
+    def tables(self, rows: Floats) -> list[Floats]:
+        """Return counted samples (n,) where they stand in the tables (K, n_outputs), NaN where none counts."""
+        found, last = [], 0
+        for experiment, kept in zip(self.experiments, self._counted, strict=True):
+            first, last = last, last + kept.size
+            table = np.full(experiment.output_values.shape, np.nan)
+            table.ravel()[kept] = rows[first:last]
+            found.append(table)
+        return found
+
     def predict(self, thetas: Floats) -> Floats:
         """Simulate thetas (m, N) and return all counted samples (m, n), NaN rows where a simulation failed.
 
@@ -223,11 +240,9 @@ class LeastSquares:
         # what failed is NaN throughout; an experiment may have no sample
         failed = np.any([np.isnan(block[:, :1]).any(axis=1) for block in blocks], axis=0)
         self.failures += int(failed.sum())
-        if len(blocks) == 1:
-            return blocks[0]
-        stacked = np.concatenate(blocks, axis=1)
+        stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
         stacked[failed] = np.nan
-        return stacked
+        return stacked if self.levels.scale is None else stacked / self.levels.scale
 
     def derivatives(self, theta: Floats) -> Floats:
         """Return the derivatives (N, n) of all counted samples by the parameters at theta (N,), from the model.
@@ -244,7 +259,8 @@ class LeastSquares:
             block = np.zeros((theta.size, kept.size))
             np.add.at(block, columns, derivatives(theta[columns]).reshape(columns.size, -1)[:, kept])
             blocks.append(block)
-        return np.concatenate(blocks, axis=1)
+        found = np.concatenate(blocks, axis=1)
+        return found if self.levels.scale is None else found / self.levels.scale
 
     def refuse_derivatives(self, reason: str) -> None:
         """Note why differences serve in place of the derivatives of the model."""
@@ -268,19 +284,13 @@ class LeastSquares:
             False: nothing is simulated where `predicted` is given, and samples that do not count are NaN.
         """
         thetas = np.array(theta, dtype=np.float64)[None]
-        found, last = [], 0
+        if predicted is None:
+            return [self._outputs(index, thetas)[0] for index in range(len(self.experiments))]
+        known = self.tables(predicted if self.levels.scale is None else predicted * self.levels.scale)
         for index, (experiment, kept) in enumerate(zip(self.experiments, self._counted, strict=True)):
-            first, last = last, last + kept.size
-            shape = experiment.output_values.shape
-            if predicted is not None and kept.size == experiment.output_values.size:
-                found.append(predicted[first:last].reshape(shape))
-            elif predicted is not None and not simulate:
-                known = np.full(experiment.output_values.size, np.nan)
-                known[kept] = predicted[first:last]
-                found.append(known.reshape(shape))
-            else:
-                found.append(self._outputs(index, thetas)[0])
-        return found
+            if simulate and kept.size < experiment.output_values.size:
+                known[index] = self._outputs(index, thetas)[0]
+        return known
 
     def _outputs(self, index: int, thetas: Floats) -> Floats:
         _, columns = self.parameters.for_experiment(index)
@@ -310,19 +320,23 @@ class LeastSquares:
                 return error
         return None
 
+    def squares(self, residual: Floats) -> Floats:
+        """Return the sum of squares of each output (n_outputs,) of a residual (n,)."""
+        return np.bincount(self.groups, weights=residual**2, minlength=self.counts.size).astype(np.float64)
+
     def output_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
         """Return σ̂² = J_j/(K_j − share_j) of each output (1.12), (n_outputs,).
 
         Parameters
         ----------
         residual : (n,) array
-            Measured − simulated, in the outputs' units.
+            Measured − simulated, as `measured`.
         shares : (n_outputs,) array, optional
             How many of the estimated parameters each output pays for; default none, as J(θ)/K of (1.51).
         """
-        sums = np.bincount(self.groups, weights=residual**2, minlength=self.counts.size)
-        free = self.counts - (0.0 if shares is None else shares)
-        return np.asarray(sums / np.maximum(free, np.finfo(float).eps), dtype=np.float64)
+        sums = self.squares(residual)
+        free = np.maximum(self.counts - (0.0 if shares is None else shares), np.finfo(float).eps)
+        return np.asarray(self.levels.pooled(sums, free) / free, dtype=np.float64)
 
     def log_likelihood(self, residual: Floats, least: Floats) -> float:
         """Return the logarithm of the density of the data, Σ −(ln 2πσ_j² + r²/σ_j²)/2, its constant included.
@@ -333,15 +347,17 @@ class LeastSquares:
         Parameters
         ----------
         residual : (n,) array
-            Measured − simulated, in the outputs' units.
+            Measured − simulated, as `measured`.
         least : (n_outputs,) array
             The least that an estimated variance may be.
         """
         if self.loss is not None:
             return math.nan
-        sums = np.bincount(self.groups, weights=residual**2, minlength=self.counts.size)
-        variance = np.where(np.isnan(self.variance), np.maximum(sums / self.counts, least), self.variance)
-        return -0.5 * float(np.sum(self.counts * np.log(2.0 * math.pi * variance) + sums / variance))
+        sums = self.squares(residual)
+        implied = np.maximum(self.levels.pooled(sums, self.counts) / self.counts, least)
+        variance = np.where(np.isnan(self.variance), implied, self.variance)
+        scale = 0.0 if self.levels.scale is None else float(np.log(self.levels.scale).sum())
+        return -0.5 * float(np.sum(self.counts * np.log(2.0 * math.pi * variance) + sums / variance)) - scale
 
     def noise_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
         """Return the noise variance of each output that a residual tells of, (n_outputs,).
@@ -356,4 +372,9 @@ class LeastSquares:
         if self.loss is None:
             return self.output_variances(residual, shares)
         free = self.counts - (0.0 if shares is None else shares)
-        return np.array([robust_variance(residual[self.groups == j], free[j]) for j in range(self.counts.size)])
+        found = np.array([robust_variance(residual[self.groups == j], free[j]) for j in range(self.counts.size)])
+        for pool in self.levels.pools:
+            own, share = np.isin(self.groups, pool), self.levels.share
+            common = robust_variance(residual[own] / np.sqrt(share[self.groups[own]]), float(free[pool].sum()))
+            found[pool] = share[pool] * common
+        return found

@@ -42,7 +42,7 @@ class Misfits:
     def concentrated(self, problem: LeastSquares) -> Floats:
         """Return J_C with the variances that each theta implies where none is given, (m,)."""
         least = least_variance(problem)
-        implied = np.maximum(self.squares / problem.counts, least)
+        implied = np.maximum(problem.levels.pooled(self.squares, problem.counts) / problem.counts, least)
         estimated = np.isnan(problem.variance)
         given = self.squares / np.where(estimated, 1.0, problem.variance)
         parts = np.where(estimated, problem.counts * np.log(implied), given)
@@ -68,12 +68,10 @@ def misfits(problem: LeastSquares, thetas: Floats) -> Misfits:
 def fitted(problem: LeastSquares, result: Result) -> Misfits:
     """Return the criterion's parts at a result of this problem, from its fit: nothing is simulated."""
     assert result.history is not None, "not of a result that was read from a file"
-    squares = np.zeros((1, problem.counts.size))
-    for experiment, simulated in zip(result.history.experiments, result.history.simulated, strict=True):
-        errors = np.where(experiment.counted, experiment.output_values - simulated, 0.0)
-        where = [problem.output_names.index(name) for name in experiment.output_names]
-        squares[0, where] += (errors**2).sum(axis=0)
-    return Misfits(squares, np.sum(problem.parameters.prior_residual(result.values[None]) ** 2, axis=1))
+    errors = problem.measured - problem.stacked(result.history.simulated)
+    return Misfits(
+        problem.squares(errors)[None], np.sum(problem.parameters.prior_residual(result.values[None]) ** 2, axis=1)
+    )
 
 
 def least_variance(problem: LeastSquares) -> Floats:

@@ -248,7 +248,7 @@ class _CheckedSearch:
             if found.outcome is AccuracyOutcome.UNCHECKABLE or found.change < SHIFT_LIMIT or found.largest < SURE_SHIFT:
                 return replace(found, finer=problem.how_run(finer))
         # to the last bit where the FMU may step as it likes: what the fit has kept is rounded
-        predicted = simulated(fit) if finer.tolerance else problem.predict(fit.values[None])[0]
+        predicted = simulated(problem, fit) if finer.tolerance else problem.predict(fit.values[None])[0]
         found = checked(problem, fit, problem.predict_by(finer, fit.values) - predicted, controlled=controlled)
         found = replace(found, finer=problem.how_run(finer))
         sure = problem.next_sure_refinement
@@ -294,7 +294,7 @@ class _CheckedSearch:
         if self.start_limit < START_LIMIT and self.switches[0].size <= START_LIMIT:
             return  # left for a smoother simulation alone, not for another model
         other = problem.refined(self.origin)
-        error = problem.predict_by(self.origin, best.values) - simulated(best)
+        error = problem.predict_by(self.origin, best.values) - simulated(problem, best)
         if would_fit_better(problem, best, other, checked(problem, best, error).shift):
             found, _ = self._optima_by(other)
             if found and fits_worse(problem, best, found[0].fit):

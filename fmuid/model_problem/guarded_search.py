@@ -295,10 +295,8 @@ def _noise(problem: Problem) -> Floats:
     """Return the standard deviation of each output's noise (n_outputs,) as its second differences show it."""
     squares = np.zeros(problem.counts.size)
     counts = np.zeros(problem.counts.size)
-    for experiment in problem.experiments:
-        for name, values, counted in zip(
-            experiment.output_names, experiment.output_values.T, experiment.counted.T, strict=True
-        ):
+    for experiment, tables in zip(problem.experiments, problem.tables(problem.measured), strict=True):
+        for name, values, counted in zip(experiment.output_names, tables.T, experiment.counted.T, strict=True):
             j, own = problem.output_names.index(name), np.where(counted, values, np.nan)
             size, found = int(counted.sum()), second_difference_noise(experiment.times, own)
             if math.isfinite(found):

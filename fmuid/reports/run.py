@@ -144,7 +144,11 @@ class _Run:
             result_fits(study.system, study.tables, result),
             diagnostics,
             read_result(
-                problem, result, search_data=at_minimum(result), healthy=study.known_variance, diagnostics=diagnostics
+                problem,
+                result,
+                search_data=at_minimum(result),
+                healthy=study.known_variance | dict(result.given_variance),
+                diagnostics=diagnostics,
             ),
             study.uncertainty_settings.level,
             study=None if self.folder is None else origin_of(study, self.folder),

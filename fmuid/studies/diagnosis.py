@@ -371,5 +371,4 @@ class FaultSearch:
         """
         from fmuid.diagnosis import Baseline
 
-        variance = None if isinstance(noise.variance, str) else noise.variance
-        return Baseline(self.source.result, self.inflate, variance, parameters, model.values, records)
+        return Baseline(self.source.result, self.inflate, noise.given_variance(), parameters, model.values, records)

@@ -26,6 +26,7 @@ from fmuid.models import (
 )
 from fmuid.studies.parameters import Source
 from fmuid.studies.prepare import PrepareWords
+from fmuid.studies.settings import NoiseForms
 from fmuid.studies.words import (
     BY_SHAPE,
     TABLE_TAG,
@@ -314,6 +315,7 @@ class ExperimentSettings(Words):
     ] = word("linear", 'between samples; "hold" for commands of a digital controller', "linear")
     discard: NotNegative = word(0.0, "s of transient at the beginning, simulated but not counted", 0.0)
     values: Scalars = word({}, "FMU variables held at a value in this experiment")
+    noise: NoiseForms = word({}, "of this experiment, where it is not as [noise] says", validate_default=True)
     prepare: PrepareWords = word({}, "what is done with the table first", validate_default=True)
     units: Texts = word(
         {}, "of columns whose unit the table does not say and that are not in the FMU's: { variable = unit }"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, Tag
@@ -20,8 +21,10 @@ from fmuid.studies.words import (
     TABLE_TAG,
     VALUE_TAG,
     Count,
+    Entries,
     Flag,
     Kind,
+    Names,
     Natural,
     NotNegative,
     Place,
@@ -67,19 +70,52 @@ Variance = Annotated[
 ]
 
 
-class NoiseWords(Words):
-    """The noise of the measurements."""
+NumberOrColumn = Annotated[
+    Annotated[float, Field(gt=0, allow_inf_nan=False)] | Annotated[str, Field(min_length=1)],
+    Kind("a number above 0 or the name of a column"),
+]
+Levels = Annotated[
+    Annotated[NumberOrColumn, Tag(VALUE_TAG)]
+    | Annotated[
+        dict[str, NumberOrColumn], Entries("a table { output = number } or { output = column }"), Tag(TABLE_TAG)
+    ],
+    BY_SHAPE,
+]
+
+
+class NoiseForms(Words):
+    """The noise of the measurements of one experiment, where it is not that of all."""
 
     variance: Annotated[Annotated[Variance, Tag(VALUE_TAG)] | Annotated[Positives, Tag(TABLE_TAG)], BY_SHAPE] = word(
         "estimate", "of the outputs; or a number for all, or one for each: { output = number }", "estimate"
     )
+    std: Levels | None = word(
+        None, "standard deviation: a number, a column of the table with one for each sample, or { output = either }"
+    )
+    relative: PositiveOrEach | None = word(
+        None, "standard deviation as a share of the output's spread (the standard deviation of its counted samples)"
+    )
+    weights: Levels | None = word(
+        None, "a sample of weight w has the variance σ²/w, with one σ², estimated, for all outputs that have weights"
+    )
+
+    def forms(self) -> Noise:
+        """Return these words as an object."""
+        return Noise(self.variance, std=self.std, relative=self.relative, weights=self.weights)
+
+
+class NoiseWords(NoiseForms):
+    """The noise of the measurements."""
+
     start: PositiveOrEach | None = word(
         None, "where the estimation of the variance starts; default: from the residual", 0.01
     )
+    common: Flag | Names = word(False, "outputs that share one estimated variance, a list of names; true: all of them")
 
-    def settings(self) -> Noise:
-        """Return the words as an object."""
-        return Noise(self.variance, self.start)
+    def settings(self, experiments: Mapping[str, NoiseForms]) -> Noise:
+        """Return the words as an object, with those of single experiments."""
+        own = {name: each.forms() for name, each in experiments.items() if each.model_fields_set}
+        return replace(self.forms(), start=self.start, common=self.common, experiments=own)
 
 
 GLOBAL_WORDS = ("starts", "search", "seed")

@@ -155,8 +155,8 @@ class Study(Displayed):
         model = replace(words.model.settings(), isolation=isolation if isolated else None)
         experiments = named(words.experiments, top)
         known = Reader(top, model.values).read(words.parameters, words.prior, [given.name for given in experiments])
-        estimator, asked, noise = words.estimator, words.uncertainty.settings(known.names), words.noise.settings()
-        search = estimator.settings()
+        estimator, search, asked = words.estimator, words.estimator.settings(), words.uncertainty.settings(known.names)
+        noise = words.noise.settings({given.name: given.noise for given in experiments})
         estimator.check_loss(search, asked, top)
         return cls(
             path,
@@ -240,11 +240,12 @@ class Study(Displayed):
                 "such as R = { start = 4.0 }"
             )
         self.check_sources()
+        tables = self.tables if experiments is None else experiments
         return Problem(
             self.system,
-            self.tables if experiments is None else experiments,
+            tables,
             self.parameters,
-            noise=self.noise,
+            noise=self.noise.among([each.name for each in tables]),
             values=self.model.values,
             joint_prior=self.joint_prior,
             loss=self.loss,

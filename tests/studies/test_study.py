@@ -116,6 +116,18 @@ def test_noise(folder: Path) -> None:
     assert Study.read(write(folder, text)).noise == Noise({"i": 0.04}, {"i": 1.0})
     text = FULL.replace('variance = "estimate"', "start = 2")
     assert Study.read(write(folder, text)).noise == Noise("estimate", 2.0)
+    own = 'outputs = ["i"]\nnoise = { weights = { i = "w" } }'
+    text = FULL.replace('variance = "estimate"', 'common = ["i"]').replace('outputs = ["i"]', own)
+    assert Study.read(write(folder, text)).noise == Noise(
+        common=["i"], experiments={"second": Noise(weights={"i": "w"})}
+    )
+    for words, noise in (
+        ('std = { i = "sd" }', Noise(std={"i": "sd"})),
+        ("std = 0.2", Noise(std=0.2)),
+        ("relative = 0.01", Noise(relative=0.01)),
+        ('weights = "w"', Noise(weights="w")),
+    ):
+        assert Study.read(write(folder, FULL.replace('variance = "estimate"', words))).noise == noise
 
 
 def test_uncertainty_words(folder: Path) -> None:

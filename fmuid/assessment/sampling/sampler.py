@@ -125,7 +125,8 @@ def log_density(
     def likelihood(thetas: Floats) -> Floats:
         squares = sums(thetas)
         with np.errstate(divide="ignore"):
-            terms = squares[:, given].sum(axis=1) + np.log(squares[:, ~given]) @ problem.counts[~given]
+            implied = problem.levels.pooled(squares, problem.counts)[:, ~given]
+            terms = squares[:, given].sum(axis=1) + np.log(implied) @ problem.counts[~given]
         return np.asarray(-0.5 * terms, dtype=np.float64)
 
     adjust = None if result is None else adjustment(problem, result)

@@ -24,11 +24,10 @@ CLEARLY_BETTER_CRITERION = 10.0
 LEAST_NOISE = 1e-5
 
 
-def simulated(result: Result) -> Floats:
-    """Return the counted samples (n,) as they were simulated at a result."""
+def simulated(problem: LeastSquares, result: Result) -> Floats:
+    """Return the counted samples (n,) as they were simulated at a result, as `LeastSquares.measured` has them."""
     assert result.history is not None, "not of a result that was read from a file"
-    pairs = zip(result.history.experiments, result.history.simulated, strict=True)
-    return np.concatenate([values[experiment.counted] for experiment, values in pairs])
+    return problem.stacked(result.history.simulated)
 
 
 def checked(problem: LeastSquares, result: Result, error: Floats, *, controlled: bool = False) -> Accuracy:
@@ -73,7 +72,7 @@ def _weights(problem: LeastSquares, result: Result) -> Floats:
     weights = scale / np.sqrt(variance)
     if problem.loss is None:
         return np.asarray(weights[groups])
-    curvature = problem.loss.curvature((problem.measured - simulated(result)) / np.sqrt(variance)[groups])
+    curvature = problem.loss.curvature((problem.measured - simulated(problem, result)) / np.sqrt(variance)[groups])
     mean = np.bincount(groups, weights=curvature, minlength=variance.size) / problem.counts
     return np.asarray((weights * np.sqrt(np.maximum(mean, LEAST_CURVATURE)))[groups])
 

@@ -1,0 +1,265 @@
+"""Forms in which noise is given: each against the closed form of a linear model."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from fmuid.arrays import Floats
+from fmuid.assessment.residuals import examine_residuals
+from fmuid.assessment.sampling.sampler import log_density
+from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter, Table, robust_variance
+from fmuid.data.tables import UNITS
+from fmuid.errors import InputError
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.misfit import fitted, misfits
+from fmuid.estimation.result import Result
+
+COUNT = 60
+X = np.linspace(-1.0, 2.0, COUNT)
+PHI = np.column_stack([np.ones(COUNT), X])
+TRUTH = np.array([2.0, -1.0])
+STD = 0.05 + 0.4 * np.abs(np.sin(7.0 * X))
+WEIGHTS = 3.0 + np.cos(5.0 * X)
+PARAMETERS = {"a": Parameter(1.0), "b": Parameter(-0.5)}
+
+
+def one(noise: Noise, std: Floats = STD, **words: Any) -> LeastSquares:
+    y = PHI @ TRUTH + std * np.random.default_rng(1).standard_normal(COUNT)
+    return LeastSquares.from_function(lambda p: PHI @ p, y, PARAMETERS, noise=noise, **words)
+
+
+def two(noise: Noise, **words: Any) -> LeastSquares:
+    """Two outputs of the same parameters, a third of the second missing."""
+    rng = np.random.default_rng(2)
+    y = np.column_stack([PHI @ TRUTH, PHI[::-1] @ TRUTH]) + rng.standard_normal((COUNT, 2)) * [0.1, 0.4]
+    y[::3, 1] = np.nan
+    return LeastSquares.from_function(
+        lambda p: np.column_stack([PHI @ p, PHI[::-1] @ p]), y, PARAMETERS, noise=noise, outputs=("u", "v"), **words
+    )
+
+
+def rows_of_two(problem: LeastSquares) -> tuple[Floats, Floats, Floats]:
+    """Return regressors, samples and which output each is of, one output after the other."""
+    y = problem.experiments[0].output_values
+    there = ~np.isnan(y)
+    phi = np.vstack([PHI[there[:, 0]], PHI[::-1][there[:, 1]]])
+    return phi, np.concatenate([y[there[:, k], k] for k in (0, 1)]), np.repeat([0, 1], there.sum(axis=0))
+
+
+def weighted(phi: Floats, y: Floats, weights: Floats) -> tuple[Floats, Floats, float]:
+    """Return (ΦᵀWΦ)⁻¹ΦᵀWy, (ΦᵀWΦ)⁻¹ and the weighted sum of squares that is left."""
+    inverse = np.asarray(np.linalg.inv(phi.T @ (weights[:, None] * phi)), dtype=np.float64)
+    found = inverse @ phi.T @ (weights * y)
+    return found, inverse, float(weights @ (y - phi @ found) ** 2)
+
+
+def same(result: Result, values: Floats, covariance: Floats) -> None:
+    np.testing.assert_allclose(result.values, values, rtol=1e-6)
+    np.testing.assert_allclose(result.white_covariance, covariance, rtol=1e-6)
+
+
+def test_a_standard_deviation_for_each_sample() -> None:
+    problem = one(Noise(std=STD.tolist()))
+    result, y = identify(problem), problem.experiments[0].output_values[:, 0]
+    values, inverse, left = weighted(PHI, y, STD**-2)
+    same(result, values, inverse)
+    assert result.criterion == pytest.approx(left)
+    assert result.given_variance["y"] == pytest.approx(float(np.mean(STD**2)))
+    density = float(np.sum(stats.norm.logpdf(y, PHI @ values, STD)))
+    assert result.log_likelihood == pytest.approx(density, rel=1e-8)
+    np.testing.assert_allclose(result.fit[0]["simulated.y"], PHI @ values, rtol=1e-6)
+    np.testing.assert_allclose(fitted(problem, result).squares, misfits(problem, values[None]).squares, rtol=1e-6)
+
+
+def test_residuals_are_examined_by_their_own_standard_deviations() -> None:
+    problem = one(Noise(std=STD.tolist()))
+    result = identify(problem)
+    (found,) = examine_residuals(problem, result).series
+    residual = problem.experiments[0].output_values[:, 0] - PHI @ result.values
+    assert found.std == pytest.approx(float(residual.std()))
+    assert found.kurtosis == pytest.approx(float(stats.kurtosis(residual / STD)))
+
+
+def test_weights_for_each_sample_leave_one_variance_to_be_estimated() -> None:
+    problem = one(Noise(weights=WEIGHTS.tolist()), 0.3 / np.sqrt(WEIGHTS))
+    result = identify(problem)
+    values, inverse, left = weighted(PHI, problem.experiments[0].output_values[:, 0], WEIGHTS)
+    variance = left / (COUNT - 2)
+    same(result, values, variance * inverse)
+    assert result.noise_variance["y"] == pytest.approx(variance * float(np.mean(1.0 / WEIGHTS)))
+
+
+@pytest.mark.parametrize("noise", [Noise(common=True), Noise(common=["u", "v"]), Noise(weights={"u": 1.0, "v": 1.0})])
+def test_one_variance_common_to_outputs(noise: Noise) -> None:
+    """The criterion (1.61) and its one variance."""
+    problem = two(noise)
+    result = identify(problem)
+    phi, y, _ = rows_of_two(problem)
+    values, inverse, left = weighted(phi, y, np.ones(y.size))
+    same(result, values, left / (y.size - 2) * inverse)
+    assert result.noise_variance == pytest.approx(dict.fromkeys("uv", left / (y.size - 2)))
+    assert result.degrees_of_freedom == y.size - 2
+    likely = left / y.size
+    assert result.log_likelihood == pytest.approx(float(np.sum(stats.norm.logpdf(y - phi @ values, scale=likely**0.5))))
+
+
+def test_weights_of_outputs() -> None:
+    problem = two(Noise(weights={"u": 16.0, "v": 1.0}))
+    result = identify(problem)
+    phi, y, output = rows_of_two(problem)
+    values, inverse, left = weighted(phi, y, np.where(output == 0, 16.0, 1.0))
+    variance = left / (y.size - 2)
+    same(result, values, variance * inverse)
+    assert result.noise_variance == pytest.approx({"u": variance / 16.0, "v": variance})
+
+
+def test_what_is_common_is_common_to_all_criteria() -> None:
+    """Maps and global searches concentrate the variance, the posterior integrates it out: K ln J of all together."""
+    problem, away = two(Noise(common=True)), np.array([[2.0, -1.0], [2.1, -0.8], [1.5, -1.2]])
+    phi, y, _ = rows_of_two(problem)
+    squares = np.array([np.sum((y - phi @ each) ** 2) for each in away])
+    expected = y.size * np.log(squares / squares[0])
+    found = misfits(problem, away).concentrated(problem)
+    np.testing.assert_allclose(found - found[0], expected, rtol=1e-9)
+    density = log_density(problem)(away)
+    np.testing.assert_allclose(density - density[0], -0.5 * expected, rtol=1e-9)
+
+
+def test_a_common_variance_is_robust_with_a_robust_loss() -> None:
+    problem = two(Noise(weights={"u": 4.0, "v": 1.0}), loss="huber")
+    residual = problem.measured - problem.predict(TRUTH[None])[0]
+    common = robust_variance(np.where(problem.groups == 0, 2.0, 1.0) * residual, float(residual.size))
+    np.testing.assert_allclose(problem.noise_variances(residual), [common / 4.0, common], rtol=1e-9)
+
+
+def test_a_share_of_the_spread() -> None:
+    problem = one(Noise(relative=0.02))
+    y = problem.experiments[0].output_values[:, 0]
+    expected = (0.02 * np.std(y)) ** 2
+    assert identify(problem).given_variance["y"] == pytest.approx(expected)
+    same(identify(problem), *weighted(PHI, y, np.full(COUNT, 1.0 / expected))[:2])
+
+
+def several(noise: Noise, names: tuple[str, ...] = ("first", "second")) -> LeastSquares:
+    """Two experiments of one output."""
+    rng, tables = np.random.default_rng(3), []
+    for name, std in zip(names, (0.1, 0.5), strict=True):
+        y = (PHI @ TRUTH + std * rng.standard_normal(COUNT))[:, None]
+        tables.append(Table(name, X, ("y",), y, np.ones_like(y, dtype=np.bool_)))
+    predictor = FunctionPredictor(lambda p: PHI @ p, (COUNT, 1))
+    return LeastSquares([predictor, predictor], tables, PARAMETERS, noise=noise)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        Noise(std=0.1, experiments={"second": Noise(0.25)}),
+        Noise({"y": 0.01}, experiments={"second": Noise(std=[0.5] * COUNT)}),
+        Noise(std=0.1, experiments={"second": Noise(relative=0.25)}),
+    ],
+)
+def test_noise_of_single_experiments(noise: Noise) -> None:
+    problem = several(noise)
+    first, second = (each.output_values[:, 0] for each in problem.experiments)
+    own = noise.experiments["second"]
+    std = 0.25 * np.std(second) if own.relative else 0.5
+    weights = np.repeat([100.0, std**-2], COUNT)
+    same(identify(problem), *weighted(np.vstack([PHI, PHI]), np.concatenate([first, second]), weights)[:2])
+
+
+def test_weights_of_single_experiments() -> None:
+    problem = several(Noise(experiments={"second": Noise(weights=0.04)}))
+    y = np.concatenate([each.output_values[:, 0] for each in problem.experiments])
+    values, inverse, left = weighted(np.vstack([PHI, PHI]), y, np.repeat([1.0, 0.04], COUNT))
+    same(identify(problem), values, left / (2 * COUNT - 2) * inverse)
+
+
+def recorded(noise: Noise, change: Any = None) -> LeastSquares:
+    """A table with columns of standard deviations, of which the output's first cell is empty."""
+    y = PHI @ TRUTH + STD * np.random.default_rng(1).standard_normal(COUNT)
+    frame = pd.DataFrame({"time": X + 1.0, "y": y, "sd": STD, "milli": 1e3 * STD})
+    frame.loc[0, ["y", "sd"]] = np.nan
+    if change is not None:
+        change(frame)
+    frame.attrs[UNITS] = {"y": "V", "sd": "V", "milli": "mV", "time": "s"}
+    experiment = Experiment(frame, outputs=["y"], name="run", source="run.csv")
+    return LeastSquares([FunctionPredictor(lambda p: PHI @ p, (COUNT, 1))], [experiment], PARAMETERS, noise=noise)
+
+
+@pytest.mark.parametrize("column", ["sd", "milli"])
+def test_a_column_of_standard_deviations(column: str) -> None:
+    """It need not be there where the output is not, and is converted to the output's unit."""
+    problem = recorded(Noise(std=column))
+    y = problem.experiments[0].output_values[1:, 0]
+    same(identify(problem), *weighted(PHI[1:], y, STD[1:] ** -2)[:2])
+
+
+def refused(build: Any, sentence: str) -> None:
+    with pytest.raises(InputError, match=re.escape(sentence)):
+        build()
+
+
+def test_bad_columns_are_refused() -> None:
+    def spoiled(value: Any) -> Any:
+        return lambda: recorded(
+            Noise(std="sd"), lambda frame: frame.__setitem__("sd", frame["sd"].where(X < 1.9, value))
+        )
+
+    row = int(np.argmax(X >= 1.9)) + 1
+    where = f"run.csv: the noise column 'sd' {{}} in row {row} (t = {X[row - 1] + 1.0:.9g} s), where the output counts"
+    for value, found in ((np.nan, "has no value"), (-0.1, "is -0.1"), (0.0, "is 0"), (np.inf, "is inf")):
+        refused(spoiled(value), where.format(found))
+    refused(lambda: recorded(Noise(std="sb")), "run.csv: the noise column 'sb'")
+    refused(lambda: recorded(Noise(std="time")), "run.csv: the noise column 'time' is in s, and output 'y' in V")
+    refused(lambda: one(Noise(std="sd")), "noise.std of output 'y' is the column 'sd', and there is no table")
+    refused(lambda: one(Noise(std=[1.0, 2.0])), "noise.std of output 'y' has 2 values for 60 samples")
+
+
+@pytest.mark.parametrize(
+    ("noise", "sentence"),
+    [
+        (lambda: Noise(std=-1.0), "the noise std must be positive and finite, not -1"),
+        (
+            lambda: Noise(relative={"u": np.nan}),
+            "the noise relative of output 'u' must be positive and finite, not nan",
+        ),
+        (lambda: Noise(weights={"u": 0.0}), "the noise weights of output 'u' must be positive and finite, not 0"),
+        (lambda: Noise(relative="sd"), "the noise relative must be a positive number, not 'sd'"),  # type: ignore[arg-type]
+        (lambda: Noise(std={"w": 1.0}), "noise.std names 'w', which is no measured output"),
+        (lambda: Noise(common=["u", "w"]), "noise.common names 'w', which is no measured output"),
+        (lambda: Noise(0.1, std={"u": 1.0}), "noise has both variance and std of output 'u': keep one of the two"),
+        (lambda: Noise({"u": 0.1}, common=["u"]), "noise.common names output 'u', whose noise is given"),
+        (lambda: Noise(weights={"u": 2.0}), "noise.weights are of output 'u' alone and the same for all its samples"),
+        (lambda: Noise(experiments={"x": Noise(0.1)}), "noise is given of 'x', which is no experiment"),
+        (
+            lambda: Noise(experiments={"x": Noise(start=1.0)}),
+            "the noise of experiment 'x' has variance, std, relative,",
+        ),
+        (lambda: Noise(experiments={"experiment": Noise(std={"w": 1.0})}), "noise.std names 'w', which is no measured"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(noise: Any, sentence: str) -> None:
+    refused(lambda: two(noise()), sentence)
+
+
+def test_noise_is_given_in_all_experiments_or_none() -> None:
+    refused(
+        lambda: several(Noise(experiments={"first": Noise(0.1)})),
+        "the noise of output 'y' is given in one experiment and to be estimated in another: give it in all of them",
+    )
+
+
+def test_an_output_that_never_changes_has_no_spread() -> None:
+    refused(
+        lambda: LeastSquares.from_function(
+            lambda p: p[0] * np.ones(9), np.ones(9), {"a": Parameter(0.5)}, noise=Noise(relative=0.1)
+        ),
+        "output 'y' is the same in all samples: a share of its spread is no noise; give noise.std",
+    )
