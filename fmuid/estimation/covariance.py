@@ -174,7 +174,8 @@ class LocalCovariance:
 
         Its sum is the number of directions that the data determine.
         """
-        return np.asarray(np.sum((jacobian @ self.root) ** 2, axis=1), dtype=np.float64)
+        columns = self.root.T @ jacobian.T
+        return np.asarray(np.einsum("ij,ij->j", columns, columns), dtype=np.float64)
 
 
 def local_covariance(

@@ -15,6 +15,7 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.estimation.covariance import LocalCovariance
+from fmuid.estimation.marquardt.step import triangle
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +128,9 @@ class LocalModel:
     @cached_property
     def root(self) -> Floats:
         """R (N, k) with R Rᵀ the covariance of the combined estimate, over the k directions that are determined."""
-        stacked = np.vstack([self.jacobian, self.prior_jacobian]) * self.magnitudes
-        _, s, vt = np.linalg.svd(stacked, full_matrices=False)
+        stacked = np.vstack([self.jacobian, self.prior_jacobian])
+        reduced = triangle(stacked, np.zeros(len(stacked)))[:, :-1]
+        _, s, vt = np.linalg.svd(reduced * self.magnitudes, full_matrices=False)
         rank = min(len(s), self.combined.rank)
         return np.asarray(self.magnitudes[:, None] * vt[:rank].T / s[:rank], dtype=np.float64)
 

@@ -148,7 +148,9 @@ def table_noise(table: Floats, shares: Floats) -> Floats:
 
 def shares_of(groups: NDArray[np.intp], count: int) -> Floats:
     """Return the matrix (n, count) that takes the mean over each output's samples."""
-    return np.asarray((groups[:, None] == np.arange(count)) / np.maximum(np.bincount(groups, minlength=count), 1))
+    shares = np.zeros((groups.size, count))
+    shares[np.arange(groups.size), groups] = 1.0 / np.bincount(groups, minlength=count)[groups]
+    return shares
 
 
 def _difference_table(table: Floats, shares: Floats) -> Floats:

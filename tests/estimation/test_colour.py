@@ -62,7 +62,10 @@ def regressors(count: int) -> Floats:
 # --- autoregressive models
 
 
-@pytest.mark.parametrize("coefficients", [NOTHING, SLOW, OSCILLATING, np.array([0.3, 0.0, -0.4, 0.1])])
+LATE = np.concatenate([np.zeros(69), [0.7]])  # of a higher order than a block is long
+
+
+@pytest.mark.parametrize("coefficients", [NOTHING, SLOW, OSCILLATING, np.array([0.3, 0.0, -0.4, 0.1]), LATE])
 def test_impulse_responses_are_those_of_a_recursion(coefficients: Floats) -> None:
     found = impulse_response(coefficients, 5000)
     expected = lfilter([1.0], [1.0, *-coefficients], np.r_[1.0, np.zeros(4999)])
@@ -87,6 +90,19 @@ def test_burg_finds_the_model_of_a_long_record_with_gaps() -> None:
     np.testing.assert_allclose(found.coefficients, OSCILLATING, atol=0.02)
     assert found.variance == pytest.approx(0.25, rel=0.1)
     assert found.samples == there.sum()
+
+
+@pytest.mark.parametrize("share", [1.0, 0.8])
+def test_what_columns_add_to_the_moments_others_take_away(share: float) -> None:
+    rng = np.random.default_rng(14)
+    columns, there = lfilter([1.0], [1.0, *-OSCILLATING], rng.standard_normal((3, 300))), rng.random(300) < share
+    columns[2] = columns[1]
+    before = columns.copy()
+    found = autoregression.fit(columns * there, there, np.array([1.0, 0.5, -0.5]), 10)
+    alone = autoregression.fit(columns[:1] * there, there, np.ones(1), 10)
+    np.testing.assert_allclose(found.coefficients, alone.coefficients, rtol=1e-9)
+    assert found.variance == pytest.approx(alone.variance, rel=1e-9)
+    np.testing.assert_array_equal(columns, before)
 
 
 def test_the_coefficient_of_a_short_record_is_right_on_average() -> None:

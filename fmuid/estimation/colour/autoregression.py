@@ -18,11 +18,14 @@ G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (2), 1
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, linalg
+from scipy import fft
+from scipy.linalg import blas, lapack
 
 from fmuid.arrays import Complexes, Floats
 
@@ -74,10 +77,14 @@ class Autoregression:
         padded[1 : self.coefficients.size + 1] = -self.coefficients
         return np.asarray(1.0 / fft.rfft(padded))
 
+    @cached_property
+    def _response(self) -> Floats:
+        return impulse_response(self.coefficients, self.memory)
+
     @property
     def gain(self) -> float:
         """The variance of the process against that of its innovation, Σ h²."""
-        return float(np.sum(impulse_response(self.coefficients, self.memory) ** 2))
+        return float(self._response @ self._response)
 
     def scatter(self) -> Floats:
         """Return the covariance (1 + p, 1 + p) of log σ² and the coefficients, times the number of samples."""
@@ -85,10 +92,13 @@ class Autoregression:
         found = np.zeros((1 + order, 1 + order))
         found[0, 0] = 2.0
         if order:
-            response = impulse_response(self.coefficients, self.memory)
+            response = self._response
             padded = np.concatenate([response, np.zeros(order)])
-            correlation = [float(padded[: response.size] @ padded[k : k + response.size]) for k in range(order)]
-            found[1:, 1:] = linalg.pinvh(linalg.toeplitz(correlation))
+            correlation = np.array([response @ padded[k : k + response.size] for k in range(order)])
+            lags = np.arange(order)
+            values, vectors = np.linalg.eigh(correlation[np.abs(lags[:, None] - lags)])
+            good = values > order * np.finfo(float).eps * values[-1]
+            found[1:, 1:] = (vectors[:, good] / values[good]) @ vectors[:, good].T
         return found
 
 
@@ -119,7 +129,7 @@ def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int)
         The highest order.
     """
     samples = int(there.sum())
-    variance = max(_moment(weights, columns, columns) / samples, LEAST_VARIANCE)
+    variance = max(float(weights @ np.einsum("it,it->i", columns, columns)) / samples, LEAST_VARIANCE)
     longest = max(LONGEST, RECORDS * there.size)
     while True:
         model, left = _burg(columns, weights, there, orders, variance)
@@ -132,38 +142,52 @@ def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int)
         orders = model.size - 1
 
 
-def _moment(weights: Floats, left: Floats, right: Floats) -> float:
-    return float(weights @ np.einsum("it,it->i", left, right))
-
-
 def _burg(
     columns: Floats, weights: Floats, there: NDArray[np.bool_], orders: int, variance: float
 ) -> tuple[Floats, float]:
     """Return the coefficients that BIC chooses and the variance that they leave."""
-    model, score = np.zeros(0), 0.0
-    best, chosen = math.inf, (model, variance)
-    ahead, behind, mask = columns[:, 1:], columns[:, :-1], there[1:] & there[:-1]
+    reflections: list[float] = []
+    score, best, chosen = 0.0, math.inf, (0, variance)
+    # one after the other and in place, in the cache of the processor
+    ahead, behind = [x[1:].copy() for x in columns], [x[:-1].copy() for x in columns]
+    mask, gaps, shares = there[1:] & there[:-1], not there.all(), weights.tolist()
     for order in range(1, orders + 1):
-        pairs = int(mask.sum())
+        pairs = int(np.count_nonzero(mask)) if gaps else mask.size
         if pairs < 2 * order + MORE_PAIRS:
             break
-        if pairs < mask.size:
-            ahead, behind = ahead * mask, behind * mask
-        power = _moment(weights, ahead, ahead) + _moment(weights, behind, behind)
+        if gaps:
+            for x in (*ahead, *behind):
+                x *= mask
+        power = cross = 0.0
+        for weight, x, y in zip(shares, ahead, behind, strict=True):
+            power += weight * float(x @ x + y @ y)
+            cross += weight * float(x @ y)
         if not power > 0.0:  # what is added to the moments may make them improper
             break
-        found, most = 2.0 * _moment(weights, ahead, behind) / power, 1.0 - 1.0 / pairs
+        found, most = 2.0 * cross / power, 1.0 - 1.0 / pairs
         reflection = min(max(found, -most), most)
-        model = np.concatenate([model - reflection * model[::-1], [reflection]])
+        reflections.append(reflection)
         variance *= 1.0 - reflection**2
         score += pairs * math.log(1.0 - reflection**2) + math.log(pairs)
         if score < best:
-            best, chosen = score, (model, variance)
+            best, chosen = score, (order, variance)
         if abs(found) > most:
             break
-        ahead, behind = (ahead - reflection * behind)[:, 1:], (behind - reflection * ahead)[:, :-1]
-        mask = mask[1:] & mask[:-1]
-    return chosen
+        for x, y in zip(ahead, behind, strict=True):
+            before = x.copy()
+            blas.daxpy(y, x, a=-reflection)
+            blas.daxpy(before, y, a=-reflection)
+        ahead, behind = [x[1:] for x in ahead], [y[:-1] for y in behind]
+        mask = mask[1:] & mask[:-1] if gaps else mask[1:]
+    return _of_reflections(reflections[: chosen[0]]), chosen[1]
+
+
+def _of_reflections(reflections: Sequence[float]) -> Floats:
+    """Return the coefficients of a model by Levinson's recursion."""
+    model = np.zeros(0)
+    for reflection in reflections:
+        model = np.concatenate([model - reflection * model[::-1], [reflection]])
+    return model
 
 
 def impulse_response(coefficients: Floats, longest: int) -> Floats:
@@ -171,12 +195,13 @@ def impulse_response(coefficients: Floats, longest: int) -> Floats:
     order = coefficients.size
     if not order:
         return np.ones(1)
-    # a block of it follows from the p values before
+    # a block of it follows from the p values before, oldest first
     block = max(BLOCK, order)
-    rows = np.vstack([np.eye(order), np.zeros((block, order))])  # what came before, oldest first, then the block
-    for t in range(order, order + block):
-        rows[t] = coefficients[::-1] @ rows[t - order : t]
-    follow = rows[order:]
+    first = np.zeros((block, order), order="F")
+    for t in range(order):
+        first[t, t:] = coefficients[t:][::-1]
+    band = np.tile(np.concatenate([[1.0], -coefficients])[:, None], block)
+    follow = lapack.dtbtrs(band, first, uplo="L", diag="U")[0]
     parts, before, loudest = [np.ones(1)], np.concatenate([np.zeros(order - 1), [1.0]]), 1.0
     length = 1
     while length < longest and loudest < LOUDEST:

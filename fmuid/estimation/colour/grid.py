@@ -57,34 +57,34 @@ class Spectra:
     ----------
     size : int
         Of the transforms: the grid, and the noise's memory before it.
-    transfers : list of (f,) arrays
+    transfers : (m, f) array
         1/A of each series.
-    filtered : list of (k, f) arrays
+    filtered : (m, k, f) array
         Z of each series.
     """
 
     size: int
-    transfers: list[Complexes]
-    filtered: list[Complexes]
+    transfers: Complexes
+    filtered: Complexes
 
     @classmethod
     def of(cls, columns: Floats, series: Sequence[Series], models: Sequence[Autoregression]) -> Spectra:
         """Filter the columns (n, k) of all rows."""
         size = fft.next_fast_len(length_of(series) + max(model.memory for model in models), real=True)
-        transfers = [model.transfer(size) for model in models]
-        placed = [fft.rfft(on_grid(each, columns, length_of(series)), size) for each in series]
-        return cls(size, transfers, [own * np.conj(t) for own, t in zip(placed, transfers, strict=True)])
+        transfers = np.array([model.transfer(size) for model in models])
+        filtered = np.array([fft.rfft(on_grid(each, columns, length_of(series)), size) for each in series])
+        filtered *= np.conj(transfers)[:, None]
+        return cls(size, transfers, filtered)
 
-    def coupled(self, innovations: Floats) -> list[Complexes]:
-        """Return Σ_b S_ab Z_b of each series (k, f)."""
-        if len(self.filtered) == 1:
-            return [innovations[0, 0] * self.filtered[0]]
-        pairs = [list(zip(row, self.filtered, strict=True)) for row in innovations]
-        return [np.sum([s * z for s, z in row], axis=0) for row in pairs]
+    def coupled(self, innovations: Floats) -> Complexes:
+        """Return Σ_b S_ab Z_b of each series (m, k, f)."""
+        flat = _real(self.filtered).reshape(len(innovations), -1)
+        return (innovations @ flat).view(np.complex128).reshape(self.filtered.shape)
 
-    def gram(self, coupled: Sequence[Complexes]) -> Floats:
+    def gram(self, coupled: Complexes) -> Floats:
         """Return Σ_ab S_ab Z_aᵀ Z_b (k, k)."""
-        total = np.sum([_product(z, c, self.size) for z, c in zip(self.filtered, coupled, strict=True)], axis=0)
+        weights = np.repeat(_lag_zero(self.size), 2)
+        total = np.sum((_real(self.filtered) * weights) @ _real(coupled).swapaxes(1, 2), axis=0)
         return np.asarray((total + total.T) / 2.0, dtype=np.float64)
 
 
@@ -193,9 +193,10 @@ class Grid:
             self.series, self.models, self.spectra.transfers, self.spectra.filtered, self.coupled, strict=True
         ):
             own, coupled, order = self.rows.root @ z, self.rows.root @ c, model.coefficients.size
-            share = fft.irfft(np.conj(coupled) * own, size)[:, :1]
+            both = np.conj(coupled) * own
+            share = both.real @ _lag_zero(size)[:, None]
             # ∂Z/∂φ_j is Z filtered once more, j samples later
-            slopes = 2.0 * fft.irfft(np.conj(coupled) * own * np.conj(transfer), size)[:, 1 : order + 1]
+            slopes = 2.0 * fft.irfft(both * np.conj(transfer), size)[:, 1 : order + 1]
             if self.rows.given[each.group]:  # as φ changes, the variance of the innovation keeps that of the process
                 power = np.abs(transfer) ** 2
                 gains = 2.0 * fft.irfft(power * np.conj(transfer), size)[1 : order + 1]
@@ -207,17 +208,22 @@ class Grid:
         return found
 
 
-def _product(left: Complexes, right: Complexes, size: int) -> Floats:
-    """Return Σ_t x(t) y(t) of all pairs of columns, from spectra (k, f) of a real transform."""
-    weights = np.full(left.shape[1], 2.0 / size)
+def _real(spectra: Complexes) -> Floats:
+    """Return spectra (..., f) as real and imaginary parts side by side (..., 2 f)."""
+    return spectra.view(np.float64)
+
+
+def _lag_zero(size: int) -> Floats:
+    """Return the weights (f,) of the real parts of X̄ Y, spectra of a real transform, whose sum is Σ_t x(t) y(t)."""
+    weights = np.full(size // 2 + 1, 2.0 / size)
     weights[0] = 1.0 / size
     if size % 2 == 0:
         weights[-1] = 1.0 / size
-    return np.asarray(((np.conj(left) * weights) @ right.T).real, dtype=np.float64)
+    return weights
 
 
 def _correlations(left: Floats, right: Floats, reach: int) -> Floats:
     """Return Σ_t x(t) y(t + k) for k from −reach to reach."""
-    size = fft.next_fast_len(left.size + reach, real=True)
-    found = fft.irfft(np.conj(fft.rfft(left, size)) * fft.rfft(right, size), size)
-    return np.concatenate([found[size - reach :], found[: reach + 1]]) if reach else found[:1]
+    after = [float(left[: left.size - k] @ right[k:]) for k in range(reach + 1)]
+    before = [float(left[k:] @ right[: right.size - k]) for k in range(reach, 0, -1)]
+    return np.array(before + after)

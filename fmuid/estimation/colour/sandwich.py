@@ -118,13 +118,14 @@ def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: NDArray[np.b
         Outputs whose residual is nothing but rounding and the noise of the simulation.
     """
     root, given = local.root, ~np.isnan(problem.variance)
-    own, basis = local.prior_jacobian @ root, local.data_basis
-    alone = not len(own)
     # of a robust loss the scale of the influence function is the residual's own
     given &= problem.loss is None
-    columns = local.jacobian @ root
-    residual = local.residual if alone else local.residual - basis @ (basis.T @ local.residual)
-    rows = Rows(residual, columns if alone else basis, columns, root, own.T @ own, given, rounding)
+    own, columns = local.prior_jacobian @ root, local.jacobian @ root
+    residual, basis = local.residual, columns
+    if len(own):
+        basis = local.data_basis
+        residual = residual - basis @ (basis.T @ residual)
+    rows = Rows(residual, basis, columns, root, own.T @ own, given, rounding)
     found = sandwich(rows, series_of(problem.experiments, problem.output_names))
     lost = ~np.isfinite(np.diag(local.combined.covariance))
     covariance = found.covariance.copy()
@@ -219,7 +220,7 @@ def _freedom(
     rows: Rows, variances: Floats, series: Sequence[Series], parts: Sequence[Grid], pools: Sequence[Sequence[int]]
 ) -> Floats:
     """Return the degrees of freedom of the variances (N,), from the scatter of the models they rest on."""
-    taken = np.sum(rows.basis**2, axis=1)
+    taken = np.einsum("ij,ij->i", rows.basis, rows.basis)
     slopes = {index: own for part in parts for index, own in zip(part.members, part.slopes(), strict=True)}
     model = {index: own for part in parts for index, own in zip(part.members, part.models, strict=True)}
     scatter = np.zeros(len(variances))

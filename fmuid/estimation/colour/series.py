@@ -72,14 +72,14 @@ def series_of(experiments: Sequence[Measurements], outputs: Sequence[str]) -> tu
     pools: dict[tuple[str, int, int], int] = {}
     first = grids = 0
     for experiment in experiments:
-        counted = np.flatnonzero(experiment.counted)
+        rows = first - 1 + np.cumsum(experiment.counted.ravel()).reshape(experiment.counted.shape)
         places, step, regular = table_grid(experiment.times)
         known: dict[tuple[int, int], int] = {}
         for column, output in enumerate(experiment.output_names):
-            mine = counted % len(experiment.output_names) == column
+            mine = experiment.counted[:, column]
             if not mine.any():
                 continue
-            own, stride, offset = _thinned(places[counted[mine] // len(experiment.output_names)])
+            own, stride, offset = _thinned(places[mine])
             known.setdefault((stride, offset), grids + len(known))
             alone = len(found) if own.size >= POOLED else -1
             pool = pools.setdefault((output, _rounded(stride * step), alone), len(pools))
@@ -88,7 +88,7 @@ def series_of(experiments: Sequence[Measurements], outputs: Sequence[str]) -> tu
                     experiment.name,
                     output,
                     outputs.index(output),
-                    first + np.flatnonzero(mine),
+                    rows[mine, column],
                     own,
                     stride * step,
                     regular,
@@ -96,7 +96,7 @@ def series_of(experiments: Sequence[Measurements], outputs: Sequence[str]) -> tu
                     pool,
                 )
             )
-        first, grids = first + counted.size, grids + len(known)
+        first, grids = first + int(experiment.counted.sum()), grids + len(known)
     return tuple(found)
 
 
@@ -110,9 +110,13 @@ def _thinned(places: Indices) -> tuple[Indices, int, int]:
 
     Two samples at one time have no place each: all are counted then.
     """
-    if (np.diff(places) == 0).any():
+    steps = np.diff(places)
+    least = int(steps.min()) if steps.size else 1
+    if least == 0:
         return np.arange(places.size), 1, 0
-    stride = int(np.gcd.reduce(places - places[0])) or 1
+    if least == 1:
+        return places, 1, 0
+    stride = int(np.gcd.reduce(steps))
     offset = int(places[0]) % stride
     return (places - offset) // stride, stride, offset
 

@@ -140,8 +140,8 @@ class _Descent:
         unit = 1.0 / self.problem.magnitudes(state.theta)
         self.lengths = np.maximum(self.lengths, np.where(columns > 0, columns, unit))
         # what its rounding makes of the reduction, too, as in the covariance
-        largest = float(np.linalg.norm(self.reduced[:, :-1] / self.lengths, 2))
-        rounding = np.finfo(float).eps * max(state.jacobian.shape) * largest
+        self.singular = np.linalg.svd(self.reduced[:, :-1] / self.lengths, compute_uv=False)
+        rounding = np.finfo(float).eps * max(state.jacobian.shape) * float(self.singular[0])
         self.least = max(self._error(central=state.central), rounding)
 
     def _error(self, *, central: bool) -> float:
@@ -155,7 +155,7 @@ class _Descent:
         At worst their errors E lie along the residual. The coordinate of the optimum along the most doubtful direction
         then moves by ‖E D⁻¹‖ ‖r‖/s, s the least singular value of J D⁻¹.
         """
-        smallest = float(np.linalg.svd(self.reduced[:, :-1] / self.lengths, compute_uv=False)[-1])
+        smallest = float(self.singular[-1])
         error = self._error(central=False)
         if not error < smallest:
             return False
