@@ -27,7 +27,7 @@ root_doc = "docs/index"
 include_patterns = [
     "docs/**.md",
     "docs/api/**.rst",
-    "experiments/**/README.md",
+    "experiments/**.md",
     "fmus/**.md",
     "fmuid/export/README.md",
     "CONTRIBUTING.md",
@@ -60,7 +60,7 @@ html_show_sphinx = False
 
 
 def linked(page: Path, text: str) -> str:
-    """Return a page whose links to folders lead to their README.md; a folder that has none is no link."""
+    """Return a page whose links to folders lead to their README.md, where they have one; a bare table is in no menu."""
 
     def replaced(link: re.Match[str]) -> str:
         words, target = link.groups()
@@ -69,7 +69,8 @@ def linked(page: Path, text: str) -> str:
             return link[0]
         return f"[{words}]({target.rstrip('/')}/README.md)" if (folder / "README.md").exists() else words
 
-    return re.sub(r"(?<!!)\[([^\[\]]*)\]\(([^()#:\s]+)\)", replaced, text)
+    head = "---\norphan: true\n---\n" if text.startswith("|") else ""
+    return head + re.sub(r"(?<!!)\[([^\[\]]*)\]\(([^()#:\s]+)\)", replaced, text)
 
 
 def setup(app: Any) -> None:
