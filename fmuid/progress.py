@@ -6,10 +6,14 @@ of it is done; what it is beyond that, its class says. A callback may raise Keyb
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Protocol
+
+EVENTS = "FMUID_EVENTS"
+"""The variable of the environment that names a file: a command adds each event to it, as a line (`to_line`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,3 +227,24 @@ class BatchStep(Event):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "share", self.done / self.total)
+
+
+def to_line(event: Event) -> str:
+    """Return an event as a line of JSON, which has NaN and Infinity besides."""
+    return json.dumps({"event": type(event).__name__, **asdict(event)}) + "\n"
+
+
+def of_line(line: str) -> Event:
+    """Return the event that a line is (`to_line`).
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    found = json.loads(line)
+    kinds = {kind.__name__: kind for kind in Event.__subclasses__() if kind.__module__ == __name__}
+    if not isinstance(found, dict) or found.get("event") not in kinds:
+        raise ValueError(f"no event: {line[:80]!r}")
+    kind = kinds[found["event"]]
+    return kind(**{each.name: found[each.name] for each in fields(kind) if each.init})

@@ -20,7 +20,7 @@ import fmuid
 PACKAGE = Path(fmuid.__file__).parent
 FACES = sorted(path.parent.name for path in PACKAGE.glob("*/__init__.pyi"))
 # Packages in a package that others import from module by module: there is no use for one face of all figures.
-OPEN = ("fmuid.reports.console", "fmuid.reports.figures")
+OPEN = ("fmuid.reports.console", "fmuid.reports.figures", "fmuid.reports.interactive", "fmuid.reports.page")
 EXTRAS = {"casadi", "pymoca", "antlr4", "ziglang"}
 
 

@@ -17,6 +17,7 @@ from fmuid.cli import design as cli_design
 from fmuid.cli import models as cli_models
 from fmuid.cli import results as cli_results
 from fmuid.cli import studies as cli_studies
+from fmuid.cli import workbench as cli_workbench
 from fmuid.cli.interruption import handled
 from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import FmuidError, InputError
@@ -66,6 +67,7 @@ for command in (
     cli_models.export,
 ):
     app.command()(command)
+app.command("open")(cli_workbench.open_)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -35,3 +35,4 @@ from .predicting.prediction import predict_with as predict_with
 from .predicting.prediction import records_like as records_like
 from .reference import schema_text as schema_text
 from .study import Study as Study
+from .toml import read_toml as read_toml

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 from collections.abc import Mapping
 from datetime import timedelta
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -19,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fmuid.progress import (
+    EVENTS,
     BatchStep,
     Event,
     FaultStep,
@@ -28,6 +31,7 @@ from fmuid.progress import (
     SamplingStep,
     SearchStep,
     WindowStep,
+    to_line,
 )
 from fmuid.reports.console.layout import console
 
@@ -52,6 +56,7 @@ class Display:
         self._best: Mapping[str, float] = {}
         self._said: tuple[str, int] | None = None
         self._next = time.monotonic() + self.EVERY
+        self._told = os.environ.get(EVENTS)
 
     def __enter__(self) -> Self:
         return self
@@ -69,6 +74,9 @@ class Display:
 
     def __call__(self, event: Event, /) -> None:
         """Show an event."""
+        if self._told:
+            with Path(self._told).open("a", encoding="utf-8") as file:
+                file.write(to_line(event))
         if isinstance(event, SearchStep):
             self._starts = event.values if event.number == 0 else self._starts
             self._best = event.values if event.accepted else self._best

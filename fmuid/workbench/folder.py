@@ -1,0 +1,186 @@
+"""What a folder has: studies, results, batches. Its files are all that the workbench remembers."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from fmuid.errors import InputError
+from fmuid.files import full, is_file, is_folder
+
+RESULTS = {
+    "result.json": "identification",
+    "diagnosis.json": "diagnosis",
+    "monitoring.json": "monitoring",
+    "prediction.json": "prediction",
+    "batch.json": "batch",
+}
+"""What a command leaves, and which one that is."""
+# Deeper folders, and more entries than these, are not looked at: a home directory is no folder of studies.
+DEEPEST, MOST_ENTRIES = 6, 20_000
+# A larger file is no study.
+LARGEST_STUDY = 2**20
+
+
+@dataclass(frozen=True)
+class FoundStudy:
+    """A study file.
+
+    Attributes
+    ----------
+    path : Path
+    title : str
+    error : str
+        Why it cannot be read, or nothing.
+    tables, parameters : tuple of str
+    asks : tuple of str
+        What it has words for besides an identification: ``diagnosis``, ``batch``.
+    """
+
+    path: Path
+    title: str
+    error: str = ""
+    tables: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()
+    asks: tuple[str, ...] = ()
+
+    @property
+    def results(self) -> Path:
+        """The folder that its command writes into."""
+        return self.path.parent / "results"
+
+
+@dataclass(frozen=True)
+class FoundResult:
+    """What a command has left in a folder.
+
+    Attributes
+    ----------
+    path : Path
+        The file that says so.
+    kind : str
+        Of `RESULTS`.
+    study : Path or None
+        That it says it is of.
+    """
+
+    path: Path
+    kind: str
+    study: Path | None
+
+    @property
+    def folder(self) -> Path:
+        """Where its files are."""
+        return self.path.parent
+
+    @cached_property
+    def content(self) -> Mapping[str, Any]:
+        """What the file says; nothing where it cannot be read."""
+        return _content(self.path)
+
+
+class Folder:
+    """The folder that is open, and nothing outside of it.
+
+    Parameters
+    ----------
+    root : Path
+
+    Raises
+    ------
+    InputError
+        If there is no such folder.
+    """
+
+    def __init__(self, root: Path) -> None:
+        if not is_folder(root):
+            raise InputError(f"{root}: there is no such folder: give a study file, or a folder that has some")
+        self.root = root.resolve()
+
+    def path(self, name: str) -> Path:
+        """Return the path of a file or folder, by its name relative to this folder.
+
+        Raises
+        ------
+        InputError
+            If it is outside, also by a link, or not there.
+        """
+        try:
+            found = (self.root / name).resolve(strict=True)
+        except (OSError, ValueError, RuntimeError):
+            raise InputError(f"{name[:200]!r} is not in {full(self.root)}") from None
+        if not found.is_relative_to(self.root):
+            raise InputError(f"{name[:200]!r} is not in {full(self.root)}")
+        return found
+
+    def name(self, path: Path) -> str:
+        """Return the name of a path relative to this folder, as `path` takes it."""
+        return Path(os.path.relpath(path.resolve(), self.root)).as_posix()
+
+    def has(self, path: Path) -> bool:
+        """Whether a path lies in this folder."""
+        return path.resolve().is_relative_to(self.root)
+
+    def look(self) -> tuple[list[FoundStudy], list[FoundResult]]:
+        """Return the studies and the results there are, each in the order of their names."""
+        studies, results = [], []
+        for path in self._files():
+            if path.suffix == ".toml":
+                found = read_study(path)
+                studies += [found] if found is not None else []
+            elif path.name in RESULTS:
+                results += [_result(path)]
+        return studies, results
+
+    def _files(self) -> Iterator[Path]:
+        seen, depth = 0, len(self.root.parts)
+        for place, folders, files in os.walk(self.root):
+            here = Path(place)
+            deep = len(here.parts) - depth >= DEEPEST
+            folders[:] = sorted(f for f in folders if not deep and not f.startswith(".") and f not in _NOT_OURS)
+            seen += len(files) + len(folders)
+            if seen > MOST_ENTRIES:
+                return
+            yield from (here / name for name in sorted(files) if name.endswith((".toml", ".json")))
+
+
+_NOT_OURS = ("cases", "logs", "figures", "node_modules", "__pycache__")
+
+
+def read_study(path: Path) -> FoundStudy | None:
+    """Return what a TOML file says if it is a study; what is wrong with it is found when it is opened."""
+    from fmuid.studies import read_toml
+
+    try:
+        if path.stat().st_size > LARGEST_STUDY:
+            return None
+        data = read_toml(path)
+    except (OSError, InputError) as error:
+        return FoundStudy(path, path.name, str(error))
+    if not isinstance(data.get("model"), dict) or not isinstance(data.get("experiments"), list):
+        return None
+    given, names = data["experiments"], data.get("parameters")
+    tables = tuple(str(each.get("table", "")) for each in given if isinstance(each, dict))
+    asks = tuple(word for word in ("diagnosis", "batch") if isinstance(data.get(word), dict))
+    title = str(data.get("title") or path.stem)
+    return FoundStudy(path, title, "", tables, tuple(names) if isinstance(names, dict) else (), asks)
+
+
+def _result(path: Path) -> FoundResult:
+    given = _content(path).get("study")
+    file = given.get("file") if isinstance(given, dict) else given
+    study = (path.parent / file).resolve() if isinstance(file, str) and file else None
+    return FoundResult(path, RESULTS[path.name], study if study is not None and is_file(study) else None)
+
+
+def _content(path: Path) -> Mapping[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}

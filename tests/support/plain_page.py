@@ -1,0 +1,15 @@
+"""A page of the workbench with one widget."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def build(doc: Any, _workbench: object) -> None:
+    """Fill a document."""
+    from bokeh.models import Div
+
+    from fmuid.workbench.shell import dress
+
+    doc.add_root(Div(text="plain", name="plain"))
+    dress(doc, "plain", [("<p>A page.</p>", "plain")], [("folder", "/")], "bokeh-widgets")
