@@ -27,7 +27,7 @@ def override(data: dict[str, Any], setting: str, file: str) -> None:
     setting
         ``path=value``. The path is dotted; list entries go by number (``experiments.0.table``); names that contain
         dots may be quoted (``parameters."drive.M".start``) and need not be where only one reading is possible. The
-        value is TOML, or else a string.
+        value is TOML, or else a string. A number in place of a parameter, ``parameters.Rs=9.8``, holds it there.
     file
         The study file's name for messages.
 
@@ -40,7 +40,12 @@ def override(data: dict[str, Any], setting: str, file: str) -> None:
     segments = _segments(path)
     if not equals or not segments:
         raise InputError(f"--set {setting}: expected path=value, as in --set parameters.Rs.start=9")
-    _assign(data, segments, _value(text.strip()), (), StudyFile, f"--set {setting}: {file}")
+    value, name = _value(text.strip()), ".".join(segments[1:])
+    known = data.get("parameters")
+    if segments[0] == "parameters" and isinstance(known, dict) and name in known and type(value) in (int, float):
+        del known[name]
+        segments = ["model", "values", name]
+    _assign(data, segments, value, (), StudyFile, f"--set {setting}: {file}")
 
 
 def _segments(path: str) -> list[str]:

@@ -13,6 +13,7 @@ import secrets
 from collections.abc import Mapping, Sequence
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
+from urllib.parse import parse_qsl, urlencode
 
 from bokeh.server.tornado import BokehTornado
 from tornado.httputil import HTTPHeaders, HTTPServerRequest
@@ -105,7 +106,8 @@ class Enter(RequestHandler):
         """Set the cookie and go on without the secret."""
         name, token, secure = self._given
         self.set_cookie(name, token, httponly=True, samesite="Strict", secure=secure)
-        self.redirect(self.request.path)
+        rest = [(key, value) for key, value in parse_qsl(self.request.query) if key != "token"]
+        self.redirect("/" + self.request.path.lstrip("/") + ("?" + urlencode(rest) if rest else ""))
 
 
 def _cookies(request: HTTPServerRequest) -> dict[str, str]:

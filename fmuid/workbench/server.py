@@ -26,7 +26,7 @@ from fmuid.workbench.home import FileHandler, HomeHandler, OwnHandler
 from fmuid.workbench.jobs import Jobs
 
 # Pages with figures: the address, and the module that has the page.
-_PAGES: dict[str, str] = {}
+_PAGES = {"/study": "fmuid.workbench.study_page"}
 LOCAL = "127.0.0.1"
 
 

@@ -100,6 +100,8 @@ def test_the_secret_of_the_first_address_becomes_a_cookie(client: Client) -> Non
     assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= {part.strip() for part in client.set_cookie.split(";")}
     assert client.token not in client.cookie.split("=")[0]
     assert client.status("/", Cookie=client.cookie) == 200
+    _, headers, _ = client.get(f"//evil.example/study?file=a%26b&token={client.token}")
+    assert headers["Location"] == "/evil.example/study?file=a%26b"
 
 
 @pytest.mark.parametrize("path", ["/", "/study", "/static/js/bokeh.min.js", "/file/table.csv", "/own/style.css"])

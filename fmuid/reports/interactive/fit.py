@@ -60,7 +60,7 @@ def fit(record: Fit) -> Any:
         plot.add_tools(CrosshairTool(overlay=cross))
         plot.min_border_top = plot.min_border_bottom = 4
         plot.xaxis.ticker.desired_num_ticks = 8
-        _shade_uncounted(plot, record)
+        shade_uncounted(plot, record)
     return below_each_other(plots)
 
 
@@ -119,7 +119,8 @@ def _lower(record: Fit, j: int, lines: ColumnDataSource, across: Range1d, *, las
     return plot
 
 
-def _shade_uncounted(plot: Any, record: Fit) -> None:
+def shade_uncounted(plot: Any, record: Fit) -> None:
+    """Have what does not count at the beginning of a record lie in a grey part."""
     counted = np.asarray(record.counted.any(axis=1))
     if counted.any() and not counted[0]:
         end = float(record.times[int(counted.argmax())])

@@ -10,6 +10,7 @@ import base64
 import hashlib
 import html
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -132,6 +133,14 @@ def page(title: str, parts: Sequence[Part]) -> str:
         f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n"
         f"<section class=end>{''.join(part.end for part in parts)}</section></main>\n{tail}</body></html>\n"
     )
+
+
+def pieces(parts: Sequence[Part]) -> tuple[list[str], list[Any]]:
+    """Return what a page says, as HTML in pieces, and its figures, of which one follows each piece but the last."""
+    figures = [model for part in parts for section in part.sections for model in section.figures]
+    marks = [f"\0{k}\0" for k in range(len(figures))]  # no text has one
+    body = "".join(_part(part, marks, several=len(parts) > 1) for part in parts)
+    return re.split("\0[0-9]+\0", body), figures
 
 
 def drawn(figures: Sequence[Any]) -> tuple[str, str, Sequence[str]]:

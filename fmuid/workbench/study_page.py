@@ -1,0 +1,335 @@
+"""The page of one study: what-if by sliders, and its identification."""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from bokeh.layouts import column, row
+from bokeh.models import Button, Div, Select, TabPanel, Tabs
+
+from fmuid.arrays import Floats
+from fmuid.errors import FmuidError, InputError
+from fmuid.estimation import Result
+from fmuid.files import is_file
+from fmuid.reports.interactive.live import LiveFit, in_scheme
+from fmuid.simulation import AVAILABLE, Simulator, fit_of, parameter_units
+from fmuid.studies import Study
+from fmuid.workbench.access import SCHEME
+from fmuid.workbench.folder import Folder
+from fmuid.workbench.home import escaped
+from fmuid.workbench.identifying import Identifying
+from fmuid.workbench.jobs import Jobs, command_text
+from fmuid.workbench.newest import Newest
+from fmuid.workbench.shell import argument, dress
+from fmuid.workbench.sliders import SHEET, ParameterRow, stacked
+
+if TYPE_CHECKING:
+    from fmuid.data import Parameter
+
+# Of so many states one can go back.
+MOST_UNDONE = 100
+
+
+class Bench(Protocol):
+    """What a page needs of the workbench."""
+
+    folder: Folder
+    jobs: Jobs
+
+
+def build(doc: Any, bench: Bench) -> None:
+    """Fill a document with the page of the study that its address names."""
+    name = argument(doc, "file")
+    crumbs = [(bench.folder.root.name or "folder", "/")]
+    try:
+        path = bench.folder.path(name)
+        StudyPage(doc, bench, path, Study.read(path, isolated=AVAILABLE), argument(doc, SCHEME))
+    except FmuidError as error:
+        dress(doc, name or "study", [(f"<section><p class=error>{escaped(error)}</p></section>", "")], crumbs)
+
+
+class StudyPage:
+    """What one tab shows of a study."""
+
+    def __init__(self, doc: Any, bench: Bench, path: Path, study: Study, scheme: str) -> None:
+        if not study.parameters:
+            raise InputError(f"{path}: no parameters: name at least one under [parameters]")
+        self.doc, self.bench, self.path, self.study, self.scheme = doc, bench, path, study, scheme
+        self.simulators = study.simulators()
+        self.simulator: Simulator = self.simulators[0]
+        units = parameter_units(study.system, list(study.parameters))
+        self.rows = [
+            ParameterRow(name, unit, parameter, self._changed)
+            for (name, parameter), unit in zip(study.parameters.items(), units, strict=True)
+        ]
+        self.optimum: Result | None = None
+        self.shown = np.full(len(self.rows), np.nan)  # the values whose simulation is shown
+        self._undone = [self._state()]
+        self._newest: Newest[Floats] = Newest(self._simulate)
+        self._make()
+        self.identifying = Identifying(self)
+        self.show_result(self.results)
+        self._lay_out()
+        doc.on_session_destroyed(lambda _context: self._newest.close())
+
+    @property
+    def results(self) -> Path:
+        """The folder that the command writes into."""
+        return self.path.parent / "results"
+
+    # --- parts of the page
+
+    def _make(self) -> None:
+        text = "".join(["<p class=soft>", "simulating …", "</p>"])
+        self.misfit = Div(text=text, name="misfit", sizing_mode="stretch_width", stylesheets=[SHEET, NUMBERS])
+        self.command = Div(text="", name="command", sizing_mode="stretch_width", stylesheets=[SHEET, NUMBERS])
+        self.undo = self._button("Undo", self.go_back, disabled=True)
+        self.to_starts = self._button("Starts", lambda: self.put({r.name: r.parameter.start for r in self.rows}))
+        self.to_optimum = self._button("Optimum", self._go_to_optimum, disabled=True)
+        names = [each.experiment.name for each in self.simulators]
+        self.experiment = Select(title="experiment", options=names, value=names[0], name="experiment")
+        self.experiment.stylesheets = [SHEET]
+        self.experiment.on_change("value", lambda _attr, _old, _new: self._choose(names.index(self.experiment.value)))
+        self.live = self._drawing()
+        self.fit = column(
+            in_scheme(self.live.figure, self.scheme), sizing_mode="stretch_width", name="fit", stylesheets=[SHEET]
+        )
+
+    def _button(self, label: str, act: Any, **more: Any) -> Button:
+        found = Button(label=label, name=label.lower(), stylesheets=[SHEET], **more)
+        found.on_click(act)
+        return found
+
+    def _drawing(self) -> LiveFit:
+        nothing = np.full((len(self.simulator.experiment.times), len(self.simulator.output_names)), np.nan)
+        record = fit_of(self.study.system, self.simulator.experiment, nothing)
+        return LiveFit(record, lambda: self.doc.add_next_tick_callback(self._redraw))
+
+    def _lay_out(self) -> None:
+        buttons = row(self.undo, self.to_starts, self.to_optimum, sizing_mode="stretch_width")
+        chosen = [self.experiment] if len(self.simulators) > 1 else []
+        side = column(
+            *chosen, stacked(self.rows), buttons, self.misfit, self.identifying.controls, sizing_mode="stretch_width"
+        )
+        side.name = "side"
+        panels = [
+            TabPanel(child=self.fit, title="Fit"),
+            TabPanel(child=self.identifying.search, title="Search"),
+            TabPanel(child=self.identifying.found, title="Result"),
+        ]
+        self.tabs = Tabs(tabs=panels, name="main", sizing_mode="stretch_width", stylesheets=[SHEET])
+        for root in (side, self.tabs, self.command):
+            self.doc.add_root(root)
+        pieces = [
+            ('<div class="bench"><section aria-label="parameters">', "side"),
+            ('</section><div><section aria-label="figures">', "main"),
+            ("</section><section><h3>The same from a terminal</h3>", "command"),
+            ("</section></div></div>", ""),
+        ]
+        crumbs = [(self.bench.folder.root.name or "folder", "/")]
+        dress(self.doc, self.study.title or self.path.stem, pieces, crumbs, "bokeh-widgets")
+
+    # --- what-if
+
+    @property
+    def theta(self) -> Floats:
+        """The values that the sliders show, (N,)."""
+        return np.array([each.value for each in self.rows])
+
+    def ask(self) -> None:
+        """Have the sliders' values simulated: only the newest of them are, however many there were."""
+        self._newest.ask(self.theta)
+
+    def put(self, values: dict[str, float], *, note: bool = True) -> None:
+        """Move sliders."""
+        for each in self.rows:
+            if each.name in values:
+                each.put(values[each.name])
+        if note:
+            self._note()
+        self.ask()
+
+    def _changed(self, ended: bool) -> None:
+        self.ask()
+        if ended:
+            self._note()
+
+    def _state(self) -> tuple[tuple[float, bool], ...]:
+        return tuple((each.value, each.held) for each in self.rows)
+
+    def _note(self) -> None:
+        """Keep a state to which one can go back."""
+        if self._state() != self._undone[-1]:
+            self._undone = [*self._undone, self._state()][-MOST_UNDONE:]
+        self.undo.disabled = len(self._undone) < 2
+        self._tell_command()
+
+    def go_back(self) -> None:
+        """Take the last change back."""
+        if len(self._undone) > 1:
+            self._undone.pop()
+        before = self._undone[-1]
+        for each, (value, held) in zip(self.rows, before, strict=True):
+            each.put(value)
+            each.hold.active = held
+        self.undo.disabled = len(self._undone) < 2
+        self._tell_command()
+        self.ask()
+
+    def _simulate(self, theta: Floats) -> None:
+        """Simulate in the thread, and have the page show it."""
+        simulator, begun = self.simulator, time.perf_counter()
+        try:
+            found = simulator.many(theta[None])
+            outputs, error = found.outputs[0], found.errors[0]
+            words = "" if error is None else str(error)
+        except FmuidError as wrong:
+            outputs, words = np.full((len(simulator.experiment.times), len(simulator.output_names)), np.nan), str(wrong)
+        seconds = time.perf_counter() - begun
+        self.doc.add_next_tick_callback(partial(self._show, simulator, theta, outputs, words, seconds))
+
+    def _show(self, simulator: Simulator, theta: Floats, outputs: Floats, error: str, seconds: float) -> None:
+        if simulator is not self.simulator:
+            return  # another experiment was chosen meanwhile
+        self.shown = theta
+        if error:
+            self.misfit.text = f"<p class=error role=status>{escaped(error)}</p>"
+            return
+        self.live.draw(outputs)
+        self.misfit.text = self._misfit(theta, seconds)
+
+    def _redraw(self) -> None:
+        """Show another stretch of time."""
+        self.live.draw(self.live.record.simulated)
+
+    def _choose(self, number: int) -> None:
+        self.simulator = self.simulators[number]
+        self.live = self._drawing()
+        self.fit.children = [in_scheme(self.live.figure, self.scheme)]
+        self._haunt()
+        self.ask()
+
+    def _misfit(self, theta: Floats, seconds: float) -> str:
+        """Say how far simulation and measurement are apart, as a share and in standard deviations of the noise."""
+        record, known = self.live.record, self._noise()
+        cells = []
+        for j, (name, share) in enumerate(zip(record.outputs, record.misfit, strict=True)):
+            left = (record.measured[:, j] - record.simulated[:, j])[record.counted[:, j]]
+            std = math.sqrt(known[name]) if known.get(name, 0.0) > 0 else math.nan
+            times = float(np.sqrt(np.mean(left**2))) / std if left.size else math.nan
+            more = f"<small>{times:.3g} std of the noise</small>" if math.isfinite(times) else ""
+            cells.append(_cell(f"misfit of {name}", f"{100 * share:.3g} %", more))
+        away = self._distance(theta)
+        cells += [_cell("from the optimum", f"{away:.3g} std")] if math.isfinite(away) else []
+        cells.append(_cell("simulated in", f"{1000 * seconds:.3g} ms"))
+        return f"<div class=numbers role=status>{''.join(cells)}</div>"
+
+    def _noise(self) -> dict[str, float]:
+        """Return the noise variance of each output, as the last result or the study has it."""
+        return dict(self.optimum.noise_variance) if self.optimum is not None else self.study.known_variance
+
+    def _distance(self, theta: Floats) -> float:
+        """Return how far all parameters together are from the last optimum, in standard deviations."""
+        result = self.optimum
+        if result is None or list(result.names) != [each.name for each in self.rows]:
+            return math.nan
+        if not np.isfinite(result.covariance).all():
+            return math.nan
+        away = theta - result.values
+        try:
+            return math.sqrt(max(0.0, float(away @ np.linalg.solve(result.covariance, away))))
+        except np.linalg.LinAlgError:
+            return math.nan
+
+    # --- the last optimum
+
+    def show_result(self, folder: Path, *, move: bool = False) -> None:
+        """Show a result as the last optimum: its ghost, its intervals, how far one is away from it."""
+        try:
+            self.optimum = Result.from_json(folder / "result.json") if is_file(folder / "result.json") else None
+        except InputError:
+            self.optimum = None
+        values = self._at_optimum()
+        for each in self.rows:
+            each.know(values.get(each.name))
+        self.to_optimum.disabled = not values
+        self._haunt()
+        if move and values:
+            self.put({name: value for name, (value, _) in values.items()})
+        else:
+            self._tell_command()
+            self.ask()
+
+    def _at_optimum(self) -> dict[str, tuple[float, float]]:
+        """Return value and standard deviation of the parameters that the result has of the experiment shown."""
+        result, found = self.optimum, dict[str, tuple[float, float]]()
+        if result is None:
+            return found
+        place = {name: i for i, name in enumerate(result.names)}
+        for each in self.rows:
+            name = self._name_in(each.parameter, each.name)
+            if name in place:
+                found[each.name] = float(result.values[place[name]]), float(result.std[place[name]])
+        return found
+
+    def _name_in(self, parameter: Parameter, name: str) -> str:
+        try:
+            return parameter.name_in(self.simulator.experiment.name, name)
+        except InputError:
+            return name
+
+    def _haunt(self) -> None:
+        values = self._at_optimum()
+        if not values:
+            self.live.haunt(None)
+            return
+        theta = np.array([values.get(each.name, (each.value, 0.0))[0] for each in self.rows])
+        try:
+            self.live.haunt(self.simulator(theta))
+        except FmuidError:
+            self.live.haunt(None)
+
+    def _go_to_optimum(self) -> None:
+        self.put({name: value for name, (value, _) in self._at_optimum().items()})
+
+    # --- the command
+
+    def settings(self) -> list[str]:
+        """Return what ``--set`` has to say for a study to begin where the sliders are."""
+        found = []
+        for each in self.rows:
+            name = f'"{each.name}"' if any(mark in each.name for mark in " '") else each.name
+            if each.held:
+                found.append(f"parameters.{name}={each.value:.9g}")
+            elif each.value != each.parameter.start:
+                found.append(f"parameters.{name}.start={each.value:.9g}")
+        return [word for setting in found for word in ("--set", setting)]
+
+    def words(self, command: str) -> list[str]:
+        """Return a command that does what the page shows, to be given in the study's folder."""
+        return [command, self.path.name, *self.settings()]
+
+    def _tell_command(self) -> None:
+        lines = (command_text(self.words("simulate")), command_text(self.words("identify")))
+        self.command.text = f"<pre>{escaped(lines[0])}<br>{escaped(lines[1])}</pre>"
+
+
+NUMBERS = """
+.numbers{display:grid;grid-template-columns:repeat(auto-fit,minmax(110px,1fr));gap:8px 14px;margin:8px 0}
+.numbers div{font-size:12.5px;color:var(--soft)}
+.numbers b{display:block;font-size:19px;color:var(--ink);font-variant-numeric:tabular-nums}
+.numbers small{color:var(--soft)}
+.error{border-left:3px solid var(--bad);padding-left:10px;overflow-wrap:anywhere}
+pre{white-space:pre-wrap;overflow-wrap:anywhere;font-size:13px;margin:0}
+.soft{color:var(--soft)}
+"""
+"""Style of texts in widgets."""
+
+
+def _cell(name: str, value: str, more: str = "") -> str:
+    return f"<div>{escaped(name)}<b>{escaped(value)}</b>{more}</div>"

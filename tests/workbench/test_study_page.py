@@ -1,0 +1,229 @@
+"""The page of a study without a browser: sliders are moved, callbacks run by hand."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bokeh.document import Document
+
+from fmuid.data import Normal, Parameter
+from fmuid.estimation import Result
+from fmuid.reports import run_study
+from fmuid.simulation import Simulator
+from fmuid.studies import Study
+from fmuid.workbench import Folder
+from fmuid.workbench.jobs import Jobs
+from fmuid.workbench.newest import Newest
+from fmuid.workbench.sliders import PLACES, reach_of
+from fmuid.workbench.study_page import StudyPage
+from tests.support.coil_study import STUDY, coil_table
+
+PATIENCE = 60.0
+
+
+@dataclass
+class Bench:
+    folder: Folder
+    jobs: Jobs = field(default_factory=Jobs)
+
+
+class Page:
+    """A page and what runs its callbacks."""
+
+    def __init__(self, path: Path) -> None:
+        self.doc: Any = Document()
+        self.page = StudyPage(self.doc, Bench(Folder(path.parent)), path, Study.read(path), "light")
+        self.rows = {each.name: each for each in self.page.rows}
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait for the simulation of what the sliders show now."""
+        end, theta = time.monotonic() + PATIENCE, self.page.theta
+        self.page._newest.ask(theta)  # what was asked for before comes before
+        while self.page.shown is not theta:
+            assert time.monotonic() < end
+            for each in list(self.doc.session_callbacks):
+                self.doc.remove_next_tick_callback(each)
+                each.callback()
+            time.sleep(0.001)
+
+    def shown(self) -> np.ndarray[Any, Any]:
+        return self.page.live.record.simulated[:, 0]
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("page")
+    coil_table(folder / "first.csv", 0.0, seed=1)
+    (folder / "study.toml").write_text(STUDY)
+    return folder / "study.toml"
+
+
+@pytest.fixture(scope="module")
+def opened(path: Path) -> Page:
+    return Page(path)
+
+
+@pytest.fixture
+def page(opened: Page) -> Page:
+    """Return the page as it is at first."""
+    for row in opened.page.rows:
+        row.hold.active = False
+    opened.page.put({row.name: row.parameter.start for row in opened.page.rows})
+    opened.page._undone = opened.page._undone[-1:]
+    opened.page.live.across.update(start=0.0, end=1.0)
+    opened.settle()
+    return opened
+
+
+def simulated(path: Path, R: float, L: float) -> np.ndarray[Any, Any]:
+    study = Study.read(path)
+    simulator = Simulator(study.system, study.tables[0], ["R", "L"], values=study.model.values)
+    return simulator([R, L])[:, 0]
+
+
+def test_a_slider_simulates_and_draws(page: Page, path: Path) -> None:
+    row = page.rows["R"]
+    row.slider.value = 250
+    page.settle()
+    assert row.value == row.reach.value(250) != row.parameter.start
+    assert row.typed.value == f"{row.value:.6g}"
+    expected = simulated(path, row.value, page.rows["L"].value)
+    np.testing.assert_allclose(page.shown(), expected, rtol=1e-12)
+    drawn, times = page.page.live.lines.data["s0"], page.page.live.lines.data["t"]
+    np.testing.assert_allclose(drawn, np.interp(times, page.page.live.record.times, expected), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        page.page.live.lines.data["r0"], page.page.live.record.measured[:, 0] - expected, rtol=1e-4, atol=1e-6
+    )
+
+
+def test_the_lines_stay_in_the_ranges(page: Page) -> None:
+    for value in (0.5, 40.0, 4.0):
+        page.page.put({"R": value})
+        page.settle()
+        upper, lower = page.page.live.uppers[0], page.page.live.lowers[0]
+        assert upper.start <= page.shown().min() <= page.shown().max() <= upper.end
+        residual = page.page.live.record.measured[:, 0] - page.shown()
+        assert np.abs(residual).max() <= lower.end == -lower.start
+
+
+def test_typing_holding_and_going_back(page: Page) -> None:
+    row = page.rows["R"]
+    start = row.value
+    row.typed.value = "7,5"
+    assert row.value == 7.5
+    row.typed.value = "-3"  # beyond the bound
+    assert row.value == 7.5
+    assert row.typed.value == "7.5"
+    row.typed.value = "many"
+    assert row.typed.value == "7.5"
+    row.hold.active = True
+    assert page.page.words("identify")[1:] == ["study.toml", "--set", "parameters.R=7.5"]
+    assert "parameters.R=7.5" in page.page.command.text
+    page.page.go_back()
+    assert not row.held
+    assert row.value == 7.5
+    page.page.go_back()
+    assert row.value == start
+    assert page.page.undo.disabled
+    assert page.page.settings() == []
+
+
+def test_the_command_says_what_the_page_shows(page: Page, path: Path) -> None:
+    page.rows["R"].hold.active = True
+    page.rows["L"].typed.value = "0.2"
+    _, _, *words = page.page.words("identify")
+    study = Study.read(path, [word for word in words if word != "--set"])
+    assert list(study.parameters) == ["L"]
+    assert study.parameters["L"].start == 0.2
+    assert study.model.values["R"] == page.rows["R"].value
+
+
+@pytest.mark.slow
+def test_the_last_result_is_shown_behind(path: Path, tmp_path: Path) -> None:
+    (tmp_path / "first.csv").write_bytes((path.parent / "first.csv").read_bytes())
+    (tmp_path / "study.toml").write_text(path.read_text())
+    result = run_study(tmp_path / "study.toml", tmp_path / "results").result
+    assert result.converged
+    page = Page(tmp_path / "study.toml")
+    values = dict(zip(result.names, result.values.tolist(), strict=True))
+    ghost = page.page.live.ghosts.data["g0"]
+    np.testing.assert_allclose(ghost, simulated(path, values["R"], values["L"])[: len(ghost)], rtol=1e-5, atol=1e-6)
+    assert "from the optimum" in page.page.misfit.text
+    page.page.put({"R": values["R"] + 3 * result.std[result.names.index("R")]})
+    assert "+3 std off" in page.rows["R"].title.text
+    page.page.put(values)
+    page.settle()
+    assert "at the optimum" in page.rows["R"].title.text
+    assert "<b>0 std</b>" in page.page.misfit.text
+    assert "converged" in page.page.identifying.text.text
+    noise = Result.from_json(tmp_path / "results/result.json").noise_variance["i"]
+    counted = page.page.live.record.counted[:, 0]
+    left = (page.page.live.record.measured[:, 0] - page.shown())[counted]
+    assert f"{np.sqrt(np.mean(left**2) / noise):.3g} std of the noise" in page.page.misfit.text
+
+
+def test_a_failing_simulation_is_a_line(page: Page) -> None:
+    before = page.shown().copy()
+    page.page.put({"L": 0.0})
+    page.settle()
+    assert "error" in page.page.misfit.text
+    np.testing.assert_array_equal(page.shown(), before)
+    page.page.put({"L": 0.1})
+    page.settle()
+    assert "misfit of i" in page.page.misfit.text
+
+
+def test_zooming_shows_more_of_less(page: Page) -> None:
+    live, times = page.page.live, page.page.live.record.times
+    live.across.update(start=float(times[100]), end=float(times[200]))
+    live.draw(live.record.simulated)
+    assert live.lines.data["t"][0] == times[99]
+    assert live.lines.data["t"][-1] == times[200]
+    assert live.dots.data["t"][0] == times[99]
+
+
+def test_only_the_newest_is_done() -> None:
+    done, begun, go = list[int](), threading.Event(), threading.Event()
+
+    def work(what: int) -> None:
+        done.append(what)
+        begun.set()
+        assert go.wait(PATIENCE)
+
+    newest = Newest(work)
+    newest.ask(0)
+    assert begun.wait(PATIENCE)
+    for what in range(1, 50):
+        newest.ask(what)
+    go.set()
+    end = time.monotonic() + PATIENCE
+    while done != [0, 49]:
+        assert time.monotonic() < end
+        time.sleep(0.001)
+    newest.close()
+
+
+def test_ranges_of_sliders() -> None:
+    bounded = reach_of(Parameter(2.0, min=1.0, max=5.0))
+    assert (bounded.low, bounded.high, bounded.logarithmic) == (1.0, 5.0, False)
+    wide = reach_of(Parameter(2.0, min=1e-3, max=1e3))
+    assert wide.logarithmic
+    assert wide.value(PLACES / 2) == pytest.approx(1.0)
+    alone = reach_of(Parameter(10.0, min=0.0))
+    assert alone.logarithmic
+    assert (alone.low, alone.high) == (2.0, 50.0)
+    signed = reach_of(Parameter(0.0, nominal=3.0))
+    assert (signed.low, signed.high) == (-6.0, 6.0)
+    known = reach_of(Parameter(9.0, prior=Normal(10.0, 0.5)), (9.8, 0.1))
+    assert known.low < 8.0 < 12.0 < known.high
+    for reach in (bounded, wide, alone, signed, known):
+        for place in (0.0, 123.0, PLACES):
+            assert reach.place(reach.value(place)) == pytest.approx(place)
+    assert wide.including(-1.0).logarithmic is False
