@@ -7,13 +7,30 @@ from collections.abc import Iterable, Mapping
 
 
 class FmuidError(Exception):
-    """Base of all errors that fmuid raises on purpose; its text is one sentence for the user."""
+    """Base of all errors that fmuid raises on purpose; its text is one sentence for the user.
+
+    Examples
+    --------
+    >>> try:
+    ...     fmuid.FMU("missing.fmu")
+    ... except fmuid.FmuidError as error:
+    ...     print(type(error).__name__)
+    InputError
+    """
 
 
 class InputError(FmuidError):
     """Something the user gave is wrong: a file, a key, a variable (exit code 2 on the command line).
 
     The message names what is wrong, where, and the remedy.
+
+    Examples
+    --------
+    >>> try:
+    ...     fmuid.Parameter(start=1.0, min=2.0)
+    ... except fmuid.InputError as error:
+    ...     print(error)
+    start 1 lies outside its bounds, 2 to inf; move the start inside or widen min and max
     """
 
 
@@ -24,6 +41,11 @@ class ModelicaError(InputError):
     ----------
     file, line, construct
         Where it stands and what it is.
+
+    Examples
+    --------
+    >>> print(fmuid.ModelicaError("Motor.mo", 3, "an algorithm section"))
+    Motor.mo:3: an algorithm section
     """
 
     def __init__(self, file: str, line: int, construct: str) -> None:
@@ -60,6 +82,11 @@ class SimulationError(FmuidError):
         The FMI function and the status it returned.
     messages : tuple of str
         What the FMU itself logged during the simulation.
+
+    Examples
+    --------
+    >>> print(fmuid.SimulationError("Motor.fmu", 0.1, {"R": 4.0}, "fmi2DoStep returned fmi2Error"))
+    simulation of Motor.fmu failed at t = 0.1 s with R = 4: fmi2DoStep returned fmi2Error
     """
 
     def __init__(

@@ -47,6 +47,14 @@ class Compared:
         known.
     held : mapping of str to float, int, bool or str, or None
         The variables that its study holds at a value; None where that is not known, and no nesting is claimed.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> result = fmuid.identify(problem)
+    >>> one = fmuid.Compared("coil", result)
+    >>> one.count, one.samples
+    (3, 200)
     """
 
     name: str
@@ -186,6 +194,15 @@ def compare(candidates: Sequence[Compared]) -> Comparison:
     InputError
         If there are fewer than two, two have one name, they were made from different measurements, or one has no
         likelihood.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> result = fmuid.identify(coil.problem())
+    >>> held = fmuid.Problem(coil.fmu, coil.experiment, {"R": coil.parameters["R"]}, values={"L": 0.2})
+    >>> both = fmuid.compare([fmuid.Compared("R, L", result), fmuid.Compared("R", fmuid.identify(held))])
+    >>> [rank.name for rank in both.ranks]
+    ['R, L', 'R']
     """
     _check(candidates)
     best_fit = max(candidates, key=lambda each: each.result.log_likelihood)

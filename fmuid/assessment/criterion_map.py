@@ -141,6 +141,13 @@ def map_criterion(
     InputError
         If a parameter is unknown or has no bounds where they are asked for, a range is empty or leaves the bounds, or
         the result is not of this problem.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> result = fmuid.identify(problem)
+    >>> fmuid.map_criterion(problem, result, "R", "L", points=3).names
+    ('R', 'L')
     """
     refuse_loss(problem, "a map of the criterion")
     parameters = problem.parameters

@@ -242,6 +242,15 @@ def read_result(
         If the result was read from a file, or `healthy` names no measured output or a variance that is not positive.
     SimulationError
         If the search is asked for and the simulation fails where the identification began.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> known = {**coil.parameters, "R": fmuid.Parameter(3.0, min=0.0, prior=fmuid.Normal(4.2, 0.1))}
+    >>> problem = fmuid.Problem(coil.fmu, coil.experiment, known)
+    >>> reading = fmuid.read_result(problem, fmuid.identify(problem))
+    >>> reading.pull.round(1)
+    array([-2., nan])
     """
     local = result.local
     if local is None or result.noise is None:

@@ -144,6 +144,13 @@ def profiles(
         result was read from a file.
     SimulationError
         If the simulation fails at the result.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> result = fmuid.identify(problem)
+    >>> [profile.name for profile in fmuid.profiles(problem, result, ["R"])]
+    ['R']
     """
     check_result(problem, result)
     check_level(level)

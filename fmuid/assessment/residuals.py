@@ -193,6 +193,13 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     ------
     InputError
         If the result was read from a file, which has no residuals.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> result = fmuid.identify(problem)
+    >>> fmuid.examine_residuals(problem, result).table["output"].tolist()
+    ['i']
     """
     if result.noise is None or result.local is None:
         raise InputError("a result read from a file has no residuals to examine; identify the study again")

@@ -63,6 +63,13 @@ class BatchResult(Plotted):
         Whether Ctrl-C ended it; the same batch in the same folder goes on.
     lost : tuple of Path
         The parts of an earlier run that were damaged and are removed; their cases are run again.
+
+    Examples
+    --------
+    >>> words = fmuid.datasets.coil().study | {"batch": {"noise": {"draws": 3, "std": 0.01}}}
+    >>> found = fmuid.Batch(fmuid.Study.of(words, "coil.toml"), "out", workers=1).run()
+    >>> found.frame["status"].tolist()
+    ['converged', 'converged', 'converged']
     """
 
     dataset: Dataset
@@ -115,6 +122,12 @@ class Batch:
     ------
     InputError
         If the study has no ``[batch]``, something in it is wrong, or it spans more cases than `max_cases`.
+
+    Examples
+    --------
+    >>> words = fmuid.datasets.coil().study | {"batch": {"noise": {"draws": 3, "std": 0.01}}}
+    >>> fmuid.Batch(fmuid.Study.of(words, "coil.toml"), "out", workers=1).run()
+    BatchResult(3 of 3 cases, 'out')
     """
 
     def __init__(

@@ -65,6 +65,11 @@ def prbs(
     ------
     InputError
         If an argument is out of its range, or the duration is no whole number of samples.
+
+    Examples
+    --------
+    >>> fmuid.prbs(1.0, 0.1, 12.0, bit=2, order=3)["u"].tolist()
+    [-12.0, -12.0, 12.0, 12.0, 12.0, 12.0, 12.0, 12.0, -12.0, -12.0]
     """
     times = _times(duration, step, column, amplitude=amplitude, offset=offset)
     bit = _whole(bit, "bit, the samples of one bit,", 1, times.size)
@@ -114,6 +119,12 @@ def multisine(
     ------
     InputError
         If an argument is out of its range, or no line lies in the band.
+
+    Examples
+    --------
+    >>> signal = fmuid.multisine(1.0, 1e-3, 12.0, lowest=1.0, highest=50.0)
+    >>> float(round(signal["u"].abs().max(), 6))
+    12.0
     """
     times = _times(duration, step, column, amplitude=amplitude, offset=offset)
     period = duration if period is None else _positive(period, "period")
@@ -167,6 +178,11 @@ def steps(
     ------
     InputError
         If an argument is out of its range, or a level would have no sample.
+
+    Examples
+    --------
+    >>> fmuid.steps(0.4, 0.1, [0.0, 12.0])["u"].tolist()
+    [0.0, 0.0, 12.0, 12.0]
     """
     clock = _times(duration, step, column, offset=offset)
     heights = np.array([_check_number(level, "a level") for level in levels])

@@ -83,6 +83,12 @@ class Experiment(Displayed):
     ------
     InputError
         If any of this is wrong; one sentence with table, column, row, time and remedy.
+
+    Examples
+    --------
+    >>> table = pd.DataFrame({"time": [0.0, 0.1, 0.2], "u": [0.0, 12.0, 12.0], "i": [0.0, 0.6, np.nan]})
+    >>> fmuid.Experiment(table, inputs=["u"], outputs=["i"], interpolation="hold")
+    Experiment('experiment', 3 samples, 0 to 0.2 s, u → i)
     """
 
     frame: pd.DataFrame

@@ -53,6 +53,13 @@ class Noise:
     ------
     InputError
         If a number is not positive and finite.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> problem = fmuid.Problem(coil.fmu, coil.experiment, coil.parameters, noise=fmuid.Noise(variance={"i": 1e-4}))
+    >>> fmuid.identify(problem).given_variance
+    {'i': 0.0001}
     """
 
     variance: Literal["estimate"] | float | Mapping[str, float] = "estimate"

@@ -46,6 +46,11 @@ class Normal:
     ------
     InputError
         If the mean is not finite or the standard deviation not positive.
+
+    Examples
+    --------
+    >>> fmuid.Parameter(start=3.9, prior=fmuid.Normal(4.0, 0.1)).prior.std
+    0.1
     """
 
     mean: float
@@ -83,6 +88,11 @@ class Parameter:
     InputError
         If the start lies outside the bounds, the bounds are empty, the prior's mean lies outside them, or a
         zero start has no nominal.
+
+    Examples
+    --------
+    >>> fmuid.Parameter(start=3.9, min=0.0, prior=fmuid.Normal(4.0, 0.1)).min
+    0.0
     """
 
     start: float
@@ -157,6 +167,14 @@ class JointPrior:
     ------
     InputError
         If shapes differ, a value is not finite, or the covariance is not symmetric and positive definite.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> prior = fmuid.JointPrior(["R", "L"], [4.0, 0.1], [[0.01, 0.0], [0.0, 1e-6]])
+    >>> result = fmuid.identify(fmuid.Problem(coil.fmu, coil.experiment, coil.parameters, joint_prior=prior))
+    >>> result.prior_std.round(6).tolist()
+    [0.1, 0.001]
     """
 
     names: tuple[str, ...]

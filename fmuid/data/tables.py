@@ -70,6 +70,11 @@ def read_table(
     ------
     InputError
         Where the file is missing, unreadable, empty, of an unknown format, or has no times.
+
+    Examples
+    --------
+    >>> fmuid.read_table(fmuid.datasets.coil().path).shape
+    (200, 3)
     """
     path = Path(path)
     source = source or str(path)

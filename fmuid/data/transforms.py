@@ -45,6 +45,12 @@ def concordia(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str])
     ------
     InputError
         Where a column is missing or no number, or a new one is already there.
+
+    Examples
+    --------
+    >>> table = pd.DataFrame({"a": [2.0], "b": [-1.0], "c": [-1.0]})
+    >>> fmuid.concordia(table, ["a", "b", "c"], ["alpha", "beta"])["alpha"].round(4).tolist()
+    [2.4495]
     """
     return _with_columns(frame, _columns(frame, columns, 3) @ T23.T, names, 2)
 
@@ -68,6 +74,12 @@ def park(frame: pd.DataFrame, columns: Sequence[str], names: Sequence[str], thet
     ----------
     theta : str
         The column of the electrical angle, rad: pole pairs times the mechanical angle.
+
+    Examples
+    --------
+    >>> table = pd.DataFrame({"a": [2.0], "b": [-1.0], "c": [-1.0], "theta": [np.pi / 2]})
+    >>> fmuid.park(table, ["a", "b", "c"], ["d", "q"])["q"].round(4).tolist()
+    [-2.4495]
     """
     fixed = _columns(frame, columns, 3) @ T23.T
     return _with_columns(frame, _turned(fixed, -_columns(frame, [theta], 1)[:, 0]), names, 2)

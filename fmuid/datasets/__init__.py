@@ -26,7 +26,7 @@ HERE = Path(__file__).parent
 
 
 @dataclass(frozen=True)
-class Record:
+class ExampleRecord:
     """A record and the FMU that it is a record of.
 
     Attributes
@@ -74,7 +74,7 @@ class Record:
         return {"title": self.name, "model": {"fmu": str(self.fmu)}, "experiments": [table], "parameters": parameters}
 
 
-def load(name: str) -> Record:
+def load(name: str) -> ExampleRecord:
     """Return a data set by its name.
 
     Parameters
@@ -93,13 +93,15 @@ def load(name: str) -> Record:
     >>> list(coil.table), coil.fmu.name
     (['time', 'u', 'i'], 'Coil.fmu')
     """
-    made: dict[str, Callable[[], Record]] = {each.__name__: each for each in (coil, faulty_coil, induction_machine)}
+    made: dict[str, Callable[[], ExampleRecord]] = {
+        each.__name__: each for each in (coil, faulty_coil, induction_machine)
+    }
     if name not in made:
         raise InputError(f"there is no data set {name!r}{nearest(name, made)}; there are {', '.join(made)}")
     return made[name]()
 
 
-def coil() -> Record:
+def coil() -> ExampleRecord:
     """Return 200 samples of the current of a coil under a pseudo-random voltage.
 
     Examples
@@ -114,7 +116,7 @@ def coil() -> Record:
     return _set("coil", "Coil", ("u",), ("i",), parameters, {"R": 4.0, "L": 0.1})
 
 
-def faulty_coil() -> Record:
+def faulty_coil() -> ExampleRecord:
     """Return a record of the same coil with 2 % of its turns lost, which takes 0.08 ohm (``dR``); it is as warm.
 
     Examples
@@ -127,7 +129,7 @@ def faulty_coil() -> Record:
     return _set("faulty_coil", "FaultyCoil", ("u",), ("i",), parameters, {"dR": -0.08})
 
 
-def induction_machine() -> Record:
+def induction_machine() -> ExampleRecord:
     """Return 400 samples of an induction machine's currents, in the axes of its rotor, under pseudo-random voltages.
 
     Examples
@@ -150,7 +152,7 @@ def _set(
     outputs: tuple[str, ...],
     parameters: Mapping[str, Parameter],
     truth: Mapping[str, float],
-) -> Record:
+) -> ExampleRecord:
     packed = HERE / f"{model}.fmu"  # where a wheel has it; in a clone it lies with the other models
     fmu = packed if packed.is_file() else HERE.parents[1] / "fmus" / model / packed.name
-    return Record(name, HERE / f"{name}.csv", fmu, inputs, outputs, parameters, truth)
+    return ExampleRecord(name, HERE / f"{name}.csv", fmu, inputs, outputs, parameters, truth)

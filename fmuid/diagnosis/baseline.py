@@ -47,6 +47,13 @@ class Baseline:
     ------
     InputError
         If the result has nothing to say, a factor is not positive, or a parameter has a second prior.
+
+    Examples
+    --------
+    >>> result = fmuid.identify(fmuid.datasets.coil().problem())
+    >>> healthy = fmuid.Baseline(result, inflate={"R": 10.0})
+    >>> round(healthy.common["R"].prior.std / result["R"].std, 1)
+    10.2
     """
 
     result: Result

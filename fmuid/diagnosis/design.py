@@ -74,6 +74,16 @@ class Design:
     ------
     InputError
         If a rate is out of its range or the healthy result does not fit the model.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> fault = fmuid.Fault(fmuid.datasets.faulty_coil().fmu, {"dR": fmuid.Parameter(0.0, nominal=1.0)})
+    >>> design = fmuid.Design(fault, fmuid.identify(coil.problem()))
+    >>> long = fmuid.trial(fmuid.prbs(2.0, 1e-3, 12.0, bit=8), ["u"], ["i"])
+    >>> short = fmuid.trial(fmuid.steps(0.2, 1e-3, [0.0, 12.0]), ["u"], ["i"])
+    >>> design.rank({"short": short, "long": long})["excitation"].tolist()
+    ['long', 'short']
     """
 
     def __init__(
@@ -191,6 +201,11 @@ def trial(
         The time, s, and the inputs.
     inputs, outputs, time, interpolation, discard, name
         As for `fmuid.Experiment`; every output counts at every time after `discard`.
+
+    Examples
+    --------
+    >>> fmuid.trial(fmuid.steps(0.2, 1e-3, [0.0, 12.0]), ["u"], ["i"])
+    Experiment('trial', 200 samples, 0 to 0.199 s, u → i)
     """
     return Experiment(
         frame,

@@ -40,6 +40,11 @@ class Angle:
     ------
     InputError
         If the period is not positive.
+
+    Examples
+    --------
+    >>> fmuid.Angle("size", period=2 * np.pi / 3)
+    Angle(size='size', period=2.0943951023931953)
     """
 
     size: str
@@ -81,6 +86,12 @@ class Fault:
     InputError
         If there are no parameters, one of them excludes zero, has a prior or is one per experiment, or an angle is
         unknown or has no size.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.faulty_coil()
+    >>> fmuid.Fault(coil.fmu, {"dR": fmuid.Parameter(0.0, nominal=1.0)}, values={"tau": 0.025}).sizes
+    ('dR',)
     """
 
     model: System | FMU | str | Path

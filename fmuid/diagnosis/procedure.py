@@ -17,13 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy import special
 
-from fmuid.assessment import (
-    SAME_VARIANCE_RATIO,
-    SIGNIFICANCE_LEVEL,
-    Reading,
-    VarianceTest,
-    read_result,
-)
+from fmuid.assessment import SAME_VARIANCE_RATIO, SIGNIFICANCE_LEVEL, Reading, VarianceTest, read_result
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.comparison import compare
@@ -72,6 +66,11 @@ class DiagnosisSettings:
     ------
     InputError
         If the level is not between 0 and 1, there is no such sensitivity, or the models' error is negative.
+
+    Examples
+    --------
+    >>> fmuid.DiagnosisSettings(level=0.001).level
+    0.001
     """
 
     level: float = FALSE_ALARM_LEVEL
@@ -120,6 +119,13 @@ def diagnose(
         If there is no hypothesis, the healthy result does not fit the model, or names do not fit together.
     SimulationError
         If the simulation fails at the healthy estimate.
+
+    Examples
+    --------
+    >>> coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
+    >>> turns = fmuid.Fault(test.fmu, {"dR": test.parameters["dR"]})
+    >>> fmuid.diagnose(test.experiment, fmuid.identify(coil.problem()), {"turns": turns}, coil.fmu)
+    Diagnosis(fault: turns)
     """
     if not hypotheses:
         raise InputError("there is no fault to look for: give at least one fault model with its parameters")
@@ -373,19 +379,8 @@ def _size(name: str, fault: Fault, result: Result, unit: str, freedom: float, pr
     if located is None or angle is None:
         return Size(name, value, std, unit, probability, low, high)
     at = result[located] % angle.period
-    return Size(
-        name,
-        value,
-        std,
-        unit,
-        probability,
-        low,
-        high,
-        located,
-        at,
-        float(result.std[result.names.index(located)]),
-        angle.period,
-    )
+    std_there = float(result.std[result.names.index(located)])
+    return Size(name, value, std, unit, probability, low, high, located, at, std_there, angle.period)
 
 
 def _strain(reading: Reading) -> Strain | None:

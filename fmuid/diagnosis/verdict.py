@@ -76,6 +76,14 @@ class Diagnosis(Plotted):
     evidence : Evidence or None
         What is new beside the healthy records, faults and all other causes; None where there are none. It decides
         what is named.
+
+    Examples
+    --------
+    >>> coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
+    >>> turns = fmuid.Fault(test.fmu, {"dR": test.parameters["dR"]})
+    >>> found = fmuid.diagnose(test.experiment, fmuid.identify(coil.problem()), {"turns": turns}, coil.fmu)
+    >>> round(found["turns"]["dR"].value, 2)
+    -0.08
     """
 
     level: float

@@ -86,6 +86,14 @@ class LeastSquares:
     InputError
         If there are no experiments, parameters, outputs or counted samples, too few for the parameters, or if there is
         no such loss.
+
+    Examples
+    --------
+    >>> x, measured = np.array([0.0, 1.0, 2.0, 3.0]), [2.0, 0.75, 0.27, 0.1]
+    >>> parameters = {"a": fmuid.Parameter(1.0), "k": fmuid.Parameter(0.5)}
+    >>> problem = fmuid.LeastSquares.from_function(lambda p: p[0] * np.exp(-p[1] * x), measured, parameters)
+    >>> fmuid.identify(problem).values.round(2)
+    array([2.  , 0.99])
     """
 
     def __init__(

@@ -67,6 +67,12 @@ class Marquardt(MarquardtSettings):
     ------
     InputError
         If a setting is not positive.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> fmuid.identify(problem, fmuid.Marquardt(max_iterations=2)).outcome.value
+    'converged'
     """
 
     @property

@@ -108,6 +108,12 @@ class Result(Plotted):
         The starts that were tried, where the one that was given did not lead to a good end at once; empty where it did.
     units : mapping of str to str
         Of the parameters that have one.
+
+    Examples
+    --------
+    >>> result = fmuid.identify(fmuid.datasets.coil().problem())
+    >>> result["R"], result["R"].start
+    (R = 3.9989 ± 0.0015 Ohm, 3.0)
     """
 
     outcome: Outcome
@@ -273,11 +279,6 @@ class Result(Plotted):
 
         With Student's t for the degrees of freedom of each standard deviation (`freedom`), with the normal
         distribution where they are infinite. It ends at bounds, and is one-sided where the estimate stands on one.
-
-        Parameters
-        ----------
-        level : float
-            Between 0 and 1.
 
         Raises
         ------

@@ -34,6 +34,12 @@ class FMU(Displayed):
     InputError
         If the file is missing, no zip archive, refused, without a readable model description, or not
         FMI 2.0 or 3.0.
+
+    Examples
+    --------
+    >>> fmu = fmuid.FMU(fmuid.datasets.coil().fmu)
+    >>> fmu.name, fmu.description.variables["R"].unit
+    ('Coil', 'Ohm')
     """
 
     def __init__(self, path: str | Path) -> None:

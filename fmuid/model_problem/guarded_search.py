@@ -102,6 +102,12 @@ def identify(
         of the box lacks bounds.
     KeyboardInterrupt
         If that comes before the first step: there is no better point than the start then.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> fmuid.identify(problem)
+    Result(converged: R = 3.9989 ± 0.0015, L = 0.100016 ± 0.000050)
     """
     method = settings or Marquardt()
     if not remedies or method.whole_box or not isinstance(problem, Problem):

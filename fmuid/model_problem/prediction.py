@@ -96,7 +96,6 @@ class Prediction:
     Attributes
     ----------
     fit : Fit
-        Measured against simulated.
     std : (K, n_outputs) array
         Standard deviation of the simulated outputs by that of the estimates; NaN where the result leaves parameters
         undetermined.
@@ -114,6 +113,13 @@ class Prediction:
         Of the values that were estimated again on this record.
     undetermined : tuple of str
         Parameters without a standard deviation, which leave the band without their part.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> prediction = fmuid.predict(coil.fmu, fmuid.identify(coil.problem()), coil.experiment)
+    >>> round(prediction.scores[0].rmse, 3)
+    0.009
     """
 
     fit: Fit
@@ -196,6 +202,12 @@ def predict(
         this one, or the level is not between 0 and 1.
     SimulationError
         If the simulation fails.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> fmuid.predict(coil.fmu, fmuid.identify(coil.problem()), coil.experiment).fit.outputs
+    ('i',)
     """
     check_level(level, "a band")
     system = System.of(model)
@@ -211,8 +223,6 @@ def estimates_for(result: Result, system: System, experiment: Experiment, withou
 
     Parameters
     ----------
-    result : Result
-    system : System
     experiment : Experiment
         Parameters per experiment have a value for it where the result was made from it.
     without : collection of str
@@ -229,10 +239,8 @@ def estimates_for(result: Result, system: System, experiment: Experiment, withou
     for name in result.names:
         variable, own = (name, "") if name in system.variables else _split(name)
         if variable not in system.variables:
-            raise InputError(
-                f"the result is of another model: {system.label} has no {variable!r}"
-                f"{nearest(variable, system.variables)}"
-            )
+            near = nearest(variable, system.variables)
+            raise InputError(f"the result is of another model: {system.label} has no {variable!r}{near}")
         if variable in without:
             continue
         if own in here:

@@ -68,6 +68,13 @@ class Problem(LeastSquares):
     InputError
         If there are no experiments, parameters, outputs or counted samples, too few for the parameters, or if there is
         no such loss or sensitivity.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> problem = fmuid.Problem(coil.fmu, coil.experiment, {"R": fmuid.Parameter(3.0, min=0.0)}, values={"L": 0.1})
+    >>> fmuid.identify(problem).names
+    ('R',)
     """
 
     def __init__(

@@ -35,6 +35,11 @@ class Numerics:
     ------
     InputError
         If a word is unknown or a number not positive.
+
+    Examples
+    --------
+    >>> fmuid.Numerics(integrator="rk4", step_size=1e-4).integrator
+    'rk4'
     """
 
     interface: str | None = None
@@ -85,6 +90,14 @@ class Isolation:
     ------
     InputError
         If a number is not positive.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> with fmuid.System(coil.fmu, isolation=fmuid.Isolation(time_limit=10.0)) as system:
+    ...     values = fmuid.Simulator(system, coil.experiment, ["R"])([4.0])
+    >>> values.shape
+    (200, 1)
     """
 
     time_limit: float | None = None
@@ -110,6 +123,13 @@ class Component:
     ------
     InputError
         If the FMU has no such interface, or the integrator does not go with the interface.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> part = fmuid.Component(coil.fmu, fmuid.Numerics(step_size=1e-3))
+    >>> fmuid.System(components={"coil": part}).unit("coil.i")
+    'A'
     """
 
     def __init__(self, fmu: FMU | str | Path, numerics: Numerics = AS_OFFERED) -> None:

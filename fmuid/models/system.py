@@ -57,6 +57,13 @@ class System(Owner):
     InputError
         If a connection names an unknown variable, the wrong causality, differing types or units that do not convert,
         or feeds an input twice, or if the connections close a loop of direct feed-through of other than Real variables.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> pair = fmuid.System(components={"a": coil.fmu, "b": coil.fmu}, connections=[("a.i", "b.u", 4.0, 0.0)])
+    >>> pair, pair.unit("b.i")
+    (System(a, b), 'A')
     """
 
     def __init__(

@@ -112,6 +112,14 @@ def run_comparison(
         studies and records do not fit together.
     SimulationError
         If a simulation fails.
+
+    Examples
+    --------
+    >>> study = fmuid.Study.of(fmuid.datasets.coil().study, "coil.toml")
+    >>> for name in ("first", "second"):
+    ...     _ = fmuid.run_study(study, name)
+    >>> fmuid.run_comparison(["first", "second"]).table["name"].tolist()
+    ['first', 'second']
     """
     paths = [result_path(Path(each)) for each in results]
     candidates = [_candidate(path, name) for path, name in zip(paths, _names(paths), strict=True)]

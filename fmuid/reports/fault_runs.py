@@ -91,6 +91,16 @@ def run_diagnosis(
         As `Study.diagnose`, or if there are figures without a folder, or nothing can be written there.
     SimulationError
         If the simulation fails at the healthy estimate.
+
+    Examples
+    --------
+    >>> coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
+    >>> _ = fmuid.run_study(fmuid.Study.of(coil.study, "coil.toml"), "healthy")
+    >>> faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
+    >>> known = {"healthy": "healthy/result.json", "faults": faults}
+    >>> words = coil.study | {"experiments": test.study["experiments"], "parameters": {}, "diagnosis": known}
+    >>> fmuid.run_diagnosis(fmuid.Study.of(words, "test.toml")).diagnosis
+    Diagnosis(fault: turns)
     """
     check_format(figures)
     study, target = _prepared(study, folder, figures is not None or report)
@@ -143,6 +153,17 @@ def run_monitoring(
     InputError
         If study, models and records do not fit together, there are figures or a run to go on with without a folder, or
         nothing can be written there. What was found before a record that is wrong is written.
+
+    Examples
+    --------
+    >>> coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
+    >>> _ = fmuid.run_study(fmuid.Study.of(coil.study, "coil.toml"), "healthy")
+    >>> faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
+    >>> known = {"healthy": "healthy/result.json", "faults": faults}
+    >>> rule = {"needed": 1, "among": 1}
+    >>> words = coil.study | {"parameters": {}, "diagnosis": known, "monitoring": rule}
+    >>> fmuid.run_monitoring(fmuid.Study.of(words, "test.toml"), [test.path]).healthy
+    False
     """
     check_format(figures)
     study, target = _prepared(study, folder, figures is not None or report or append)

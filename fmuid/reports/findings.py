@@ -104,6 +104,12 @@ class Findings(Plotted):
         By which study the result was made (`fmuid.studies.origin_of`), for ``result.json``.
     origin : Origin or None
         Of the study, where it is one of a file.
+
+    Examples
+    --------
+    >>> found = fmuid.run_study(fmuid.Study.of(fmuid.datasets.coil().study, "coil.toml"))
+    >>> found.succeeded, list(found.estimates["parameter"])
+    (True, ['R', 'L'])
     """
 
     result: Result

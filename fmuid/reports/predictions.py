@@ -155,6 +155,13 @@ def run_prediction(
         If there are neither tables nor folds or both, or result, study and records do not fit together.
     SimulationError
         If a simulation fails.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> _ = fmuid.run_study(fmuid.Study.of(coil.study, "coil.toml"), "results")
+    >>> fmuid.run_prediction("results", [coil.path]).scores["output"].tolist()
+    ['i']
     """
     if (folds is None) == (not tables):
         raise InputError(

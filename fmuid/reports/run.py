@@ -92,6 +92,13 @@ def run_study(
         If the simulation at the start fails.
     SearchInterruptedError
         If the keyboard ends it when no more is known than a point.
+
+    Examples
+    --------
+    >>> study = fmuid.Study.of(fmuid.datasets.coil().study, "coil.toml")
+    >>> found = fmuid.run_study(study, "results")
+    >>> sorted(path.name for path in found.files)[:2]
+    ['correlations.csv', 'diagnostics.csv']
     """
     study = study if isinstance(study, Study) else Study.read(study)
     if folder is None and (figures or report or resume):

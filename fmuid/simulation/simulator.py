@@ -66,9 +66,12 @@ class Simulator:
 
     Examples
     --------
-    >>> simulator = Simulator("Coil.fmu", experiment, parameters=["R", "L"])  # doctest: +SKIP
-    >>> simulator([4.0, 0.1]).shape  # doctest: +SKIP
-    (1200, 1)
+    >>> coil = fmuid.datasets.coil()
+    >>> simulator = fmuid.Simulator(coil.fmu, coil.experiment, parameters=["R", "L"])
+    >>> simulator([4.0, 0.1]).shape
+    (200, 1)
+    >>> simulator([[4.0, 0.1], [5.0, 0.1]]).shape  # two thetas at once
+    (2, 200, 1)
     """
 
     def __init__(

@@ -141,6 +141,11 @@ def validate(fmu: FMU | str | Path) -> Validation:
     ------
     InputError
         If it is no FMU, or of a version that is not read.
+
+    Examples
+    --------
+    >>> fmuid.validate(fmuid.datasets.coil().fmu).passed
+    True
     """
     fmu = fmu if isinstance(fmu, FMU) else FMU(fmu)
     checks = [_description(fmu), *_tool(fmu)]

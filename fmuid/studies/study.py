@@ -78,6 +78,12 @@ class Study(Displayed):
         The many identifications that the study spans.
     data : mapping
         The content of the file, with what was put in place of its values: `Study.of(data, path)` is the same study.
+
+    Examples
+    --------
+    >>> study = fmuid.Study.of(fmuid.datasets.coil().study, "coil.toml")
+    >>> study.identify()["R"].unit
+    'Ohm'
     """
 
     path: Path
@@ -374,12 +380,7 @@ class Study(Displayed):
         return tuple(Simulator(self.system, table, names, values=model.values) for table in self.tables)
 
     def simulate(self) -> list[pd.DataFrame]:
-        """Simulate every experiment at the parameters' starts.
-
-        Returns
-        -------
-        list of DataFrame
-            One per experiment: the column ``time`` (s) and one for each output, by its name in the FMU.
+        """Simulate every experiment at the parameters' starts: ``time`` (s) and each output, by its name in the FMU.
 
         Raises
         ------

@@ -47,6 +47,13 @@ class Sampling:
     ------
     InputError
         If a setting is out of range.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> result = fmuid.identify(problem)
+    >>> fmuid.sample(problem, result, fmuid.Sampling(walkers=8, steps=40, effective_size=10)).chain.shape
+    (40, 8, 2)
     """
 
     walkers: int | None = None

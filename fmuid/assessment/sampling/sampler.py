@@ -88,6 +88,14 @@ def sample(
         the model fits exactly.
     SimulationError
         If the simulation fails at the result.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> result = fmuid.identify(problem)
+    >>> posterior = fmuid.sample(problem, result, fmuid.Sampling(steps=40, effective_size=10))
+    >>> posterior.table.shape
+    (480, 2)
     """
     check_result(problem, result)
     return _Sampler(problem, result, settings or Sampling(), progress).run()

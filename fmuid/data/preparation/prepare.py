@@ -44,6 +44,14 @@ class Axes:
         What angle and speed are multiplied by: 1 where they are electrical.
     start : float
         The electrical angle where the integration begins, rad.
+
+    Examples
+    --------
+    >>> phases = {"ia": [3.0, 3.0], "ib": [-1.5, -1.5], "ic": [-1.5, -1.5]}
+    >>> table = pd.DataFrame({"time": [0.0, 0.1], "w": [0.0, 0.0], **phases})
+    >>> axes = fmuid.Axes(("ia", "ib", "ic"), ("id", "iq"), speed="w", pole_pairs=2)
+    >>> fmuid.reduce(table, axes=[axes])["id"].round(3).tolist()
+    [3.674, 3.674]
     """
 
     columns: tuple[str, ...]

@@ -42,6 +42,11 @@ class Rule:
     ------
     InputError
         If a window is not longer than the transient, or a number is out of its range.
+
+    Examples
+    --------
+    >>> fmuid.Rule(window=1.0, transient=0.2, needed=3, among=4).window
+    1.0
     """
 
     window: float | None = None

@@ -85,6 +85,16 @@ class Monitor:
     ------
     InputError
         If there is no hypothesis, or the healthy result does not fit the model.
+
+    Examples
+    --------
+    >>> coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
+    >>> turns = fmuid.Fault(test.fmu, {"dR": test.parameters["dR"]})
+    >>> rule = fmuid.Rule(needed=1, among=1)  # the whole record is one window
+    >>> monitor = fmuid.Monitor(fmuid.identify(coil.problem()), {"turns": turns}, rule)
+    >>> _ = monitor.add(test.experiment)
+    >>> [alarm.fault for alarm in monitor.alarms]
+    ['turns']
     """
 
     def __init__(self, baseline: Baseline | Result | str | Path, hypotheses: Mapping[str, Fault], rule: Rule) -> None:

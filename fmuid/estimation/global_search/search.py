@@ -60,6 +60,14 @@ class GlobalSearch:
     ------
     InputError
         If a setting is unknown or out of range.
+
+    Examples
+    --------
+    >>> coil = fmuid.datasets.coil()
+    >>> box = {name: fmuid.Parameter(each.start, min=1e-3, max=10.0) for name, each in coil.parameters.items()}
+    >>> problem = fmuid.Problem(coil.fmu, coil.experiment, box)
+    >>> len(fmuid.identify(problem, fmuid.GlobalSearch("multistart", starts=3)).optima)
+    1
     """
 
     method: Strategy = "evolution"

@@ -108,6 +108,20 @@ def instrumental_variables(
     ------
     InputError
         As `equation_error`, and if the simulated terms are not those of the parameters or not finite.
+
+    Examples
+    --------
+    >>> times = np.linspace(0.0, 5.0, 501)
+    >>> u = np.sign(np.sin(3.0 * times))
+    >>> def simulated(theta):
+    ...     y = np.zeros(times.size)
+    ...     for k in range(times.size - 1):
+    ...         y[k + 1] = y[k] + 0.01 * (theta[0] * y[k] + theta[1] * u[k])
+    ...     return {"a": fmuid.Term(y), "b": fmuid.Term(u, interpolation="hold")}
+    >>> y = simulated([-2.0, 4.0])["a"].values + 0.05 * np.random.default_rng(0).standard_normal(times.size)
+    >>> terms = {"a": fmuid.Term(y), "b": fmuid.Term(u, interpolation="hold")}
+    >>> fmuid.instrumental_variables(times, fmuid.Term(y, derivative=1), terms, simulated, cutoff=10.0).values.round(1)
+    array([-2.,  4.])
     """
     equation = _Equation(times, target, terms, cutoff, order)
     if start is None:

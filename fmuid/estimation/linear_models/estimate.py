@@ -67,6 +67,12 @@ class LinearEstimate:
         How often instruments were made anew; 0 without instruments.
     converged : bool
         Whether the instruments have settled; True without instruments.
+
+    Examples
+    --------
+    >>> line = fmuid.linear_least_squares([[0.0, 1.0], [1.0, 1.0], [2.0, 1.0]], [1.0, 3.1, 4.9], ["slope", "offset"])
+    >>> round(line["slope"], 2), line.degrees_of_freedom
+    (1.95, 1)
     """
 
     estimator: Estimator
@@ -130,7 +136,7 @@ def linear_least_squares(regressors: ArrayLike, measured: ArrayLike, names: Sequ
     >>> import numpy as np, fmuid
     >>> u, y = np.array([1.0, 2.0, 3.0, 4.0]), np.array([2.9, 5.1, 7.1, 8.9])
     >>> fmuid.linear_least_squares(np.column_stack([u, np.ones(4)]), y, ["slope", "offset"]).values.round(2)
-    array([2.  , 1. ])
+    array([2., 1.])
     """
     rows, values = np.array(regressors, dtype=np.float64), np.array(measured, dtype=np.float64)
     if rows.ndim != 2 or not rows.size or values.shape != rows.shape[:1]:

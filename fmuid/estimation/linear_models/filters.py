@@ -42,6 +42,14 @@ class Term:
         Which derivative of it is meant; 0 is the signal.
     interpolation : "linear" or "hold"
         Between samples, also missing ones.
+
+    Examples
+    --------
+    >>> times = np.linspace(0.0, 10.0, 1001)
+    >>> terms = {"a": fmuid.Term(np.exp(-2.0 * times))}
+    >>> rate = fmuid.Term(np.exp(-2.0 * times), derivative=1)
+    >>> fmuid.equation_error(times, rate, terms, cutoff=5.0).values.round(2)
+    array([-2.])
     """
 
     values: ArrayLike

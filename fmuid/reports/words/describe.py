@@ -24,6 +24,12 @@ def describe(found: Found) -> str:
     found : Result, LinearEstimate, Diagnostics, Reading, Uncertainty, Posterior, Diagnosis or Monitor
         Of `fmuid.identify`, `fmuid.equation_error` and its like, `fmuid.examine_residuals`, `fmuid.read_result`,
         `fmuid.sample`, `fmuid.diagnose`, or a `fmuid.Monitor`.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> print(fmuid.describe(fmuid.identify(problem)))
+    Converged
     """
     return "\n".join(map(capitalised, _sentences(found)))
 
