@@ -352,6 +352,28 @@ def test_interrupted_keeps_what_there_is() -> None:
     assert seen[-1].wanted == 2000
 
 
+def test_interrupted_inside_a_simulation(capsys: pytest.CaptureFixture[str]) -> None:
+    """The sampler's library would print the point at which anything is raised, and a traceback."""
+    phi, calls, last = linear()[1], [0], [10**9]
+
+    def model(theta: Array) -> Array:
+        calls[0] += 1
+        if calls[0] == last[0]:
+            raise KeyboardInterrupt
+        return phi @ theta
+
+    problem = LeastSquares.from_function(
+        model, model(np.ones(2)), {"a": Parameter(1.0), "b": Parameter(1.0)}, noise=Noise(1.0)
+    )
+    result = identify(problem)
+    last[0] = calls[0] + 500
+    posterior = sample(problem, result)
+    assert posterior.interrupted
+    assert 1 < len(posterior.chain) < 100
+    assert calls[0] <= last[0] + 1
+    assert capsys.readouterr() == ("", "")
+
+
 def test_tables() -> None:
     problem, _ = linear()
     posterior, _ = sampled(problem)

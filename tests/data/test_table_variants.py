@@ -306,6 +306,26 @@ def write_long(path: Path, content: bytes, files: int) -> None:
             archive.writestr(f"{number}.csv", content)
 
 
+def test_a_sheet_by_name_and_by_place(tmp_path: Path) -> None:
+    path = tmp_path / "a.xlsx"
+    with pd.ExcelWriter(path, engine="openpyxl") as book:
+        FRAME.assign(u=0.0).to_excel(book, sheet_name="idle", index=False)
+        FRAME.to_excel(book, sheet_name="run", index=False)
+        pd.DataFrame({"remark": ["none"]}).to_excel(book, sheet_name="about", index=False)
+    assert not read_table(path)["u"].any()
+    given: tuple[str | int, ...] = ("run", 2)
+    for sheet in given:
+        pd.testing.assert_frame_equal(read_table(path, sheet=sheet)[["time", "u", "w"]], FRAME)
+    wrong: dict[str | int, str] = {
+        "rum": "there is no sheet 'rum'.*'run'.*the file has idle, run, about",
+        4: "there is no sheet 4: the file has idle, run, about",
+        "about": "the sheet 'about' does not hold a table",
+    }
+    for other, sentence in wrong.items():
+        with pytest.raises(InputError, match=sentence):
+            read_table(path, sheet=other)
+
+
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
