@@ -249,6 +249,49 @@ def test_intervals_of_highest_density(
         assert (bound in found) == (end == bound)
 
 
+def banana(bend: float) -> LeastSquares:
+    """a ~ N(0, 1), b ~ N(bend a², 1)."""
+    parameters = {"a": Parameter(0.0, nominal=1.0), "b": Parameter(0.0, nominal=1.0)}
+    return LeastSquares.from_function(
+        lambda theta: np.array([theta[0], theta[1] - bend * theta[0] ** 2]), [0.0, 0.0], parameters, noise=Noise(1.0)
+    )
+
+
+@pytest.mark.slow
+def test_a_bent_posterior() -> None:
+    """E b = 6, Var b = 1 + 2·36; differential evolution and local draws give some 350 independent samples."""
+    problem = banana(6.0)
+    found = sample(problem, identify(problem), Sampling(effective_size=500))
+    assert found.converged
+    assert found.effective_size.min() > 500.0
+    error = 5.0 / math.sqrt(found.effective_size.min())
+    assert found.mean[0] == pytest.approx(0.0, abs=error)
+    assert found.covariance[0, 0] == pytest.approx(1.0, abs=math.sqrt(2.0) * error)
+    assert found.mean[1] == pytest.approx(6.0, abs=error * math.sqrt(73.0))
+    ends = found.intervals(0.9).loc["a"]
+    np.testing.assert_allclose(ends, stats.norm.ppf([0.05, 0.95]), atol=0.25)
+
+
+@pytest.mark.parametrize("prior", [None, Normal(2.0, 0.5)])
+def test_two_optima(prior: Normal | None) -> None:
+    """a² is measured: a and −a are as likely, unless something else tells them apart."""
+    parameters = {"a": Parameter(1.5, min=-5.0, max=5.0, prior=prior)}
+    problem = LeastSquares.from_function(
+        lambda theta: np.full(10, theta[0] ** 2), np.full(10, 4.0), parameters, noise=Noise(0.25)
+    )
+    found = sample(problem, identify(problem), Sampling(effective_size=200))
+    assert found.converged
+    words = posterior_words(found)
+    if prior is None:
+        np.testing.assert_allclose(found.optima, [[2.0], [-2.0]], atol=0.01)
+        assert np.mean(found.samples > 0.0) == pytest.approx(0.5, abs=0.15)
+        assert "beside the estimate there are other optima of like probability: a = -2" in words
+    else:
+        assert len(found.optima) == 1
+        assert (found.samples > 0.0).all()
+        assert "other optima" not in words
+
+
 def test_prior_decides_what_data_leave_open() -> None:
     problem = sum_only(Parameter(1.0, prior=Normal(1.0, 2.0)), Parameter(1.0))
     total = float(problem.measured.mean())
@@ -295,7 +338,7 @@ def test_ensembles_run_as_batches() -> None:
     result = identify(problem)
     sizes.clear()
     posterior = sample(problem, result, Sampling(walkers=20, steps=200))
-    assert set(sizes[2:]) <= {10, 20}
+    assert set(sizes[-len(posterior.chain) :]) <= {10, 20}
     assert posterior.simulations == sum(sizes)
 
 
@@ -524,7 +567,7 @@ def test_samples_as_arviz_takes_them() -> None:
     chain, density = rng.normal(size=(7, 4, 2)), rng.normal(size=(7, 4))
     one = np.ones(2)
     posterior = Posterior(
-        None, "", False, 1, (), ("R", "L"), -one, one, chain, density, 2, one, one, one, 0.5, 28, 0.1
+        None, "", False, 1, (), np.zeros((1, 2)), ("R", "L"), -one, one, chain, density, 2, one, one, one, 0.5, 28, 0.1
     )  # fmt: skip
     tree = posterior.to_arviz()
     assert dict(tree["posterior"].sizes) == {"chain": 4, "draw": 5}

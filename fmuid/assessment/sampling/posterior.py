@@ -108,6 +108,8 @@ class Posterior:
         How many independent samples were asked for.
     undetermined : tuple of Direction
         Along which the samples show priors and bounds, not data.
+    optima : (m, N) array
+        Where the walkers set out: the estimate, and other optima that hold a share of the posterior.
     names : tuple of str
     lower, upper : (N,) arrays
         The bounds, infinite where there are none.
@@ -134,6 +136,7 @@ class Posterior:
     interrupted: bool
     wanted: int
     undetermined: tuple[Direction, ...]
+    optima: Floats
     names: tuple[str, ...]
     lower: Floats
     upper: Floats

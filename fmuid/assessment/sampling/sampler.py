@@ -14,7 +14,12 @@ is coloured, or the loss robust, the data's part is scaled to how the estimates 
 
 Two kinds of moves take turns, drawn at random at each step: differential evolution, which takes its steps from the
 distances of the walkers and adapts to any shape, and independent draws from the local approximation with heavy tails.
-Where that is good, as it usually is, they make the samples nearly independent; where it is not, they are refused.
+Where that is good, as it usually is, they make the samples nearly independent; where it is not, they are refused. Then,
+and where there are several optima, draws in the shape of the chain's own past take the place of most of them
+(`fmuid.assessment.sampling.archive`).
+
+The walkers set out around the optima at which searches from points all over the box ended, as far as these hold a share
+of the posterior that would show; without a box to search, around the estimate alone.
 
 References
 ----------
@@ -37,10 +42,11 @@ from fmuid.arrays import Floats
 from fmuid.assessment.adjustment import adjustment
 from fmuid.assessment.conditional import check_result
 from fmuid.assessment.profile import reach
+from fmuid.assessment.sampling.archive import Archive
 from fmuid.assessment.sampling.chains import effective_size, r_hat
 from fmuid.assessment.sampling.posterior import LARGEST_R_HAT, Posterior, Sampling, SamplingDoubt
-from fmuid.errors import InputError
-from fmuid.estimation import LeastSquares, Result
+from fmuid.errors import InputError, SimulationError
+from fmuid.estimation import GlobalSearch, LeastSquares, Outcome, Result
 from fmuid.progress import Progress, SamplingStep
 
 # Enough walkers for differences in all directions, and for two halves that keep all cores busy.
@@ -52,6 +58,11 @@ LEAST_ACCEPTANCE = 0.05
 # Share of proposals from the local approximation, a Student t of so many degrees of freedom, and share of the others
 # that are whole differences, which lead from one optimum to another (ter Braak).
 LOCAL_SHARE, LOCAL_FREEDOM, JUMP_SHARE = 0.5, 5.0, 0.1
+# With a smaller share of accepted moves the chain's own past says better where to go, in so many of the moves.
+POOR_ACCEPTANCE, ARCHIVE_SHARE = 0.3, 0.7
+# Searches from points of the box that tell of other optima, and how much less of the posterior, as a logarithm, may lie
+# around one of these. Optima nearer than so many standard deviations of the estimate are its own.
+SEARCHES, LEAST_LOG_SHARE, OWN_STDS = 12, 7.0, 3.0
 # Spread of the walkers' start in a parameter that the data leave open, relative to its magnitude.
 OPEN_SPREAD = 0.01
 # A walker that would start outside the bounds starts inside, within so many standard deviations.
@@ -181,11 +192,14 @@ class _Sampler:
         self.sampler.random_state = np.random.RandomState(settings.seed).get_state()
         self.effective = math.nan
         self.interrupted = False
+        self.optima = [result]
+        self.archive: Archive | None = None
 
     def run(self) -> Posterior:
         """Sample until the chain is good enough, or at its longest."""
         steps, look = 0, FIRST_LOOK
         try:
+            self.optima += self._other_optima()
             state: object = self._start()
             while steps < self.settings.steps:
                 look = min(look, self.settings.steps)
@@ -200,6 +214,8 @@ class _Sampler:
                 if found.converged or self._runaway(found):
                     break
                 look, state = math.ceil(LOOK_GROWTH * steps), self.sampler.get_last_sample()
+                if found.acceptance < POOR_ACCEPTANCE or len(self.optima) > 1:
+                    self.archive = Archive.of(found.samples)
         except KeyboardInterrupt:
             self.interrupted = True
         return self._posterior()
@@ -236,12 +252,41 @@ class _Sampler:
                 "the model fits an output exactly, and its noise variance cannot be estimated; give noise.variance"
             )
 
+    def _other_optima(self) -> list[Result]:
+        """Return the optima, other than the estimate, that hold a share of the posterior."""
+        search = GlobalSearch("multistart", starts=SEARCHES, seed=self.settings.seed)
+        try:
+            search.check(self.problem)
+            found = search.search(self.problem, self.progress)
+        except (InputError, SimulationError):  # no box, or nothing in it can be simulated
+            return []
+        if found.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        near = OWN_STDS * self.result.std
+        others = [
+            each.fit for each in found.optima if each.converged and (np.abs(each.theta - self.estimate) > near).any()
+        ]
+        share = [self._log_share(each) for each in (self.result, *others)]
+        order = np.argsort([-each for each in share[1:]], kind="stable")[: self.walkers // 4 - 1]
+        return [others[i] for i in order if share[1 + i] > max(share) - LEAST_LOG_SHARE]
+
+    def _log_share(self, optimum: Result) -> float:
+        """Return the logarithm of what an optimum holds of the posterior, by the normal approximation."""
+        root = _root(optimum.covariance)
+        volume = 0.0 if root is None else float(np.log(np.diag(root)).sum())
+        return float(self.density(optimum.values[None])[0]) + volume
+
     def _start(self) -> Floats:
+        """Return walkers (walkers, N) around all optima."""
+        numbers = np.array_split(np.arange(self.walkers), len(self.optima))
+        return np.vstack([self._around(each, own.size) for each, own in zip(self.optima, numbers, strict=True)])
+
+    def _around(self, optimum: Result, walkers: int) -> Floats:
         """Return walkers (walkers, N) drawn from the local covariance, inside the bounds, where the model works."""
-        parameters, estimate = self.problem.parameters, self.estimate
-        spread = np.where(np.isfinite(self.result.std), self.result.std, OPEN_SPREAD * parameters.magnitudes(estimate))
-        draws = self.random.standard_normal((self.walkers, estimate.size))
-        thetas = estimate + (draws * spread if self.root is None else draws @ self.root.T)
+        parameters, estimate, root = self.problem.parameters, optimum.values, _root(optimum.covariance)
+        spread = np.where(np.isfinite(optimum.std), optimum.std, OPEN_SPREAD * parameters.magnitudes(estimate))
+        draws = self.random.standard_normal((walkers, estimate.size))
+        thetas = estimate + (draws * spread if root is None else draws @ root.T)
         low = np.maximum(parameters.lower, estimate - INSIDE_STDS * spread)
         high = np.minimum(parameters.upper, estimate + INSIDE_STDS * spread)
         inside = (thetas >= parameters.lower) & (thetas <= parameters.upper)
@@ -262,6 +307,12 @@ class _Sampler:
         return [*moves, (emcee.moves.MHMove(self._propose), local)] if local else moves
 
     def _propose(self, thetas: Floats, random: np.random.RandomState) -> tuple[Floats, Floats]:
+        """Draw independently of where the walkers are; with the log of the ratio of the densities there and here."""
+        if self.archive is not None and random.uniform() < ARCHIVE_SHARE:
+            return self.archive.propose(thetas, random)
+        return self._propose_locally(thetas, random)
+
+    def _propose_locally(self, thetas: Floats, random: np.random.RandomState) -> tuple[Floats, Floats]:
         """Draw from Student's t around the estimate; with the log of the ratio of its densities there and here."""
         assert self.root is not None
         assert self.inverse_root is not None
@@ -286,6 +337,7 @@ class _Sampler:
             interrupted=self.interrupted,
             wanted=self.settings.effective_size,
             undetermined=self.result.undetermined,
+            optima=np.array([each.values for each in self.optima]),
             names=self.problem.parameters.names,
             lower=self.problem.parameters.lower,
             upper=self.problem.parameters.upper,

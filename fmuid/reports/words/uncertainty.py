@@ -79,6 +79,9 @@ def posterior_words(found: Posterior) -> str:
     """Say whether samples can be trusted and, where not, what to do."""
     words = [f"interrupted after {len(found.chain)} steps"] if found.interrupted else []
     words.append(_doubt_words(found))
+    if len(found.optima) > 1:
+        others = (", ".join(f"{n} = {v:.4g}" for n, v in zip(found.names, at, strict=True)) for at in found.optima[1:])
+        words.append(f"beside the estimate there are other optima of like probability: {'; '.join(others)}")
     words += [
         f"{direction_words(each)}: along this the samples show priors and bounds, not data"
         for each in found.undetermined
