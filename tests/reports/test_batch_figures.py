@@ -14,7 +14,8 @@ from scipy import stats
 
 from fmuid.errors import InputError
 from fmuid.reports import write_report
-from fmuid.reports.interactive import batch, style
+from fmuid.reports.interactive import style
+from tests.support.live_figures import batch
 
 
 def cases(count: int, **columns: Any) -> pd.DataFrame:

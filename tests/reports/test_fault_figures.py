@@ -12,7 +12,7 @@ from bokeh.models import BoxAnnotation, Span
 
 from fmuid.diagnosis.monitoring.alarms import Alarm
 from fmuid.files import as_json
-from fmuid.reports.interactive import diagnosis
+from tests.support.live_figures import diagnosis
 
 
 class Size:
@@ -49,7 +49,7 @@ def marks(plot: Any, kind: type) -> list[Any]:
 
 def test_evidence() -> None:
     """The most significant faults stand in their order, the one named apart; each has its threshold."""
-    plot = diagnosis.evidence(Found())  # type: ignore[arg-type]
+    plot = diagnosis.evidence(Found())
     assert plot.y_range.factors == [f"f{k}" for k in range(19, 7, -1)]
     bars = {
         name: right
@@ -59,12 +59,12 @@ def test_evidence() -> None:
     }
     assert bars == {f"f{k}": 2.0 * k for k in range(8, 20)}
     assert plot.x_range.start == diagnosis.LEAST_STATISTIC
-    assert len({each.glyph.fill_color for each in plot.renderers if type(each.glyph).__name__ == "HBar"}) == 3
+    assert len({str(each.glyph.fill_color) for each in plot.renderers if type(each.glyph).__name__ == "HBar"}) == 3
 
 
 def test_sizes_show_zero() -> None:
     """Whether an interval holds it is what is to be seen."""
-    first, *others = diagnosis.sizes(Found())  # type: ignore[arg-type]
+    first, *others = diagnosis.sizes(Found())
     assert len(others) == diagnosis.MAX_FAULTS - 1
     assert first.y_range.factors == ["<b>dL</b> (Ohm)", "dR (Ohm)"]
     assert first.x_range.start < -0.5 < 0 < 1.2 < first.x_range.end

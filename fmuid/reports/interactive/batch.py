@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from bokeh.models import ColumnDataSource, FactorRange
 from scipy import stats
 
 from fmuid.arrays import Floats
 from fmuid.batches import INTERVAL_STDS, Columns
+from fmuid.reports.interactive.sketch import ColumnDataSource, FactorRange
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource, FactorRange
 
 from fmuid.arrays import Floats
+from fmuid.reports.interactive.sketch import BoxAnnotation, ColumnDataSource, FactorRange
 from fmuid.reports.interactive.style import (
     BLUE,
     GREY,

@@ -7,12 +7,18 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource, FactorRange, HoverTool, LinearColorMapper
-from bokeh.palettes import RdBu11
 from scipy import stats
 
 from fmuid.arrays import Floats
 from fmuid.estimation import SHIFT_LIMIT
+from fmuid.reports.interactive.sketch import (
+    BoxAnnotation,
+    ColumnDataSource,
+    FactorRange,
+    Field,
+    HoverTool,
+    LinearColorMapper,
+)
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,
@@ -43,6 +49,11 @@ MAX_ELLIPSES = 6
 # Text on cells of a strong colour, and on pale ones: the cells are the same on a dark page.
 ON_STRONG, ON_PALE, STRONG = "#fefefe", "#1b1f24", 0.6
 ELLIPSE_POINTS = 121
+# RdBu of ColorBrewer.
+BLUE_RED = (
+    *("#053061", "#2166ac", "#4393c3", "#92c5de", "#d1e5f0", "#f7f7f7"),
+    *("#fddbc7", "#f4a582", "#d6604d", "#b2182b", "#67001f"),
+)
 
 
 def belief(reading: pd.DataFrame, units: Units | None = None) -> list[Any]:
@@ -116,8 +127,8 @@ def correlation(matrix: pd.DataFrame) -> Any:
         y_range=FactorRange(factors=names[::-1]),
         tools=[tool],
     )
-    colors = LinearColorMapper(palette=RdBu11, low=-1.0, high=1.0, nan_color="#bbbbbb")
-    plot.rect("x", "y", 0.96, 0.96, source=source, fill_color={"field": "v", "transform": colors}, line_color=None)
+    colors = LinearColorMapper(palette=BLUE_RED, low=-1.0, high=1.0, nan_color="#bbbbbb")
+    plot.rect("x", "y", 0.96, 0.96, source=source, fill_color=Field("v", colors), line_color=None)
     plot.text(
         "x",
         "y",
@@ -125,13 +136,14 @@ def correlation(matrix: pd.DataFrame) -> Any:
         source=source,
         text_align="center",
         text_baseline="middle",
-        text_color="ink",
-        text_font={"value": FONT},
+        text_color=Field("ink"),
+        text_font=FONT,
         text_font_size="12px",
     )
-    plot.grid.grid_line_color = None
-    plot.axis.major_label_text_color, plot.axis.major_label_text_font_size = INK, "12px"
-    plot.axis.axis_line_color = plot.axis.major_tick_line_color = None
+    plot.ygrid.grid_line_color = None
+    for axis in (plot.xaxis, plot.yaxis):
+        axis.major_label_text_color, axis.major_label_text_font_size = INK, "12px"
+        axis.axis_line_color = axis.major_tick_line_color = None
     if count > 6:
         plot.xaxis.major_label_orientation = 0.8
     return plot

@@ -6,9 +6,17 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from bokeh.models import BasicTicker, BoxAnnotation, ColumnDataSource, CrosshairTool, Range1d, Span
 
 from fmuid.arrays import Floats, Indices
+from fmuid.reports.interactive.sketch import (
+    BasicTicker,
+    BoxAnnotation,
+    ColumnDataSource,
+    CrosshairTool,
+    Range1d,
+    Sketch,
+    Span,
+)
 from fmuid.reports.interactive.style import (
     BLUE,
     GREY,
@@ -64,7 +72,7 @@ def fit(record: Fit) -> Any:
     return below_each_other(plots)
 
 
-def sources(record: Fit, outputs: Sequence[int]) -> tuple[ColumnDataSource, ColumnDataSource]:
+def sources(record: Fit, outputs: Sequence[int]) -> tuple[Sketch, Sketch]:
     """Return the rows that draw the lines, by least and greatest, and those that are drawn as dots, evenly.
 
     Columns are ``t``, and of output number j ``m``, ``s`` and ``r`` with the number: measured, simulated, residual.
@@ -96,7 +104,7 @@ def _short(values: Floats) -> Any:
         return values.astype(np.float32)
 
 
-def _upper(record: Fit, j: int, given: tuple[ColumnDataSource, ColumnDataSource], across: Range1d) -> Any:
+def _upper(record: Fit, j: int, given: tuple[Sketch, Sketch], across: Sketch) -> Any:
     lines, dots = given
     plot = panel(y=label(record.outputs[j], record.units[j]), height=220, x_range=across, lod_threshold=None)
     size = 3 if len(dots.data["t"]) > 600 else 5
@@ -109,7 +117,7 @@ def _upper(record: Fit, j: int, given: tuple[ColumnDataSource, ColumnDataSource]
     return plot
 
 
-def _lower(record: Fit, j: int, lines: ColumnDataSource, across: Range1d, *, last: bool) -> Any:
+def _lower(record: Fit, j: int, lines: Sketch, across: Sketch, *, last: bool) -> Any:
     text = label("residual", record.units[j])
     plot = panel(x="time (s)" if last else "", y=text, height=140 if last else 110, x_range=across, lod_threshold=None)
     plot.line("t", f"r{j}", source=lines, line_color=RED, line_width=0.9)

@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource
 
 from fmuid.arrays import Floats
+from fmuid.reports.interactive.sketch import BoxAnnotation, ColumnDataSource
 from fmuid.reports.interactive.style import AMBER, BLUE, GREY, INK, RED, WHITE, bare, hover, legend, level, panel, reach
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource, Range1d
 
 from fmuid.arrays import Floats
+from fmuid.reports.interactive.sketch import BoxAnnotation, ColumnDataSource, Field, Range1d, Sketch
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,
@@ -74,7 +74,7 @@ def _band(plot: Any, bottom: float, top: float, color: str) -> None:
     plot.add_layout(BoxAnnotation(bottom=bottom, top=top, fill_color=color, fill_alpha=0.18, line_color=None))
 
 
-def _iterations(trace: pd.DataFrame) -> Range1d:
+def _iterations(trace: pd.DataFrame) -> Sketch:
     last = float(trace["iteration"].max())
     return Range1d(-0.03 * last - 0.15, 1.03 * last + 0.15)
 
@@ -105,7 +105,7 @@ def criterion(trace: pd.DataFrame) -> list[Any]:
     return found
 
 
-def _curve(trace: pd.DataFrame, column: str, text: str, shared: Range1d) -> Any:
+def _curve(trace: pd.DataFrame, column: str, text: str, shared: Sketch) -> Any:
     plot = panel(x="iteration", y=text, height=220, x_range=shared, y_axis_type="log")
     lines, dots, crosses = [], [], []
     for number, (_, part) in enumerate(trace.groupby("round")):
@@ -189,6 +189,6 @@ def _points(plot: Any, columns: dict[str, Floats], rows: Any, color: str, marker
         return None
     source = ColumnDataSource({key: values[rows] for key, values in columns.items()})
     line = GREY if marker == "circle" else color
-    found = plot.scatter("x", "c", size="s", source=source, marker=marker, fill_color=color, line_color=line)
+    found = plot.scatter("x", "c", size=Field("s"), source=source, marker=marker, fill_color=color, line_color=line)
     hover(plot, found, ("value", "@x{0.000000}"), ("criterion", "@c{0.000}"), ("searches", "@n"))
     return found

@@ -10,21 +10,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bokeh.layouts import gridplot
-from bokeh.models import (
+from fmuid.reports.interactive.sketch import (
     BasicTicker,
     BoxZoomTool,
     HoverTool,
     Legend,
     LegendItem,
     PlainText,
+    Plot,
     Range1d,
     ResetTool,
     SaveTool,
+    Sketch,
     Span,
+    Value,
+    grid,
 )
-from bokeh.plotting import figure
-
 from fmuid.text import label
 
 INK, GREY, FAINT, WHITE = "#24292f", "#6e7781", "#e1e5ea", "#ffffff"
@@ -71,14 +72,14 @@ def panel(
     tools : sequence of Tool
         Instead of box zoom, reset and save: each tool takes time in the making of a page.
     **more
-        Of `bokeh.plotting.figure`.
+        Of `Plot`.
     """
     zoom = BoxZoomTool()
     kept = list(tools) or [zoom, ResetTool(), SaveTool()]
-    plot: Any = figure(
+    plot = Plot(
         height=height,
         sizing_mode="stretch_width",
-        title=title or None,
+        title=title,
         tools=kept,
         toolbar_location="right",
         min_border_left=58,
@@ -89,8 +90,7 @@ def panel(
     plot.toolbar.active_drag = zoom if zoom in kept else None
     plot.outline_line_color = None
     plot.background_fill_color = plot.border_fill_color = None  # that of the page
-    plot.grid.grid_line_color = FAINT
-    plot.xgrid.grid_line_color = None
+    plot.ygrid.grid_line_color, plot.xgrid.grid_line_color = FAINT, None
     for axis, text in ((plot.xaxis, x), (plot.yaxis, y)):
         axis.axis_label = plain(text)
         axis.axis_line_color = axis.major_tick_line_color = LINE
@@ -100,14 +100,14 @@ def panel(
         axis.major_label_text_font_size, axis.axis_label_text_font_size = "11px", "12px"
         axis.major_label_text_color, axis.axis_label_text_color = GREY, INK
         axis.axis_label_text_font_style = "normal"
-    if hasattr(plot.xaxis.ticker, "desired_num_ticks"):  # names are all written
+    if plot.xaxis.kind != "CategoricalAxis":  # names are all written
         plot.xaxis.ticker.desired_num_ticks = 5
     if title:
         plot.title.text_font, plot.title.text_font_size, plot.title.text_color = FONT, "13px", INK
     return plot
 
 
-def plain(text: str) -> str | PlainText:
+def plain(text: str) -> str | Sketch:
     """Return a text that is drawn as it is written, also where a name looks like mathematics."""
     return PlainText(text=text) if any(mark in text for mark in _TEX) else text
 
@@ -119,7 +119,7 @@ def named(name: str, units: Units | None) -> str:
 
 def legend(plot: Any, entries: Sequence[tuple[str, Sequence[Any]]]) -> None:
     """Put a legend above a figure: a click hides what an entry stands for."""
-    items = [LegendItem(label={"value": text}, renderers=list(drawn)) for text, drawn in entries if drawn]
+    items = [LegendItem(label=Value(text), renderers=list(drawn)) for text, drawn in entries if drawn]
     if items:
         found = Legend(
             items=items,
@@ -176,10 +176,4 @@ def bare(plot: Any) -> None:
 
 def below_each_other(plots: Sequence[Any]) -> Any:
     """Return figures below each other with one toolbar."""
-    return gridplot(
-        [[plot] for plot in plots],
-        sizing_mode="stretch_width",
-        toolbar_location="right",
-        merge_tools=True,
-        toolbar_options={"logo": None, "autohide": True},
-    )
+    return grid([[plot] for plot in plots])

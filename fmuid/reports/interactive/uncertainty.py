@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from bokeh.layouts import gridplot
-from bokeh.models import BoxAnnotation, ColorBar, ColumnDataSource, LogColorMapper, LogTicker, Range1d
-from bokeh.palettes import Blues256
+from contourpy import LineType, contour_generator
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter
 
 from fmuid.arrays import Floats
 from fmuid.reports.interactive.estimates import ellipse
+from fmuid.reports.interactive.sketch import (
+    BoxAnnotation,
+    ColorBar,
+    ColumnDataSource,
+    Field,
+    LogColorMapper,
+    LogTicker,
+    Range1d,
+    Sketch,
+    grid,
+)
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,
@@ -55,6 +64,9 @@ MAX_SAMPLES = 800
 FLOOR_SHARE = 0.01
 # ... and what few points exceed looks all the same.
 TOP_PERCENTILE = 98.0
+# Blues of ColorBrewer, red, green and blue, and so many colours between them.
+BLUES = ((8, 48, 107), (8, 81, 156), (33, 113, 181), (66, 146, 198), (107, 174, 214), (158, 202, 225), (198, 219, 239), (222, 235, 247), (247, 251, 255))  # fmt: skip  # noqa: E501
+SHADES = 129
 
 
 # --- profiles
@@ -162,8 +174,7 @@ def corner(samples: pd.DataFrame, result: Result | None = None, units: Units | N
             plot.xaxis.major_label_orientation = 0.6
             row[j] = plot
         rows.append(row)
-    options: dict[str, Any] = {"logo": None, "autohide": True}
-    return gridplot(rows, sizing_mode="stretch_width", merge_tools=True, toolbar_options=options)
+    return grid(rows)
 
 
 def _range(samples: Floats) -> tuple[float, float]:
@@ -172,7 +183,7 @@ def _range(samples: Floats) -> tuple[float, float]:
     return float(low - room), float(high + room)
 
 
-def _single(plot: Any, samples: Floats, result: Result | None, name: str, across: Range1d) -> None:
+def _single(plot: Any, samples: Floats, result: Result | None, name: str, across: Sketch) -> None:
     edges = np.linspace(float(across.start), float(across.end), BINS + 1)
     density, _ = np.histogram(samples, bins=edges, density=True)
     plot.quad(edges[:-1], edges[1:], density, 0, fill_color=BLUE, fill_alpha=0.4, line_color=None)
@@ -196,7 +207,7 @@ def _pair(plot: Any, samples: Floats, result: Result | None, names: tuple[str, s
     middles = [0.5 * (edges[1:] + edges[:-1]) for edges in (first, second)]
     heights = share_levels(smooth)
     if len(heights) > 1:
-        plot.contour(*middles, smooth, levels=heights, line_color=BLUE, line_width=1.3)
+        _contours(plot, middles, smooth, heights, line_color=BLUE, line_width=1.3)
     if result is None or not set(names) <= set(result.names):
         return
     where = [result.names.index(name) for name in names]
@@ -205,6 +216,13 @@ def _pair(plot: Any, samples: Floats, result: Result | None, names: tuple[str, s
         for share in SHARES:
             x, y = ellipse(result.values[where], block, math.sqrt(-2.0 * math.log(1.0 - share)))
             plot.line(x, y, line_color=RED, line_dash="dashed", line_width=1)
+
+
+def _contours(plot: Any, sides: Sequence[Floats], heights: Floats, levels: Sequence[float], **look: Any) -> list[Any]:
+    """Draw lines of equal height, one a level; where a height is NaN there is none."""
+    found = contour_generator(sides[0], sides[1], np.ma.masked_invalid(heights), line_type=LineType.ChunkCombinedNan)
+    parts: list[Any] = [found.lines(height)[0][0] for height in levels]
+    return [plot.line(points[:, 0], points[:, 1], **look) for points in parts if points is not None]
 
 
 def share_levels(counts: Floats) -> list[float]:
@@ -247,14 +265,15 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: fl
     known = excess[np.isfinite(excess) & (excess > 0)]
     low = max(FLOOR_SHARE * rise, float(known.min(initial=FLOOR_SHARE * rise)))
     high = max(float(np.percentile(known, TOP_PERCENTILE)) if known.size else 0.0, 2.0 * low)
-    colors = LogColorMapper(palette=Blues256, low=low, high=high, nan_color=WHITE)
-    shade = {"field": "v", "transform": colors}
-    cells = plot.quad(source=_cells(chart, excess), fill_color=shade, line_color=shade)
+    colors = LogColorMapper(palette=_blues(), low=low, high=high, nan_color=WHITE)
+    shade = Field("v", colors)
+    sides = ("left", "right", "top", "bottom")
+    cells = plot.quad(*sides, source=_cells(chart, excess), fill_color=shade, line_color=shade)
     hover(plot, cells, ("point", "@x{0.000000}, @y{0.000000}"), ("above the minimum", "@v{0.000}"))
     section = []
     if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
         look: dict[str, Any] = {"line_color": RED, "line_dash": "dashed", "line_width": 1.6}
-        section.append(plot.contour(first, second, excess.T, levels=[rise], **look).line_renderer)
+        section += _contours(plot, (first, second), excess.T, [rise], **look)
     border = chart.ellipse(degree)
     line = [plot.line(border[:, 0], border[:, 1], line_color=RED, line_width=1.8)] if len(border) else []
     dot = plot.scatter(*([each] for each in chart.estimate), size=9, fill_color=AMBER, line_color=INK)
@@ -272,7 +291,14 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: fl
     return plot
 
 
-def _cells(chart: CriterionMap, excess: Floats) -> ColumnDataSource:
+def _blues() -> list[str]:
+    """Return colours from dark to light."""
+    places = np.linspace(0, len(BLUES) - 1, SHADES)
+    channels = [np.interp(places, range(len(BLUES)), each).round().astype(int) for each in zip(*BLUES, strict=True)]
+    return [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in zip(*channels, strict=True)]
+
+
+def _cells(chart: CriterionMap, excess: Floats) -> Sketch:
     first, second, _ = chart.grid
     x, y = (_edges(each, logarithmic=log) for each, log in zip((first, second), chart.logarithmic, strict=True))
     shape = excess.shape

@@ -11,11 +11,16 @@ import hashlib
 import html
 import json
 import re
+import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
+from fmuid.errors import InputError
 from fmuid.reports.page.verdict import Said
 from fmuid.text import visible
 
@@ -145,16 +150,35 @@ def pieces(parts: Sequence[Part]) -> tuple[list[str], list[Any]]:
 
 def drawn(figures: Sequence[Any]) -> tuple[str, str, Sequence[str]]:
     """Return the library, the script that draws figures, and the elements in which each of them appears."""
-    from bokeh.document import Document
-    from bokeh.embed import components
-    from bokeh.resources import Resources
+    from fmuid.reports.interactive.sketch import written
 
-    together = Document()
-    with together.models.freeze():  # else all models are looked for anew with every figure
-        for each in figures:
-            together.add_root(each)
-    script, places = components(figures, wrap_script=False)
-    return "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw), script, places
+    roots, ids = written(figures)
+    document = f"d{uuid.uuid4().hex}"
+    elements = [f"{document}-{k}" for k in range(len(ids))]
+    told = {document: {"version": version("bokeh"), "title": "", "roots": roots}}
+    places = [{"docid": document, "roots": dict(zip(ids, elements, strict=True)), "root_ids": ids}]
+    content, where = (json.dumps(each, separators=(",", ":")).replace("<", "\\u003c") for each in (told, places))
+    divisions = [
+        f'<div id="{element}" data-root-id="{name}" style="display:contents"></div>'
+        for element, name in zip(elements, ids, strict=True)
+    ]
+    return _library(), DRAW % (content, where), divisions
+
+
+DRAW = """(function draw(left) {
+  if (typeof Bokeh !== "undefined") Bokeh.embed.embed_items(%s, %s);
+  else if (left > 0) setTimeout(draw, 20, left - 1);
+})(250);"""
+"""What draws figures once the library is there, which in a notebook another cell may bring."""
+
+
+def _library() -> str:
+    """Return Bokeh's library for browsers; finding it imports nothing of Bokeh."""
+    found = find_spec("bokeh")
+    if found is None or not found.submodule_search_locations:  # it is a dependency: only a broken installation
+        raise InputError("figures are drawn by Bokeh, which is not installed: pip install bokeh")
+    path = Path(found.submodule_search_locations[0], "server", "static", "js", "bokeh.min.js")
+    return path.read_text(encoding="utf-8")
 
 
 def _file(name: str) -> str:

@@ -1,0 +1,329 @@
+"""Figures as data: what Bokeh's library in a browser is told, without Bokeh's own models.
+
+Those check, default and observe every property, as a server needs it; a page that is only written would pay seconds
+for that. Here a model is its name and what is set of it: `written` turns figures into the JSON that the library reads,
+`live` into Bokeh's models, which know and check all names.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+_NUMBERS = itertools.count(1)
+# Glyphs that are one shape: their looks are plain values; those of others may be columns.
+_ONE_SHAPE = ("Line", "Step", "VArea", "Patch")
+_AXES = {"linear": "LinearAxis", "log": "LogAxis", "categorical": "CategoricalAxis"}
+_TICKERS = {"linear": "BasicTicker", "log": "LogTicker", "categorical": "CategoricalTicker"}
+_SCALES = {"linear": "LinearScale", "log": "LogScale", "categorical": "CategoricalScale"}
+# Of these tools one stands for all plots of a grid; of others, one switch for all of theirs.
+_SINGLE_TOOLS = ("SaveTool",)
+_FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
+
+
+@dataclass(frozen=True)
+class Field:
+    """A column of a source, by its key, and the colour mapper that it goes through."""
+
+    field: str
+    transform: Sketch | None = None
+
+
+@dataclass(frozen=True)
+class Value:
+    """A value where a column could stand."""
+
+    value: object
+
+
+class Sketch:
+    """A model by its name in Bokeh; its attributes are what is set of it."""
+
+    __slots__ = ("__dict__", "kind")
+
+    def __init__(self, kind: str, **attributes: Any) -> None:
+        self.kind = kind
+        self.__dict__.update(attributes)
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+        def __setattr__(self, name: str, value: Any) -> None: ...
+
+
+BasicTicker = partial(Sketch, "BasicTicker")
+BoxAnnotation = partial(Sketch, "BoxAnnotation")
+BoxZoomTool = partial(Sketch, "BoxZoomTool")
+ColorBar = partial(Sketch, "ColorBar")
+CrosshairTool = partial(Sketch, "CrosshairTool")
+FactorRange = partial(Sketch, "FactorRange")
+HoverTool = partial(Sketch, "HoverTool")
+Legend = partial(Sketch, "Legend")
+LegendItem = partial(Sketch, "LegendItem")
+LinearColorMapper = partial(Sketch, "LinearColorMapper")
+LogColorMapper = partial(Sketch, "LogColorMapper")
+LogTicker = partial(Sketch, "LogTicker")
+PlainText = partial(Sketch, "PlainText")
+ResetTool = partial(Sketch, "ResetTool")
+SaveTool = partial(Sketch, "SaveTool")
+Span = partial(Sketch, "Span")
+
+
+def ColumnDataSource(data: dict[str, Any]) -> Sketch:  # as Bokeh calls it
+    """Return a source of columns: arrays, or lists of texts, all of one length."""
+    return Sketch("ColumnDataSource", data=data)
+
+
+def Range1d(start: float, end: float, **more: Any) -> Sketch:
+    """Return a range."""
+    return Sketch("Range1d", start=start, end=end, **more)
+
+
+class Plot(Sketch):
+    """A plot with two axes and their grids.
+
+    Parameters
+    ----------
+    x_range, y_range : Sketch, optional
+        Default: what is drawn decides.
+    x_axis_type, y_axis_type : str
+        ``"linear"`` or ``"log"``; of a range of names the axis has names.
+    tools : sequence of Sketch
+    title : str
+    **more
+        Further properties.
+    """
+
+    def __init__(
+        self,
+        *,
+        x_range: Sketch | None = None,
+        y_range: Sketch | None = None,
+        x_axis_type: str = "linear",
+        y_axis_type: str = "linear",
+        tools: Sequence[Sketch] = (),
+        title: str = "",
+        **more: Any,
+    ) -> None:
+        super().__init__("Plot", **more)
+        self.x_range, self.y_range = x_range or Sketch("DataRange1d"), y_range or Sketch("DataRange1d")
+        kinds = [
+            "categorical" if across.kind == "FactorRange" else kind
+            for across, kind in ((self.x_range, x_axis_type), (self.y_range, y_axis_type))
+        ]
+        self.x_scale, self.y_scale = (Sketch(_SCALES[kind]) for kind in kinds)
+        below, left = (Sketch(_AXES[kind], ticker=Sketch(_TICKERS[kind])) for kind in kinds)
+        sides: dict[str, list[Sketch]] = {"below": [below], "left": [left], "above": [], "right": []}
+        vars(self).update(sides)
+        self.center = [Sketch("Grid", axis=below), Sketch("Grid", axis=left, dimension=1)]
+        self.renderers: list[Sketch] = []
+        self.toolbar = Sketch("Toolbar", tools=list(tools))
+        self.title: Any = Sketch("Title", text=title) if title else None
+
+    @property
+    def xaxis(self) -> Sketch:
+        """The axis below."""
+        axis: Sketch = self.below[0]
+        return axis
+
+    @property
+    def yaxis(self) -> Sketch:
+        """The axis on the left."""
+        axis: Sketch = self.left[0]
+        return axis
+
+    @property
+    def xgrid(self) -> Sketch:
+        """The vertical lines."""
+        return self.center[0]
+
+    @property
+    def ygrid(self) -> Sketch:
+        """The horizontal lines."""
+        return self.center[1]
+
+    def add_layout(self, model: Sketch, place: str = "center") -> None:
+        """Put something over a plot, or beside it."""
+        vars(self)[place].append(model)
+
+    def add_tools(self, *tools: Sketch) -> None:
+        """Add tools."""
+        self.toolbar.tools.extend(tools)
+
+    # --- glyphs: coordinates are columns by their keys, arrays, or a number for all
+
+    def line(self, x: Any, y: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+        """Draw a line."""
+        return self._glyph("Line", {"x": x, "y": y}, source, looks)
+
+    def step(self, x: Any, y: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+        """Draw a line of steps."""
+        return self._glyph("Step", {"x": x, "y": y}, source, looks)
+
+    def patch(self, x: Any, y: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+        """Fill a polygon."""
+        return self._glyph("Patch", {"x": x, "y": y}, source, looks)
+
+    def varea(self, x: Any, y1: Any, y2: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+        """Fill what lies between two lines."""
+        return self._glyph("VArea", {"x": x, "y1": y1, "y2": y2}, source, looks)
+
+    def scatter(self, x: Any, y: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+        """Draw points."""
+        return self._glyph("Scatter", {"x": x, "y": y}, source, looks)
+
+    def segment(self, x0: Any, y0: Any, x1: Any, y1: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+        """Draw lines of two points each."""
+        return self._glyph("Segment", {"x0": x0, "y0": y0, "x1": x1, "y1": y1}, source, looks)
+
+    def quad(self, left: Any, right: Any, top: Any, bottom: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+        """Draw rectangles by their sides."""
+        return self._glyph("Quad", {"left": left, "right": right, "top": top, "bottom": bottom}, source, looks)
+
+    def rect(self, x: Any, y: Any, width: Any, height: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+        """Draw rectangles by their middles."""
+        return self._glyph("Rect", {"x": x, "y": y, "width": width, "height": height}, source, looks)
+
+    def hbar(
+        self, y: Any, height: Any, right: Any, left: Any = 0.0, source: Sketch | None = None, **looks: Any
+    ) -> Sketch:
+        """Draw horizontal bars."""
+        return self._glyph("HBar", {"y": y, "height": height, "right": right, "left": left}, source, looks)
+
+    def text(self, x: Any, y: Any, text: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+        """Write texts."""
+        return self._glyph("Text", {"x": x, "y": y, "text": text}, source, looks)
+
+    def _glyph(self, kind: str, coordinates: dict[str, Any], source: Sketch | None, looks: dict[str, Any]) -> Sketch:
+        given = source or ColumnDataSource({})
+        told: dict[str, Any] = {}
+        for name, place in coordinates.items():
+            if np.ndim(place):
+                given.data[name] = np.asarray(place)
+                told[name] = Field(name)
+            else:
+                told[name] = Field(place) if isinstance(place, str) else Value(place)
+        for name, look in looks.items():
+            told[name] = look if kind in _ONE_SHAPE or isinstance(look, Field) else Value(look)
+        renderer = Sketch("GlyphRenderer", data_source=given, glyph=Sketch(kind, **told))
+        self.renderers.append(renderer)
+        return renderer
+
+
+def grid(rows: Sequence[Sequence[Plot | None]]) -> Sketch:
+    """Return plots in rows and columns, with one toolbar for all of them."""
+    children = [(plot, i, j) for i, row in enumerate(rows) for j, plot in enumerate(row) if plot is not None]
+    kinds: dict[str, list[Sketch]] = {}
+    for plot, _, _ in children:
+        plot.toolbar_location = None
+        for tool in plot.toolbar.tools:
+            kinds.setdefault(_key(tool), []).append(tool)
+    tools = [
+        Sketch(each[0].kind) if each[0].kind in _SINGLE_TOOLS else Sketch("ToolProxy", tools=each)
+        for each in kinds.values()
+    ]
+    first = next((tool for tool in tools if tool.kind == "ToolProxy" and tool.tools[0].kind == "BoxZoomTool"), None)
+    bar = Sketch("Toolbar", tools=tools, logo=None, autohide=True, active_drag=first)
+    return Sketch("GridPlot", children=children, toolbar=bar, toolbar_location="right", sizing_mode="stretch_width")
+
+
+def _key(tool: Sketch) -> str:
+    """Return what tools have alike that one switch stands for: the kind, and what is shown where the pointer is."""
+    return f"{tool.kind} {vars(tool).get('tooltips')}"
+
+
+# --- to Bokeh's models, and to JSON
+
+
+def live(figures: Sequence[Sketch]) -> list[Any]:
+    """Return figures as Bokeh's own models, for a server; what several share is shared.
+
+    Raises
+    ------
+    AttributeError, ValueError
+        If Bokeh has no such model, property or value.
+    """
+    from bokeh import models as library
+
+    made: dict[int, Any] = {}
+
+    def of(value: Any) -> Any:
+        match value:
+            case Sketch():
+                if id(value) not in made:
+                    made[id(value)] = getattr(library, value.kind)(
+                        **{name: of(each) for name, each in vars(value).items()}
+                    )
+                return made[id(value)]
+            case list() | tuple():
+                return type(value)(map(of, value))
+            case Field(field, transform):
+                return field if transform is None else {"field": field, "transform": of(transform)}
+            case Value(inner):
+                return {"value": inner} if isinstance(inner, str) else inner
+        return value
+
+    return [of(figure) for figure in figures]
+
+
+def written(figures: Sequence[Sketch]) -> tuple[list[Any], list[str]]:
+    """Return figures as JSON that Bokeh's library in a browser reads, and the id of each."""
+    ids: dict[int, str] = {}
+    roots = [_json(figure, ids) for figure in figures]
+    return roots, [root["id"] for root in roots]
+
+
+def _json(value: Any, ids: dict[int, str]) -> Any:
+    match value:
+        case None | bool() | int() | str():
+            return value
+        case float():
+            return value if math.isfinite(value) else {"type": "number", "value": _beyond(value)}
+        case np.generic():
+            return _json(value.item(), ids)
+        case Sketch():
+            if id(value) in ids:
+                return {"id": ids[id(value)]}
+            ids[id(value)] = name = f"sketch-{next(_NUMBERS)}"
+            told = {key: _json(each, ids) for key, each in vars(value).items()}
+            return {"type": "object", "name": value.kind, "id": name, "attributes": told}
+        case Field(field, transform):
+            told = {"type": "field", "field": field}
+            return told if transform is None else told | {"transform": _json(transform, ids)}
+        case Value(inner):
+            return {"type": "value", "value": _json(inner, ids)}
+        case dict():
+            return {"type": "map", "entries": [[key, _json(each, ids)] for key, each in value.items()]}
+        case np.ndarray() | pd.Series() | pd.Index():
+            return _array(np.asarray(value), ids)
+    return [_json(each, ids) for each in value]
+
+
+def _beyond(value: float) -> str:
+    return "nan" if math.isnan(value) else "+inf" if value > 0 else "-inf"
+
+
+def _array(values: np.ndarray[Any, Any], ids: dict[int, str]) -> Any:
+    if values.dtype.kind not in "fiu":
+        return [_json(each, ids) for each in values.tolist()]
+    if values.dtype not in _FLOATS:
+        values = values.astype(np.float64)
+    packed = gzip.compress(values.astype(values.dtype.newbyteorder("<")).tobytes(), compresslevel=6, mtime=1)
+    told = {"type": "bytes", "data": base64.b64encode(packed).decode()}
+    return {
+        "type": "ndarray",
+        "array": told,
+        "shape": list(values.shape),
+        "dtype": values.dtype.name,
+        "order": "little",
+    }

@@ -1,0 +1,31 @@
+"""Figures as Bokeh's own models, which know and check every property: what a test reads back is what Bokeh takes."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from fmuid.reports.interactive import sketch
+
+
+class _Live:
+    """A module of figures whose functions return Bokeh's models."""
+
+    def __init__(self, name: str) -> None:
+        self._module = import_module(f"fmuid.reports.interactive.{name}")
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._module, name)
+        return (lambda *given, **more: _live(found(*given, **more))) if callable(found) else found
+
+
+def _live(found: Any) -> Any:
+    if isinstance(found, sketch.Sketch):
+        return sketch.live([found])[0]
+    if isinstance(found, list) and found and isinstance(found[0], sketch.Sketch):
+        return sketch.live(found)
+    return found
+
+
+batch, diagnosis, estimates, fit = (_Live(name) for name in ("batch", "diagnosis", "estimates", "fit"))
+residuals, search, uncertainty = (_Live(name) for name in ("residuals", "search", "uncertainty"))
