@@ -10,6 +10,7 @@ from .consistency import Deviation as Deviation
 from .consistency import VarianceTest as VarianceTest
 from .criterion_map import CriterionMap as CriterionMap
 from .criterion_map import map_criterion as map_criterion
+from .criterion_map import region_rise as region_rise
 from .ends import EndKind as EndKind
 from .ends import Remark as Remark
 from .prior_and_data import Influence as Influence

@@ -20,7 +20,6 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from fmuid.arrays import Floats
 from fmuid.assessment.conditional import check_result
@@ -92,9 +91,7 @@ class CriterionMap:
             If the level is not between 0 and 1.
         """
         check_level(level, "a confidence ellipse")
-        if math.isinf(self.degrees_of_freedom):
-            return self.scale * float(stats.chi2.ppf(level, 2))
-        return self.scale * float(2.0 * stats.f.ppf(level, 2, self.degrees_of_freedom))
+        return self.scale * region_rise(level, self.degrees_of_freedom)
 
     def ellipse(self, level: float = 0.95) -> Floats:
         """Return the border of the confidence ellipse, closed, (n, 2); (0, 2) where a parameter is not determined.
@@ -109,6 +106,15 @@ class CriterionMap:
         values, directions = np.linalg.eigh(self.covariance)  # which may be singular
         root = directions * np.sqrt(np.maximum(values, 0.0))
         return np.asarray(self.estimate + radius * circle @ root.T, dtype=np.float64)
+
+
+def region_rise(level: float, freedom: float) -> float:
+    """Return by how much the criterion rises on the border of the confidence region of two parameters, white noise.
+
+    The quantile of χ²(2), or of 2 F(2, ν) where variances were estimated with ν degrees of freedom, in closed form.
+    """
+    beyond = math.log1p(-level)
+    return -2.0 * beyond if math.isinf(freedom) else freedom * math.expm1(-2.0 * beyond / freedom)
 
 
 def map_criterion(

@@ -44,7 +44,7 @@ class FigureFormat(StrEnum):
 Figures = Annotated[
     FigureFormat | None, typer.Option("--figures", help="Also draw figures for print, into figures/ of the output.")
 ]
-NoReport = Annotated[bool, typer.Option("--no-report", help="Leave out report.html, which takes about a second.")]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Leave out report.html.")]
 
 
 @contextmanager

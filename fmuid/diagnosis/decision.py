@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
@@ -87,7 +87,9 @@ class Reference:
         top = 1.0
         while self.probability(top) > level:
             top *= 2.0
-        return float(optimize.brentq(lambda d: self.probability(d) - level if d > 0 else 1.0 - level, 0.0, top))
+        from scipy.optimize import brentq  # slow to import
+
+        return float(brentq(lambda d: self.probability(d) - level if d > 0 else 1.0 - level, 0.0, top))
 
 
 def orthant_weights(covariance: Floats) -> tuple[float, ...]:
@@ -132,9 +134,11 @@ def _orthant(covariance: Floats) -> float:
 
 def _drawn_weights(factor: Floats) -> tuple[float, ...]:
     """Return how often so many components are positive, by projecting random draws: least squares that keep signs."""
+    from scipy.optimize import nnls  # slow to import
+
     k, rng = len(factor), np.random.default_rng(WEIGHT_SEED)
     inverse = np.linalg.inv(factor)
-    counts = [int((optimize.nnls(inverse, z)[0] > 0).sum()) for z in rng.standard_normal((WEIGHT_DRAWS, k))]
+    counts = [int((nnls(inverse, z)[0] > 0).sum()) for z in rng.standard_normal((WEIGHT_DRAWS, k))]
     return tuple((np.bincount(counts, minlength=k + 1) / WEIGHT_DRAWS).tolist())
 
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
 
 from fmuid.arrays import Floats
 from fmuid.errors import FmuidError, InputError, SimulationError
@@ -210,6 +209,8 @@ class _GuardedSearch:
 
     def _points(self, given: Floats) -> Iterator[Floats]:
         """Return the best of some points of the box, by one batch of simulations."""
+        from scipy.stats import qmc  # slow to import
+
         parameters = self.problem.parameters
         units = qmc.Sobol(given.size, seed=SEED).random(POINTS)
         scale = parameters.magnitudes(given)

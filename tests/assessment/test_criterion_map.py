@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from fmuid.arrays import Floats
-from fmuid.assessment.criterion_map import CriterionMap, map_criterion
+from fmuid.assessment.criterion_map import CriterionMap, map_criterion, region_rise
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
@@ -286,3 +286,9 @@ def test_figure_of_odd_maps(value: float, tmp_path: Path) -> None:
     figure = figures_map.criterion_map(replace(chart, table=odd))
     figure.savefig(tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 10_000
+
+
+def test_the_rise_of_a_region_is_a_quantile() -> None:
+    assert region_rise(0.95, np.inf) == pytest.approx(stats.chi2.ppf(0.95, 2))
+    for freedom in (1.0, 7.5, 4000.0):
+        assert region_rise(0.9, freedom) == pytest.approx(2.0 * stats.f.ppf(0.9, 2, freedom))

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from fmuid.arrays import Floats
 
@@ -51,8 +51,10 @@ def _split(draws: Floats) -> Floats:
 
 def _normalised(draws: Floats) -> Floats:
     """Replace draws by the normal quantiles of their ranks (eq 14)."""
-    ranks = stats.rankdata(draws).reshape(draws.shape)
-    return np.asarray(stats.norm.ppf((ranks - 0.375) / (draws.size + 0.25)), dtype=np.float64)
+    from scipy.stats import rankdata  # slow to import
+
+    ranks = rankdata(draws).reshape(draws.shape)
+    return np.asarray(special.ndtri((ranks - 0.375) / (draws.size + 0.25)), dtype=np.float64)
 
 
 def _variances(draws: Floats) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from fmuid.arrays import Floats
 from fmuid.diagnosis.evidence.causes import Cause
@@ -154,7 +154,9 @@ def _log_right_signs(mean: Floats, covariance: Floats, signs: Floats, signed: np
         return float(special.log_ndtr(own[0]))
     part = covariance[np.ix_(signed, signed)] * np.outer(signs[signed], signs[signed])
     std = np.sqrt(np.diag(part))
-    both = float(stats.multivariate_normal.cdf(own, cov=part / np.outer(std, std)))
+    from scipy.stats import multivariate_normal  # slow to import
+
+    both = float(multivariate_normal.cdf(own, cov=part / np.outer(std, std)))
     return math.log(both) if both > 0.0 else float(special.log_ndtr(own).sum())
 
 

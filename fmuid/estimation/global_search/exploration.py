@@ -8,7 +8,6 @@ from typing import Any, Literal, cast
 import numpy as np
 from scipy.optimize import Bounds, OptimizeResult, differential_evolution
 from scipy.spatial import KDTree
-from scipy.stats import qmc
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
@@ -68,6 +67,8 @@ class Exploration:
 
     def _points(self, count: int) -> Floats:
         """Return the parameters' own start and the first points of a Sobol sequence, (count, N)."""
+        from scipy.stats import qmc  # slow to import
+
         sequence = qmc.Sobol(self.box.lower.size, rng=self._rng)
         points = sequence.random_base2(math.ceil(math.log2(count)))
         return np.vstack([self.problem.parameters.start, self.box.thetas(points)])[:count]

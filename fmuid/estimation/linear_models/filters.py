@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy import special, stats
+from scipy import special
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
@@ -106,7 +106,8 @@ class StateVariableFilter:
         found[:, :, m] = step
         found[:, :, m + 1] = step - number * special.gammainc(number + 1, x[:, None]) / x[:, None]
         lower = ahead >= 0
-        found[:, :, :m][:, lower] = stats.poisson.pmf(ahead[lower], x[:, None])
+        held, along = ahead[lower], x[:, None]
+        found[:, :, :m][:, lower] = np.exp(special.xlogy(held, along) - along - special.gammaln(held + 1))
         return found
 
     def columns(self, terms: Sequence[Term]) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from fmuid.arrays import Floats
 from fmuid.batches import INTERVAL_STDS, Columns
@@ -177,7 +177,7 @@ def spread(summary: pd.DataFrame) -> Any:
         x="spread over the cases / stated std", height=90 + 26 * len(rows), y_range=FactorRange(factors=names[::-1])
     )
     freedom = rows["cases"].to_numpy(np.float64) - 1.0
-    low, high = (np.sqrt(stats.chi2.ppf(share, freedom) / freedom) for share in (0.025, 0.975))
+    low, high = (np.sqrt(special.chdtri(freedom, beyond) / freedom) for beyond in (0.975, 0.025))
     ratio = rows["ratio"].to_numpy(np.float64)
     source = ColumnDataSource({"name": names, "ratio": ratio, "low": low, "high": high})
     chance = plot.hbar("name", 0.5, "high", "low", source=source, fill_color=BLUE, fill_alpha=0.16, line_color=None)

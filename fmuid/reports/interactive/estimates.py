@@ -7,9 +7,9 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import stats
 
 from fmuid.arrays import Floats
+from fmuid.assessment import region_rise
 from fmuid.estimation import SHIFT_LIMIT
 from fmuid.reports.interactive.sketch import (
     BoxAnnotation,
@@ -169,7 +169,7 @@ def ellipses(result: Result, units: Units | None = None, level_: float = 0.95) -
     plots = []
     for i, j in sorted(pairs):
         freedom = result.test_freedom([result.names[i], result.names[j]])
-        radius = math.sqrt(ellipse_rise(level_, freedom))
+        radius = math.sqrt(region_rise(level_, freedom))
         x, y = ellipse(result.values[[i, j]], result.covariance[np.ix_([i, j], [i, j])], radius)
         plot = panel(x=named(result.names[i], units), y=named(result.names[j], units), height=260)
         drawn = plot.line(x, y, line_color=BLUE, line_width=2)
@@ -185,13 +185,6 @@ def ellipses(result: Result, units: Units | None = None, level_: float = 0.95) -
         plot.xaxis.ticker.desired_num_ticks = 4
         plots.append(plot)
     return plots
-
-
-def ellipse_rise(level_: float, freedom: float) -> float:
-    """Return by how much the criterion rises on the border of the region of two parameters."""
-    if math.isinf(freedom):
-        return float(stats.chi2.ppf(level_, 2))
-    return float(2.0 * stats.f.ppf(level_, 2, freedom))
 
 
 def ellipse(centre: Floats, covariance: Floats, radius: float) -> tuple[Floats, Floats]:

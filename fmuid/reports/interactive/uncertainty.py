@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from contourpy import LineType, contour_generator
-from scipy.interpolate import PchipInterpolator
-from scipy.ndimage import gaussian_filter
 
 from fmuid.arrays import Floats
 from fmuid.reports.interactive.estimates import ellipse
@@ -130,6 +128,8 @@ def _curve(values: Floats, rise: Floats, centre: float) -> tuple[Floats, Floats]
     """Return a smooth line through the points: the signed root of the rise is nearly straight."""
     if values.size < 2:
         return values, rise
+    from scipy.interpolate import PchipInterpolator  # slow to import
+
     root = np.sign(values - centre) * np.sqrt(np.maximum(rise, 0.0))
     grid = np.unique(np.concatenate([np.linspace(values[0], values[-1], 161), values]))
     return grid, np.asarray(PchipInterpolator(values, root)(grid) ** 2)
@@ -199,6 +199,8 @@ def _single(plot: Any, samples: Floats, result: Result | None, name: str, across
 
 
 def _pair(plot: Any, samples: Floats, result: Result | None, names: tuple[str, str]) -> None:
+    from scipy.ndimage import gaussian_filter  # slow to import
+
     some = samples[evenly(len(samples), MAX_SAMPLES)]
     plot.scatter(some[:, 0], some[:, 1], size=2, fill_color=BLUE, fill_alpha=0.35, line_color=None)
     sides = [(float(each.start), float(each.end)) for each in (plot.x_range, plot.y_range)]
