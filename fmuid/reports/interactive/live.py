@@ -13,10 +13,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from bokeh.models import BasicTicker, ColumnDataSource, Range1d
+from bokeh.models import ColumnDataSource, Range1d
 
 from fmuid.arrays import Floats, Indices
 from fmuid.reports.interactive.fit import shade_uncounted
+from fmuid.reports.interactive.sketch import BasicTicker, Sketch, live
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,
@@ -52,7 +53,8 @@ class LiveFit:
 
     Attributes
     ----------
-    figure : Bokeh model
+    figure : Sketch
+        Its sources and ranges are Bokeh's own models.
     """
 
     def __init__(self, record: Fit, zoomed: Callable[[], object] = lambda: None) -> None:
@@ -166,11 +168,12 @@ def _round_up(value: float) -> float:
     return next(each * power for each in (1.0, 2.0, 5.0, 10.0) if each * power >= value)
 
 
-def in_scheme(model: Any, scheme: str) -> Any:
-    """Return a figure whose colours are those of a page of this scheme, "light" or "dark".
+def in_scheme(figure: Sketch, scheme: str) -> Any:
+    """Return Bokeh's own models of a figure, in the colours of a page of this scheme, "light" or "dark".
 
     Pages without a server exchange them by a script of their own.
     """
+    (model,) = live([figure])
     if scheme == "dark":
         for each in model.references():
             for name in each.properties():

@@ -2,7 +2,8 @@
 
 Those check, default and observe every property, as a server needs it; a page that is only written would pay seconds
 for that. Here a model is its name and what is set of it: `written` turns figures into the JSON that the library reads,
-`live` into Bokeh's models, which know and check all names.
+`live` into Bokeh's models, which know and check all names. What a server changes while somebody looks, such as a
+source or a range, may be Bokeh's own model from the beginning: `live` leaves it as it is.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ import pandas as pd
 _NUMBERS = itertools.count(1)
 # Glyphs that are one shape: their looks are plain values; those of others may be columns.
 _ONE_SHAPE = ("Line", "Step", "VArea", "Patch")
+# What is said of where a glyph is drawn, not of its looks.
+_OF_RENDERER = ("level", "name", "visible")
 _AXES = {"linear": "LinearAxis", "log": "LogAxis", "categorical": "CategoricalAxis"}
 _TICKERS = {"linear": "BasicTicker", "log": "LogTicker", "categorical": "CategoricalTicker"}
 _SCALES = {"linear": "LinearScale", "log": "LogScale", "categorical": "CategoricalScale"}
@@ -94,7 +97,7 @@ class Plot(Sketch):
 
     Parameters
     ----------
-    x_range, y_range : Sketch, optional
+    x_range, y_range : Sketch or model of Bokeh, optional
         Default: what is drawn decides.
     x_axis_type, y_axis_type : str
         ``"linear"`` or ``"log"``; of a range of names the axis has names.
@@ -107,8 +110,8 @@ class Plot(Sketch):
     def __init__(
         self,
         *,
-        x_range: Sketch | None = None,
-        y_range: Sketch | None = None,
+        x_range: Any = None,
+        y_range: Any = None,
         x_axis_type: str = "linear",
         y_axis_type: str = "linear",
         tools: Sequence[Sketch] = (),
@@ -118,7 +121,7 @@ class Plot(Sketch):
         super().__init__("Plot", **more)
         self.x_range, self.y_range = x_range or Sketch("DataRange1d"), y_range or Sketch("DataRange1d")
         kinds = [
-            "categorical" if across.kind == "FactorRange" else kind
+            "categorical" if getattr(across, "kind", "") == "FactorRange" else kind
             for across, kind in ((self.x_range, x_axis_type), (self.y_range, y_axis_type))
         ]
         self.x_scale, self.y_scale = (Sketch(_SCALES[kind]) for kind in kinds)
@@ -162,49 +165,47 @@ class Plot(Sketch):
 
     # --- glyphs: coordinates are columns by their keys, arrays, or a number for all
 
-    def line(self, x: Any, y: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+    def line(self, x: Any, y: Any, source: Any = None, **looks: Any) -> Sketch:
         """Draw a line."""
         return self._glyph("Line", {"x": x, "y": y}, source, looks)
 
-    def step(self, x: Any, y: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+    def step(self, x: Any, y: Any, source: Any = None, **looks: Any) -> Sketch:
         """Draw a line of steps."""
         return self._glyph("Step", {"x": x, "y": y}, source, looks)
 
-    def patch(self, x: Any, y: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+    def patch(self, x: Any, y: Any, source: Any = None, **looks: Any) -> Sketch:
         """Fill a polygon."""
         return self._glyph("Patch", {"x": x, "y": y}, source, looks)
 
-    def varea(self, x: Any, y1: Any, y2: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+    def varea(self, x: Any, y1: Any, y2: Any, source: Any = None, **looks: Any) -> Sketch:
         """Fill what lies between two lines."""
         return self._glyph("VArea", {"x": x, "y1": y1, "y2": y2}, source, looks)
 
-    def scatter(self, x: Any, y: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+    def scatter(self, x: Any, y: Any, source: Any = None, **looks: Any) -> Sketch:
         """Draw points."""
         return self._glyph("Scatter", {"x": x, "y": y}, source, looks)
 
-    def segment(self, x0: Any, y0: Any, x1: Any, y1: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+    def segment(self, x0: Any, y0: Any, x1: Any, y1: Any, source: Any = None, **looks: Any) -> Sketch:
         """Draw lines of two points each."""
         return self._glyph("Segment", {"x0": x0, "y0": y0, "x1": x1, "y1": y1}, source, looks)
 
-    def quad(self, left: Any, right: Any, top: Any, bottom: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+    def quad(self, left: Any, right: Any, top: Any, bottom: Any, source: Any = None, **looks: Any) -> Sketch:
         """Draw rectangles by their sides."""
         return self._glyph("Quad", {"left": left, "right": right, "top": top, "bottom": bottom}, source, looks)
 
-    def rect(self, x: Any, y: Any, width: Any, height: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+    def rect(self, x: Any, y: Any, width: Any, height: Any, source: Any = None, **looks: Any) -> Sketch:
         """Draw rectangles by their middles."""
         return self._glyph("Rect", {"x": x, "y": y, "width": width, "height": height}, source, looks)
 
-    def hbar(
-        self, y: Any, height: Any, right: Any, left: Any = 0.0, source: Sketch | None = None, **looks: Any
-    ) -> Sketch:
+    def hbar(self, y: Any, height: Any, right: Any, left: Any = 0.0, source: Any = None, **looks: Any) -> Sketch:
         """Draw horizontal bars."""
         return self._glyph("HBar", {"y": y, "height": height, "right": right, "left": left}, source, looks)
 
-    def text(self, x: Any, y: Any, text: Any, source: Sketch | None = None, **looks: Any) -> Sketch:
+    def text(self, x: Any, y: Any, text: Any, source: Any = None, **looks: Any) -> Sketch:
         """Write texts."""
         return self._glyph("Text", {"x": x, "y": y, "text": text}, source, looks)
 
-    def _glyph(self, kind: str, coordinates: dict[str, Any], source: Sketch | None, looks: dict[str, Any]) -> Sketch:
+    def _glyph(self, kind: str, coordinates: dict[str, Any], source: Any, looks: dict[str, Any]) -> Sketch:
         given = source or ColumnDataSource({})
         told: dict[str, Any] = {}
         for name, place in coordinates.items():
@@ -213,9 +214,10 @@ class Plot(Sketch):
                 told[name] = Field(name)
             else:
                 told[name] = Field(place) if isinstance(place, str) else Value(place)
+        more = {name: looks.pop(name) for name in _OF_RENDERER if name in looks}
         for name, look in looks.items():
             told[name] = look if kind in _ONE_SHAPE or isinstance(look, Field) else Value(look)
-        renderer = Sketch("GlyphRenderer", data_source=given, glyph=Sketch(kind, **told))
+        renderer = Sketch("GlyphRenderer", data_source=given, glyph=Sketch(kind, **told), **more)
         self.renderers.append(renderer)
         return renderer
 
