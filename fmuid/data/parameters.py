@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -293,6 +294,12 @@ class ParameterSet:
     def for_experiment(self, index: int) -> tuple[tuple[str, ...], NDArray[np.intp]]:
         """Return the FMU variables of experiment number `index`, and the indices of their values in theta."""
         return self._variables, self._columns[index]
+
+    def within(self, lower: Floats, upper: Floats) -> ParameterSet:
+        """Return these parameters within other bounds (N,) too."""
+        other = copy.copy(self)
+        other.lower, other.upper = _frozen(np.maximum(self.lower, lower)), _frozen(np.minimum(self.upper, upper))
+        return other
 
     def magnitudes(self, theta: Floats) -> Floats:
         """Return how large each parameter is at theta, for steps and scaling: |θ|, but not less than its nominal.

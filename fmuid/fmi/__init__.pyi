@@ -27,6 +27,7 @@ from .files.unpacking import unpacked as unpacked
 from .fmu import FMU as FMU
 from .instance import Instance as Instance
 from .instance import warn as warn
+from .layout import MOST_STEPS as MOST_STEPS
 from .layout import FeedThrough as FeedThrough
 from .layout import Integration as Integration
 from .layout import Operation as Operation

@@ -96,7 +96,7 @@ def describe(
         "mended",
         k.TOO_MANY_EVENTS: "there are more than 10000 events between two samples: the model chatters; give it a "
         "hysteresis, or more samples",
-        k.TOO_MANY_STEPS: f"integrator {integrator} needs more than 1000000 steps between two samples (it got to "
+        k.TOO_MANY_STEPS: f"integrator {integrator} needs more than most_steps between two samples (it got to "
         f't = {time:.9g} s with steps of {step:.2g} s); choose integrator = "cvode" or a larger tolerance',
         k.STEP_TOO_SMALL: f"integrator {integrator} finds no step short enough for its tolerance at t = {time:.9g} s "
         f"(the last one {step:.2g} s; state {state} errs most): the model has a "

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fmuid.errors import InputError
 from fmuid.fmi import native
-from fmuid.fmi.layout import Sensitivities
+from fmuid.fmi.layout import MOST_STEPS, Sensitivities
 
 NO_REFERENCES: NDArray[np.uint32] = np.zeros(0, np.uint32)
 NAMES = {
@@ -61,6 +61,8 @@ class Integrator:
         Relative tolerance of "rk45" and "cvode"; the absolute one of a state is that times its nominal value.
     step_size : float, optional
         Largest step, s; by default there is no bound but the wanted times.
+    most_steps : int
+        From one wanted time to the next, of "rk45" and "cvode"; an integration that needs more fails.
     limit : float
         Steps may go beyond the wanted time up to here, s.
     input_references : array of uint32, optional
@@ -105,6 +107,7 @@ class Integrator:
         integrator: str = "rk45",
         tolerance: float = 1e-6,
         step_size: float | None = None,
+        most_steps: int = MOST_STEPS,
         limit: float = -math.inf,
         input_references: NDArray[np.uint32] = NO_REFERENCES,
         input_starts: NDArray[np.float64] | None = None,
@@ -137,6 +140,7 @@ class Integrator:
             tolerance=tolerance,
             largest_step=math.inf if step_size is None else step_size,
             limit=limit,
+            most_steps=most_steps,
             method=native.METHODS[integrator],
             straight=straight,
             follows=follows,

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from fmuid.fmi import codes
 
+MOST_STEPS = 1_000_000
+"""Of an integrator between two samples: some seconds, then it will never arrive."""
+
 
 class Operation(NamedTuple):
     """One call: `n_references` value references from number `reference` on, `n_values` signals from `signal` on.
@@ -58,7 +61,8 @@ class Integration(NamedTuple):
 
     `input_starts` has one value for each of their elements (an array of FMI 3.0 has one reference for all). Components
     that are `autonomous` have no varying inputs at all, so that steps may go beyond the samples. A component that
-    `follows` is not integrated: it is the twin of one that is.
+    `follows` is not integrated: it is the twin of one that is. A simulation that needs more than `most_steps` between
+    two samples fails, but by fixed steps.
     """
 
     integrator: str
@@ -69,6 +73,7 @@ class Integration(NamedTuple):
     autonomous: bool
     follows: bool = False
     sensitivities: Sensitivities | None = None
+    most_steps: int = MOST_STEPS
 
 
 class Plan(NamedTuple):
@@ -150,9 +155,12 @@ class Run:
         integrations[component] = old and old._replace(integrator=integrator)
         self.plan = self.plan._replace(integrations=tuple(integrations))
 
-    def control(self, tolerance: float) -> None:
-        """Integrate all components for model exchange with another relative tolerance from now on."""
-        integrations = tuple(each and each._replace(tolerance=tolerance) for each in self.plan.integrations)
+    def control(self, tolerance: float, most_steps: int | None = None) -> None:
+        """Integrate all components for model exchange with another relative tolerance, or limit, from now on."""
+        integrations = tuple(
+            each and each._replace(tolerance=tolerance, most_steps=most_steps or each.most_steps)
+            for each in self.plan.integrations
+        )
         self.plan = self.plan._replace(integrations=integrations)
 
     @property

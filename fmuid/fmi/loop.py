@@ -158,6 +158,7 @@ class Loop:
             integrator=integration.integrator,
             tolerance=integration.tolerance,
             step_size=integration.step_size,
+            most_steps=integration.most_steps,
             limit=float(grid.times[-1]) if integration.autonomous else -np.inf,
             input_references=integration.inputs,
             input_starts=integration.input_starts,

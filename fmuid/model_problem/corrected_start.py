@@ -1,8 +1,9 @@
 """A start by simulations whose states the measurements correct at each sample: x += C⁺ (y* − y), C = ∂y/∂x.
 
 What is measured cannot drift away then, so that the criterion has few secondary optima; what is not is simulated, and
-must be stable. The noise of the measurements enters the states, and biases what is found: a start, and never a result.
-It is searched for roughly, by simulations that are rough too.
+must be stable. The noise of the measurements enters the states, and biases what is found, so that a search without
+corrections follows: a start, and never a result. Both are rough, by simulations that are rough too: parameters that are
+far away often make a model stiff, and an accurate simulation of such a one takes many times as long.
 """
 
 from __future__ import annotations
@@ -10,14 +11,19 @@ from __future__ import annotations
 import numpy as np
 
 from fmuid.arrays import Floats
+from fmuid.data import ParameterSet
 from fmuid.errors import FmuidError
 from fmuid.estimation import Marquardt, Outcome
+from fmuid.model_problem.equation_start import FARTHEST
 from fmuid.model_problem.problem import Problem
 from fmuid.progress import Progress
 from fmuid.simulation import RightHandSide, Simulator
 
-ROUGH = Marquardt(max_iterations=25, tolerance=1e-3)
-TOLERANCE = 1e-5  # of its integration
+# The searches with corrections and without: how far they go, and the tolerance of their integration.
+ROUGH = Marquardt(max_iterations=25, tolerance=1e-3), Marquardt(max_iterations=60, tolerance=1e-3)
+TOLERANCE = 1e-5
+# Of the integrator between two samples; where there are more, something else than the start is looked for.
+MOST_STEPS = 1000
 # Directions of the states that change the outputs by less than this share of the most are not corrected.
 UNSEEN = 1e-6
 
@@ -38,23 +44,37 @@ def corrected_start(problem: Problem, start: Floats, progress: Progress | None =
     KeyboardInterrupt
         If the search for it is interrupted.
     """
-    simulators = [_corrected(problem, index, start) for index in range(len(problem.experiments))]
-    found = [each for each in simulators if each is not None]
-    if len(found) < len(simulators):
+    found = [_corrected(problem, index, start) for index in range(len(problem.experiments))]
+    pairs = [each for each in found if each is not None]
+    if len(pairs) < len(found):
         return None
-    other = problem.simulated_by(found)
-    try:
-        result = ROUGH.search(other, progress, start)
-    except FmuidError:
-        return None
-    finally:
-        problem.count(other)
-    if result.outcome is Outcome.INTERRUPTED:
-        raise KeyboardInterrupt
-    return result.values
+    parameters, theta = _near(problem, start), start
+    for method, simulators in zip(ROUGH, zip(*pairs, strict=True), strict=True):
+        other = problem.simulated_by(simulators)
+        other.parameters = parameters
+        try:
+            result = method.search(other, progress, theta)
+        except FmuidError:
+            break
+        finally:
+            problem.count(other)
+        if result.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        theta = result.values
+    return None if theta is start else theta
 
 
-def _corrected(problem: Problem, index: int, start: Floats) -> Simulator | None:
+def _near(problem: Problem, start: Floats) -> ParameterSet:
+    """Return the parameters within `FARTHEST` of a start: a rough search does not come back from where one vanishes."""
+    reach, sign = np.abs(start), np.sign(start)
+    least = np.where(sign > 0.0, reach / FARTHEST, -FARTHEST * reach)
+    most = np.where(sign < 0.0, -reach / FARTHEST, FARTHEST * reach)
+    zero = sign == 0.0
+    return problem.parameters.within(np.where(zero, -np.inf, least), np.where(zero, np.inf, most))
+
+
+def _corrected(problem: Problem, index: int, start: Floats) -> tuple[Simulator, Simulator] | None:
+    """Return the simulators of an experiment with corrections and without, None where there are none."""
     simulator = problem.simulators[index]
     try:
         side = RightHandSide.of(simulator)
@@ -69,4 +89,4 @@ def _corrected(problem: Problem, index: int, start: Floats) -> Simulator | None:
     sizes = np.nanstd(problem.experiments[index].output_values, axis=0) / np.abs(simulator.output_factors)
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     gain = side.nominals[:, None] * np.linalg.pinv(of_fmu / sizes[:, None], rcond=UNSEEN) / sizes
-    return side.corrected(gain, TOLERANCE)
+    return side.corrected(gain, TOLERANCE, MOST_STEPS), side.simulator(TOLERANCE, MOST_STEPS)

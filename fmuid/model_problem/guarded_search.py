@@ -1,9 +1,10 @@
 """Searches that go on from another start where the one that was given leads nowhere, or to a bad fit.
 
 A start that explains little is not searched from at once where the equations of the model give a better one
-(`fmuid.model_problem.equation_start`). After each search it is asked whether it ended, and whether its residual is
-about as large as the noise of the data themselves; if not, the next start is tried: the other one of these two, then
-points of the box. A search from elsewhere that ends where another did confirms it: then it is the model, not the start.
+(`fmuid.model_problem.equation_start`), or corrected simulations do (`fmuid.model_problem.corrected_start`). After each
+search it is asked whether it ended, and whether its residual is about as large as the noise of the data themselves; if
+not, the next start is tried: the others of these three, then points of the box. A search from elsewhere that ends where
+another did confirms it: then it is the model, not the start.
 """
 
 from __future__ import annotations
@@ -171,22 +172,24 @@ class _GuardedSearch:
     # --- where to begin
 
     def _starts(self, given: Floats) -> Iterator[tuple[Remedy, Floats]]:
-        far = self._is_far(given)
-        if far:
-            equation = equation_start(self.problem, given)
-            if equation is not None:
-                self.attempts.append(Attempt(Remedy.GIVEN, Trouble.FAR, simulations=1))
-                yield Remedy.EQUATION_ERROR, equation
+        better = self._better(given)
+        first = next(better, None) if self._is_far(given) else None
+        if first is not None:
+            self.attempts.append(Attempt(Remedy.GIVEN, Trouble.FAR, simulations=1))
+            yield first
         yield Remedy.GIVEN, given
-        if not far:
-            equation = equation_start(self.problem, given)
-            if equation is not None:
-                yield Remedy.EQUATION_ERROR, equation
+        yield from better
+        for theta in self._points(given):
+            yield Remedy.SOBOL, theta
+
+    def _better(self, given: Floats) -> Iterator[tuple[Remedy, Floats]]:
+        """Return the starts that are found from the one that was given, the cheapest first."""
+        equation = equation_start(self.problem, given)
+        if equation is not None:
+            yield Remedy.EQUATION_ERROR, equation
         corrected = corrected_start(self.problem, given, self.progress)
         if corrected is not None:
             yield Remedy.CORRECTION, corrected
-        for theta in self._points(given):
-            yield Remedy.SOBOL, theta
 
     def _is_far(self, given: Floats) -> bool:
         """Whether the simulation at a start fails, or explains little of an output."""
@@ -265,10 +268,15 @@ class _GuardedSearch:
         last = self.ended[-1]
         if last.attempt.trouble is Trouble.NONE or last.result.outcome is Outcome.INTERRUPTED:
             return True
-        if last.attempt.trouble is Trouble.UNFINISHED or last.attempt.remedy is Remedy.CORRECTION:
-            return False  # corrections set out from the start that was given, and confirm nothing
+        if last.attempt.trouble is Trouble.UNFINISHED:
+            return False
         others = [each for each in self.ended[:-1] if each.attempt.trouble is Trouble.MISFIT]
-        return any(_same_place(each.result, last.result) for each in others)
+        return any(
+            _same_place(each.result, last.result)
+            for each in others
+            # corrections set out from the start that was given: the two confirm nothing of each other
+            if {each.attempt.remedy, last.attempt.remedy} != {Remedy.GIVEN, Remedy.CORRECTION}
+        )
 
     def _concluded(self, given: Floats) -> Result:
         """Return the best result with all that was tried."""

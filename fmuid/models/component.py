@@ -26,6 +26,9 @@ class Numerics:
         Relative; for model exchange that of the integrator, for co-simulation the one passed to the FMU.
     step_size : float, optional
         Largest step, s: between communications, and inside an integrator.
+    most_steps : int, optional
+        Of an integrator that chooses its steps, between two samples; a simulation that needs more fails, and a search
+        takes shorter steps. Default: `fmuid.fmi.MOST_STEPS`.
     samples : bool, optional
         Whether the FMU acts once a communication step, as a sampled controller does, so that shorter steps would make
         it another device; default: one of several without continuous states does, of others it is not known
@@ -47,6 +50,7 @@ class Numerics:
     tolerance: float | None = None
     step_size: float | None = None
     samples: bool | None = None
+    most_steps: int | None = None
 
     def __post_init__(self) -> None:
         for word, known in (("interface", KINDS), ("integrator", INTEGRATORS)):
@@ -54,7 +58,7 @@ class Numerics:
             if given is not None and given not in known:
                 near = nearest(str(given), known)
                 raise InputError(f"{word} {given!r} is not known{near}: give {' or '.join(known)}")
-        for word, unit in (("tolerance", "number"), ("step_size", "number of seconds")):
+        for word, unit in (("tolerance", "number"), ("step_size", "number of seconds"), ("most_steps", "number")):
             given = getattr(self, word)
             if given is not None and not 0 < given < float("inf"):
                 raise InputError(f"{word} must be a positive {unit}, not {given:g}")

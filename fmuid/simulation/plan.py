@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fmuid.fmi import Integration, Plan, Run, codes
+from fmuid.fmi import MOST_STEPS, Integration, Plan, Run, codes
 from fmuid.models import DEFAULT_TOLERANCE
 from fmuid.simulation import operations
 from fmuid.simulation.grid import grid_of
@@ -96,6 +96,7 @@ def _integration(task: Task, component: str) -> Integration | None:
         np.array([task.start(name) for name in varying], np.float64),
         # with events, no step goes beyond a sample: a long one may step over what happens inside it
         autonomous=not inputs and not connected and model.fmu.description.indicators == 0,
+        most_steps=model.numerics.most_steps or MOST_STEPS,
     )
 
 

@@ -214,7 +214,7 @@ class Simulator:
         """Return the simulator of another experiment with the same model, parameters and values."""
         return self._like(self.system, experiment, self._divisor, self._tolerance)
 
-    def by(self, system: System, divisor: int, tolerance: float | None) -> Simulator:
+    def by(self, system: System, divisor: int, tolerance: float | None, most_steps: int | None = None) -> Simulator:
         """Return the simulator of the same experiment by another way to run the system (`fmuid.System.run_by`).
 
         Parameters
@@ -225,10 +225,14 @@ class Simulator:
         tolerance : float, optional
             Of model exchange; default: what the system says. Simulators of one system share its instances whatever it
             is.
+        most_steps : int, optional
+            As for `fmuid.Numerics`; default: what the system says.
         """
-        return self._like(system, self.experiment, divisor, tolerance)
+        return self._like(system, self.experiment, divisor, tolerance, most_steps)
 
-    def corrected(self, system: System, tolerance: float, gain: NDArray[np.float64]) -> Simulator:
+    def corrected(
+        self, system: System, tolerance: float, gain: NDArray[np.float64], most_steps: int | None = None
+    ) -> Simulator:
         """Return the simulator of the same experiment whose states the measurements correct after each sample.
 
         Parameters
@@ -238,20 +242,28 @@ class Simulator:
         tolerance : float
         gain : (n_states, n_outputs) array
             States move by it times measured less simulated outputs, in the units of the FMU.
+        most_steps : int, optional
         """
-        other = self._like(system, self.experiment, 1, tolerance)
+        other = self._like(system, self.experiment, 1, tolerance, most_steps)
         measured = self.experiment.output_values.copy()
         for j, (factor, offset) in self._conversions.items():
             measured[:, j] = (measured[:, j] - offset) / factor
         other._run.grid = other._run.grid._replace(gain=np.ascontiguousarray(gain), measured=measured)
         return other
 
-    def _like(self, system: System, experiment: Experiment, divisor: int, tolerance: float | None) -> Simulator:
+    def _like(
+        self,
+        system: System,
+        experiment: Experiment,
+        divisor: int,
+        tolerance: float | None,
+        most_steps: int | None = None,
+    ) -> Simulator:
         values, step_size = self._given
         other = Simulator(system, experiment, self.parameters, values=values, step_size=step_size, divisor=divisor)
         if tolerance is not None:
             other._tolerance = tolerance
-            other._run.control(tolerance)
+            other._run.control(tolerance, most_steps)
         return other
 
     @property

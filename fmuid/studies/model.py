@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Tag
 from fmuid.data import INTERPOLATIONS
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.fmi import KINDS
+from fmuid.fmi import KINDS, MOST_STEPS
 from fmuid.models import (
     DEFAULT_INTEGRATOR,
     DEFAULT_TOLERANCE,
@@ -32,6 +32,7 @@ from fmuid.studies.words import (
     TABLE_TAG,
     VALUE_TAG,
     Columns,
+    Count,
     Entries,
     File,
     Flag,
@@ -139,11 +140,17 @@ class NumericsWords(Words):
         DEFAULT_TOLERANCE,
     )
     step_size: Positive | None = word(None, "largest step, s; default: from sample to sample", 1e-3)
+    most_steps: Count | None = word(
+        None,
+        'of "rk45" and "cvode" between two samples: a simulation that needs more fails, and a search goes another way; '
+        f"default: {MOST_STEPS}",
+        10_000,
+    )
 
     @property
     def numerics(self) -> Numerics:
         """The words as an object."""
-        return Numerics(self.interface, self.integrator, self.tolerance, self.step_size)
+        return Numerics(self.interface, self.integrator, self.tolerance, self.step_size, most_steps=self.most_steps)
 
 
 class ComponentWords(NumericsWords):

@@ -571,6 +571,19 @@ def test_steps_without_end(make: Maker) -> None:
     assert failure.value.args[0] == codes.TOO_MANY_STEPS
 
 
+def test_steps_between_two_times_are_limited(make: Maker) -> None:
+    """So many do, as the integrator counts them, and one less does not."""
+    free = make(VAN_DER_POL, [2.0, 0.0], [1.0], integrator="rk45").begin()
+    free.advance(5.0)
+    needed = free.memory.state.n_steps
+    make(VAN_DER_POL, [2.0, 0.0], [1.0], integrator="rk45", most_steps=needed).begin().advance(5.0)
+    short = make(VAN_DER_POL, [2.0, 0.0], [1.0], integrator="rk45", most_steps=needed - 1).begin()
+    with pytest.raises(Failure) as failure:
+        short.advance(5.0)
+    assert failure.value.args[0] == codes.TOO_MANY_STEPS
+    assert "most_steps" in short.describe()
+
+
 def test_every_failure_has_words() -> None:
     spoken_elsewhere = (codes.LOOP, codes.COPY)
     for code in range(codes.SET_DERIVATIVES, codes.PROCESS):

@@ -188,6 +188,7 @@ class IntegrationStruct(Mirror):
         *((f"n_{name}", c_size_t) for name in ("states", "indicators", "inputs", "input_references")),
         *((name, c_void_p) for name in ("input_references", "curves", "state_references", "derivative_references")),
         *((name, c_double) for name in ("tolerance", "largest_step", "limit")),
+        ("most_steps", c_size_t),
         *((name, c_int32) for name in ("method", "straight", "follows")),
         *(("sensitivities", POINTER(SensitivitiesStruct)), ("sundials", POINTER(SundialsStruct))),
     ]

@@ -61,6 +61,7 @@ typedef struct {
   double tolerance;                   /* relative; that of a state near zero is relative to its nominal value */
   double largest_step;                /* infinity where there is no bound */
   double limit;                       /* steps may go beyond the wanted time up to here */
+  size_t most_steps;                  /* from one wanted time to the next, of methods that choose them */
   int32_t method;                     /* Method */
   int32_t straight;                   /* the curves are straight lines */
   int32_t follows;                    /* this is the twin of another: it is not integrated */

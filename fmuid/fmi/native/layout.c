@@ -79,8 +79,8 @@ static const Place places[] = {
     FIELD(Integration, n_states) FIELD(Integration, n_indicators) FIELD(Integration, n_inputs)
     FIELD(Integration, n_input_references) FIELD(Integration, input_references) FIELD(Integration, curves)
     FIELD(Integration, state_references) FIELD(Integration, derivative_references) FIELD(Integration, tolerance)
-    FIELD(Integration, largest_step) FIELD(Integration, limit) FIELD(Integration, method) FIELD(Integration, straight)
-    FIELD(Integration, follows) FIELD(Integration, sensitivities) FIELD(Integration, sundials)
+    FIELD(Integration, largest_step) FIELD(Integration, limit) FIELD(Integration, most_steps) FIELD(Integration, method)
+    FIELD(Integration, straight) FIELD(Integration, follows) FIELD(Integration, sensitivities) FIELD(Integration, sundials)
 
     WHOLE(Message) FIELD(Message, status) FIELD(Message, text)
 

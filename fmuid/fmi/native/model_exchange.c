@@ -5,7 +5,6 @@
 
 #include "calls.h"
 
-static const size_t MAX_STEPS = 1000000; /* of one advance: some seconds, then it will never arrive */
 static const size_t MAX_EVENTS = 10000;  /* of one advance: chattering, or bounces without end */
 static const double INPUT_JUMP = 1e-9;   /* of an input's magnitude: less is rounding of its curves */
 
@@ -261,7 +260,7 @@ int integrator_correct(Integrator *self, double t, const double *gain, const dou
 int integrator_advance(Integrator *self, double t) {
   self->held = NAN; /* the curves are others */
   if (self->how.follows) return DONE;
-  const size_t last_event = self->n_events + MAX_EVENTS, last_step = self->n_steps + MAX_STEPS;
+  const size_t last_event = self->n_events + MAX_EVENTS, last_step = self->n_steps + self->how.most_steps;
   const bool chooses_steps = self->how.method != RK4 && self->n_total > 0;
   self->steps_before = self->n_steps;
   self->stiff_hits = 0;

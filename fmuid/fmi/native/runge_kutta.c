@@ -47,7 +47,7 @@ const Tableau dormand_prince = {
 static const double SAFETY = 0.9, SHRINK = 0.2, GROW = 10.0, PI_EXPONENT = 0.04;
 static const double NO_ERROR = 5e-8; /* less makes the next step longer by GROW, whatever the step before */
 static const double STIFF_BOUND = 3.25;
-static const size_t STIFF_EVERY = 1000;
+static const size_t STIFF_EVERY = 200;
 static const int32_t STIFF_AFTER = 15, STIFF_FORGOTTEN = 6;
 
 static const Tableau *tableau(const Integrator *self) { return self->how.method == RK4 ? &classical : &dormand_prince; }

@@ -118,9 +118,13 @@ class RightHandSide:
             slopes.append(self(np.tile(moved, (points, 1)), theta[None])[1][0, 0] - outputs[0])
         return np.column_stack(slopes), states, np.vstack([outputs[::2], outputs[-1:]])
 
-    def corrected(self, gain: Floats, tolerance: float) -> Simulator:
+    def corrected(self, gain: Floats, tolerance: float, most_steps: int | None = None) -> Simulator:
         """Return the simulator whose states are corrected by a gain (n_x, n_y) in the units of the FMU."""
-        return self._simulator.corrected(self._system, tolerance, gain)
+        return self._simulator.corrected(self._system, tolerance, gain, most_steps)
+
+    def simulator(self, tolerance: float, most_steps: int) -> Simulator:
+        """Return the simulator by model exchange, with a relative tolerance and so many steps between samples."""
+        return self._simulator.by(self._system, 1, tolerance, most_steps)
 
     def initial(self, thetas: Floats) -> Floats | None:
         """Return the states at the beginning (m, n_x) for thetas (m, N), None where they cannot be seen."""
