@@ -17,8 +17,7 @@ import pytest
 from fmuid.assessment.consistency import SAME_VARIANCE_RATIO
 from fmuid.assessment.residual_series import TESTED_LAGS
 from fmuid.batches.cases import Cases
-from fmuid.diagnosis.decision import STRONG_EVIDENCE
-from fmuid.diagnosis.procedure import UNEXPLAINED_SHARE
+from fmuid.diagnosis.decision import STRONG_EVIDENCE, UNEXPLAINED_SHARE
 from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
 from fmuid.estimation.identification import VARIANCE_CHANGE
 from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE

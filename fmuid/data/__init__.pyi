@@ -27,6 +27,7 @@ from .preparation.prepare import TRENDS as TRENDS
 from .preparation.prepare import Axes as Axes
 from .preparation.prepare import Preparation as Preparation
 from .preparation.prepare import reduce as reduce
+from .tables import BEGIN as BEGIN
 from .tables import read_table as read_table
 from .times import time_name as time_name
 from .transforms import concordia as concordia

@@ -7,6 +7,7 @@ from .design import MISS_PROBABILITY as MISS_PROBABILITY
 from .design import Design as Design
 from .design import trial as trial
 from .evidence.naming import MODEL_ERROR as MODEL_ERROR
+from .evidence.onset import Shape as Shape
 from .faults import Angle as Angle
 from .faults import Fault as Fault
 from .findings import Change as Change
@@ -17,10 +18,13 @@ from .hypothesis import Hypothesis as Hypothesis
 from .hypothesis import Size as Size
 from .hypothesis import Strain as Strain
 from .monitoring.alarms import SOMETHING_ELSE as SOMETHING_ELSE
+from .monitoring.alarms import Alarm as Alarm
+from .monitoring.alarms import Moment as Moment
+from .monitoring.alarms import Onset as Onset
 from .monitoring.alarms import Rule as Rule
+from .monitoring.alarms import Trend as Trend
 from .monitoring.monitor import Gap as Gap
 from .monitoring.monitor import Monitor as Monitor
-from .monitoring.window_fit import Extended as Extended
 from .procedure import DiagnosisSettings as DiagnosisSettings
 from .procedure import diagnose as diagnose
 from .verdict import Diagnosis as Diagnosis

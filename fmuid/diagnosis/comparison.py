@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,14 +12,90 @@ from fmuid.arrays import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.coordinates import OPEN, Causes, Coordinates, coordinates_of
-from fmuid.diagnosis.examination import examine, healthy_of
+from fmuid.diagnosis.evidence.information import Known
+from fmuid.diagnosis.examination import Healthy, examine, healthy_of
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.findings import Evidence
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.diagnosis.whitening import Whitening
 from fmuid.errors import InputError
 from fmuid.models import System
-from fmuid.simulation import Refinement
+
+NOTHING_BESIDE = Causes(None, None, None, None, None)
+
+
+@dataclass(frozen=True, eq=False)
+class Juxtaposition:
+    """A healthy machine, as records are compared with it.
+
+    Attributes
+    ----------
+    system : System
+        The healthy machine.
+    baseline : Baseline
+    faults : mapping of str to Fault
+    coordinates : Coordinates
+    healthy : Healthy
+    """
+
+    system: System
+    baseline: Baseline
+    faults: Mapping[str, Fault]
+    coordinates: Coordinates
+    healthy: Healthy
+
+    @classmethod
+    def of(
+        cls,
+        system: System,
+        baseline: Baseline,
+        faults: Mapping[str, Fault],
+        causes: Causes,
+        experiments: Sequence[Experiment],
+        *,
+        planned: bool = False,
+    ) -> Juxtaposition:
+        """Return that of a baseline with its records; without them, of its result alone and with the faults as causes.
+
+        Parameters
+        ----------
+        system : System
+            The healthy machine.
+        baseline : Baseline
+        faults : mapping of str to Fault
+        causes : Causes
+            Beside the faults, where there are healthy records.
+        experiments : sequence of Experiment
+            To be compared.
+        planned : bool
+            Whether there will be a healthy record, and all causes are looked at.
+
+        Raises
+        ------
+        InputError
+            If the records have other inputs or outputs than the first one, or parameters are one per experiment.
+        SimulationError
+            If the healthy machine cannot be simulated.
+        """
+        first = (*baseline.records, *experiments)[0]
+        _check(first, [*baseline.records[1:], *experiments], baseline)
+        for fault in faults.values():
+            fault.check_beside([fault.names.get(name, name) for name in baseline.common])
+        variance = baseline.variance(first.output_names)
+        noise = {name: math.sqrt(value) for name, value in variance.items()}
+        beside = causes if baseline.records or planned else NOTHING_BESIDE
+        coordinates = coordinates_of(system, baseline.common, faults, first, noise, beside)
+        drift = _drift(baseline, coordinates)
+        if not baseline.records:
+            healthy = Healthy(_by_result(baseline, coordinates), Whitening.white(variance), drift)
+            return cls(system, baseline, faults, coordinates, healthy)
+        records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
+        whitening = _whitening(records, coordinates, variance if baseline.noise_variance is not None else None)
+        return cls(system, baseline, faults, coordinates, healthy_of(records, whitening, coordinates, drift))
+
+    def machine(self, experiment: Experiment) -> Machine:
+        """Return the machine over a record."""
+        return _machine(self.system, self.baseline, self.faults, self.coordinates, experiment)
 
 
 def compare(
@@ -26,7 +103,6 @@ def compare(
     baseline: Baseline,
     faults: Mapping[str, Fault],
     system: System,
-    refinement: Refinement,
     causes: Causes,
     level: float,
     model_error: float,
@@ -35,41 +111,38 @@ def compare(
 
     Parameters
     ----------
-    experiments : sequence of Experiment
-    baseline : Baseline
-        With its records.
-    faults : mapping of str to Fault
-    system : System
-        The healthy machine.
-    refinement : Refinement
-        How fine the simulations are.
-    causes : Causes
-        Beside the faults.
+    experiments, baseline, faults, system, causes
+        As for `Juxtaposition.of`.
     level, model_error : float
         As for `fmuid.diagnosis.examination.examine`.
 
     Raises
     ------
-    InputError
-        If the records have other inputs or outputs than the first one, or parameters are one per experiment.
-    SimulationError
-        If the healthy machine cannot be simulated.
+    InputError, SimulationError
+        As `Juxtaposition.of`.
     """
-    first = baseline.records[0]
-    _check(first, [*baseline.records[1:], *experiments], baseline)
-    variance = baseline.variance(first.output_names)
-    noise = {name: math.sqrt(value) for name, value in variance.items()}
-    coordinates = coordinates_of(system, baseline.common, faults, first, noise, causes)
+    made = Juxtaposition.of(system, baseline, faults, causes, experiments)
+    machines = [made.machine(each) for each in experiments]
+    return Evidence.of(examine(machines, made.healthy, made.coordinates, level, model_error), faults)
 
-    def machine(experiment: Experiment) -> Machine:
-        return Machine(system, baseline.values, baseline.common, faults, coordinates, experiment, refinement)
 
-    records = [machine(record) for record in baseline.records]
-    whitening = _whitening(records, coordinates, variance if baseline.noise_variance is not None else None)
-    healthy = healthy_of(records, whitening, coordinates, _drift(baseline, coordinates))
-    return Evidence.of(
-        examine([machine(each) for each in experiments], healthy, coordinates, level, model_error), faults
-    )
+def _machine(
+    system: System,
+    baseline: Baseline,
+    faults: Mapping[str, Fault],
+    coordinates: Coordinates,
+    experiment: Experiment,
+) -> Machine:
+    return Machine(system, baseline.values, baseline.common, faults, coordinates, experiment, baseline.refinement)
+
+
+def _by_result(baseline: Baseline, coordinates: Coordinates) -> Known:
+    """Return what the healthy result alone says: its estimates, and no fault."""
+    std = np.zeros(len(coordinates.each))
+    known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
+    for i, name in enumerate(baseline.common):
+        std[i] = known.get(name, 0.0)
+    return Known(np.zeros(std.size), np.diag(std**2))
 
 
 def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) -> None:
@@ -113,7 +186,7 @@ def _drift(baseline: Baseline, coordinates: Coordinates) -> Floats:
     drift = np.zeros(len(coordinates.each))
     known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
     for i, (name, parameter) in enumerate(baseline.common.items()):
-        if parameter.prior is None:
+        if parameter.prior is None or name not in known:
             drift[i] = OPEN * (parameter.nominal or abs(parameter.start) or 1.0)
         else:
             drift[i] = math.sqrt(max(0.0, parameter.prior.std**2 - known[name] ** 2))

@@ -94,6 +94,13 @@ class Causes:
     parameter: Range | None = field(default_factory=lambda: Range(1.0, 0.1))
 
 
+def name_of(kind: CauseKind, variable: str, fault: str) -> str:
+    """Return what a cause is called: ``stator.eta_a``, ``gain(ids)``, ``Rs``."""
+    if kind is CauseKind.FAULT:
+        return f"{fault}.{variable}"
+    return variable if kind is CauseKind.PARAMETER else f"{kind.value}({variable})"
+
+
 @dataclass(frozen=True)
 class Coordinate:
     """One number of the machine and what is around it.
@@ -122,6 +129,11 @@ class Coordinate:
     normal: float
     fault: str = ""
     second: bool = False
+
+    @property
+    def name(self) -> str:
+        """Of the cause that it is."""
+        return name_of(self.kind, self.variable, self.fault)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +239,7 @@ class _Made:
         self.each += new
         self.healthy += [healthy] * len(new)
         if size is not None:
-            self.causes.append(Cause(name_of(new[0]), columns, size, sign))
+            self.causes.append(Cause(new[0].name, columns, size, sign))
 
 
 def _add_fault(made: _Made, name: str, fault: Fault) -> None:
@@ -243,12 +255,3 @@ def _add_fault(made: _Made, name: str, fault: Fault) -> None:
         else:
             sign = 1 if parameter.min == 0.0 else -1 if parameter.max == 0.0 else 0
             made.add(first, 0.0, magnitude, sign)
-
-
-def name_of(coordinate: Coordinate) -> str:
-    """Return the name of a cause: ``stator.eta_a``, ``gain(ids)``, ``Rs``."""
-    if coordinate.kind is CauseKind.FAULT:
-        return f"{coordinate.fault}.{coordinate.variable}"
-    if coordinate.kind is CauseKind.PARAMETER:
-        return coordinate.variable
-    return f"{coordinate.kind.value}({coordinate.variable})"

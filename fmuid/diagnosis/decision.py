@@ -35,6 +35,9 @@ from fmuid.estimation import check_level
 
 # Of calling a fault where there is none, unless said otherwise: one check in a hundred, the habit of the field.
 FALSE_ALARM_LEVEL = 0.01
+# The residual may be larger than the noise for other reasons than the causes that are looked for: this share of the
+# level is spent on it, so that the level as a whole is met.
+UNEXPLAINED_SHARE = 0.1
 # Hypotheses whose information criteria differ by less are not told apart: beyond it the evidence is strong (Kass and
 # Raftery, section 3.2: 6 is a ratio of 20 : 1).
 STRONG_EVIDENCE = 6.0

@@ -1,9 +1,11 @@
 """Design of the test: the smallest fault that an excitation shows, and which excitation shows the smallest.
 
-From the sensitivities of the healthy model follows the covariance (1.47) of the fault parameters beside the common
-mode before anything is measured. A fault f makes D noncentral χ² with noncentrality (f/σ_f)²; for one parameter of
-either sign it is found with probability 1 − β at f = (z_{1−α/2} + z_{1−β}) σ_f, and with z_{1−α} where it has one
-sign only (S. M. Kay, "Fundamentals of Statistical Signal Processing, volume II: Detection Theory", 1998, chapter 6).
+From the sensitivities of the healthy machine follows, before anything is measured, the information on each cause beside
+all that may change and beside the errors of the healthy record (`fmuid.diagnosis.evidence`). A fault f makes D
+noncentral χ² with noncentrality (f/σ_f)²; for one parameter of either sign it is found with probability 1 − β at
+f = (z_{1−α/2} + z_{1−β}) σ_f, and with z_{1−α} where it has one sign only (S. M. Kay, "Fundamentals of Statistical
+Signal Processing, volume II: Detection Theory", 1998, chapter 6). With several causes α is what the smallest of their
+probabilities falls below by chance. The angle between two signatures says from which size on they can be told apart.
 """
 
 from __future__ import annotations
@@ -15,20 +17,27 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy import special
 
-from fmuid.arrays import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline
+from fmuid.diagnosis.comparison import Juxtaposition
+from fmuid.diagnosis.coordinates import CauseKind, Causes
 from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL
+from fmuid.diagnosis.evidence.causes import Cause
+from fmuid.diagnosis.evidence.detection import Chance, detectable
+from fmuid.diagnosis.evidence.information import Information, Known, News
+from fmuid.diagnosis.evidence.naming import MODEL_ERROR, angle, told_apart_from
+from fmuid.diagnosis.evidence.watch import LEAST
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.monitoring.belief import Belief
-from fmuid.diagnosis.monitoring.window_fit import Extended
 from fmuid.errors import InputError
 from fmuid.estimation import Result, check_level
+from fmuid.fmi import FMU
+from fmuid.models import System
 
 # Of no alarm where there is a fault of the size, unless said otherwise: the size is found nineteen times of twenty.
 MISS_PROBABILITY = 0.05
+# An endless healthy record is so many times as long as the new one.
+FOREVER = 1e4
 
 
 @dataclass(frozen=True)
@@ -37,49 +46,64 @@ class Detectable:
 
     Attributes
     ----------
-    name : str
-        The fault parameter.
+    fault, name : str
+        The hypothesis, and its parameter.
     value : float
-        Found with the probability asked for; with bounds and several parameters an upper limit, infinite where the
-        excitation does not determine the fault.
+        Found with the probability asked for; infinite where the excitation does not determine the fault.
     std : float
-        Of its estimate in D: the other parameters of the fault are taken to be zero.
+        Of its estimate.
     unit : str
         "" without.
     share : float
         Of the variance, what the healthy record's errors make: a longer test does not lower it.
+    rival : str
+        The other cause whose signature is nearest, "" without.
+    rival_angle : float
+        Between the two signatures, rad; NaN without.
+    apart : float
+        The size from which on every other cause is excluded, 20 : 1 in 90 % of records; infinite where it never is.
     """
 
+    fault: str
     name: str
     value: float
     std: float
     unit: str
     share: float
+    rival: str = ""
+    rival_angle: float = math.nan
+    apart: float = math.nan
 
 
 class Design:
-    """A fault, a healthy machine and the rates asked for: what is the smallest fault that an excitation shows.
+    """Faults, a healthy machine and the rates asked for: what is the smallest fault that an excitation shows.
 
     Parameters
     ----------
-    fault : Fault
+    hypotheses : mapping of str to Fault
     baseline : Baseline, Result or path
         As for `fmuid.diagnose`.
+    nominal_model : System, FMU or path
+        The healthy machine.
+    causes : Causes, optional
+        Beside the faults, where the baseline has records or `healthy` is asked for.
     false_alarm : float
-        Probability of a significant result without a fault.
+        Probability of an alarm where nothing is new.
     miss : float
-        Probability of none with it, below one half.
+        Probability of none with a fault, below one half.
+    model_error : float
+        κ, as for `fmuid.DiagnosisSettings`.
 
     Raises
     ------
     InputError
-        If a rate is out of its range or the healthy result does not fit the model.
+        If there is no fault, a rate is out of its range or the healthy result does not fit the model.
 
     Examples
     --------
     >>> coil = fmuid.datasets.coil()
     >>> fault = fmuid.Fault(fmuid.datasets.faulty_coil().fmu, {"dR": fmuid.Parameter(0.0, nominal=1.0)})
-    >>> design = fmuid.Design(fault, fmuid.identify(coil.problem()))
+    >>> design = fmuid.Design({"turns": fault}, fmuid.identify(coil.problem()), coil.fmu)
     >>> long = fmuid.trial(fmuid.prbs(2.0, 1e-3, 12.0, bit=8), ["u"], ["i"])
     >>> short = fmuid.trial(fmuid.steps(0.2, 1e-3, [0.0, 12.0]), ["u"], ["i"])
     >>> design.rank({"short": short, "long": long})["excitation"].tolist()
@@ -88,28 +112,35 @@ class Design:
 
     def __init__(
         self,
-        fault: Fault,
+        hypotheses: Mapping[str, Fault],
         baseline: Baseline | Result | str | Path,
+        nominal_model: System | FMU | str | Path,
+        causes: Causes | None = None,
         *,
         false_alarm: float = FALSE_ALARM_LEVEL,
         miss: float = MISS_PROBABILITY,
+        model_error: float = MODEL_ERROR,
     ) -> None:
         check_level(false_alarm, "a test")
         if not 0 < miss < 0.5:
             raise InputError(f"the rate of misses must be above 0 and below 0.5, not {miss!r}")
-        healthy = Baseline.of(baseline)
-        self.model = Extended(
-            "the fault", fault, healthy.common, healthy.variances, healthy.freedom, healthy.refinement
-        )
+        if not hypotheses:
+            raise InputError("there is no fault to look for: give at least one fault model with its parameters")
+        self.faults, self.baseline, self.system = dict(hypotheses), Baseline.of(baseline), System.of(nominal_model)
+        self.causes, self.model_error = causes or Causes(), model_error
         self.false_alarm, self.miss = false_alarm, miss
 
-    def detectable(self, excitation: Experiment) -> tuple[Detectable, ...]:
+    def detectable(self, excitation: Experiment, healthy: float | None = None) -> tuple[Detectable, ...]:
         """Return the smallest detectable value of each size.
 
         Parameters
         ----------
         excitation : Experiment
             A record, or an excitation that is still to be applied (`trial`), with the healthy machine's names.
+        healthy : float, optional
+            The healthy record is so many times as long as this one, with the same excitation, and all causes are
+            looked at; infinite: nothing of the healthy machine is uncertain but what drifts. Default: what the
+            baseline has.
 
         Raises
         ------
@@ -118,38 +149,69 @@ class Design:
         SimulationError
             If the simulation of the healthy machine fails.
         """
-        model = self.model
-        simulator = model.simulator(model.fault.renamed(excitation))
-        _, slopes = model.linearise(simulator, model.prior.mean)
-        scatter = slopes.T @ slopes
-        information = model.prior.information + scatter
-        sizes = [(name, model.system.unit(name) or "") for name in model.fault.sizes]
-        if not model.determined(information):
-            return tuple(Detectable(name, math.inf, math.inf, unit, math.nan) for name, unit in sizes)
-        whole = model.covariance(Belief(model.prior.mean, information, scatter))
-        inverse = np.linalg.inv(information)
-        by_prior = (inverse @ model.prior.information @ inverse)[model.first :, model.first :]
-        own = whole[model.first :, model.first :]
-        need = self._need(own)
-        precision = np.linalg.inv(own)
-        place = {name: i for i, name in enumerate(model.fault.parameters)}
+        made = Juxtaposition.of(
+            self.system, self.baseline, self.faults, self.causes, [excitation], planned=healthy is not None
+        )
+        _, columns = made.machine(excitation).linearise(made.coordinates.healthy)
+        white = made.healthy.whitening(excitation, columns)
+        said = Information.of(white, np.zeros(len(white)))
+        known = made.healthy.known
+        if healthy is not None:
+            longer = min(healthy, FOREVER)
+            known = Known.after(Information(longer * said.matrix, longer * said.score), made.coordinates.normal)
+        sharp = News.of(said, Known(0.0 * known.mean, 0.0 * known.covariance).drifting(made.healthy.drift))
+        news = News.of(said, known.drifting(made.healthy.drift))
+        causes = made.coordinates.causes
+        limit = self.false_alarm if len(causes) == 1 else Chance.of(news, causes).limit(self.false_alarm)
         found = []
-        for name, unit in sizes:
-            pair = [place[name]] + ([place[model.fault.located[name]]] if name in model.fault.located else [])
-            # a fault that an angle locates: the direction that shows least
-            std = float(np.linalg.eigvalsh(precision[np.ix_(pair, pair)])[0]) ** -0.5
-            share = float(by_prior[pair[0], pair[0]] / own[pair[0], pair[0]])
-            found.append(Detectable(name, need * std, std, unit, share))
+        for cause in causes:
+            of = made.coordinates.each[cause.columns[0]]
+            if of.kind is CauseKind.FAULT:
+                size = self._size(news, sharp, said, cause, causes, limit)
+                found.append(Detectable(of.fault, of.variable, size[0], size[1], of.unit, *size[2:]))
         return tuple(found)
 
-    def _need(self, covariance: Floats) -> float:
-        """Return how many standard deviations a fault must have."""
-        reference = self.model.reference(covariance, self.model.freedom)
-        threshold = reference.threshold(self.false_alarm)
-        if len(reference.weights) == 1:
-            return math.sqrt(float(special.chndtrinc(threshold, reference.free, self.miss)))
-        # D is at least the square of any one component
-        return math.sqrt(threshold) - float(special.ndtri(self.miss))
+    def _size(
+        self, news: News, sharp: News, said: Information, cause: Cause, causes: Sequence[Cause], limit: float
+    ) -> tuple[float, float, float, str, float, float]:
+        """Return value, std, share, rival, its angle and the size that is told apart, of one fault."""
+        least = [float(np.linalg.eigvalsh(each.part(cause.columns)[0])[0]) for each in (news, sharp)]
+        if not least[0] > LEAST * float(np.diag(said.matrix)[list(cause.columns)].max()):
+            return math.inf, math.inf, math.nan, "", math.nan, math.inf
+        value, std = detectable(news, cause, limit, self.miss), least[0] ** -0.5
+        share = 1.0 - least[0] / least[1]
+        own = LEAST * np.diag(said.matrix)
+        others = [c for c in causes if c is not cause and all(news.information[i, i] > own[i] for i in c.columns)]
+        if not others:
+            return value, std, share, "", math.nan, value
+        angles = [angle(news, cause, other) for other in others]
+        near = int(np.argmin(angles))
+        apart = max(told_apart_from(news, cause, other, self.model_error) for other in others)
+        return value, std, share, others[near].name, angles[near], max(apart, value)
+
+    def cost(self, excitation: Experiment, healthy: Sequence[float] = (1.0, 3.0, 10.0, 100.0)) -> pd.DataFrame:
+        """Return what a healthy record of some length costs: the detectable sizes against those of an endless one.
+
+        Parameters
+        ----------
+        excitation : Experiment
+        healthy : sequence of float
+            Lengths of the healthy record, in lengths of the new one.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``healthy``, and for each size its smallest detectable value and ``.times`` that with an endless one.
+        """
+        endless = self.detectable(excitation, math.inf)
+        rows = []
+        for length in healthy:
+            row = {"healthy": length}
+            for each, best in zip(self.detectable(excitation, length), endless, strict=True):
+                name = f"{each.fault}.{each.name}"
+                row |= {name: each.value, f"{name}.times": each.value / best.value}
+            rows.append(row)
+        return pd.DataFrame(rows)
 
     def rank(self, candidates: Mapping[str, Experiment]) -> pd.DataFrame:
         """Compare excitations: one row each, the best first.
@@ -157,8 +219,10 @@ class Design:
         Returns
         -------
         pandas.DataFrame
-            ``excitation``, ``duration`` (s), for each size its smallest detectable value and ``.std``, and ``worst``:
-            the largest of these values over the magnitudes (nominal) of the parameters, by which they are ordered.
+            ``excitation``, ``duration`` (s), for each size its smallest detectable value, ``.std``, the cause whose
+            signature is nearest (``.rival``) with its ``.angle`` (°), the size from which on it is told from all others
+            (``.apart``), and ``worst``: the largest of the detectable values over the magnitudes (nominal) of the
+            parameters, by which they are ordered.
 
         Raises
         ------
@@ -178,7 +242,10 @@ class Design:
             worst = 0.0
             for each in self.detectable(excitation):
                 row |= {each.name: each.value, f"{each.name}.std": each.std}
-                worst = max(worst, each.value / (self.model.fault.parameters[each.name].nominal or 1.0))
+                if each.rival:
+                    row |= {f"{each.name}.rival": each.rival, f"{each.name}.angle": math.degrees(each.rival_angle)}
+                    row[f"{each.name}.apart"] = each.apart
+                worst = max(worst, each.value / (self.faults[each.fault].parameters[each.name].nominal or 1.0))
             rows.append(row | {"worst": worst})
         return pd.DataFrame(rows).sort_values("worst", kind="stable", ignore_index=True)
 

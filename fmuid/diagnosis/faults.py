@@ -203,6 +203,18 @@ class Fault:
             for chosen in itertools.product(turns, repeat=len(self.angles))
         ]
 
+    def check_beside(self, common: Iterable[str]) -> None:
+        """Check the parameters against the healthy machine's, by the names that they have in this model.
+
+        Raises
+        ------
+        InputError
+            If one is both.
+        """
+        for name in self.parameters:
+            if name in common:
+                raise InputError(f"the parameter {name!r} is the fault's and the healthy machine's: it can be only one")
+
     def renamed(self, experiment: Experiment) -> Experiment:
         """Return an experiment with the names that its inputs and outputs have in this model."""
 

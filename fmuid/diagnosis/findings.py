@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from fmuid.diagnosis.coordinates import CauseKind, Coordinate, Coordinates
+from fmuid.diagnosis.coordinates import CauseKind, Coordinate, Coordinates, name_of
 from fmuid.diagnosis.evidence.causes import Cause
 from fmuid.diagnosis.evidence.detection import CauseFit, fit, probability
 from fmuid.diagnosis.evidence.naming import angle
@@ -47,6 +47,11 @@ class Change:
     unit: str
     angle: str = ""
     angle_value: float = math.nan
+
+    @property
+    def label(self) -> str:
+        """What it is called in tables: ``turns.dR``, ``gain(i)``, ``R``."""
+        return name_of(self.kind, self.variable, self.fault)
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
         """Return the confidence interval; of a size with an angle from 0 on."""
@@ -93,6 +98,11 @@ class Explanation:
 
     changes: tuple[Change, ...]
     odds: float
+
+    @classmethod
+    def of_json(cls, data: Mapping[str, Any]) -> Explanation:
+        """Return that of a file."""
+        return cls(tuple(_change(each) for each in data["changes"]), float(data["odds"]))
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -164,10 +174,7 @@ class Evidence:
             If the data are not of one.
         """
         plain = {key: data[key] for key in ("probability", "alarm", "temper", "ratio", "without", "samples", "steady")}
-        explanations = tuple(
-            Explanation(tuple(_change(each) for each in one["changes"]), float(one["odds"]))
-            for one in data["explanations"]
-        )
+        explanations = tuple(map(Explanation.of_json, data["explanations"]))
         suspects = tuple(Suspect(**each | {"change": _change(each["change"])}) for each in data["suspects"])
         return cls(explanations=explanations, suspects=suspects, **plain)
 

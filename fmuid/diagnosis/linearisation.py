@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -61,6 +62,12 @@ class Machine:
             for name, fault in faults.items()
         ]
 
+    def over(self, experiment: Experiment) -> Machine:
+        """Return the same machine over another record, which takes over what has been made ready to simulate."""
+        other = copy(self)
+        other.experiment, other._models = experiment, [model.again() for model in self._models]
+        return other
+
     def linearise(self, point: Floats) -> tuple[Floats, Floats]:
         """Return the outputs (K, n_outputs) at a point (N,), and their derivatives (K, n_outputs, N).
 
@@ -113,6 +120,14 @@ class _Model:
         self.parameters += [] if fault is None else list(fault.parameters)
         self.coordinates = coordinates
         self._simulators: dict[tuple[float, ...], Simulator] = {}
+        self._like: Simulator | None = None
+
+    def again(self) -> _Model:
+        """Return the same model for another record."""
+        other = copy(self)
+        other._simulators = {}
+        other._like = next(iter(self._simulators.values()), self._like)
+        return other
 
     def there(self, point: Floats) -> bool:
         """Return whether the model says what the outputs are: the healthy one does, a fault where it is not zero."""
@@ -181,8 +196,11 @@ class _Model:
             names = [self.coordinates.each[i].variable for i in self.gains]
             driven = _driven(experiment, dict(zip(names, gains, strict=True)))
             own = driven if self.fault is None else self.fault.renamed(driven)
-            simulator = Simulator(self.system, own, self.parameters, values=self.values)
-            self._simulators[gains] = refined(simulator, self.system, self.refinement)
+            if self._like is not None:
+                self._simulators[gains] = self._like.over(own)
+            else:
+                made = Simulator(self.system, own, self.parameters, values=self.values)
+                self._simulators[gains] = refined(made, self.system, self.refinement)
         return self._simulators[gains]
 
     def _theta(self, point: Floats) -> list[float]:

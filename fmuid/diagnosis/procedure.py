@@ -22,7 +22,14 @@ from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.comparison import compare
 from fmuid.diagnosis.coordinates import Causes
-from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL, Reference, at_least_one, orthant_weights, rivals
+from fmuid.diagnosis.decision import (
+    FALSE_ALARM_LEVEL,
+    UNEXPLAINED_SHARE,
+    Reference,
+    at_least_one,
+    orthant_weights,
+    rivals,
+)
 from fmuid.diagnosis.evidence.naming import MODEL_ERROR
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.findings import Evidence
@@ -37,10 +44,6 @@ from fmuid.models import System
 from fmuid.progress import FaultStep, Progress
 from fmuid.text import nearest
 from fmuid.version import __version__
-
-# The residual may be larger than the noise for other reasons than the faults that are looked for: this share of the
-# level is spent on it, so that the level as a whole is met.
-UNEXPLAINED_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -183,9 +186,7 @@ class _Diagnosing:
         system = System.of(fault.model)
         experiments = [fault.renamed(each) for each in self.experiments]
         common = {names.get(each, each): parameter for each, parameter in self.common.items()}
-        for each in fault.parameters:
-            if each in common:
-                raise InputError(f"the parameter {each!r} is the fault's and the healthy machine's: it can be only one")
+        fault.check_beside(common)
         variance = {names.get(each, each): value for each, value in self.variance.items()}
         without = self._problem(system, experiments, common, variance, {**fault.values, **fault.zero})
         problem = self._problem(system, experiments, common | fault.searched, variance, fault.values)
@@ -203,9 +204,7 @@ class _Diagnosing:
     def beside(self, system: System, faults: Mapping[str, Fault]) -> Evidence:
         """Say what is new beside the healthy records."""
         how = self.settings
-        return compare(
-            self.experiments, self.baseline, faults, system, self.refinement, how.causes, self.level, how.model_error
-        )
+        return compare(self.experiments, self.baseline, faults, system, how.causes, self.level, how.model_error)
 
     def _problem(
         self,

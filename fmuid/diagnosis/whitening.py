@@ -5,12 +5,12 @@ A model of the noise taken from the new record would whiten the fault away with 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Floats, Indices
 from fmuid.data import Experiment
 from fmuid.estimation import Autoregression, autoregression, series_of
 
@@ -56,16 +56,27 @@ class Whitening:
             models[name] = found
         return cls(models)
 
+    def std(self, output: str) -> float:
+        """Return the standard deviation of an output's noise."""
+        model = self.models[output]
+        return float((model.variance * model.gain) ** 0.5)
+
     def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
         """Return the innovations of columns (K, n_outputs, m) at the counted samples, in units of their std (n, m).
 
         A sample whose predecessors are missing, the first ones of a record too, has the variance of the process.
         """
-        found = []
+        return np.vstack([white for _, white in self.of_outputs(experiment, columns)])
+
+    def of_outputs(self, experiment: Experiment, columns: Floats) -> Iterator[tuple[Indices, Floats]]:
+        """Yield the same of one output after the other, with the rows of the record that they belong to."""
         for series in series_of([experiment], experiment.output_names):
             model = self.models[series.output]
             j = experiment.output_names.index(series.output)
             rows = np.flatnonzero(experiment.counted[:, j])
+            if not model.coefficients.size:
+                yield rows, columns[rows, j] / model.variance**0.5
+                continue
             grid = np.full((1 + int(series.places[-1]), columns.shape[2]), np.nan)
             grid[series.places] = columns[rows, j]
             innovation = grid.copy()
@@ -75,8 +86,7 @@ class Whitening:
             std = np.full((len(grid), 1), model.variance**0.5)
             alone = np.isnan(innovation).any(axis=1)
             innovation[alone], std[alone] = grid[alone], (model.variance * model.gain) ** 0.5
-            found.append((innovation / std)[series.places])
-        return np.vstack(found)
+            yield rows, (innovation / std)[series.places]
 
 
 def _placed(experiment: Experiment, residual: Floats, name: str) -> Floats:

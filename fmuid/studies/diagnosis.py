@@ -22,7 +22,6 @@ from fmuid.studies.words import (
     TABLE_TAG,
     VALUE_TAG,
     Columns,
-    Count,
     Entries,
     File,
     Files,
@@ -55,6 +54,7 @@ def _factor(value: float) -> float:
 FACTOR = "a number above 0, inf for no prior"
 Factor = Annotated[float, AfterValidator(_factor), Kind(FACTOR)]
 Factors = Annotated[dict[str, Factor], Entries("a table { parameter = number }")]
+Limits = Annotated[dict[str, Number], Entries("a table { fault.size = number }")]
 
 
 class AngleWords(Words):
@@ -137,13 +137,10 @@ class MonitoringWords(Words):
     window: Positive | None = word(None, "length of a window, s; default: each record is one")
     transient: NotNegative | None = word(None, "simulated before each window, s; default: what the study discards")
     level: Share | None = word(
-        None, "probability that a window is significant where nothing is wrong; default: that of [diagnosis]"
+        None, "probability of a false alarm in a record, or in the horizon; default: that of [diagnosis]"
     )
-    needed: Count = word(RULE.needed, "an alarm takes so many significant windows ...")
-    among: Count = word(RULE.among, "... of the last so many")
-    forgetting: NotNegative = word(
-        RULE.forgetting, "0: windows by themselves; towards 1: earlier ones count by F, F², ..."
-    )
+    horizon: Positive | None = word(None, "in which the level holds, s; default: each record")
+    limits: Limits = word({}, 'sizes that must not be reached, as in { "turns.dR" = 0.5 }')
 
     def rule(self, discard: float, level: float) -> Rule:
         """Return the rule of a study with a transient that it discards and a level of its diagnosis.
@@ -160,7 +157,7 @@ class MonitoringWords(Words):
             )
         transient = discard if self.transient is None else self.transient
         try:
-            return Rule(self.window, transient, self.level or level, self.needed, self.among, self.forgetting)
+            return Rule(self.window, transient, self.level or level, self.horizon, self.limits)
         except InputError as error:
             raise InputError(f"{self.place}: {error}") from None
 

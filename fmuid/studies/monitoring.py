@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from fmuid.data import TABLE_SUFFIXES, Experiment
-from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Design, Monitor, Rule
+from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Baseline, Design, Monitor, Rule
 from fmuid.errors import InputError
 from fmuid.studies.diagnosis import FaultSearch
 from fmuid.studies.study import Study
@@ -35,7 +35,14 @@ def monitor_of(study: Study, rule: Rule) -> Monitor:
     settings = _settings(study)
     hypotheses = settings.hypotheses(study.system, study.model)
     try:
-        return Monitor(settings.baseline(study.model, study.parameters, study.noise), hypotheses, rule)
+        return Monitor(
+            _healthy(study),
+            hypotheses,
+            study.system,
+            rule,
+            settings.causes,
+            settings.model_error,
+        )
     except InputError as error:
         raise InputError(f"{settings.source.where}: {error}") from None
 
@@ -54,8 +61,15 @@ def design_of(
     if fault not in settings.faults:
         raise InputError(f"{settings.source.where} has no fault {fault!r}, only {', '.join(settings.faults)}")
     model = settings.faults[fault].fault(study.system, study.model)
-    healthy = settings.baseline(study.model, study.parameters, study.noise)
-    return Design(model, healthy, false_alarm=false_alarm, miss=miss)
+    return Design(
+        {fault: model},
+        _healthy(study),
+        study.system,
+        settings.causes,
+        false_alarm=false_alarm,
+        miss=miss,
+        model_error=settings.model_error,
+    )
 
 
 def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -> Iterator[Experiment]:
@@ -109,6 +123,13 @@ def record_files(paths: Sequence[Path]) -> list[Path]:
             raise InputError(f"{names[path.stem]} and {path} are of one name: records go by it, rename one of the two")
         names[path.stem] = path
     return found
+
+
+def _healthy(study: Study) -> Baseline:
+    """Return the healthy machine of a study, with its records."""
+    settings = _settings(study)
+    records = [study.experiments[0].read_experiment(path) for path in settings.records]
+    return settings.baseline(study.model, study.parameters, study.noise, records)
 
 
 def _settings(study: Study) -> FaultSearch:

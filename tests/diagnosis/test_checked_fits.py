@@ -121,7 +121,7 @@ def test_windows_are_simulated_as_the_healthy_record_was(motor: fmuid.System, he
     found = []
     for result in (healthy, replace(healthy, accuracy=None)):
         baseline = fmuid.Baseline(result, noise_variance=noise, values={**HELD, "F": 0.0})
-        monitor = fmuid.Monitor(baseline, {"friction": fault}, fmuid.Rule())
+        monitor = fmuid.Monitor(baseline, {"friction": fault}, motor)
         monitor.add(record(0.0, 5))
         found.append(bool(monitor.table["unexplained"].any()))
     assert found == [False, True]

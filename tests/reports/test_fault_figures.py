@@ -91,10 +91,8 @@ def windows() -> pd.DataFrame:
     """Windows of 2 s in three records, in each of which the time begins anew."""
     count, start = 12, np.tile([0.0, 2.0, 4.0, 6.0], 3)
     columns = {"start": start, "end": start + 2.0, "record": np.repeat(["a", "b", "c"], 4), "variance_ratio": 1.0}
-    sizes = {"turns.dR": np.arange(12.0), "turns.dR.std": 0.1, "turns.R": 4.0, "turns.R.std": [math.inf] + [0.1] * 11}
-    return pd.DataFrame(
-        columns | sizes | {"significant": [""] * 9 + ["turns", "turns or other", "other"]}, range(count)
-    )
+    sizes = {"turns.dR": np.arange(12.0), "turns.dR.std": 0.1, "R": 4.0, "R.std": [math.inf] + [0.1] * 11}
+    return pd.DataFrame(columns | sizes | {"significant": [""] * 9 + ["turns", "turns", "other"]}, range(count))
 
 
 def test_time_goes_on_from_record_to_record(windows: pd.DataFrame) -> None:
@@ -107,9 +105,9 @@ def test_time_goes_on_from_record_to_record(windows: pd.DataFrame) -> None:
 
 def test_timeline(windows: pd.DataFrame) -> None:
     content = {
-        "names": {"turns": ["R", "dR"]},
-        "sizes": {"turns": ["dR"]},
-        "units": {"turns": {"R": "Ohm", "dR": None}},
+        "sizes": {"turns": ["turns.dR"]},
+        "common": ["R"],
+        "units": {"R": "Ohm", "turns.dR": ""},
         "alarms": as_json([Alarm("turns", "c", 4.0, 10, 11)]),
     }
     figure = diagnosis.timeline(windows, "turns", content)

@@ -96,6 +96,13 @@ class Known:
         shown = inside / k + excess * (1.0 + 1.0 / k) * (k - 1.0) / (k - 3.0)
         return cls(means.mean(axis=0), shown)
 
+    def after_also(self, record: Information) -> Known:
+        """Return what is known after a record of the same coordinates; what is known for sure may stay so."""
+        left = np.linalg.inv(np.eye(self.mean.size) + record.matrix @ self.covariance)
+        covariance = self.covariance @ left
+        covariance = 0.5 * (covariance + covariance.T)
+        return Known(self.mean + covariance @ (record.score - record.matrix @ self.mean), covariance)
+
     def drifting(self, std: Floats) -> Known:
         """Return what is known where each coordinate may have drifted by a standard deviation (N,) and be sound."""
         return Known(self.mean, self.covariance + np.diag(std**2))

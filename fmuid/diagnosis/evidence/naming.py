@@ -101,9 +101,18 @@ def name(
     adjusted = chance.adjusted(smallest)
     if smallest > chance.limit(level):
         return Naming(by_name, adjusted, False)
-    temper = 1.0 + model_error**2 * float(statistics.max())
-    sets = _pairs(news, causes, float(statistics.max()), temper, level) or [(cause,) for cause in causes]
-    return Naming(by_name, adjusted, True, _likely(news.tempered(temper), sets), temper)
+    temper, likely = weighed(news, causes, level, model_error)
+    return Naming(by_name, adjusted, True, likely, temper)
+
+
+def weighed(
+    news: News, causes: Sequence[Cause], level: float, model_error: float
+) -> tuple[float, tuple[CauseSet, ...]]:
+    """Return what something new is, and the factor on variances for the models' error (`Naming`); as for `name`."""
+    largest = max(fit(news, (cause,)).statistic for cause in causes)
+    temper = 1.0 + model_error**2 * largest
+    sets = _pairs(news, causes, largest, temper, level) or [(cause,) for cause in causes]
+    return temper, _likely(news.tempered(temper), sets)
 
 
 def _pairs(news: News, causes: Sequence[Cause], single: float, temper: float, level: float) -> list[tuple[Cause, ...]]:

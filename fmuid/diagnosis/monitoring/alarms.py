@@ -1,24 +1,27 @@
-"""When windows that are significant make an alarm, and how often they do so where nothing is wrong.
-
-One window in 1/level is significant without a fault. Where `needed` of the last `among` windows must be, chance alone
-hardly does it; but all windows have one healthy record in common, and its errors make them alike.
-"""
+"""What makes an alarm, and what one says: since when, what, how large, where it leads."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy import special
 
+from fmuid.arrays import Floats
 from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL
+from fmuid.diagnosis.evidence.onset import Shape
+from fmuid.diagnosis.findings import Explanation
 from fmuid.errors import InputError
 from fmuid.estimation import check_level
 
 SOMETHING_ELSE = "something else"
-"""What an alarm is called where no fault model explains a residual that is larger than the noise."""
+"""What an alarm is called where no cause explains a residual that is larger than the noise."""
+
+# A trend takes so many windows.
+TREND_WINDOWS = 4
 
 
 @dataclass(frozen=True)
@@ -32,11 +35,11 @@ class Rule:
     transient : float
         What each window is simulated before it, and what is left out at the beginning of a record, s.
     level : float
-        Probability that a window is significant where nothing is wrong, whatever the number of faults looked for.
-    needed, among : int
-        There is an alarm where so many of the last so many windows are significant.
-    forgetting : float
-        0: every window by itself; towards 1: what earlier windows said falls by this factor from window to window.
+        Probability of a false alarm in a record, or in the time `horizon`, whatever the number of causes looked for.
+    horizon : float or None
+        In which the level holds, s; None for each record.
+    limits : mapping of str to float
+        Sizes that must not be reached, by the columns of the table: ``{"turns.dR": 0.5}``.
 
     Raises
     ------
@@ -45,16 +48,15 @@ class Rule:
 
     Examples
     --------
-    >>> fmuid.Rule(window=1.0, transient=0.2, needed=3, among=4).window
+    >>> fmuid.Rule(window=1.0, transient=0.2, level=0.01, horizon=86_400.0).window
     1.0
     """
 
     window: float | None = None
     transient: float = 0.0
     level: float = FALSE_ALARM_LEVEL
-    needed: int = 3
-    among: int = 4
-    forgetting: float = 0.0
+    horizon: float | None = None
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_level(self.level, "a test")
@@ -67,28 +69,138 @@ class Rule:
                 f"windows of {self.window:g} s are not longer than the transient of {self.transient:g} s: "
                 "make the windows longer"
             )
-        if not 1 <= self.needed <= self.among:
-            raise InputError(
-                f"an alarm cannot take {self.needed} of {self.among} windows: give a number from 1 to that"
-            )
-        if not 0 <= self.forgetting < 1:
-            raise InputError(f"forgetting must be 0 or more and below 1, not {self.forgetting!r}")
+        if self.horizon is not None and not (math.isfinite(self.horizon) and self.horizon > 0):
+            raise InputError(f"the horizon must be a duration in seconds above zero, not {self.horizon!r}")
+
+    def window_level(self, windows: int, length: float) -> float:
+        """Return the probability of a false alarm that each window may have.
+
+        Parameters
+        ----------
+        windows : int
+            Of the record.
+        length : float
+            Of one of them, s.
+        """
+        return self.level / (windows if self.horizon is None else max(1.0, self.horizon / length))
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A time of a record.
+
+    Attributes
+    ----------
+    record : str
+    time : float
+        s of the record.
+    date : str
+        Where the record's table has dates (ISO 8601), "" otherwise.
+    """
+
+    record: str
+    time: float
+    date: str = ""
+
+
+@dataclass(frozen=True)
+class Onset:
+    """Since when.
+
+    Attributes
+    ----------
+    likely, first, last : Moment
+        The most likely one, and the set that holds the true one with 95 %.
+    shape : Shape
+        Whether it came at once, or grows.
+    """
+
+    likely: Moment
+    first: Moment
+    last: Moment
+    shape: Shape
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How a size goes on, by the windows since the onset.
+
+    Attributes
+    ----------
+    column : str
+        Of the table.
+    value, std : float
+        At the end of the last window.
+    rate, rate_std : float
+        Its change in a second.
+    limit : float
+        That the user has set; NaN without.
+    reached : (float, float, float)
+        In how many seconds after the last window the limit is reached, most likely, and from to with 95 %: 0 where it
+        is already, infinite where it never is at this rate, NaN without a limit.
+    """
+
+    column: str
+    value: float
+    std: float
+    rate: float
+    rate_std: float
+    limit: float = math.nan
+    reached: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+
+    @property
+    def grows(self) -> bool:
+        """Whether the rate is significant at 5 %."""
+        return abs(self.rate) > -float(special.ndtri(0.025)) * self.rate_std
+
+    @classmethod
+    def of(cls, column: str, clock: Floats, values: Floats, stds: Floats, limit: float = math.nan) -> Trend | None:
+        """Return the line through sizes (n,) at times (n,) by weighted least squares; None of fewer than four."""
+        known = np.isfinite(values) & np.isfinite(stds) & (stds > 0)
+        if np.count_nonzero(known) < TREND_WINDOWS:
+            return None
+        late, weight = clock[known] - clock[-1], stds[known] ** -2.0
+        lines = np.column_stack([np.ones(late.size), late])
+        covariance = np.linalg.inv(lines.T @ (weight[:, None] * lines))
+        value, rate = (covariance @ (lines.T @ (weight * values[known]))).tolist()
+        std, rate_std = np.sqrt(np.diag(covariance)).tolist()
+        reached = _reached(value, rate, rate_std, limit)
+        return cls(column, value, std, rate, rate_std, limit, reached)
+
+
+def _reached(value: float, rate: float, rate_std: float, limit: float) -> tuple[float, float, float]:
+    """Return when a line crosses a limit: by its rate, and by the ends of the rate's interval of 95 %."""
+    if math.isnan(limit):
+        return math.nan, math.nan, math.nan
+    left, sign = limit - value, math.copysign(1.0, limit)
+    if left * sign <= 0.0:
+        return 0.0, 0.0, 0.0
+    half = -float(special.ndtri(0.025)) * rate_std
+    said = [left / each if each * sign > 0 else math.inf for each in (rate, rate + sign * half, rate - sign * half)]
+    return said[0], said[1], said[2]
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """Windows in which a fault stays.
+    """Windows in a row in which something is new.
 
     Attributes
     ----------
     fault : str
-        The fault, several joined by "or" where they are not told apart, or "something else".
+        What: the names of the faults and other causes, several joined by "or" where they are not told apart, or
+        "something else".
     record : str
-        In which it began.
+        In which the alarm was raised.
     time : float
-        End of the window with which it began, s.
+        End of the window with which it was raised, s.
     first, last : int
         Rows of the table.
+    onset : Onset or None
+        None of something else.
+    explanations : tuple of Explanation
+        The best one first, with the sizes after the onset, then all that the windows do not exclude beside it.
+    trend : Trend or None
+        Of the first size of the best explanation.
     """
 
     fault: str
@@ -96,39 +208,20 @@ class Alarm:
     time: float
     first: int
     last: int
+    onset: Onset | None = None
+    explanations: tuple[Explanation, ...] = ()
+    trend: Trend | None = None
 
 
-def alarms(significant: Sequence[str], unexplained: Sequence[bool], rule: Rule) -> list[str]:
-    """Return for each window the fault that stays: that of most of the last windows, "" without an alarm."""
-    found = []
-    for i in range(len(significant)):
-        last = slice(max(0, i - rule.among + 1), i + 1)
-        hits = [name for name in significant[last] if name]
-        odd = sum(bool(each) for each in unexplained[last])
-        if len(hits) >= rule.needed:
-            found.append(max(reversed(hits), key=hits.count))
-        else:
-            found.append(SOMETHING_ELSE if odd >= rule.needed else "")
-    return found
+def label_of(explanations: tuple[Explanation, ...]) -> str:
+    """Return what an alarm is called."""
+    each = (" and ".join(dict.fromkeys(c.fault or c.label for c in one.changes)) for one in explanations)
+    return " or ".join(dict.fromkeys(each))
 
 
-def alarm_rate(level: float, needed: int, among: int, *, share: float = 0.0, two_sided: bool = True) -> float:
-    """Return how probable it is that at least `needed` of `among` windows of a healthy machine are significant.
-
-    Parameters
-    ----------
-    level : float
-        Of each window.
-    share : float
-        Of the variance, what all windows have in common; the rest is independent. Of one fault parameter.
-    two_sided : bool
-        Whether the parameter may take either sign.
-    """
-    bound = float(special.ndtri(1.0 - level / (2.0 if two_sided else 1.0)))
-    nodes, weights = np.polynomial.hermite_e.hermegauss(101)
-    common, own = math.sqrt(share), math.sqrt(max(1.0 - share, 1e-12))
-    single = special.ndtr((common * nodes - bound) / own)
-    if two_sided:
-        single += special.ndtr((-common * nodes - bound) / own)
-    tail = special.bdtrc(needed - 1, among, np.clip(single, 0.0, 1.0))
-    return float(weights @ tail / weights.sum())
+def onset_of_json(data: Mapping[str, Any] | None) -> Onset | None:
+    """Return an onset of a file."""
+    if data is None:
+        return None
+    likely, first, last = (Moment(**data[name]) for name in ("likely", "first", "last"))
+    return Onset(likely, first, last, Shape(data["shape"]))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmuid.arrays import Floats
 from fmuid.data import Experiment
 from fmuid.errors import InputError
 
@@ -15,8 +15,36 @@ from fmuid.errors import InputError
 STEP_TOLERANCE = 1e-3
 
 
-def cut(record: Experiment, window: float | None, transient: float) -> list[tuple[int, int, int]]:
-    """Return the windows as rows of the table: where the simulation, the window and what follows it begins.
+@dataclass(frozen=True)
+class Window:
+    """A window of a record.
+
+    Attributes
+    ----------
+    number : int
+        From 0 on.
+    lead, start, stop : int
+        Rows where the simulation, the window and what follows it begins.
+    begin, end : float
+        s; `end` is where the next window begins.
+    slack : float
+        By which samples may lie before `begin` and belong to it, s: times are rounded decimals.
+    there : bool
+        Whether every output has a sample that counts.
+    """
+
+    number: int
+    lead: int
+    start: int
+    stop: int
+    begin: float
+    end: float
+    slack: float
+    there: bool
+
+
+def cut(record: Experiment, window: float | None, transient: float) -> list[Window]:
+    """Return the windows of a record.
 
     What is left at the end of the record and shorter than a window is in none.
 
@@ -26,7 +54,7 @@ def cut(record: Experiment, window: float | None, transient: float) -> list[tupl
     window : float or None
         Their length, s; None for the whole record.
     transient : float
-        What is simulated before them, s.
+        What is simulated before them, s; left out at the beginning of the record, if what it discards is not longer.
 
     Raises
     ------
@@ -34,10 +62,19 @@ def cut(record: Experiment, window: float | None, transient: float) -> list[tupl
         If the record is shorter than a window.
     """
     times = record.times
+    step = float(np.median(np.diff(times)))
+    slack, last = STEP_TOLERANCE * step, float(times[-1]) + step
+    counted = record.counted & (times >= times[0] + max(record.discard, transient))[:, None]
+    before = np.vstack([np.zeros(counted.shape[1]), np.cumsum(counted, axis=0)])
+
+    def made(number: int, lead: int, start: int, stop: int) -> Window:
+        there = bool((before[stop] > before[start]).all()) and stop - lead > 1
+        end = float(times[stop]) if stop < times.size else last
+        return Window(number, lead, start, stop, float(times[start]), end, slack, there)
+
     if window is None:
-        return [(0, 0, times.size)]
-    slack = STEP_TOLERANCE * _step(times)
-    count = math.floor((end_of(times, times.size) - times[0] + slack) / window)
+        return [made(0, 0, 0, times.size)]
+    count = math.floor((last - times[0] + slack) / window)
     if count == 0:
         raise InputError(
             f"{record.source} lasts {times[-1] - times[0]:g} s, which is shorter than a window of {window:g} s: "
@@ -46,39 +83,14 @@ def cut(record: Experiment, window: float | None, transient: float) -> list[tupl
     edges = times[0] + window * np.arange(count + 1)
     borders = np.searchsorted(times, edges - slack)
     leads = np.searchsorted(times, edges - transient - slack)
-    return [(int(leads[k]), int(borders[k]), int(borders[k + 1])) for k in range(count)]
+    return [made(k, int(leads[k]), int(borders[k]), int(borders[k + 1])) for k in range(count)]
 
 
-def part_of(
-    whole: Experiment, lead: int, start: int, stop: int, discard: float = 0.0, transient: float = 0.0
-) -> Experiment | None:
-    """Return a window with what is simulated before it; None if an output has no sample that counts.
-
-    Parameters
-    ----------
-    whole : Experiment
-        The record.
-    lead, start, stop : int
-        Where the simulation, the window and what follows it begins, as `cut` gave them.
-    discard, transient : float
-        The longer of both is left out at the beginning of a window with nothing before it, s.
-    """
-    times = whole.times
-    left = max(discard, transient) if lead == start else float(times[start] - times[lead])
-    there = ~np.isnan(whole.output_values[start:stop])
-    if lead == start:
-        there &= (times[start:stop] >= times[start] + left)[:, None]
-    if stop - lead < 2 or not there.any(axis=0).all():
-        return None
+def part_of(whole: Experiment, windows: Sequence[Window], transient: float) -> Experiment:
+    """Return successive windows of a record with what is simulated before them, which does not count."""
+    times, lead = whole.times, windows[0].lead
+    from_begin = lead == windows[0].start
+    left = max(whole.discard, transient) if from_begin else float(times[windows[0].start] - times[lead])
     names = list(dict.fromkeys(whole.columns.values()))
-    frame = whole.frame.iloc[lead:stop][[whole.time, *names]]
+    frame = whole.frame.iloc[lead : windows[-1].stop][[whole.time, *names]]
     return replace(whole, frame=frame, discard=left)
-
-
-def end_of(times: Floats, stop: int) -> float:
-    """Return where the sample before row `stop` ends, s: where the next one is or would be."""
-    return float(times[stop] if stop < times.size else times[-1] + _step(times))
-
-
-def _step(times: Floats) -> float:
-    return float(np.median(np.diff(times)))

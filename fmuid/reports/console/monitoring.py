@@ -1,4 +1,4 @@
-"""What `fmuid monitor` prints: the verdict, the alarms, what was found in the mean, and how often an alarm is false."""
+"""What `fmuid monitor` prints: the verdict, the alarms, and what was found in the windows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
-from fmuid.reports.words.monitoring import gap_words, monitoring_words
+from fmuid.reports.words.monitoring import alarm_words, gap_words, monitoring_words
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def show_monitoring(found: Monitor) -> None:
-    """Print the verdict, the alarms, the last window, the rate of false alarms, and the notes."""
+    """Print the verdict, the alarms, the last window, and the notes."""
     out = console()
     out.print()
     colour = "red" if found.alarms else "yellow" if found.undetermined else "green"
@@ -25,27 +25,18 @@ def show_monitoring(found: Monitor) -> None:
     if found.alarms:
         _show_alarms(found)
     _show_parameters(found)
-    independent, limit = found.false_alarm_rates()
-    rule = found.rule
-    said = f"at most {100 * limit:.2g} %"
-    if not math.isnan(independent):
-        said = f"{100 * independent:.2g} % over all healthy records, {said} whatever the windows share"
-    out.print(
-        f"False alarms, {rule.needed} of {rule.among} windows at {100 * rule.level:g} %: a window of a healthy machine "
-        f"is in alarm with a probability of {said}",
-        soft_wrap=True,
-    )
     for gap in found.gaps:
         out.print(f"[yellow]note:[/] {escape(gap_words(gap))}", soft_wrap=True)
 
 
 def _show_alarms(found: Monitor) -> None:
-    numbers = ("from (s)", "to (s)", "windows")
-    table = table_of("Alarms", ["fault", "record", *numbers], right=numbers)
+    numbers = ("alarm (s)", "to (s)", "windows")
+    table = table_of("Alarms", ["what", "since", "size", "record", *numbers], right=numbers)
     ends, records = found.table["end"].tolist(), found.table["record"].tolist()
     for alarm in found.alarms[:TERMINAL_ROWS]:
         until = f"{ends[alarm.last]:g}" + ("" if records[alarm.last] == alarm.record else f" of {records[alarm.last]}")
-        cells = (alarm.fault, alarm.record, f"{alarm.time:g}", until, str(alarm.last - alarm.first + 1))
+        count = str(alarm.last - alarm.first + 1)
+        cells = (alarm.fault, *alarm_words(alarm), alarm.record, f"{alarm.time:g}", until, count)
         table.add_row(*(escape(cell) for cell in cells))
     console().print(table)
     console().print()
@@ -56,12 +47,15 @@ def _show_parameters(found: Monitor) -> None:
     numbers = ("first", "least", "greatest")
     table = table_of("Windows", ["fault", "parameter", *numbers, "last", "unit"], right=numbers)
     frame = found.table
-    for model in found.models:
-        for name in (*model.fault.sizes, *model.names[: model.first]):
-            values, std = frame[f"{model.name}.{name}"], frame[f"{model.name}.{name}.std"].tolist()
-            cells = [rounded(float(each), std[-1]) for each in (values.iloc[0], values.min(), values.max())]
-            last = with_std(float(values.iloc[-1]), std[-1]) if math.isfinite(std[-1]) else "not determined"
-            first = model.name if name == model.fault.sizes[0] else ""
-            table.add_row(*(escape(each) for each in (first, name, *cells, last, unit_text(model.system.unit(name)))))
+    columns = [(name, f"{name}.{size}") for name, fault in found.faults.items() for size in fault.sizes]
+    columns += [("", name) for name in found.baseline.common]
+    before = ""
+    for fault, name in columns:
+        values, std = frame[name], frame[f"{name}.std"].tolist()
+        cells = [rounded(float(each), std[-1]) for each in (values.iloc[0], values.min(), values.max())]
+        last = with_std(float(values.iloc[-1]), std[-1]) if math.isfinite(std[-1]) else "not determined"
+        said = (fault if fault != before else "", name.removeprefix(f"{fault}."))
+        table.add_row(*(escape(each) for each in (*said, *cells, last, unit_text(found.units.get(name)))))
+        before = fault
     console().print(table)
     console().print()

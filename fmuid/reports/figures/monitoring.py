@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fmuid.arrays import Floats
-from fmuid.diagnosis import Extended, Monitor
+from fmuid.diagnosis import Monitor
 from fmuid.files import file_name
 from fmuid.reports.figures.style import AMBER, BLUE, GREY, INK, MAX_OUTPUTS, RED, WIDTH, style
 from fmuid.text import label
@@ -22,25 +22,26 @@ def draw(monitor: Monitor) -> dict[str, Figure]:
     table = monitor.table
     if table.empty:
         return {}
-    return {f"monitoring-{file_name(model.name)}": timeline(monitor, model, table) for model in monitor.models}
+    return {f"monitoring-{file_name(name)}": timeline(monitor, name, table) for name in monitor.faults}
 
 
-def timeline(monitor: Monitor, model: Extended, table: pd.DataFrame) -> Figure:
+def timeline(monitor: Monitor, fault: str, table: pd.DataFrame) -> Figure:
     """Draw the sizes of a fault, the common mode beside it and the residual against time."""
     clock, axis = _clock(table)
-    sizes = list(model.fault.sizes)[:MAX_OUTPUTS]
-    common = list(model.names[: model.first])[:MAX_OUTPUTS]
+    sizes = [f"{fault}.{size}" for size in monitor.faults[fault].sizes][:MAX_OUTPUTS]
+    common = list(monitor.baseline.common)[:MAX_OUTPUTS]
     with style():
         rows = len(sizes) + len(common) + 1
         figure = Figure(figsize=(WIDTH, 1.0 + 1.5 * rows), layout="constrained")
         panels = figure.subplots(rows, 1, squeeze=False, sharex=True)[:, 0]
         for axes, name in zip(panels, [*sizes, *common], strict=False):
             is_size = name in sizes
-            _estimates(axes, clock, table, model, name, color=INK if is_size else BLUE)
-            axes.set_ylabel(label(name, model.system.unit(name) or ""))
+            _estimates(axes, clock, table, name, color=INK if is_size else BLUE)
+            axes.set_ylabel(label(name.removeprefix(f"{fault}."), monitor.units.get(name, "")))
             if is_size:
                 axes.axhline(0.0, color=INK, lw=0.8)
-        panels[0].set_title(f"{model.name}: windows significant at {100 * monitor.rule.level:g} %, and alarms")
+                _called(axes, clock, table, fault, name)
+        panels[0].set_title(f"{fault}: windows significant by themselves, and alarms")
         panels[len(sizes)].set_title("common mode" if common else "residual")
         panels[-1].plot(clock, table["variance_ratio"].to_numpy(np.float64), color=GREY, lw=0.9)
         panels[-1].axhline(1.0, color=INK, lw=0.8)
@@ -63,17 +64,20 @@ def _clock(table: pd.DataFrame) -> tuple[Floats, str]:
     return np.arange(len(table), dtype=np.float64), "window"
 
 
-def _estimates(axes: Axes, clock: Floats, table: pd.DataFrame, model: Extended, name: str, color: str) -> None:
-    value = table[f"{model.name}.{name}"].to_numpy(np.float64)
-    half = INTERVAL_STDS * table[f"{model.name}.{name}.std"].to_numpy(np.float64)
+def _estimates(axes: Axes, clock: Floats, table: pd.DataFrame, name: str, color: str) -> None:
+    value = table[name].to_numpy(np.float64)
+    half = INTERVAL_STDS * table[f"{name}.std"].to_numpy(np.float64)
     known = np.isfinite(half)
-    i = model.names.index(name)
-    low, high = np.maximum(value - half, model.lower[i]), np.minimum(value + half, model.upper[i])
+    low, high = value - half, value + half
     axes.fill_between(clock, low, high, where=known.tolist(), color=color, alpha=0.18, lw=0.0, label="interval of 95 %")
     axes.plot(clock, np.where(known, value, np.nan), color=color, lw=0.9, label="estimate")
-    if name in model.fault.sizes:
-        called = table["significant"].map(lambda text: model.name in str(text).split(" or ")).to_numpy(bool) & known
-        axes.plot(clock[called], value[called], "o", color=RED, ms=3, lw=0, label="significant")
+
+
+def _called(axes: Axes, clock: Floats, table: pd.DataFrame, fault: str, name: str) -> None:
+    """Mark the windows in which a fault is significant."""
+    called = (table["significant"] == fault).to_numpy(bool) & np.isfinite(table[f"{name}.std"].to_numpy(np.float64))
+    value = table[name].to_numpy(np.float64)
+    axes.plot(clock[called], value[called], "o", color=RED, ms=3, lw=0, label="significant")
 
 
 def _alarms(axes: Axes, monitor: Monitor, clock: Floats) -> None:

@@ -194,19 +194,19 @@ def timeline(table: pd.DataFrame, fault: str, content: Mapping[str, Any]) -> Any
         Of ``monitoring.json``.
     """
     clock, borders, axis = clock_of(table)
-    names, sized = content["names"][fault], content["sizes"][fault]
-    ordered = [*sized, *(name for name in names if name not in sized)][:MAX_OUTPUTS]
-    source = ColumnDataSource({"t": clock, **_estimates(table, fault, ordered)})
+    sized = content["sizes"][fault]
+    ordered = [*sized, *content["common"]][:MAX_OUTPUTS]
+    source = ColumnDataSource({"t": clock, **_estimates(table, ordered)})
     plots = []
     for k, name in enumerate(ordered):
-        plot = panel(y=label(name, content["units"][fault].get(name)), height=170)
+        plot = panel(y=label(name.removeprefix(f"{fault}."), content["units"].get(name)), height=170)
         area = plot.varea("t", f"low{k}", f"high{k}", source=source, fill_color=BLUE, fill_alpha=0.18)
         line = plot.line("t", f"v{k}", source=source, line_color=BLUE, line_width=1.4)
         hover(plot, line, ("time", "@t{0.000}"), ("estimate", f"@v{k}{{0.000000}}"), ("record", "@record"))
         hit = []
         if name in sized:
             level(plot, 0.0)
-            called = np.array([fault in str(text).split(" or ") for text in table["significant"]])
+            called = (table["significant"] == fault).to_numpy(bool)
             dots = ColumnDataSource({"t": clock[called], "v": source.data[f"v{k}"][called]})
             hit.append(plot.scatter("t", "v", source=dots, size=5, fill_color=RED, line_color=None))
         legend(plot, [("estimate, with its interval of 95 %", [line, area]), ("significant", hit)])
@@ -242,13 +242,13 @@ def clock_of(table: pd.DataFrame) -> tuple[Floats, list[float], str]:
     return middle + shift, borders, "time over all records (s)"
 
 
-def _estimates(table: pd.DataFrame, fault: str, names: list[str]) -> dict[str, Any]:
+def _estimates(table: pd.DataFrame, names: list[str]) -> dict[str, Any]:
     found: dict[str, Any] = {
         "ratio": table["variance_ratio"].to_numpy(np.float64),
         "record": table["record"].astype(str),
     }
     for k, name in enumerate(names):
-        value, std = (table[f"{fault}.{name}{end}"].to_numpy(np.float64) for end in ("", ".std"))
+        value, std = (table[f"{name}{end}"].to_numpy(np.float64) for end in ("", ".std"))
         known = np.isfinite(std)
         half = np.where(known, 1.96 * std, np.nan)
         found |= {f"v{k}": np.where(known, value, np.nan), f"low{k}": value - half, f"high{k}": value + half}

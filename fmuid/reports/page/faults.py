@@ -28,9 +28,10 @@ RESIDUAL = (
     "What the healthy model leaves unexplained, and what is left with the fault. With the right fault only noise stays."
 )
 TIMELINE = (
-    "Estimates window by window, with their intervals of 95 %. Red dots are significant windows; the red dashed line "
-    "is where an alarm was raised, the red ground how long it lasted; dotted lines part records. The variance of the "
-    "residual should be that of the noise: a ratio that stays above 1 is something that no fault model explains."
+    "Estimates of each window alone, with their intervals of 95 %. Red dots are windows that are significant by "
+    "themselves; the red dashed line is where an alarm was raised, the red ground how long it lasted; dotted lines "
+    "part records. The variance of the residual should be that of the noise: a ratio that stays above 1 is something "
+    "that no fault model explains."
 )
 
 
@@ -90,8 +91,7 @@ def part_of_monitoring(folder: Path) -> Part:
     rows = read_table(folder / "monitoring.csv").fillna({"significant": "", "alarm": ""})
     try:
         said = [Said(text, "timeline") for text in content["words"]]
-        alarms, rate = content["alarms"], content["false_alarm_rate_at_most"]
-        said.append(Said(f"A healthy machine is in alarm in at most {100 * rate:.2g} % of the windows"))
+        alarms = content["alarms"]
         drawn = _timelines(rows, content)
         shown = _alarms(alarms)
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -102,7 +102,7 @@ def part_of_monitoring(folder: Path) -> Part:
 
 def _timelines(rows: pd.DataFrame, content: dict[str, Any]) -> list[Section]:
     sections = []
-    for k, fault in enumerate(content["names"]):
+    for k, fault in enumerate(content["sizes"]):
         name, caption = ("timeline", TIMELINE) if k == 0 else (f"timeline-{k + 1}", "")
         figures = [diagnosis.timeline(rows, fault, content)] if len(rows) else []
         sections.append(Section(name, f"Over time: {fault}", caption, figures, 1))
@@ -114,8 +114,19 @@ def _alarms(alarms: list[dict[str, Any]]) -> str:
         return ""
     columns = {
         "alarm": [str(each["fault"]) for each in alarms],
+        "since (s)": [_since(each["onset"]) for each in alarms],
         "raised in": [str(each["record"]) for each in alarms],
         "at (s)": [f"{each['time']:g}" for each in alarms],
         "windows": [str(each["last"] - each["first"] + 1) for each in alarms],
     }
     return table(columns, numbers=("at (s)", "windows"))
+
+
+def _since(onset: dict[str, Any] | None) -> str:
+    """Return since when, with the record, and the date where there is one."""
+    if onset is None:
+        return ""
+    likely = onset["likely"]
+    date = f", {likely['date'][:19].replace('T', ' ')}" if likely["date"] else ""
+    first, last = (f"{onset[end]['time']:.6g}" for end in ("first", "last"))
+    return f"{likely['time']:.6g} ({first} to {last}) of {likely['record']}{date}"

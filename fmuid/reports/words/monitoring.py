@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
-from fmuid.diagnosis import SOMETHING_ELSE
-from fmuid.reports.words.diagnosis import size_words
-from fmuid.text import listed
+from fmuid.diagnosis import SOMETHING_ELSE, Shape
+from fmuid.reports.words.diagnosis import explanation_words
+from fmuid.text import listed, with_std
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Gap, Monitor
+    from fmuid.diagnosis import Alarm, Gap, Moment, Monitor, Onset, Trend
 
 
 def monitoring_words(found: Monitor) -> str:
@@ -17,18 +18,60 @@ def monitoring_words(found: Monitor) -> str:
     table, rule, alarms = found.table, found.rule, found.alarms
     if table.empty:
         return "No window has been examined."
-    hits = int((table["significant"] != "").sum())
-    counted = f"{hits} of {len(table)} windows are significant at a level of {100 * rule.level:g} %"
+    counted = f"{len(table)} windows"
     if not alarms:
         if found.undetermined:
             return f"Whether there is a fault stays open: no window determines {listed(found.undetermined)}."
-        return f"No alarm: {counted}, never {rule.needed} of {rule.among} in a row."
+        held = "in a record" if rule.horizon is None else f"in {rule.horizon:g} s"
+        return f"No alarm in {counted}, at a level of {100 * rule.level:g} % for a false one {held}."
     first = alarms[0]
-    at = f"from {first.time:g} s of {first.record} on"
+    raised = f"alarm at {first.time:.6g} s of {first.record}"
     if first.fault == SOMETHING_ELSE:
-        return f"Something else is wrong, {at}: the residual is larger than the noise; {counted}."
-    sizes = listed([size_words(each, located=False) for each in found.standing_out(first)])
-    return f"Fault: {first.fault}, {at}, {sizes} in the last window of it; {counted}."
+        return f"Something else is wrong: the residual is larger than the noise and no cause explains it; {raised}."
+    head = "Fault" if all(each.faults for each in first.explanations) else "Something has changed"
+    said = f"{head}: {first.fault}{'' if first.onset is None else onset_words(first.onset)}; {raised}"
+    sizes = "; or ".join(map(explanation_words, first.explanations))
+    trend = "" if first.trend is None else trend_words(first.trend, found.units.get(first.trend.column, ""))
+    return f"{said}; since then {sizes}{trend}."
+
+
+def onset_words(onset: Onset) -> str:
+    """Return since when, with the set that holds the onset with 95 %."""
+    span = f"{_at(onset.first, onset.likely)} to {_at(onset.last, onset.likely)}"
+    how = "" if onset.shape is Shape.STEP else ", growing"
+    return f", since {_moment(onset.likely)} (95 %: {span}){how}"
+
+
+def _moment(each: Moment) -> str:
+    return f"{each.time:.6g} s of {each.record}" + (f", {each.date[:19].replace('T', ' ')}" if each.date else "")
+
+
+def _at(each: Moment, likely: Moment) -> str:
+    return f"{each.time:.6g} s" + (f" of {each.record}" if each.record != likely.record else "")
+
+
+def trend_words(trend: Trend, unit: str) -> str:
+    """Return how a size goes on, "" where it stays and has no limit."""
+    said = ""
+    if trend.grows:
+        said = f"; {trend.column} changes by {with_std(trend.rate, trend.rate_std)} {unit}/s".replace(" /s", " 1/s")
+    likely, early, late = trend.reached
+    if math.isnan(trend.limit):
+        return said
+    limit = f"its limit of {trend.limit:g}{f' {unit}' if unit else ''}"
+    if likely == 0.0:
+        return f"{said}; {trend.column} has reached {limit}"
+    if math.isinf(early):
+        return f"{said}; {trend.column} stays below {limit}"
+    when = "not at this rate" if math.isinf(likely) else f"in {likely:.3g} s"
+    until = "never" if math.isinf(late) else f"{late:.3g} s"
+    return f"{said}; {trend.column} reaches {limit} {when} (95 %: {early:.3g} s to {until})"
+
+
+def alarm_words(alarm: Alarm) -> tuple[str, str]:
+    """Return since when an alarm is, and what its size is, for a table."""
+    onset = "" if alarm.onset is None else _moment(alarm.onset.likely)
+    return onset, "; or ".join(map(explanation_words, alarm.explanations))
 
 
 def gap_words(gap: Gap) -> str:

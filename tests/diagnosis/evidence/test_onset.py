@@ -1,68 +1,104 @@
-"""Onsets from running sums against least squares over all samples, and how often the stated set holds the truth."""
+"""Onsets, added window by window, against least squares over all samples; how often the stated set holds the truth."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from fmuid.diagnosis.evidence import watch as watching
 from fmuid.diagnosis.evidence.causes import Cause
+from fmuid.diagnosis.evidence.chance import log_chance, log_limit
 from fmuid.diagnosis.evidence.information import Known
-from fmuid.diagnosis.evidence.onset import RunningSums, Shape, dated, largest_by_chance
+from fmuid.diagnosis.evidence.onset import Shape, dated
+from fmuid.diagnosis.evidence.watch import Blocks, Watch
 
-LENGTH, BLOCKS = 20, 40
+LENGTH, BLOCKS, WINDOWS = 20, 5, 8
+SAMPLES = LENGTH * BLOCKS * WINDOWS
 CAUSE = Cause("step", (1,), 2.0)
 KNOWN = Known(np.array([0.2, -0.1, 0.0]), np.diag([0.5, 1e-4, 0.3]) + 1e-3)
+DRIFT = np.array([0.0, 0.0, 0.4])
 
 
-def record(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    random = np.random.default_rng(seed)
-    return random.standard_normal((LENGTH * BLOCKS + 7, 3)), random.standard_normal(LENGTH * BLOCKS + 7)
+def watched(jacobian: np.ndarray, residual: np.ndarray, known: Known = KNOWN, drift: np.ndarray = DRIFT) -> Watch:
+    """Return a watch that has seen all windows; a block lasts a second."""
+    found = Watch(known, drift)
+    rows = jacobian.reshape(-1, BLOCKS, LENGTH, jacobian.shape[1])
+    rest = residual.reshape(-1, BLOCKS, LENGTH)
+    for k, (own, left) in enumerate(zip(rows, rest, strict=True)):
+        edges = np.arange(BLOCKS + 1.0) + BLOCKS * k
+        found.add(Blocks(edges, np.einsum("bij,bik->bjk", own, own), np.einsum("bij,bi->bj", own, left)))
+    return found
 
 
-def explained(jacobian: np.ndarray, residual: np.ndarray, extra: np.ndarray) -> tuple[float, float]:
-    """Return D and the size of an extra column, beside coordinates with a prior, by least squares over the samples."""
-    root = np.linalg.cholesky(np.linalg.inv(KNOWN.covariance)).T
-    top, bottom = np.hstack([jacobian, extra[:, None]]), np.hstack([root, np.zeros((3, 1))])
-    data = np.concatenate([residual, root @ KNOWN.mean])
-    with_it = np.vstack([top, bottom])
+def explained(
+    jacobian: np.ndarray, residual: np.ndarray, extra: np.ndarray, drifted: np.ndarray
+) -> tuple[float, float]:
+    """Return D and the size of an extra column by least squares over the samples.
+
+    Beside coordinates with their prior, one that drifts by itself in each window, and that may have drifted for good,
+    from the begin on and as `drifted` says.
+    """
+    known = KNOWN.drifting(DRIFT)
+    root = np.linalg.cholesky(np.linalg.inv(known.covariance)).T
+    window = np.kron(np.eye(WINDOWS), np.ones((LENGTH * BLOCKS, 1))) * jacobian[:, [2]]
+    beside = np.hstack([jacobian, window, drifted[:, None]])
+    springs = np.zeros((3 + WINDOWS + 1, 3 + WINDOWS + 1))
+    springs[:3, :3] = root
+    springs[3:, 3:] = np.eye(WINDOWS + 1) / DRIFT[2]
+    data = np.concatenate([residual, root @ KNOWN.mean, np.zeros(WINDOWS + 1)])
+    without = np.vstack([beside, springs])
+    with_it = np.column_stack([without, np.concatenate([extra, np.zeros(len(springs))])])
     found, rest = np.linalg.lstsq(with_it, data)[:2]
-    return float(np.linalg.lstsq(with_it[:, :3], data)[1][0] - rest[0]), float(found[3])
+    return float(np.linalg.lstsq(without, data)[1][0] - rest[0]), float(found[-1])
 
 
 @pytest.mark.parametrize("shape", Shape)
 @pytest.mark.parametrize("at", [0, 13, 29])
 def test_an_onset_is_a_column_of_least_squares(shape: Shape, at: int) -> None:
-    jacobian, residual = record(1)
-    end = 30
-    sums = RunningSums.of(jacobian, residual, LENGTH)
-    found = sums.onsets(KNOWN, CAUSE, end, shape)
-    block = np.repeat(np.arange(BLOCKS), LENGTH)[: end * LENGTH]
-    # a ramp rises from block to block: the middle of each stands for its samples
-    extra = jacobian[: end * LENGTH, 1] * (block >= at)
-    if shape is Shape.RAMP:
-        extra = extra * (block + 0.5 - at)
-        exact = (block + 0.5 - at) ** 2
-        assert (exact[block >= at] > 0).all()
-    statistic, size = explained(jacobian[: end * LENGTH], residual[: end * LENGTH], extra)
-    assert found.statistics[at] == pytest.approx(statistic, rel=1e-7)
-    assert found.sizes[at, 0] == pytest.approx(size, rel=1e-7)
-    few = sums.onsets(KNOWN, CAUSE, end, shape, at=[at])
-    assert few.statistics == pytest.approx(found.statistics[[at]])
+    random = np.random.default_rng(1)
+    jacobian, residual = random.standard_normal((SAMPLES, 3)), random.standard_normal(SAMPLES)
+    (found,) = watched(jacobian, residual).onsets([CAUSE], shape)
+    block = np.repeat(np.arange(BLOCKS * WINDOWS), LENGTH)
+    course, total = (block >= at) * 1.0, 1.0
+    if shape is Shape.RAMP:  # it rises from block to block: the middle of each stands for its samples
+        course, total = course * (block + 0.5 - at), float(BLOCKS * WINDOWS)
+    statistic, size = explained(jacobian, residual, jacobian[:, 1] * course, jacobian[:, 2] * course / total)
+    assert found.clock[at] == at
+    assert found.statistics[at] == pytest.approx(statistic, rel=1e-6)
+    assert found.sizes[at, 0] == pytest.approx(size, rel=1e-6)
 
 
 def test_a_cause_of_one_sign() -> None:
-    jacobian, residual = record(2)
-    sums = RunningSums.of(jacobian, residual - 3.0 * jacobian[:, 1], LENGTH)
-    assert sums.onsets(KNOWN, CAUSE, BLOCKS).statistics.max() > 1000
-    assert sums.onsets(KNOWN, Cause("up", (1,), 2.0, 1), BLOCKS).statistics.max() < 50
+    random = np.random.default_rng(2)
+    jacobian, residual = random.standard_normal((SAMPLES, 3)), random.standard_normal(SAMPLES)
+    found = watched(jacobian, residual - 3.0 * jacobian[:, 1])
+    assert found.statistics([CAUSE])[1].max() > 1000
+    assert found.statistics([Cause("up", (1,), 2.0, 1)])[1].max() < 50
 
 
-def test_what_is_between_two_blocks() -> None:
-    jacobian, residual = record(3)
-    part = RunningSums.of(jacobian, residual, LENGTH).between(4, 9)
-    rows = slice(4 * LENGTH, 9 * LENGTH)
-    assert part.matrix == pytest.approx(jacobian[rows].T @ jacobian[rows])
-    assert part.score == pytest.approx(jacobian[rows].T @ residual[rows])
+def test_what_persists_of_a_drift_is_no_news() -> None:
+    """Warm for all of the later windows by two of its standard deviations: no evidence for a change of it."""
+    random = np.random.default_rng(3)
+    jacobian = random.standard_normal((SAMPLES, 3))
+    course = (np.arange(SAMPLES) >= SAMPLES // 2) * 2.0 * DRIFT[2]
+    found = watched(jacobian, jacobian[:, 2] * course + random.standard_normal(SAMPLES))
+    assert found.statistics([Cause("warm", (2,), 1.0)])[1].max() < 10.0
+
+
+def test_old_onsets_thin_out_and_those_of_an_alarm_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watching, "MOST", 8)
+    monkeypatch.setattr(watching, "FINE", 2)
+    found = Watch(KNOWN, DRIFT)
+    for k in range(100):
+        found.add(
+            Blocks(np.arange(BLOCKS + 1.0) + BLOCKS * k, np.tile(np.eye(3), (BLOCKS, 1, 1)), np.ones((BLOCKS, 3)))
+        )
+        if k == 30:
+            found.pinned = (147.0, 148.0)
+    clock = found.onsets([CAUSE], Shape.STEP)[0].clock
+    assert clock[0] == 0.0
+    assert {147.0, 148.0, 490.0, 491.0, 499.0} <= set(clock.tolist())
+    assert len(clock) <= 9 + 2 * BLOCKS + 2
 
 
 def test_the_set_holds_the_onset_and_the_shape_is_told() -> None:
@@ -71,34 +107,47 @@ def test_the_set_holds_the_onset_and_the_shape_is_told() -> None:
     spread = np.linalg.cholesky(KNOWN.covariance)
     held, sizes, shapes = [], [], []
     for _ in range(200):
-        jacobian = random.standard_normal((LENGTH * BLOCKS, 3))
+        jacobian = random.standard_normal((SAMPLES, 3))
         begin = int(random.integers(5 * LENGTH, 35 * LENGTH))
-        truth = KNOWN.mean + spread @ random.standard_normal(3)
-        truth_in_time = np.tile(truth, (len(jacobian), 1))
-        truth_in_time[begin:, 1] += 0.6
-        residual = np.einsum("ij,ij->i", jacobian, truth_in_time) + random.standard_normal(len(jacobian))
-        sums = RunningSums.of(jacobian, residual, LENGTH)
-        step, ramp = (sums.onsets(KNOWN, CAUSE, BLOCKS, shape) for shape in Shape)
-        when = dated(step)
-        held.append((when.blocks[0] - 1) * LENGTH <= begin <= (when.blocks[1] + 1) * LENGTH)
+        course = np.tile(KNOWN.mean + spread @ random.standard_normal(3), (SAMPLES, 1))
+        course[begin:, 1] += 0.6
+        residual = np.einsum("ij,ij->i", jacobian, course) + random.standard_normal(SAMPLES)
+        found = watched(jacobian, residual, drift=np.zeros(3))
+        (step,), (ramp,) = (found.onsets([CAUSE], shape) for shape in Shape)
+        when = dated(step, found.end)
+        held.append(when.between[0] <= begin / LENGTH <= when.between[1])
         sizes.append((when.size[0] - 0.6) / np.sqrt(when.covariance[0, 0]))
-        shapes.append(when.log_evidence > dated(ramp, blocks=20).log_evidence)
-    assert np.mean(held) >= 0.93
+        shapes.append(when.log_evidence > dated(ramp, found.end).log_evidence)
+    assert np.mean(held) >= 0.92
     assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(1.0, abs=0.2)
     assert np.mean(shapes) >= 0.8  # steps near an end look like ramps
 
 
-def test_chance_of_the_largest_statistic() -> None:
-    """The law drawn from the information alone is that of records drawn sample by sample."""
-    random = np.random.default_rng(5)
-    jacobian = random.standard_normal((LENGTH * BLOCKS, 3))
-    rows = jacobian.reshape(BLOCKS, LENGTH, 3)
-    causes, ends = (CAUSE, Cause("plane", (0, 2), 1.0)), (20, 40)
-    drawn = largest_by_chance(np.einsum("bij,bik->bjk", rows, rows), KNOWN, causes, ends, draws=200)
-    spread = np.linalg.cholesky(KNOWN.covariance)
-    real = []
-    for _ in range(200):
-        truth = KNOWN.mean + spread @ random.standard_normal(3)
-        sums = RunningSums.of(jacobian, jacobian @ truth + random.standard_normal(len(jacobian)), LENGTH)
-        real.append(max(sums.onsets(KNOWN, c, end).statistics.max() for end in ends for c in causes))
-    assert np.quantile(drawn, [0.5, 0.9]) == pytest.approx(np.quantile(real, [0.5, 0.9]), rel=0.1)
+CAUSES = (Cause("either", (0,), 1.0), Cause("up", (0,), 1.0, 1), Cause("plane", (0, 1), 1.0))
+
+
+@pytest.mark.parametrize("cause", CAUSES, ids=[each.name for each in CAUSES])
+@pytest.mark.parametrize("windows", [1, 30])
+def test_the_level_holds_over_all_onsets_and_looks(cause: Cause, windows: int) -> None:
+    """Random walks that are looked at after each window from each onset on."""
+    level, draws, d = 0.1, 3000, len(cause.columns)
+    steps = np.random.default_rng(6).standard_normal((draws, windows, d))
+    walk = np.concatenate([np.zeros((draws, 1, d)), steps.cumsum(axis=1)], axis=1)
+    alarmed = np.zeros(draws, dtype=bool)
+    for now in range(1, windows + 1):
+        off = (walk[:, [now]] - walk[:, :now]) / np.sqrt(now - np.arange(now))[None, :, None]
+        statistic = np.sum(off**2, axis=2)
+        if cause.sign:
+            statistic = np.where(off[:, :, 0] > 0, statistic, 0.0)
+        limit = log_limit(level / windows, [cause], now)
+        alarmed |= (log_chance(statistic, cause) < limit).any(axis=1)
+    assert alarmed.mean() == pytest.approx(level, abs=0.025)
+
+
+def test_chances_far_out() -> None:
+    """Where the probability itself is 0, its logarithm goes on falling."""
+    for cause in CAUSES:
+        near, far = log_chance(np.array([40.0, 4000.0]), cause)
+        assert near == pytest.approx(-40.0 / 2, abs=4.0)
+        assert far == pytest.approx(-4000.0 / 2, abs=6.0)
+        assert log_chance(np.array([0.0]), cause)[0] == 0.0

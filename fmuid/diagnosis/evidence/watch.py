@@ -1,0 +1,294 @@
+"""Watching: the likelihood of all onsets of all causes, brought up to date window by window, as steps and as ramps.
+
+A step of a cause from time t_k on has the columns J_c 1[t ≥ t_k], a ramp J_c (t − t_k)₊. What may drift without being
+a fault is another number in each window and is eliminated there (the marginal likelihood of a window); everything else
+is the same all the time and is estimated over all windows, together with what was known of it. So each onset has three
+sums, its own information, that shared with the coordinates, and its score, to which a new window adds: nothing is
+simulated again and nothing forgotten. The onsets that are kept lie closely in the last windows, and the older the
+further apart, so that their number stays.
+
+References
+----------
+A. S. Willsky, H. L. Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
+systems", IEEE Trans. Automatic Control 21, 1976; T. L. Lai, "Sequential changepoint detection in quality control and
+dynamical systems", J. Royal Statistical Society B 57, 1995 (which onsets need be kept).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmuid.arrays import Floats
+from fmuid.diagnosis.evidence.causes import Cause
+from fmuid.diagnosis.evidence.information import Information, Known, News
+from fmuid.diagnosis.evidence.onset import Onsets, Shape
+
+# Onsets within windows are kept of so many windows, those at the begin of windows up to so many: every second one of
+# the older half goes then.
+FINE, MOST = 12, 256
+# Of what a coordinate shows by itself, this share is left where nothing tells it from the others: differences leave
+# about their own error squared.
+LEAST = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """What a window says, block by block.
+
+    Attributes
+    ----------
+    edges : (B + 1,) array
+        Where the blocks begin, and where the last one ends, s of all that was seen.
+    matrices : (B, N, N) array
+        Information of each block.
+    scores : (B, N) array
+    """
+
+    edges: Floats
+    matrices: Floats
+    scores: Floats
+
+    @property
+    def whole(self) -> Information:
+        """What the window says."""
+        return Information(self.matrices.sum(axis=0), self.scores.sum(axis=0))
+
+
+# What the watch has of each onset: its place, and its sums.
+_PLACES = ("clock", "window", "begins")
+_SUMS = ("step_own", "step_shared", "step_score", "ramp_own", "ramp_shared", "ramp_score")
+
+
+class Watch:
+    """All onsets of a machine that is being watched.
+
+    Parameters
+    ----------
+    known : Known
+        Before the first window, of all coordinates.
+    drift : (N,) array
+        Standard deviation of what may change without being new, at any time and from window to window.
+
+    Attributes
+    ----------
+    windows : int
+        That were added.
+    end : float
+        Of the last one, s of all that was seen.
+    pinned : (float, float)
+        Onsets in this time are kept, s.
+    """
+
+    def __init__(self, known: Known, drift: Floats) -> None:
+        self.known, self._drift = known.drifting(drift), drift
+        n = drift.size
+        self._least = np.zeros(n)
+        self.windows, self.end = 0, 0.0
+        self.pinned = (math.inf, -math.inf)
+        self._total, self._score = np.zeros((n, n)), np.zeros(n)
+        self._of: dict[str, Any] = dict(zip(_PLACES, (np.zeros(0), np.zeros(0, int), np.zeros(0, bool)), strict=True))
+        shapes = ((0, n, n), (0, n, n), (0, n)) * 2
+        self._of |= {name: np.zeros(shape) for name, shape in zip(_SUMS, shapes, strict=True)}
+
+    def copy(self) -> Watch:
+        """Return a watch that goes on by itself."""
+        other = copy(self)
+        other._of = dict(self._of)  # arrays are replaced, never changed
+        return other
+
+    def add(self, window: Blocks) -> None:
+        """Add a window, later than all before."""
+        own = _Window(window, self._drift)
+        ahead = window.edges[0] - self._of["clock"]
+        grown = own.added(ahead)
+        new = own.onsets()
+        count = len(window.scores)
+        places = (window.edges[:-1], np.full(count, self.windows), np.arange(count) == 0)
+        for name, value in zip(_PLACES, places, strict=True):
+            self._of[name] = np.concatenate([self._of[name], value])
+        for name in _SUMS:
+            self._of[name] = np.concatenate([self._of[name] + grown[name], new[name]])
+        self._least = self._least + LEAST * np.diag(window.whole.matrix)
+        self._total = self._total + own.matrix
+        self._score = self._score + own.score
+        self.windows, self.end = self.windows + 1, float(window.edges[-1])
+        self._thin()
+
+    def _thin(self) -> None:
+        begins, window = self._of["begins"], self._of["window"]
+        clock, (low, high) = self._of["clock"], self.pinned
+        kept = begins | (window > self.windows - 1 - FINE) | ((low <= clock) & (clock <= high))
+        at = np.flatnonzero(begins)
+        if at.size > MOST:
+            kept[at[1 : at.size // 2 : 2]] = False  # the first one stays: what has been wrong from the begin on
+        if not kept.all():
+            self._of = {name: value[kept] for name, value in self._of.items()}
+
+    # --- what the onsets explain
+
+    def _posterior(self) -> Known:
+        """Return what is known of the coordinates after all windows if nothing is new."""
+        return self.known.after_also(Information(self._total, self._score))
+
+    def _news(self, at: Any, shape: Shape = Shape.STEP) -> tuple[Floats, Floats]:
+        """Return F (T, N, N) and h (T, N) of the onsets at some places, for all coordinates as causes."""
+        after = self._posterior()
+        own, shared, score = (self._of[f"{shape.value}_{name}"][at] for name in ("own", "shared", "score"))
+        mixed = np.swapaxes(shared, 1, 2)
+        information = own - mixed @ after.covariance @ shared + np.diag(self._least)
+        return self._beside_drift(information, score - mixed @ after.mean, 1.0 if shape is Shape.STEP else self.end)
+
+    def _beside_drift(self, information: Floats, score: Floats, rise: float) -> tuple[Floats, Floats]:
+        """Return information and score where what may drift may also have done so at the onset, and stay.
+
+        Parameters
+        ----------
+        rise : float
+            Of a ramp: the time in which it may drift so much, s.
+        """
+        at = np.flatnonzero(self._drift)
+        if not at.size:
+            return information, score
+        shared = information[:, :, at]
+        core = np.linalg.inv(shared[:, at] + np.diag((rise / self._drift[at]) ** 2))
+        drawn = shared @ core
+        return information - drawn @ np.swapaxes(shared, 1, 2), score - (drawn @ score[:, at, None])[..., 0]
+
+    def statistics(self, causes: Sequence[Cause]) -> tuple[Floats, Floats]:
+        """Return the begins of windows (T,) and D of each cause as a step from there on (T, m)."""
+        at = np.flatnonzero(self._of["begins"])
+        information, score = self._news(at)
+        clock = self._of["clock"][at]
+        found = np.empty((at.size, len(causes)))
+        for k, cause in enumerate(causes):
+            columns = list(cause.columns)
+            own = information[:, columns][:, :, columns]
+            found[:, k] = Onsets(cause, Shape.STEP, clock, clock, own, score[:, columns]).statistics
+        return clock, found
+
+    def onsets(self, causes: Sequence[Cause], shape: Shape) -> list[Onsets]:
+        """Return what all onsets of each cause explain."""
+        information, score = self._news(slice(None), shape)
+        clock = self._of["clock"]
+        widths = np.diff(np.append(clock, self.end))
+        found = []
+        for cause in causes:
+            columns = list(cause.columns)
+            own = information[:, columns][:, :, columns]
+            found.append(Onsets(cause, shape, clock, widths, own, score[:, columns]))
+        return found
+
+    def news(self, clock: float) -> News:
+        """Return what is new from an onset on, that nearest to a time, if all causes are steps."""
+        at = int(np.argmin(np.abs(self._of["clock"] - clock)))
+        information, score = self._news([at])
+        return News(information[0], score[0])
+
+    def apart(self, low: float, high: float) -> tuple[News, float] | None:
+        """Return what is new in the windows after a time, beside those before another, and where the former begin.
+
+        The windows in between are left out: a cause that comes within them is there in a part of them only. Where no
+        window has begun since, the last one counts as whole if it may be; None where it may not.
+        """
+        clock, begins = self._of["clock"], self._of["begins"]
+        slack = 1e-6 * max(1.0, abs(self.end))
+        late = np.flatnonzero(begins & (clock >= high - slack))
+        early = np.flatnonzero(begins & (clock <= low + slack))
+        if not late.size:
+            late = np.flatnonzero(begins & (clock >= low - slack))[-1:]
+        if not late.size:
+            return None
+        first, last = late[0], early[-1] if early.size else np.flatnonzero(begins)[0]
+        before = Information(self._total - self._of["step_own"][last], self._score - self._of["step_score"][last])
+        after = Information(self._of["step_own"][first], self._of["step_score"][first])
+        return News.of(after, self.known.after_also(before).drifting(self._drift)), float(clock[first])
+
+    # --- files
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restored` needs, as arrays."""
+        return {
+            **self._of,
+            "total": self._total,
+            "score": self._score,
+            "seen": np.array([self.windows, self.end, *self.pinned]),
+            "least": self._least,
+        }
+
+    def restored(self, state: Mapping[str, Any]) -> Watch:
+        """Return the watch that a state is of; it must be of the same coordinates."""
+        other = self.copy()
+        other._of = {name: state[name] for name in (*_PLACES, *_SUMS)}
+        other._total, other._score, other._least = state["total"], state["score"], state["least"]
+        windows, other.end, *pinned = state["seen"].tolist()
+        other.windows, other.pinned = int(windows), (pinned[0], pinned[1])
+        if other._total.shape != self._total.shape:
+            raise ValueError("it is of other coordinates")
+        return other
+
+
+class _Window:
+    """A window without what drifts: M = (P⁻² + G)⁻¹ takes it out of all sums."""
+
+    def __init__(self, window: Blocks, drift: Floats) -> None:
+        self.window = window
+        whole = window.whole
+        scaled = np.eye(drift.size) + whole.matrix * np.outer(drift, drift)
+        self._taken = np.linalg.inv(scaled) * np.outer(drift, drift)
+        self._taken = 0.5 * (self._taken + self._taken.T)
+        self._whole = whole
+        self._step = self._without(whole.matrix, whole.matrix, whole.score)
+        self.matrix, self.score = self._step[1:]
+
+    def _without(self, own: Floats, shared: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return own and shared information and the score of columns, without what drifts.
+
+        `shared` is symmetric: blocks of the same Gram matrices.
+        """
+        drawn = self._taken @ shared
+        return (
+            own - np.swapaxes(shared, -1, -2) @ drawn,
+            shared - self._whole.matrix @ drawn,
+            score - np.swapaxes(shared, -1, -2) @ (self._taken @ self._whole.score),
+        )
+
+    def onsets(self) -> dict[str, Floats]:
+        """Return the sums of the onsets at the begins of its blocks."""
+        edges = self.window.edges
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        late = middle[None, :] - edges[:-1, None]  # of block b after onset k
+        found: dict[str, Floats] = {}
+        for shape, weight in ((Shape.STEP, (late > 0) * 1.0), (Shape.RAMP, np.maximum(late, 0.0))):
+            own = np.tensordot(weight**2, self.window.matrices, axes=1)
+            shared = np.tensordot(weight, self.window.matrices, axes=1)
+            found |= _named(shape, self._without(own, shared, weight @ self.window.scores))
+        return found
+
+    def added(self, before: Floats) -> dict[str, Floats]:
+        """Return what the window adds to the sums of onsets that lie so long before its begin (T,)."""
+        edges, matrices, scores = self.window.edges, self.window.matrices, self.window.scores
+        late = 0.5 * (edges[1:] + edges[:-1]) - edges[0]
+        once, twice = (np.tensordot(late**power, matrices, axes=1) for power in (1, 2))
+        a = before[:, None, None]
+        # of onsets so long before, all is a polynomial of that time
+        mixed = once @ self._taken @ self._whole.matrix
+        ramp = self._without(twice, once, late @ scores)
+        own, shared, score = self._step
+        return _named(Shape.STEP, self._step) | _named(
+            Shape.RAMP,
+            (
+                ramp[0] + a * (2.0 * once - mixed - mixed.T) + a**2 * own,
+                ramp[1] + a * shared,
+                ramp[2] + before[:, None] * score,
+            ),
+        )
+
+
+def _named(shape: Shape, sums: tuple[Floats, Floats, Floats]) -> dict[str, Floats]:
+    return {f"{shape.value}_{name}": each for name, each in zip(("own", "shared", "score"), sums, strict=True)}
