@@ -116,9 +116,10 @@ def _results(folder: Folder, results: Sequence[FoundResult]) -> str:
     if not results:
         return ""
     rows = "".join(_row(folder, each) for each in sorted(results, key=lambda each: -each.path.stat().st_mtime))
+    heads = "".join(f"<th>{each}</th>" for each in ("", "folder", "what", "state", "date", ""))
     return (
-        "<section><h2>Results</h2><div class=scroll><table><thead><tr><th>folder</th><th>what</th><th>state</th>"
-        f"<th>date</th><th></th></tr></thead><tbody>{rows}</tbody></table></div></section>"
+        f'<section><h2>Results</h2><form action="/results"><div class=scroll><table><thead><tr>{heads}</tr></thead>'
+        f"<tbody>{rows}</tbody></table></div><button>Side by side</button></form></section>"
     )
 
 
@@ -130,8 +131,9 @@ def _row(folder: Folder, result: FoundResult) -> str:
     date = datetime.fromtimestamp(result.path.stat().st_mtime).strftime("%Y-%m-%d %H:%M")
     state = str(result.content.get("outcome", "") or "").replace("_", " ")
     first = f'<a href="{address(page, folder, result.folder)}">{name}</a>'
+    box = f'<input type=checkbox name=file value="{name}" aria-label="choose {name}">'
     cells = "".join(f"<td>{each}</td>" for each in (result.kind, escaped(state), date, link))
-    return f"<tr><th scope=row>{first}</th>{cells}</tr>"
+    return f"<tr><td>{box if result.kind == 'identification' else ''}</td><th scope=row>{first}</th>{cells}</tr>"
 
 
 class OwnHandler(RequestHandler):

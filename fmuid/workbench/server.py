@@ -26,7 +26,11 @@ from fmuid.workbench.home import FileHandler, HomeHandler, OwnHandler
 from fmuid.workbench.jobs import Jobs
 
 # Pages with figures: the address, and the module that has the page.
-_PAGES = {"/study": "fmuid.workbench.study_page"}
+_PAGES = {
+    "/study": "fmuid.workbench.study_page",
+    "/results": "fmuid.workbench.results_page",
+    "/batch": "fmuid.workbench.batch_page",
+}
 LOCAL = "127.0.0.1"
 
 

@@ -59,12 +59,16 @@ def variables(
     return {"title": title, "pieces": marked, "crumbs": crumbs, "scheme": scheme, "libraries": sources}
 
 
-def argument(doc: Any, name: str) -> str:
-    """Return what the address of a page says, "" for nothing."""
+def arguments(doc: Any, name: str) -> list[str]:
+    """Return all that the address of a page says under a name."""
     request = None if doc.session_context is None else doc.session_context.request
     given = {} if request is None else request.arguments
-    found: bytes = given.get(name, [b""])[-1]
-    return found.decode("utf-8", "replace")
+    return [each.decode("utf-8", "replace") for each in given.get(name, [])]
+
+
+def argument(doc: Any, name: str) -> str:
+    """Return what the address of a page says under a name, "" for nothing."""
+    return (arguments(doc, name) or [""])[-1]
 
 
 def dress(doc: Any, title: str, pieces: Sequence[tuple[str, str]], crumbs: Crumbs, *libraries: str) -> None:

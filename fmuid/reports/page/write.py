@@ -13,7 +13,7 @@ from fmuid.text import listed
 if TYPE_CHECKING:
     from fmuid.reports.page.document import Part
 
-FILES = ("result.json", "diagnosis.json", "monitoring.json", "summary.json")
+FILES = ("result.json", "diagnosis.json", "monitoring.json", "summary.json", "prediction.json")
 """What a folder of results has at least one of."""
 
 
@@ -33,30 +33,43 @@ def write_report(folder: str | Path) -> Path:
     InputError
         If the folder has no results, a file in it cannot be read, or nothing can be written there.
     """
-    folder = Path(folder)
-    if not is_folder(folder):
-        raise InputError(f"{folder} is no folder of results")
-    there = [name for name in FILES if is_file(folder / name)]
-    if not there:
-        raise InputError(f"{folder} has no {listed(FILES)}: give the folder that a command has written into")
-    from fmuid.reports.page.contents import read_json
     from fmuid.reports.page.document import page
 
-    title = str(read_json(folder / there[0]).get("title", "")) or folder.absolute().parent.name
-    text = page(title, [_part(folder, name) for name in there])
+    folder = Path(folder)
+    text = page(*contents(folder))
     path = folder / REPORT_FILE
     with replacing(path) as draft:
         draft.write_text(text, encoding="utf-8")
     return path
 
 
+def contents(folder: Path) -> tuple[str, list[Part]]:
+    """Return the title of a report on a folder of results, and its parts.
+
+    Raises
+    ------
+    InputError
+        If the folder has no results, or a file in it cannot be read.
+    """
+    if not is_folder(folder):
+        raise InputError(f"{folder} is no folder of results")
+    there = [name for name in FILES if is_file(folder / name)]
+    if not there:
+        raise InputError(f"{folder} has no {listed(FILES)}: give the folder that a command has written into")
+    from fmuid.reports.page.contents import read_json
+
+    title = str(read_json(folder / there[0]).get("title", "")) or folder.absolute().parent.name
+    return title, [_part(folder, name) for name in there]
+
+
 def _part(folder: Path, name: str) -> Part:
-    from fmuid.reports.page import batches, faults, identification
+    from fmuid.reports.page import batches, faults, identification, predictions
 
     made = {
         "result.json": identification.part,
         "diagnosis.json": faults.part_of_diagnosis,
         "monitoring.json": faults.part_of_monitoring,
         "summary.json": batches.part,
+        "prediction.json": predictions.part,
     }
     return made[name](folder)

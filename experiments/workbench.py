@@ -1,0 +1,138 @@
+"""The workbench in a browser: how long a slider takes to new data and to a painted curve, and its pages as pictures.
+
+    python -m experiments.workbench            # the figures
+    python -m experiments.workbench FOLDER     # and pictures of all pages, into this folder
+
+Needs Chromium with its driver, and `selenium`. What is measured is the study of the induction machine: 4500 samples,
+two outputs.
+"""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).parent
+FLAGS = (
+    *("headless", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-background-networking"),
+    *("disable-component-update", "disable-sync", "disable-dev-shm-usage"),
+    "host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
+)
+PATIENCE = 120.0
+MOVES = 100
+
+# One move of a slider: when the curve's new data is there, and when all four figures have been painted, ms.
+MOVE = """
+const [place, done] = arguments;
+const doc = Bokeh.documents[0], slider = doc.get_model_by_name("Rs"), source = doc.get_model_by_name("lines");
+const views = [...Bokeh.index.roots ?? Object.values(Bokeh.index)].flatMap(function all(view) {
+  return [view, ...[...(view.children?.() ?? [])].flatMap(all)];
+}).filter((view) => view.model.type === "Figure" && view.is_displayed);
+const left = new Set(views), begun = performance.now();
+let data = NaN;
+const changed = () => { data = performance.now(); };
+source.properties.data.change.connect(changed);
+const handlers = views.map((view) => {
+  const painted = () => {
+    if (Number.isNaN(data)) return;
+    left.delete(view);
+    if (left.size > 0) return;
+    source.properties.data.change.disconnect(changed);
+    for (const [other, handler] of handlers) other.repainted.disconnect(handler);
+    done([data - begun, performance.now() - begun, views.length]);
+  };
+  view.repainted.connect(painted);
+  return [view, painted];
+});
+slider.value = place;
+"""
+
+
+@contextmanager
+def opened(target: Path) -> Iterator[tuple[str, float]]:
+    """Run the workbench, and give the address of its first page and how long it took to print it, s."""
+    command = [sys.executable, "-m", "fmuid", "open", str(target), "--no-browser"]
+    begun = time.perf_counter()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            address = next(line.strip() for line in process.stdout if line.startswith("http"))
+            yield address, time.perf_counter() - begun
+        finally:
+            process.send_signal(signal.SIGINT)
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Give a browser that reaches this machine alone."""
+    from selenium import webdriver
+    from selenium.webdriver.chrome.options import Options
+    from selenium.webdriver.chrome.service import Service
+
+    options: Any = Options()
+    options.binary_location = shutil.which("chromium") or shutil.which("google-chrome")
+    for flag in FLAGS:
+        options.add_argument(f"--{flag}")
+    driver: Any = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
+    try:
+        driver.set_script_timeout(PATIENCE)
+        yield driver
+    finally:
+        driver.quit()
+
+
+def wait(driver: Any, script: str) -> None:
+    """Wait until a script returns true."""
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    WebDriverWait(driver, PATIENCE, 0.02).until(lambda it: it.execute_script(f"return {script}"))
+
+
+DRAWN = "typeof Bokeh !== 'undefined' && Bokeh.documents.length > 0 && Bokeh.documents.every(d => d.is_idle)"
+
+
+def measure(driver: Any, address: str) -> None:
+    """Print how long pages and moves take."""
+    begun = time.perf_counter()
+    driver.get(address)
+    print(f"first page, in the browser: {time.perf_counter() - begun:.2f} s")
+    begun = time.perf_counter()
+    driver.get(f"{address.split('?')[0]}study?file=study_prior.toml")
+    wait(driver, DRAWN)
+    print(f"page of the study, drawn: {time.perf_counter() - begun:.2f} s")
+    time.sleep(2.0)
+    rng = np.random.default_rng(1)
+    found = np.array([driver.execute_async_script(MOVE, int(place)) for place in rng.integers(0, 1000, MOVES)])
+    print(f"canvases {found[0, 2]:.0f}, moves {MOVES}")
+    for name, times in (("slider to new data", found[:, 0]), ("slider to painted", found[:, 1])):
+        print(f"{name}: median {np.median(times):.1f} ms, 95 % {np.quantile(times, 0.95):.1f} ms")
+
+
+def study(folder: Path) -> Path:
+    """Copy the study of the induction machine into a folder."""
+    source = HERE / "induction_machine"
+    text = (source / "study_prior.toml").read_text().replace("../../fmus", (HERE.parent / "fmus").as_posix())
+    (folder / "study_prior.toml").write_text(text)
+    shutil.copy(source / "table.csv", folder)
+    return folder
+
+
+def main() -> None:
+    """Measure, and take pictures where a folder is given for them."""
+    with tempfile.TemporaryDirectory() as place, opened(study(Path(place))) as (address, seconds), browser() as driver:
+        print(f"address printed after {seconds:.2f} s")
+        measure(driver, address)
+
+
+if __name__ == "__main__":
+    main()

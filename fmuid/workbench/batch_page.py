@@ -1,0 +1,196 @@
+"""The page of a batch: how far it is, also one of another process, its cases, and what is known of one of them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from bokeh.layouts import column, row
+from bokeh.models import ColumnDataSource, DataTable, Div, NumberFormatter, Select, TableColumn, TextInput
+
+from fmuid.batches import Columns
+from fmuid.errors import InputError
+from fmuid.files import is_file
+from fmuid.reports.interactive import batch as figures
+from fmuid.reports.interactive.live import in_scheme
+from fmuid.workbench.access import SCHEME
+from fmuid.workbench.folder import Folder
+from fmuid.workbench.home import address, escaped
+from fmuid.workbench.identifying import BAR, TABLE
+from fmuid.workbench.shell import argument, dress
+from fmuid.workbench.sliders import SHEET
+
+EVERY = 1000
+"""Milliseconds between two looks at the folder."""
+# More rows make a table slow; a filter finds the others.
+MOST_ROWS = 5000
+# A batch writes at least so often, s, while cases end; after a longer silence it is said since when.
+SILENT = 10.0
+_GRID = """
+.slick-header-columns,.slick-header-column{background:var(--card)!important;color:var(--soft)!important}
+.slick-row,.slick-cell{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important}
+.slick-cell.selected{background:var(--faint)!important}.bk-data-table{background:var(--card)!important}
+"""
+
+
+def build(doc: Any, bench: Any) -> None:
+    """Fill a document with the page of the batch in the folder that its address names."""
+    folder: Folder = bench.folder
+    crumbs = [(folder.root.name or "folder", "/")]
+    try:
+        BatchPage(doc, folder, folder.path(argument(doc, "file")), argument(doc, SCHEME))
+    except InputError as error:
+        dress(doc, "batch", [(f"<section><p class=error>{escaped(error)}</p></section>", "")], crumbs)
+
+
+class BatchPage:
+    """What one tab shows of a batch."""
+
+    def __init__(self, doc: Any, folder: Folder, place: Path, scheme: str) -> None:
+        if not is_file(place / "batch.json"):
+            raise InputError(f"{folder.name(place)} has no batch.json: it is no folder of a batch")
+        self.doc, self.folder, self.place, self.scheme = doc, folder, place, scheme
+        self.manifest: Mapping[str, Any] = json.loads((place / "batch.json").read_text(encoding="utf-8"))
+        self.frame, self._seen, self._counts = pd.DataFrame(), object(), list[tuple[float, int]]()
+        wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
+        self.state = Div(text="", name="state", stylesheets=[SHEET, BAR], **wide)
+        self.status = Select(title="cases", options=["all"], value="all", name="status", stylesheets=[SHEET])
+        self.text = TextInput(title="with the text", value="", name="filter", stylesheets=[SHEET])
+        self.source = ColumnDataSource({"case": []}, name="cases")
+        self.table = DataTable(source=self.source, height=420, index_position=None, reorderable=False, stylesheets=[_GRID], **wide)
+        self.case = Div(text="<p>Choose a case in the table.</p>", name="case", stylesheets=[SHEET, TABLE], **wide)
+        self.drawn = column([], name="drawn", stylesheets=[SHEET], **wide)
+        for each in (self.status, self.text):
+            each.on_change("value", lambda _attr, _old, _new: self._filter())
+        self.source.selected.on_change("indices", lambda _attr, _old, new: self._choose(new))
+        filters = row(self.status, self.text, stylesheets=[":host{flex-wrap:wrap}"], **wide)
+        self.look()
+        doc.add_periodic_callback(self.look, EVERY)
+        cases = column(filters, self.table, name="table", stylesheets=[SHEET], **wide)
+        for root in (self.state, cases, self.case, self.drawn):
+            doc.add_root(root)
+        self._dress(cases)
+
+    def _dress(self, cases: Any) -> None:
+        title = str((self.manifest.get("study") or {}).get("title") or self.place.name)
+        link = address("results", self.folder, self.place)
+        more = f'<p><a href="{link}">All figures</a></p>' if is_file(self.place / "summary.json") else ""
+        pieces = [
+            ("<section>", "state"),
+            (f"{more}</section><section><h3>Estimates</h3>", "drawn"),
+            ("</section><section><h3>Cases</h3>", str(cases.name)),
+            ("</section><section><h3>The case</h3>", "case"),
+            ("</section>", ""),
+        ]
+        crumbs = [(self.folder.root.name or "folder", "/")]
+        dress(self.doc, title, pieces, crumbs, "bokeh-widgets", "bokeh-tables")
+
+    # --- what the folder has
+
+    @property
+    def total(self) -> int:
+        """How many cases it spans."""
+        return int(self.manifest.get("cases") or 0)
+
+    def look(self) -> None:
+        """Show what has been written since the last look."""
+        parts = sorted((self.place / "cases").glob("part-*.parquet"))
+        seen = tuple((path.name, path.stat().st_size) for path in parts if path.exists())
+        if seen != self._seen:
+            frames = []
+            for path in parts:
+                with contextlib.suppress(OSError, ValueError):  # merged into another one meanwhile
+                    frames.append(pd.read_parquet(path))
+            self._seen = seen
+            known = pd.concat(frames, ignore_index=True) if frames else pd.DataFrame({"case": [], "status": []})
+            self.frame = known.drop_duplicates("case").sort_values("case", ignore_index=True)
+            self._counts = [*self._counts, (time.monotonic(), len(self.frame))][-30:]
+            self._filter()
+            self._draw()
+        self._tell(parts)
+
+    def _tell(self, parts: list[Path]) -> None:
+        """Say how far it is, and whether somebody is at it."""
+        done, total = len(self.frame), self.total
+        failed = int((self.frame["status"].astype(str) == "failed").sum()) if done else 0
+        words = [f"{done} of {total} cases" if total else f"{done} cases"] + ([f"{failed} failed"] if failed else [])
+        last = max((path.stat().st_mtime for path in parts if path.exists()), default=math.nan)
+        silent = time.time() - last
+        if done < total:
+            (first, before), (now, count) = self._counts[0], self._counts[-1]
+            rate = (count - before) / (now - first) if now > first else 0.0
+            if rate > 0 and silent < SILENT:
+                words += [f"{rate:.3g} a second", f"about {(total - done) / rate:.0f} s left"]
+            elif silent >= SILENT:
+                words.append(f"nothing written for {silent:.0f} s")
+        bar = f"<progress value={done} max={max(total, 1)}></progress>" if total else ""
+        text = f"{bar}<p>{escaped(', '.join(words))}</p>"
+        if text != self.state.text:
+            self.state.text = text
+
+    def _draw(self) -> None:
+        """Draw the estimates so far."""
+        if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
+            truth, units = self.manifest.get("truth") or {}, dict[str, str]()
+            plots = [in_scheme(plot, self.scheme) for plot in figures.over_cases(self.frame, truth, units)]
+            pairs = [plots[k : k + 2] for k in range(0, len(plots), 2)]
+            self.drawn.children = [row(*pair, sizing_mode="stretch_width") for pair in pairs]
+
+    # --- the table
+
+    def _filter(self) -> None:
+        """Show the rows that are asked for."""
+        frame = self.frame
+        if not len(frame):
+            return
+        kinds = sorted(set(frame["status"].astype(str)))
+        self.status.options = ["all", *kinds]
+        if self.status.value in kinds:
+            frame = frame[frame["status"].astype(str) == self.status.value]
+        sought = self.text.value.strip().lower()
+        if sought:
+            texts = frame.astype(str).agg(" ".join, axis=1).str.lower()
+            frame = frame[texts.str.contains(sought, regex=False)]
+        shown = frame.iloc[:MOST_ROWS]
+        names = [name for name in _columns(frame) if name in shown]
+        if [each.field for each in self.table.columns] != names:
+            self.table.columns = [_column(name, shown[name]) for name in names]
+        self.source.data = {name: _plain(shown[name]) for name in names}
+
+    def _choose(self, indices: list[int]) -> None:
+        """Show one case, and what it printed."""
+        if not indices:
+            return
+        case = int(self.source.data["case"][indices[0]])
+        found = self.frame[self.frame["case"] == case].iloc[0]
+        cells = "".join(
+            f"<tr><th scope=row>{escaped(name)}</th><td>{escaped(value)}</td></tr>"
+            for name, value in found.items()
+            if not (isinstance(value, float) and math.isnan(value)) and value is not None
+        )
+        log = self.place / "logs" / f"case-{case:06d}.txt"
+        said = ""
+        with contextlib.suppress(OSError):
+            said = f"<h3>What it printed</h3><pre>{escaped(log.read_text(errors='replace'))}</pre>"
+        self.case.text = f"<div class=scroll><table><tbody>{cells}</tbody></table></div>{said}"
+
+
+def _columns(frame: pd.DataFrame) -> list[str]:
+    known = Columns.of(frame)
+    values = [f"value.{name}" for name in known.parameters]
+    return ["case", "status", *known.design, *known.repeats, *values, "criterion", "message"]
+
+
+def _column(name: str, values: pd.Series[Any]) -> TableColumn:
+    more = {"formatter": NumberFormatter(format="0.00000")} if values.dtype.kind == "f" else {}
+    return TableColumn(field=name, title=escaped(name.removeprefix("value.")), **more)
+
+
+def _plain(values: pd.Series[Any]) -> Any:
+    return values.to_numpy() if values.dtype.kind in "fiub" else values.astype(str).to_list()

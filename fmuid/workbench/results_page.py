@@ -1,0 +1,179 @@
+"""The page of results: what a report says of a folder, or several identifications side by side."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from bokeh.layouts import column, row
+from bokeh.models import Button, Div, FileInput, Select
+
+from fmuid.errors import InputError
+from fmuid.estimation import Result
+from fmuid.files import file_name, is_file, replacing
+from fmuid.reports.interactive.live import in_scheme
+from fmuid.reports.interactive.several import side_by_side
+from fmuid.reports.page.document import Part, Section, pieces, table
+from fmuid.reports.page.write import contents
+from fmuid.text import with_std
+from fmuid.workbench.access import SCHEME
+from fmuid.workbench.folder import Folder
+from fmuid.workbench.home import address, escaped, file_address
+from fmuid.workbench.identifying import BAR, EVERY
+from fmuid.workbench.jobs import Job, Jobs, command_text
+from fmuid.workbench.shell import argument, arguments, dress
+from fmuid.workbench.sliders import SHEET
+
+# Tables that can be chosen; others are dropped.
+_TABLES = (".csv", ".parquet", ".mat", ".xlsx", ".ods", ".h5", ".tdms", ".mf4")
+MOST_TABLES = 200
+
+
+def build(doc: Any, bench: Any) -> None:
+    """Fill a document with the page of the folders that its address names."""
+    folder: Folder = bench.folder
+    scheme, crumbs = argument(doc, SCHEME), [(folder.root.name or "folder", "/")]
+    try:
+        places = [folder.path(name) for name in dict.fromkeys(arguments(doc, "file"))]
+        if not places:
+            raise InputError("choose results on the first page")
+        title, parts = contents(places[0]) if len(places) == 1 else _compared(folder, places)
+    except InputError as error:
+        dress(doc, "results", [(f"<section><p class=error>{escaped(error)}</p></section>", "")], crumbs)
+        return
+    texts, figures = pieces(parts)
+    for k, figure in enumerate(figures):
+        in_scheme(figure, scheme).name = f"figure{k}"
+        doc.add_root(figure)
+    shown = [(text, f"figure{k}" if k < len(figures) else "") for k, text in enumerate(texts)]
+    if len(places) == 1 and is_file(places[0] / "result.json"):
+        doc.add_root(Predicting(doc, folder, bench.jobs, places[0]).layout)
+        shown += [("<section><h3>Predict another record</h3>", "predict"), ("</section>", "")]
+    if len(places) == 1 and is_file(places[0] / "report.html"):
+        link = file_address(folder, places[0] / "report.html")
+        shown.insert(0, (f'<p><a href="{link}">The same as a page to be mailed</a></p>', ""))
+    dress(doc, title, shown, crumbs, "bokeh-widgets")
+
+
+def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
+    """Return the title and the part of a page that shows results side by side."""
+    results = {folder.name(place): Result.from_json(place / "result.json") for place in places}
+    names = list(dict.fromkeys(name for each in results.values() for name in each.names))
+    columns = {"parameter": names}
+    for key, result in results.items():
+        known = dict(zip(result.names, zip(result.values.tolist(), result.std.tolist(), strict=True), strict=True))
+        columns[key] = [_estimate(known.get(name)) for name in names]
+    sections = [Section("estimates", "Estimates and their 95 % intervals", "", side_by_side(results), 2)]
+    part = Part("Side by side", f"{len(results)} results", True, [], table(columns, numbers=list(results)), sections)
+    words = command_text(["compare", *(str(place) for place in places)])
+    note = f"<section><h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre></section>"
+    return "Results side by side", [replace(part, table=part.table + note)]
+
+
+def _estimate(known: tuple[float, float] | None) -> str:
+    if known is None:
+        return ""
+    return with_std(*known) if math.isfinite(known[1]) else f"{known[0]:.6g}, not determined"
+
+
+class Predicting:
+    """What predicts a table that is chosen or dropped, by ``fmuid predict``.
+
+    Parameters
+    ----------
+    doc : Document
+    folder : Folder
+    jobs : Jobs
+    place : Path
+        The folder of the result.
+
+    Attributes
+    ----------
+    layout : Bokeh model
+    """
+
+    def __init__(self, doc: Any, folder: Folder, jobs: Jobs, place: Path) -> None:
+        self.doc, self.folder, self.jobs, self.place = doc, folder, jobs, place
+        self._job: Job | None = None
+        self._callback: Any = None
+        known = [folder.name(path) for path in _tables(folder)]
+        self.chosen = Select(title="a table of the folder", options=["", *known], value="", name="table")
+        self.dropped = FileInput(title="or drop one here", accept=",".join(_TABLES), name="drop")
+        self.go = Button(label="Predict", button_type="primary", name="predict-go")
+        for each in (self.chosen, self.dropped, self.go):
+            each.stylesheets = [SHEET]
+        self.said = Div(text="", name="predicted", sizing_mode="stretch_width", stylesheets=[SHEET, BAR])
+        self.go.on_click(self.begin)
+        inputs = row(self.chosen, self.dropped, self.go, sizing_mode="stretch_width", stylesheets=[_LINE])
+        self.layout = column(inputs, self.said, name="predict", sizing_mode="stretch_width")
+
+    def begin(self) -> None:
+        """Begin with what was chosen or dropped."""
+        try:
+            path = self._given()
+        except InputError as error:
+            self.said.text = f"<p class=error>{escaped(error)}</p>"
+            return
+        output = self.place / "prediction"
+        self._job = self.jobs.begin(self.place / "result.json", output, ["predict", str(self.place), str(path)])
+        self.said.text = f"<progress></progress><pre>{escaped(command_text(self._job.words))}</pre>"
+        self.go.disabled = True
+        self._callback = self._callback or self.doc.add_periodic_callback(self.look, EVERY)
+
+    def _given(self) -> Path:
+        """Return the table; one that was dropped is written beside the predictions.
+
+        Raises
+        ------
+        InputError
+            If there is none, or it is not of a kind that tables are.
+        """
+        if self.dropped.value:
+            name = file_name(Path(str(self.dropped.filename)).name)
+            if not name.lower().endswith(_TABLES):
+                raise InputError(f"{name} is no table: give a file of the kinds {', '.join(_TABLES)}")
+            try:
+                content = base64.b64decode(self.dropped.value, validate=True)
+            except binascii.Error:
+                raise InputError(f"{name} did not arrive whole: drop it again") from None
+            path = self.place / "prediction" / "dropped" / name.lstrip(".")
+            with replacing(path) as draft:
+                draft.write_bytes(content)
+            return path
+        if not self.chosen.value:
+            raise InputError("choose a table, or drop one")
+        return self.folder.path(self.chosen.value)
+
+    def look(self) -> None:
+        """Show what has come of it once it has ended."""
+        job = self._job
+        if job is None or job.running:
+            return
+        self.doc.remove_periodic_callback(self._callback)
+        self._callback, self.go.disabled = None, False
+        if job.code == 0:
+            link = address("results", self.folder, self.place / "prediction")
+            more = f'<p role=status>Done: <a href="{link}">the prediction</a></p>'
+        else:
+            more = ""
+        self.said.text = f"{more}<pre>{escaped(job.printed())}</pre>"
+
+
+_LINE = ":host{align-items:end;flex-wrap:wrap}"
+
+
+def _tables(folder: Folder) -> list[Path]:
+    """Return the tables in the folder that are no results."""
+    found = [path for path in sorted(folder.root.rglob("*")) if path.suffix.lower() in _TABLES and path.is_file()]
+    kept = [path for path in found if not _is_result(path) and folder.has(path)]
+    return kept[:MOST_TABLES]
+
+
+def _is_result(path: Path) -> bool:
+    marks = ("result.json", "prediction.json", "simulated.csv", "batch.json", "diagnosis.json", "monitoring.json")
+    return any((path.parent / mark).exists() for mark in marks) or any(p.startswith(".") for p in path.parts)
