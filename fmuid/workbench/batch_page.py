@@ -63,7 +63,9 @@ class BatchPage:
         self.status = Select(title="cases", options=["all"], value="all", name="status", stylesheets=[SHEET])
         self.text = TextInput(title="with the text", value="", name="filter", stylesheets=[SHEET])
         self.source = ColumnDataSource({"case": []}, name="cases")
-        self.table = DataTable(source=self.source, height=420, index_position=None, reorderable=False, stylesheets=[_GRID], **wide)
+        self.table = DataTable(
+            source=self.source, height=420, index_position=None, reorderable=False, stylesheets=[_GRID], **wide
+        )
         self.case = Div(text="<p>Choose a case in the table.</p>", name="case", stylesheets=[SHEET, TABLE], **wide)
         self.drawn = column([], name="drawn", stylesheets=[SHEET], **wide)
         for each in (self.status, self.text):

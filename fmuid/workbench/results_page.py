@@ -71,7 +71,7 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
     sections = [Section("estimates", "Estimates and their 95 % intervals", "", side_by_side(results), 2)]
     part = Part("Side by side", f"{len(results)} results", True, [], table(columns, numbers=list(results)), sections)
     words = command_text(["compare", *(str(place) for place in places)])
-    note = f"<section><h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre></section>"
+    note = f"<h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre>"
     return "Results side by side", [replace(part, table=part.table + note)]
 
 
@@ -103,7 +103,7 @@ class Predicting:
         self._callback: Any = None
         known = [folder.name(path) for path in _tables(folder)]
         self.chosen = Select(title="a table of the folder", options=["", *known], value="", name="table")
-        self.dropped = FileInput(title="or drop one here", accept=",".join(_TABLES), name="drop")
+        self.dropped = FileInput(value="", filename="", title="or drop one here", accept=",".join(_TABLES), name="drop")
         self.go = Button(label="Predict", button_type="primary", name="predict-go")
         for each in (self.chosen, self.dropped, self.go):
             each.stylesheets = [SHEET]

@@ -1,0 +1,170 @@
+"""What pages show of files, without a browser: the folder, results, batches; and commands that are followed."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from bokeh.document import Document
+from bokeh.models import FileInput
+
+from fmuid.cli.options import DONE, WRONG_INPUT
+from fmuid.progress import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
+from fmuid.reports import run_study
+from fmuid.reports.console.progress import Display
+from fmuid.reports.page.write import contents
+from fmuid.workbench import Folder
+from fmuid.workbench.batch_page import BatchPage
+from fmuid.workbench.home import _results, _studies
+from fmuid.workbench.jobs import Jobs
+from fmuid.workbench.results_page import Predicting, _compared
+from tests.support.coil_study import STUDY, coil_table
+from tests.support.isolated import wait_until
+from tests.support.results import result
+
+PATIENCE = 120.0
+EVENTS_SEEN: tuple[Event, ...] = (
+    SearchStep(number=2, criterion=math.inf, damping=0.1, accepted=False, values={"R": 4.0}),
+    GlobalStep(task="spread", done=3, total=9, criterion=1.5, values={"R": 4.0}, simulations=30),
+    BatchStep(done=1, total=4, failed=0, rate=0.0, left=math.inf, threads=2),
+)
+
+
+@pytest.mark.parametrize("event", EVENTS_SEEN)
+def test_an_event_survives_being_a_line(event: Event) -> None:
+    assert repr(of_line(to_line(event))) == repr(event)  # NaN is not itself
+
+
+def test_commands_tell_their_events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(EVENTS, str(tmp_path / "events"))
+    with Display() as display:
+        for event in EVENTS_SEEN:
+            display(event)
+    told = (tmp_path / "events").read_text().splitlines()
+    assert repr(tuple(map(of_line, told))) == repr(EVENTS_SEEN)
+    with pytest.raises(ValueError, match="no event"):
+        of_line("{}")
+
+
+def test_the_first_page_says_what_there_is(tmp_path: Path) -> None:
+    evil = "<img src=x onerror=alert(1)>"
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a/study.toml").write_text(STUDY.replace('"Coil"', f'"{evil}"'))
+    (tmp_path / "a/broken.toml").write_text("[model\n")
+    (tmp_path / "pyproject.toml").write_text('[project]\nname = "none"\n')
+    (tmp_path / "a/results").mkdir()
+    told = {"file": "../study.toml", "content": {}}
+    result(tmp_path / "a/results", {"R": (4.0, 0.1)}, study=told, outcome="converged")
+    folder = Folder(tmp_path)
+    studies, results = folder.look()
+    assert [each.path.name for each in studies] == ["broken.toml", "study.toml"]
+    page = _studies(folder, studies, results, set()) + _results(folder, results)
+    assert evil not in page
+    assert "&lt;img" in page
+    assert "is not valid TOML" in page
+    assert "R = 4.00 ± 0.10" in page
+    assert "/study?file=a/study.toml" in page
+    assert "/results?file=a/results" in page
+    assert "2 parameters, 1 table" in page
+    running = _studies(folder, studies, results, {(tmp_path / "a/study.toml").resolve()})
+    assert ">running<" in running
+
+
+def test_results_stand_side_by_side(tmp_path: Path) -> None:
+    for name, value in (("first", 4.0), ("second", 4.5)):
+        (tmp_path / name).mkdir()
+        result(tmp_path / name, {"R": (value, 0.1), name: (1.0, 0.2)})
+    _, (part,) = _compared(Folder(tmp_path), [tmp_path / "first", tmp_path / "second"])
+    assert "4.00 ± 0.10" in part.table
+    assert "4.50 ± 0.10" in part.table
+    assert "fmuid compare" in part.table
+    (of_r, *others) = part.sections[0].figures
+    assert len(others) == 2
+    (drawn,) = {renderer.data_source for renderer in of_r.renderers}
+    np.testing.assert_allclose(drawn.data["value"], [4.0, 4.5])
+    np.testing.assert_allclose(drawn.data["high"] - drawn.data["value"], 0.196, rtol=1e-3)
+
+
+def batch(folder: Path, done: int) -> None:
+    """Write a batch of five cases as far as it has come."""
+    (folder / "cases").mkdir(parents=True, exist_ok=True)
+    manifest = {"fmuid": "0", "study": {"title": "Fleet"}, "files": {}, "cases": 5, "truth": {"R": 4.0}}
+    (folder / "batch.json").write_text(json.dumps(manifest))
+    rows = {
+        "case": np.arange(done),
+        "status": ["failed" if k == 1 else "converged" for k in range(done)],
+        "draw": np.arange(done),
+        "value.R": [4.0 + 0.01 * k for k in range(done)],
+        "std.R": np.full(done, 0.1),
+        "criterion": np.ones(done),
+        "message": ["hit <b>a wall" if k == 1 else "converged" for k in range(done)],
+    }
+    pd.DataFrame(rows).to_parquet(folder / f"cases/part-{done:09d}-{'0' * 12}.parquet")
+
+
+def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
+    batch(tmp_path / "out", 2)
+    doc: Any = Document()
+    page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
+    assert "2 of 5 cases, 1 failed" in page.state.text
+    batch(tmp_path / "out", 4)
+    page.look()
+    assert "4 of 5 cases, 1 failed" in page.state.text
+    assert list(page.source.data["case"]) == [0, 1, 2, 3]
+    page.status.value = "failed"
+    assert list(page.source.data["case"]) == [1]
+    page.status.value = "all"
+    page.text.value = "WALL"
+    assert list(page.source.data["case"]) == [1]
+    (tmp_path / "out/logs").mkdir()
+    (tmp_path / "out/logs/case-000001.txt").write_text("the FMU said <so>")
+    page.source.selected.indices = [0]
+    assert "hit &lt;b&gt;a wall" in page.case.text
+    assert "the FMU said &lt;so&gt;" in page.case.text
+
+
+def test_a_command_is_run_and_what_it_printed_kept(tmp_path: Path) -> None:
+    jobs = Jobs()
+    job = jobs.begin(tmp_path / "study.toml", tmp_path / "results", ["identify", "study.toml"])
+    wait_until(lambda: not job.running)
+    assert jobs.running() == []
+    assert job.code == WRONG_INPUT
+    assert job.printed().startswith("error: study.toml: there is no such study file")
+    jobs.close()
+
+
+def dropped(name: str, content: bytes) -> FileInput:
+    return FileInput(filename=name, value=base64.b64encode(content).decode())
+
+
+@pytest.mark.slow
+def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    coil_table(tmp_path / "second.csv", 0.0, seed=2)
+    (tmp_path / "study.toml").write_text(STUDY)
+    assert run_study(tmp_path / "study.toml", tmp_path / "results").succeeded
+    doc: Any = Document()
+    page = Predicting(doc, Folder(tmp_path), Jobs(), tmp_path / "results")
+    assert page.chosen.options == ["", "first.csv", "second.csv"]
+    page.begin()
+    assert "choose a table" in page.said.text
+    page.dropped = dropped("../../evil.exe", b"no")
+    page.begin()
+    assert "evil.exe is no table" in page.said.text
+    page.dropped = dropped("../third.csv", (tmp_path / "second.csv").read_bytes())
+    page.begin()
+    assert page._job is not None
+    page._job.close(PATIENCE)
+    page.look()
+    assert page._job.code == DONE
+    assert (tmp_path / "results/prediction/dropped/third.csv").is_file()
+    assert "Done" in page.said.text
+    _, (part,) = contents(tmp_path / "results/prediction")
+    assert "third" in part.table
+    assert len(part.sections) == 1
