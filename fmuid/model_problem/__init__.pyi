@@ -1,6 +1,7 @@
 from .checked_search import ACCURACIES as ACCURACIES
 from .checked_search import RIVAL_CRITERION as RIVAL_CRITERION
 from .guarded_search import identify as identify
+from .observer import observed as observed
 from .prediction import OutputScore as OutputScore
 from .prediction import Prediction as Prediction
 from .prediction import estimates_for as estimates_for

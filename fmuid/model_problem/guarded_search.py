@@ -69,7 +69,8 @@ def identify(
     ----------
     problem : LeastSquares
         Only a `Problem`, whose predictors run FMUs, has a simulation to check, and remedies. It is simulated in a finer
-        way from then on where the search has to go on by one.
+        way from then on where the search has to go on by one. One that measurements correct
+        (`fmuid.model_problem.observed`) has neither.
     settings : Marquardt or GlobalSearch, optional
         Default: Marquardt's search from the parameters' starts.
     progress : callable, optional
@@ -110,6 +111,8 @@ def identify(
     Result(converged: R = 3.9989 ± 0.0015, L = 0.100016 ± 0.000050)
     """
     method = settings or Marquardt()
+    if isinstance(problem, Problem) and problem.corrected:
+        return method.search(problem, progress, start)
     if not remedies or method.whole_box or not isinstance(problem, Problem):
         return checked_search.identify(problem, method, progress, start, accuracy=accuracy, region=region)
     return _GuardedSearch(problem, method, progress, accuracy, region).run(start)

@@ -144,6 +144,11 @@ class Problem(LeastSquares):
         """What simulates the experiments, one each."""
         return tuple(self._simulators)
 
+    @property
+    def corrected(self) -> bool:
+        """Whether measurements correct the states at the samples: nothing finer can be compared with that."""
+        return any(each.corrects for each in self._simulators)
+
     # --- finer simulations
 
     @property

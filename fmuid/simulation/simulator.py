@@ -158,6 +158,11 @@ class Simulator:
         return frozenset(name for (name, model), now in begun if now and now.integrator != model.integrator)
 
     @property
+    def corrects(self) -> bool:
+        """Whether measurements correct the states at the samples."""
+        return self._run.grid.gain is not None
+
+    @property
     def output_names(self) -> tuple[str, ...]:
         """The outputs, in the order of the last axis."""
         return self.experiment.output_names

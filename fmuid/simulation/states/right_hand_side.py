@@ -107,16 +107,29 @@ class RightHandSide:
         outputs : (K, n_y) array
             With these states at all samples.
         """
+        states, _, outputs, _, slopes = self._secants(theta)
+        return slopes, states, np.vstack([outputs[::2], outputs[-1:]])
+
+    def secants(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return A = ∂f/∂x (n_x, n_x) and C = ∂y/∂x (n_y, n_x) at the beginning, in units of the nominals.
+
+        They are differences over the nominals: what is steep near by counts with its mean slope. Outputs are in the
+        units of the table.
+        """
+        _, base, _, derivatives, slopes = self._secants(theta)
+        return (derivatives - base[:, None]) / self.nominals[:, None], slopes
+
+    def _secants(self, theta: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """Return states and derivatives (n_x,) at the beginning and outputs (P, n_y) there; of states moved: f, Δy."""
         initial = self.initial(theta[None])
         states = np.zeros(len(self.states)) if initial is None else initial[0]
         points = len(self._grid.times)
-        outputs = self(np.tile(states, (points, 1)), theta[None])[1][0]
-        slopes = []
-        for i, nominal in enumerate(self.nominals):
-            moved = states.copy()
-            moved[i] += nominal
-            slopes.append(self(np.tile(moved, (points, 1)), theta[None])[1][0, 0] - outputs[0])
-        return np.column_stack(slopes), states, np.vstack([outputs[::2], outputs[-1:]])
+        derivatives, outputs = self(np.tile(states, (points, 1)), theta[None])
+        moved = states + np.diag(self.nominals)
+        found = [self(np.tile(each, (points, 1)), theta[None]) for each in moved]
+        rates = np.column_stack([each[0][0, 0] for each in found])
+        slopes = np.column_stack([each[1][0, 0] - outputs[0, 0] for each in found])
+        return states, derivatives[0, 0], outputs[0], rates, slopes
 
     def corrected(self, gain: Floats, tolerance: float, most_steps: int | None = None) -> Simulator:
         """Return the simulator whose states are corrected by a gain (n_x, n_y) in the units of the FMU."""

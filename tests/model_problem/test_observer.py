@@ -1,0 +1,92 @@
+"""Observers that keep the simulation of a plant that integrates with its record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import fmuid
+from fmuid.model_problem import observed
+from fmuid.model_problem.observer import observer_gain
+from tests.support.exported import export_text
+
+CART = """model Cart
+  parameter Real m = 1;
+  parameter Real d = 1;
+  input Real u;
+  output Real q(start=0, fixed=true);
+  Real v(start=0, fixed=true);
+equation
+  der(q) = v;
+  m*der(v) = u - d*v;
+end Cart;
+"""
+M, D = 2.0, 3.0
+TIMES = np.linspace(0.0, 6.0, 601)
+
+
+@pytest.fixture(scope="module")
+def cart(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_text(tmp_path_factory.mktemp("cart"), CART)
+
+
+def problem(cart: Path, stiction: float) -> fmuid.Problem:
+    """A cart, driven by bits, with a force of Stribeck's kind that the model has not."""
+    force = np.random.default_rng(1).choice([-4.0, 4.0], 61)[np.minimum((TIMES / 0.1).astype(int), 60)]
+    x, places = np.zeros(2), [0.0]
+    for k in range(600):
+
+        def slope(_t: float, x: np.ndarray, u: float = float(force[k])) -> list[float]:
+            return [x[1], (u - D * x[1] - stiction * np.tanh(8.0 * x[1]) * np.exp(-(x[1] ** 2)) - 0.3 * stiction) / M]
+
+        x = solve_ivp(slope, (0.0, 0.01), x, rtol=1e-8, atol=1e-10).y[:, -1]
+        places.append(float(x[0]))
+    frame = pd.DataFrame({"time": TIMES, "u": force, "q": places})
+    given = fmuid.Experiment(frame, ["u"], ["q"], interpolation="hold")
+    return fmuid.Problem(cart, given, {"m": fmuid.Parameter(1.0, min=0.1), "d": fmuid.Parameter(1.0, min=0.0)})
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_all_poles_are_where_they_are_asked_for(count: int) -> None:
+    slopes = np.diag(np.ones(count - 1), 1) - 0.5 * np.eye(count)
+    output = np.eye(count)[0]
+    gain = observer_gain(slopes, output, 0.1, 4.0)
+    error = (np.eye(count) - np.outer(gain, output)) @ expm(0.1 * slopes)
+    assert np.poly(error) == pytest.approx(np.poly(np.full(count, np.exp(-0.25))), abs=1e-9)
+
+
+def test_what_the_output_does_not_see_cannot_be_observed() -> None:
+    with pytest.raises(fmuid.InputError, match="does not observe all states"):
+        observer_gain(np.diag([-1.0, -2.0]), np.array([1.0, 0.0]), 0.1, 3.0)
+
+
+def test_a_right_model_is_found_with_an_observer_too(cart: Path) -> None:
+    whole = observed(problem(cart, 0.0))
+    result = fmuid.identify(whole)
+    assert result.converged
+    assert result.attempts == ()
+    assert result.accuracy is None
+    assert [result["m"], result["d"]] == pytest.approx([M, D], rel=1e-3)
+
+
+def test_an_error_of_the_model_pulls_output_error_more(cart: Path) -> None:
+    """What integrates keeps a force that the model has not; the observer forgets it."""
+    whole = problem(cart, 0.3)
+    long = fmuid.identify(whole, remedies=False)
+    short = fmuid.identify(observed(problem(cart, 0.3)))
+    assert abs(short["m"] - M) < 0.5 * abs(long["m"] - M)
+
+
+def test_an_observer_is_for_one_output_of_one_model(cart: Path) -> None:
+    whole = problem(cart, 0.0)
+    frame = pd.DataFrame({"time": TIMES, "u": 1.0, "q": 0.0, "w": 0.0})
+    two = fmuid.Experiment(frame, ["u"], {"q": "q", "v": "w"}, interpolation="hold")
+    with pytest.raises(fmuid.InputError, match="one output"):
+        observed(fmuid.Problem(cart, two, {"m": fmuid.Parameter(1.0)}))
+    with pytest.raises(fmuid.InputError, match="positive number of samples"):
+        observed(whole, 0.0)
