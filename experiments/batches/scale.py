@@ -6,7 +6,8 @@ The model is a coil: 50 samples, two parameters, a draw of the noise a case. The
 killed (SIGKILL) after a third of the time and given again, and ended (SIGTERM) after the rest of the time if it has not
 ended by itself. Printed are
 
-- CPU time a case of a plain loop over `CaseRunner`, and of each kind of process of the batch, start left out;
+- CPU time a case of plain loops over `CaseRunner`, as many at a time as there are workers, for processors that share
+  their caches are slower together; and of each kind of process of the batch, start left out;
 - how long after the second command the first new case was finished;
 - the resident memory of the driver, and of all others, over time;
 - time and memory of the summary of so many rows: those that were run, again and again under new numbers.
@@ -37,6 +38,7 @@ from experiments.batches.campaign import command, family, left_over, write_study
 from fmuid.batches.batch import Batch
 from fmuid.batches.dataset import PART_ROWS
 from fmuid.batches.worker import SINGLE_THREADED
+from fmuid.processes import MEMORY_KEPT
 
 SAMPLES, LOOP_SECONDS, EVERY, LINES = 50, 20.0, 1.0, 12
 # Of a run, in which processes start and code is loaded.
@@ -73,14 +75,13 @@ print(json.dumps([found.cases, took, before / 1e3, after / 1e3]))
 """
 
 
-def loop(study: Path, seconds: float = LOOP_SECONDS) -> float:
-    """Return the CPU time a case of a plain loop in one process, ms."""
-    script, environment = (
-        LOOP.format(study=str(study), seconds=seconds),
-        os.environ | dict.fromkeys(SINGLE_THREADED, "1"),
-    )
-    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
-    return float(json.loads(done.stdout))
+def loops(study: Path, count: int, seconds: float = LOOP_SECONDS) -> float:
+    """Return the CPU time a case, ms, of plain loops in so many processes at a time, their environment a worker's."""
+    script, environment = LOOP.format(study=str(study), seconds=seconds), dict(os.environ)
+    environment |= dict.fromkeys(SINGLE_THREADED, "1") | MEMORY_KEPT
+    line = [sys.executable, "-c", script]
+    found = [subprocess.Popen(line, env=environment, stdout=subprocess.PIPE) for _ in range(count)]
+    return float(np.mean([json.loads(each.communicate()[0]) for each in found]))
 
 
 def kind_of(process: psutil.Process, driver: int) -> str:
@@ -216,13 +217,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         study, output = write_study(folder, chosen.cases, SAMPLES), folder / "out"
-        plain = [loop(study)]
+        plain = [loops(study, chosen.workers)]
         words = ["--workers", str(chosen.workers), "--max-cases", str(chosen.cases)]
         runs = [Run(study, output, *words)]
         if not runs[0].wait(20.0 * chosen.minutes, signal.SIGKILL):
             runs.append(Run(study, output, *words))
             runs[1].wait(40.0 * chosen.minutes, signal.SIGTERM)
-        plain.append(loop(study))
+        plain.append(loops(study, chosen.workers))
         finished = pd.read_parquet(output / "cases", columns=["finished"])["finished"]
         rate = show_costs(sum(plain) / 2, runs, finished)
         all_take = f"at this rate all take {chosen.cases / rate / 3600:.2f} h"

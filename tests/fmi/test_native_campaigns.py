@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,41 +16,22 @@ from fmuid.fmi.native import build
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
 from fmuid.simulation.simulator import Simulator
-from tests.support.paths import FMUS, ROOT
+from tests.support.paths import FMUS
+from tests.support.sanitizers import SANITIZE, assert_nothing_found, needs_sanitizers
 
 pytestmark = pytest.mark.slow
 TESTS = [
-    *("test_native", "test_integrators", "test_model_exchange", "test_fmi3", "test_float_environment"),
-    *("../models/test_system", "../simulation/test_sensitivities", "../simulation/test_simulator"),
+    *(f"fmi/test_{name}" for name in ("native", "integrators", "model_exchange", "fmi3", "float_environment")),
+    *("models/test_system", "simulation/test_sensitivities", "simulation/test_simulator"),
 ]
 
 
-@pytest.mark.skipif(sys.platform != "linux" or shutil.which("gcc") is None, reason="needs gcc's sanitizers")
+@needs_sanitizers
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     library = tmp_path / "core.so"
-    sanitize = ["-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-O1", "-g"]
-    flags = ["-std=c11", "-ffp-contract=off", "-shared", "-fPIC", *sanitize]
+    flags = ["-std=c11", "-ffp-contract=off", *SANITIZE]
     subprocess.run(["gcc", *flags, *map(str, build.sources()), "-o", str(library), "-lm"], check=True)
-    told = [
-        subprocess.run(["gcc", f"-print-file-name=lib{name}.so"], capture_output=True, text=True, check=True)
-        for name in ("asan", "ubsan")
-    ]
-    environment = os.environ | {
-        "LD_PRELOAD": " ".join(each.stdout.strip() for each in told),
-        "ASAN_OPTIONS": "detect_leaks=0,handle_segv=0",  # Python leaks at its end
-        "SANITIZED_CORE": str(library),
-    }
-    command = [sys.executable, "-m", "pytest", "-n", "0", "-q", "-s", "-p", "no:faulthandler"]
-    files = [str(ROOT / "tests" / "fmi" / f"{name}.py") for name in TESTS]
-    run = subprocess.run(
-        [*command, "-p", "tests.support.sanitized_core", *files],
-        env=environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-3000:]
+    assert_nothing_found("tests.support.sanitized_core", TESTS, SANITIZED_CORE=str(library))
 
 
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
