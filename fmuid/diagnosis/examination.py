@@ -20,6 +20,7 @@ from fmuid.diagnosis.coordinates import Coordinates
 from fmuid.diagnosis.evidence.detection import Chance
 from fmuid.diagnosis.evidence.information import Information, Known, News
 from fmuid.diagnosis.evidence.naming import MODEL_ERROR, Naming, name
+from fmuid.diagnosis.evidence.remainder import NOTHING_LEFT, Remainder, change, lagged, probability, regression
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.diagnosis.whitening import Whitening
 from fmuid.errors import SimulationError
@@ -50,6 +51,8 @@ class Examination:
     samples : int
     steady : bool
         Whether the name stayed when the models were linearised again.
+    remainder : Remainder
+        What no cause explains.
     """
 
     coordinates: Coordinates
@@ -60,6 +63,7 @@ class Examination:
     without: float
     samples: int
     steady: bool = True
+    remainder: Remainder = NOTHING_LEFT
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +77,14 @@ class Healthy:
     whitening : Whitening
     drift : (N,) array
         Standard deviation of what may change without being a fault.
+    owed : Information or None
+        What the residuals of the healthy records owe to the inputs; None without records.
     """
 
     known: Known
     whitening: Whitening
     drift: Floats
+    owed: Information | None = None
 
 
 def healthy_of(records: Sequence[Machine], whitening: Whitening, coordinates: Coordinates, drift: Floats) -> Healthy:
@@ -98,7 +105,8 @@ def healthy_of(records: Sequence[Machine], whitening: Whitening, coordinates: Co
         If the healthy machine cannot be simulated.
     """
     said = [_information(machine, whitening, coordinates.healthy, coordinates.healthy) for machine in records]
-    return Healthy(Known.after_several(said, coordinates.normal), whitening, drift)
+    owed = _owed(records, whitening, coordinates.healthy)
+    return Healthy(Known.after_several(said, coordinates.normal), whitening, drift, owed)
 
 
 def examine(
@@ -137,7 +145,8 @@ def examine(
     chance = Chance.of(news, coordinates.causes)
     naming = work.named(news, chance)
     found = Examination(coordinates, naming, news, point, without, without, samples)
-    return work.settled(found, chance) if naming.named else found
+    found = work.settled(found, chance) if naming.named else found
+    return replace(found, remainder=work.remainder(found))
 
 
 class _Examining:
@@ -182,6 +191,15 @@ class _Examining:
             squares, samples = squares + float(np.sum(white**2)), samples + white.size
         return squares / samples, samples
 
+    def remainder(self, found: Examination) -> Remainder:
+        """Return the change of what the residual owes to the inputs, beside all causes and the models' error."""
+        if self.healthy.owed is None:
+            return NOTHING_LEFT
+        owed = _owed(self.machines, self.healthy.whitening, found.point)
+        statistic, degrees = change(self.healthy.owed, owed)
+        statistic /= found.naming.temper
+        return Remainder(statistic, degrees, probability(statistic, degrees))
+
     def settled(self, found: Examination, chance: Chance) -> Examination:
         """Return the examination where the name stays when the models are linearised at the cause named."""
         steady = False
@@ -220,6 +238,24 @@ def _information(machine: Machine, whitening: Whitening, point: Floats, healthy:
     residual = _residual(experiment, outputs) + columns @ (point - healthy)
     white = whitening(experiment, np.concatenate([residual[:, :, None], columns], axis=2))
     return Information.of(white[:, 1:], white[:, 0])
+
+
+def _owed(machines: Sequence[Machine], whitening: Whitening, point: Floats) -> Information:
+    """Return what the residuals of records at a point (N,) owe to the inputs before, beside all coordinates."""
+    each = [_regressed(machine, whitening, point) for machine in machines]
+    return sum(each[1:], start=each[0])
+
+
+def _regressed(machine: Machine, whitening: Whitening, point: Floats) -> Information:
+    experiment = machine.experiment
+    outputs, columns = machine.linearise(point)
+    inputs = lagged(experiment.input_values)
+    count = len(experiment.output_names)
+    # each output has coefficients of its own
+    own = np.einsum("ki,jl->kjli", inputs, np.eye(count)).reshape(len(inputs), count, -1)
+    white = whitening(experiment, np.concatenate([_residual(experiment, outputs)[:, :, None], columns, own], axis=2))
+    n = columns.shape[2]
+    return regression(white[:, 0], white[:, 1 + n :], white[:, 1 : 1 + n])
 
 
 def _residual(experiment: Experiment, outputs: Floats) -> Floats:

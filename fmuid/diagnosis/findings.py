@@ -14,6 +14,7 @@ from fmuid.diagnosis.coordinates import CauseKind, Coordinate, Coordinates, name
 from fmuid.diagnosis.evidence.causes import Cause
 from fmuid.diagnosis.evidence.detection import CauseFit, fit, probability
 from fmuid.diagnosis.evidence.naming import angle
+from fmuid.diagnosis.evidence.remainder import Remainder
 from fmuid.diagnosis.examination import Examination
 from fmuid.diagnosis.faults import Fault
 
@@ -131,6 +132,8 @@ class Evidence:
     samples : int
     steady : bool
         Whether the name stayed when the models were linearised there.
+    remainder : Remainder
+        What no cause explains.
     """
 
     probability: float
@@ -142,6 +145,14 @@ class Evidence:
     without: float
     samples: int
     steady: bool
+    remainder: Remainder
+
+    @property
+    def explained(self) -> float:
+        """How much of what is new the best explanation explains, a share; 0 without an alarm."""
+        statistic = max(each.statistic for each in self.suspects) / self.temper if self.alarm else 0.0
+        rest = max(0.0, self.remainder.statistic - self.remainder.degrees)
+        return statistic / (statistic + rest) if statistic > 0 else 0.0
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -162,6 +173,7 @@ class Evidence:
             found.without,
             found.samples,
             found.steady,
+            found.remainder,
         )
 
     @classmethod
@@ -176,7 +188,8 @@ class Evidence:
         plain = {key: data[key] for key in ("probability", "alarm", "temper", "ratio", "without", "samples", "steady")}
         explanations = tuple(map(Explanation.of_json, data["explanations"]))
         suspects = tuple(Suspect(**each | {"change": _change(each["change"])}) for each in data["suspects"])
-        return cls(explanations=explanations, suspects=suspects, **plain)
+        remainder = Remainder(**data["remainder"])
+        return cls(explanations=explanations, suspects=suspects, remainder=remainder, **plain)
 
 
 def _change(data: Mapping[str, Any]) -> Change:

@@ -246,7 +246,7 @@ class _Diagnosing:
             named=tuple(found[i].name for i in best) if evidence is None else evidence.faults,
             unexplained=self._unexplained(nominal[1].variances, found[best[0]].variances if best else None)
             if evidence is None
-            else self._larger(evidence.ratio, evidence.without, evidence.samples, alarm=evidence.alarm),
+            else self._owed(evidence),
             samples=samples,
             noise_variance=self.variance,
             nominal={
@@ -264,6 +264,11 @@ class _Diagnosing:
         """Test whether the residual is larger than the noise; the last test is that of all outputs together."""
         test = (without if with_ is None else with_)[-1]
         return self._larger(test.ratio, without[-1].ratio, round(test.degrees_of_freedom), alarm=with_ is not None)
+
+    def _owed(self, evidence: Evidence) -> Test:
+        """Say whether what the residual owes to the inputs has changed from the healthy records on."""
+        p = evidence.remainder.probability
+        return Test(evidence.ratio, p, p < UNEXPLAINED_SHARE * self.level, evidence.explained)
 
     def _larger(self, ratio: float, before: float, samples: int, *, alarm: bool) -> Test:
         # both variances are estimates: their ratio is F

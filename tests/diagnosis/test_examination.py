@@ -196,6 +196,30 @@ def test_causes_may_be_left_out(look: Look) -> None:
         Range(0.0, 1.0)
 
 
+def test_what_no_cause_explains_is_something_else(look: Look, tmp_path: Path) -> None:
+    """An offset of half a standard deviation of the noise, where sensors are not looked at."""
+    none = Causes(None, None, None, None, None)
+    found = look(500, causes=none, offset=NOISE / 2)
+    assert found.kind == "unexplained"
+    assert found.evidence is not None
+    assert found.evidence.remainder.probability < 1e-10
+    assert found.unexplained.ratio < 1.5
+    assert verdict(found).startswith("Something else has changed: the residual goes with the inputs otherwise")
+    assert fmuid.Diagnosis.from_json(found.to_json(tmp_path / "diagnosis.json")).kind == "unexplained"
+    for known in (
+        look(501, causes=none),
+        look(501, causes=none, base={"offset": NOISE / 2}),
+        look(1, offset=NOISE / 2),
+    ):
+        assert known.evidence is not None
+        assert known.evidence.remainder.probability > 0.01
+        assert known.kind in ("healthy", "other")
+    turns = look(502, causes=none, turns=1.0)
+    assert turns.kind == "fault"
+    assert turns.evidence is not None
+    assert turns.evidence.explained > 0.95
+
+
 @pytest.mark.slow
 def test_level_and_names_over_draws(look: Look) -> None:
     """100 healthy records, white and coloured: 1 % of alarms; 40 with a fault of the sensor: never a fault alone."""

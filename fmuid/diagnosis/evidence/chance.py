@@ -36,6 +36,16 @@ def log_chance(statistics: Floats, cause: Cause) -> Floats:
     return np.where(statistics > 0, found, 0.0)
 
 
+def log_chances(statistics: Floats, causes: Sequence[Cause]) -> Floats:
+    """Return the same of several causes: of statistics (T, m), one column a cause."""
+    found = np.empty(statistics.shape)
+    kinds = [(len(cause.columns), bool(cause.sign)) for cause in causes]
+    for kind in set(kinds):
+        at = [k for k, other in enumerate(kinds) if other == kind]
+        found[:, at] = log_chance(statistics[:, at], causes[at[0]])
+    return found
+
+
 def log_limit(level: float, causes: Sequence[Cause], windows: int) -> float:
     """Return the log probability of one onset and one cause below which a window alarms by chance at a level.
 

@@ -8,6 +8,8 @@ know is no alarm.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import special
 
@@ -18,6 +20,28 @@ from fmuid.diagnosis.evidence.information import Information
 LAGS = 20
 # Directions of the regressors with so little information, against the best, say nothing.
 NOTHING = 1e-8
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What no cause explains.
+
+    Attributes
+    ----------
+    statistic : float
+        χ² of the change of what the residual owes to the inputs.
+    degrees : int
+        Of freedom.
+    probability : float
+        That chance alone changes it so much.
+    """
+
+    statistic: float
+    degrees: int
+    probability: float
+
+
+NOTHING_LEFT = Remainder(0.0, 0, 1.0)
 
 
 def lagged(inputs: Floats, lags: int = LAGS) -> Floats:

@@ -165,12 +165,7 @@ class Watch:
         at = np.flatnonzero(self._of["begins"])
         information, score = self._news(at)
         clock = self._of["clock"][at]
-        found = np.empty((at.size, len(causes)))
-        for k, cause in enumerate(causes):
-            columns = list(cause.columns)
-            own = information[:, columns][:, :, columns]
-            found[:, k] = Onsets(cause, Shape.STEP, clock, clock, own, score[:, columns]).statistics
-        return clock, found
+        return clock, statistics_of(information, score, causes)
 
     def onsets(self, causes: Sequence[Cause], shape: Shape) -> list[Onsets]:
         """Return what all onsets of each cause explain."""
@@ -231,6 +226,23 @@ class Watch:
         if other._total.shape != self._total.shape:
             raise ValueError("it is of other coordinates")
         return other
+
+
+def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -> Floats:
+    """Return D of each cause alone (T, m), of information (T, N, N) and score (T, N); 0 where its sign is wrong."""
+    found = np.empty((len(score), len(causes)))
+    single = [k for k, cause in enumerate(causes) if len(cause.columns) == 1]
+    at = [causes[k].columns[0] for k in single]
+    signs = np.array([causes[k].sign for k in single])
+    own, mine = information[:, at, at], score[:, at]
+    known = (own > 0) & (signs * mine >= 0)
+    found[:, single] = np.where(known, mine**2 / np.where(own > 0, own, 1.0), 0.0)
+    for k, cause in enumerate(causes):
+        if k not in single:
+            columns = list(cause.columns)
+            part = information[:, columns][:, :, columns]
+            found[:, k] = Onsets(cause, Shape.STEP, score[:, 0], score[:, 0], part, score[:, columns]).statistics
+    return found
 
 
 class _Window:

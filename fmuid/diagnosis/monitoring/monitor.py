@@ -188,16 +188,18 @@ class Monitor:
             batch = windows[at : at + length]
             if progress is not None:
                 progress(WindowStep(record=record.name, number=batch[0].number, total=len(every)))
-            taken, point = 0, self._now.point
+            taken, point, targets = 0, self._now.point, []
             for each in self._summed(made, record, batch):
                 seen = Seen(self._against, self._now, each, level)
                 point = seen.target
                 if (taken or tries < MOST_STEPS) and seen.far:
                     break
                 rows.append(seen.row())
+                targets.append(point)
                 self._now, taken = seen.taken(), taken + 1
             tries = 0 if taken else tries + 1
-            self._now = replace(self._now, point=point)
+            # the next ones where these were on the whole, or where the one was that lies elsewhere
+            self._now = replace(self._now, point=np.mean(targets, axis=0) if taken == len(batch) else point)
             at, length = at + taken, min(2 * length, most) if taken == len(batch) else 1
         missing = [each for each in every if not each.there]
         self.gaps += tuple(Gap(record.source, float(record.times[each.start])) for each in missing)

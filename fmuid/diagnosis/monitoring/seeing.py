@@ -18,11 +18,11 @@ from fmuid.diagnosis.comparison import Juxtaposition
 from fmuid.diagnosis.coordinates import DIFFERENCE_STEP, CauseKind
 from fmuid.diagnosis.decision import UNEXPLAINED_SHARE
 from fmuid.diagnosis.evidence.causes import Cause
-from fmuid.diagnosis.evidence.chance import log_chance, log_limit
+from fmuid.diagnosis.evidence.chance import log_chances, log_limit
 from fmuid.diagnosis.evidence.detection import fit
 from fmuid.diagnosis.evidence.information import Known, News
-from fmuid.diagnosis.evidence.watch import LEAST, Watch
-from fmuid.diagnosis.findings import Change, Explanation, changes
+from fmuid.diagnosis.evidence.watch import LEAST, Watch, statistics_of
+from fmuid.diagnosis.findings import Explanation, changes
 from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Alarm, Moment, Onset, Rule, label_of
 from fmuid.diagnosis.monitoring.judging import Judgement, judged
 from fmuid.diagnosis.monitoring.sums import WindowSums
@@ -30,7 +30,7 @@ from fmuid.diagnosis.verdict import EXPLAINED_SHARE
 
 # A window is linearised again where its estimate is further away than this: its distance in standard deviations times
 # the largest relative change of a coordinate, which is about the error of the linear model in standard deviations.
-FAR = 0.1
+FAR = 0.3
 # An alarm is judged again when D has grown by this share.
 GROWN = 0.2
 # A cause that is named is free: by so many times its own size.
@@ -200,9 +200,7 @@ class Seen:
         self.watch.add(sums.blocks(record.clock - record.begin))
         causes = against.coordinates.causes
         statistics = self.watch.statistics(causes)[1]
-        chances = np.column_stack(
-            [log_chance(column, cause) for column, cause in zip(statistics.T, causes, strict=True)]
-        )
+        chances = log_chances(statistics, causes)
         windows = self.watch.windows
         # thresholds change little: by the next power of 2
         limit = against.limit(level, windows if windows < 16 else 1 << (windows - 1).bit_length())
@@ -277,10 +275,12 @@ class Seen:
         """Return the window's row of the table."""
         window, causes = self.sums.window, self.against.coordinates.causes
         news = News.of(self.sums.whole, self.against.known)
-        alone = [self._alone(news, cause) for cause in causes]
-        chances = [chance for *_, chance in alone]
-        best = alone[int(np.argmin(chances))][0]
-        probability = min(1.0, len(causes) * math.exp(min(chances)))
+        least = LEAST * np.diag(self.sums.whole.matrix)
+        statistics = statistics_of((news.information + np.diag(least))[None], news.score[None], causes)
+        chances = log_chances(statistics, causes)[0]
+        best = causes[int(np.argmin(chances))]
+        probability = min(1.0, len(causes) * math.exp(chances.min()))
+        of = self.against.coordinates.each[best.columns[0]]
         row: dict[str, Any] = {
             "record": self.now.records[-1].name,
             "window": window.number,
@@ -288,7 +288,7 @@ class Seen:
             "end": window.end,
             "clock": self.clock,
             "samples": self.sums.samples,
-            "significant": (best.fault or best.label) if probability <= self.against.rule.level else "",
+            "significant": (of.fault or of.name) if probability <= self.against.rule.level else "",
             "probability": probability,
             "statistic": self.statistic,
             "variance_ratio": self._ratios[1],
@@ -300,19 +300,23 @@ class Seen:
         for i in self.against.coordinates.of(CauseKind.PARAMETER):
             name = self.against.coordinates.each[i].variable
             row |= {name: healthy[i] + self.estimate.mean[i], f"{name}.std": float(std[i])}
-        for change, known, _ in alone:
-            end = "" if change.kind is not CauseKind.PARAMETER else " drift"
-            value, spread = (change.value, change.std) if known else (0.0, math.inf)
-            row |= {f"{change.label}{end}": value, f"{change.label}{end}.std": spread}
-            if change.angle:
-                row[f"{change.fault}.{change.angle}"] = change.angle_value
+        for cause in causes:
+            row |= self._alone(news, cause, least)
         return row
 
-    def _alone(self, news: News, cause: Cause) -> tuple[Change, bool, float]:
-        """Return a cause as this window shows it, whether it does, and the log probability of as much by chance."""
-        found = fit(news, (cause,))
-        change = changes((cause,), found, self.against.coordinates, self.against.made.faults)[0]
-        of, own = news.part(cause.columns)[0], np.diag(self.sums.whole.matrix)[list(cause.columns)]
-        known = bool(np.linalg.eigvalsh(of)[0] > LEAST * own.max()) if own.max() > 0 else False
-        statistic = found.statistic if known else 0.0
-        return change, known, float(log_chance(np.array([statistic]), cause)[0])
+    def _alone(self, news: News, cause: Cause, least: Floats) -> dict[str, float]:
+        """Return the cells of a cause as this window shows it by itself."""
+        first = self.against.coordinates.each[cause.columns[0]]
+        name = first.name if first.kind is not CauseKind.PARAMETER else f"{first.name} drift"
+        if len(cause.columns) > 1:
+            found = fit(news, (cause,))
+            change = changes((cause,), found, self.against.coordinates, self.against.made.faults)[0]
+            return {name: change.value, f"{name}.std": change.std, f"{change.fault}.{change.angle}": change.angle_value}
+        i = cause.columns[0]
+        own, score = float(news.information[i, i]), float(news.score[i])
+        if not own > least[i]:
+            return {name: 0.0, f"{name}.std": math.inf}
+        return {
+            name: max(0.0, score * cause.sign) * cause.sign / own if cause.sign else score / own,
+            f"{name}.std": own**-0.5,
+        }

@@ -25,6 +25,11 @@ def verdict(found: Diagnosis) -> str:
     if found.evidence is not None and found.evidence.alarm and found.kind != "unexplained":
         return _evidence_words(found, found.evidence)
     named = [found[name] for name in found.named]
+    if found.kind == "unexplained" and found.evidence is not None:
+        return (
+            "Something else has changed: the residual goes with the inputs otherwise than in the healthy records "
+            f"(probability {chance(found.unexplained.probability)}), and no cause explains most of it"
+        )
     if found.kind == "unexplained":
         said = (
             f"Something else is wrong: the residual's variance is {found.unexplained.ratio:.3g} times the noise "
