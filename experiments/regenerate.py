@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from experiments import pages
+from experiments import gallery, pages
 from experiments.closed_loop_bias import study as closed_loop_bias
 from experiments.coil import causes
 from experiments.coil import study as coil
@@ -75,6 +75,7 @@ PAGES: dict[str, Callable[[], None]] = {
     "closed_loop_bias": closed_loop_bias.main,
     "coil": coil_pages,
     "equation_error": equation_error.main,
+    "gallery": gallery.main,
     "machine_faults": machine_faults.main,
     "simulation_error": simulation_error.main,
 }

@@ -77,7 +77,7 @@ class Parameter:
     min, max : float
         Bounds; the search never simulates outside them.
     nominal : float, optional
-        Its magnitude, used for scaling; needed where the start is zero, default |start|.
+        Its magnitude, used for scaling; needed where the start is zero, default the magnitude of `start`.
     prior : Normal, optional
         Knowledge from before the experiment.
     per_experiment : bool or mapping of str to sequence of str
@@ -240,7 +240,7 @@ class ParameterSet:
     ----------
     names : tuple of str
     start, lower, upper, scale : (N,) arrays
-        `scale` is the nominal magnitude, |start| by default.
+        `scale` is the nominal magnitude, the magnitude of `start` by default.
     prior_mean, prior_std : (N,) arrays
         NaN where there is no prior.
     prior_whitening : (q, N) array

@@ -1,0 +1,130 @@
+"""What the pages of docs show is run, Python, commands and what they print; and each sentence of fmuid is explained."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+import shutil
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import fmuid
+from fmuid.cli.app import run
+from fmuid.studies.reference import schema
+from tests.support.paths import ROOT
+from tools.commands_page import page as commands_page
+
+DOCS = ROOT / "docs"
+WORDS = ROOT / "fmuid" / "reports" / "words"
+# How a model is run, and what an FMU can do: facts, which need no advice.
+FACTS = {"models"}
+# Fewer words in a row say nothing by themselves.
+LEAST_WORDS = 4
+
+
+def blocks(page: str, kind: str) -> list[str]:
+    """Return what stands in a page's blocks of a language."""
+    return re.findall(rf"```{kind}\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.parametrize("page", ["api.md", "coupled.md", "faults.md", "monitoring.md", "priors.md", "tables.md"])
+def test_python_runs(page: str) -> None:
+    found = blocks(page, "python")
+    assert found
+    for code in found:
+        exec(compile(code, page, "exec"), {})
+
+
+@pytest.mark.slow
+def test_the_notebook_runs() -> None:
+    """Its figures bring Bokeh along, which takes seconds."""
+    names: dict[str, object] = {}
+    for code in blocks("notebook.md", r"\{code-cell\} python"):
+        exec(compile(code, "notebook.md", "exec"), names)
+    result = names["result"]
+    assert isinstance(result, fmuid.Result)
+    assert result.converged
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("blank_figures")
+def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each line that is shown is printed, in this order; numbers to the digits shown."""
+    one = fmuid.datasets.induction_machine()
+    shutil.copy(one.fmu, tmp_path / "Motor.fmu")
+    shutil.copy(one.path, tmp_path / "bench.csv")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    first, *shown = blocks("tutorial.md", "console")
+    assert first.startswith("$ python -c ")
+    for block in shown:
+        command, *lines = block.splitlines()
+        program, word, *rest = shlex.split(command.removeprefix("$ "))
+        assert program == "fmuid"
+        run([word, *rest, *(["--in-process"] if word in ("identify", "predict") else [])])
+        printed = iter(" ".join(line.split()) for line in capsys.readouterr().out.splitlines())
+        for line in lines:
+            if line != "...":
+                assert " ".join(line.split()) in printed, (command, line)
+
+
+@pytest.mark.parametrize("page", ["coupled.md", "faults.md", "monitoring.md", "priors.md"])
+def test_study_words_are_words(page: str) -> None:
+    known = schema()["properties"]
+    for text in blocks(page, "toml"):
+        for table, words in tomllib.loads(text).items():
+            assert table in known, table
+            _check_words(words, known[table])
+
+
+def _check_words(words: object, allowed: dict[str, object]) -> None:
+    """Refuse keys that the schema of a study file does not have."""
+    from jsonschema import Draft202012Validator
+
+    whole = schema()
+    allowed = {"$defs": whole["$defs"], **allowed}
+    errors = [each for each in Draft202012Validator(allowed).iter_errors(words) if each.validator != "required"]
+    assert errors == []
+
+
+def test_the_commands_are_those_that_there_are() -> None:
+    """Written anew by: python -m tools.commands_page > docs/commands.md."""
+    assert (DOCS / "commands.md").read_text(encoding="utf-8") == commands_page()
+
+
+def test_every_public_name_has_its_page() -> None:
+    listed = re.findall(r"^ +fmuid\.(\w+)$", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
+    public = re.findall(r"import \w+ as (\w+)", (ROOT / "fmuid" / "__init__.pyi").read_text(encoding="utf-8"))
+    assert sorted(listed) == sorted(set(public) - {"__version__", "datasets"})
+
+
+# --- sentences ---------------------------------------------------------------------------
+
+
+def fragments(source: Path) -> Iterator[str]:
+    """Yield of each text of a module, docstrings apart, the longest part that stands fast."""
+    tree = ast.parse(source.read_text(encoding="utf-8"))
+    skipped = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    skipped |= {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            parts = [str(part.value) for part in node.values if isinstance(part, ast.Constant)]
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in skipped:
+            parts = re.split(r"\{[^}]*\}", node.value)
+        else:
+            continue
+        longest = max(parts, key=len, default="")
+        if len(longest.split()) >= LEAST_WORDS:
+            yield longest.strip(" ,;:()")
+
+
+@pytest.mark.parametrize("source", sorted(WORDS.glob("*.py")), ids=lambda source: source.stem)
+def test_every_sentence_is_explained(source: Path) -> None:
+    """What fmuid says of a result stands on docs/messages.md, with what it means and what to do."""
+    page = " ".join((DOCS / "messages.md").read_text(encoding="utf-8").split())
+    missing = [each for each in fragments(source) if source.stem not in FACTS and each not in page]
+    assert missing == []

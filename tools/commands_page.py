@@ -1,0 +1,79 @@
+"""What the commands say of themselves, as a page: ``python -m tools.commands_page > docs/commands.md``."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator
+from enum import Enum
+from typing import Any, get_args, get_type_hints
+
+from typer.models import ArgumentInfo, OptionInfo
+
+from fmuid.cli.app import app
+
+HEAD = """# The commands
+
+`fmuid COMMAND --help` says the same. Exit codes: 0 done; 1 ran but did not succeed, such as not converged or a fault
+found; 2 wrong input. Results go to the standard output; notes, warnings and progress to the standard error.
+`--version` prints the version.
+"""
+
+
+def page() -> str:
+    """Return the page, in Markdown."""
+    commands = [each.callback for each in app.registered_commands if each.callback is not None]
+    rows = [f"| [`{_name(each)}`](#fmuid-{_name(each)}) | {_text(each.__doc__)} |" for each in commands]
+    return "\n".join([HEAD, "| command | what it does |", "|---|---|", *rows, "", *map(_section, commands)])
+
+
+def _name(command: Callable[..., Any]) -> str:
+    return command.__name__.rstrip("_")
+
+
+def _section(command: Callable[..., Any]) -> str:
+    taken = list(_parameters(command))
+    places = [word for word, info, *_ in taken if isinstance(info, ArgumentInfo)]
+    rows = [f"| {_shown(*each)} | {_text(each[1].help)} | {_default(each[3])} |" for each in taken]
+    head = [f"## fmuid {_name(command)}", "", _text(command.__doc__), ""]
+    usage = " ".join(["    fmuid", _name(command), *places, *(["[OPTIONS]"] if len(places) < len(taken) else [])])
+    return "\n".join(
+        [*head, usage, "", *(["| word | meaning | default |", "|---|---|---|", *rows, ""] if rows else [])]
+    )
+
+
+def _parameters(command: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo | OptionInfo, Any, Any]]:
+    """Yield of each parameter its place or option, what is said of it, its type and its default."""
+    hints = get_type_hints(command, include_extras=True)
+    for name, parameter in inspect.signature(command).parameters.items():
+        kind, info = get_args(hints[name])[:2]
+        several = "..." if "list" in str(kind) else ""
+        if isinstance(info, ArgumentInfo):
+            word = f"{info.metavar or name.upper()}{several}"
+            yield word if parameter.default is inspect.Parameter.empty else f"[{word}]", info, kind, parameter.default
+        else:
+            said = [each for each in (info.default, *(info.param_decls or ())) if isinstance(each, str)]
+            words = said or [f"--{name.strip('_').replace('_', '-')}"]
+            yield ", ".join(sorted(words, key=len)), info, kind, parameter.default
+
+
+def _shown(words: str, info: ArgumentInfo | OptionInfo, kind: Any, _: Any) -> str:
+    """Return a place or an option with the values that it takes."""
+    if isinstance(info, ArgumentInfo) or kind is bool:
+        return f"`{words}`"
+    choices = next((each for each in (kind, *get_args(kind)) if inspect.isclass(each) and issubclass(each, Enum)), None)
+    value = " or ".join(each.value for each in choices) if choices else info.metavar or "VALUE"
+    return f"`{words} {value}`"
+
+
+def _default(default: Any) -> str:
+    if default is inspect.Parameter.empty:
+        return "must be given"
+    return "" if default in (None, False, "") else f"`{getattr(default, 'value', default)}`"
+
+
+def _text(text: str | None) -> str:
+    return " ".join((text or "").split()).replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    print(page(), end="")
