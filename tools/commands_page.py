@@ -48,7 +48,7 @@ def _parameters(command: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo
         kind, info = get_args(hints[name])[:2]
         several = "..." if "list" in str(kind) else ""
         if isinstance(info, ArgumentInfo):
-            word = f"{info.metavar or name.upper()}{several}"
+            word = f"{(info.metavar or name.upper()).strip('[]')}{several}"
             yield word if parameter.default is inspect.Parameter.empty else f"[{word}]", info, kind, parameter.default
         else:
             said = [each for each in (info.default, *(info.param_decls or ())) if isinstance(each, str)]
@@ -57,7 +57,7 @@ def _parameters(command: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo
 
 
 def _shown(words: str, info: ArgumentInfo | OptionInfo, kind: Any, _: Any) -> str:
-    """Return a place or an option with the values that it takes."""
+    """Return a place or an option with the values that it takes; of two words for yes and no, the first is the default."""
     if isinstance(info, ArgumentInfo) or kind is bool:
         return f"`{words}`"
     choices = next((each for each in (kind, *get_args(kind)) if inspect.isclass(each) and issubclass(each, Enum)), None)
@@ -68,7 +68,7 @@ def _shown(words: str, info: ArgumentInfo | OptionInfo, kind: Any, _: Any) -> st
 def _default(default: Any) -> str:
     if default is inspect.Parameter.empty:
         return "must be given"
-    return "" if default in (None, False, "") else f"`{getattr(default, 'value', default)}`"
+    return "" if default in (None, False, True, "") else f"`{getattr(default, 'value', default)}`"
 
 
 def _text(text: str | None) -> str:
