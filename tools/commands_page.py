@@ -57,7 +57,7 @@ def _parameters(command: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo
 
 
 def _shown(words: str, info: ArgumentInfo | OptionInfo, kind: Any, _: Any) -> str:
-    """Return a place or an option with the values that it takes; of two words for yes and no, the first is the default."""
+    """Return a place or an option with its values; of two words for yes and no the first is the default."""
     if isinstance(info, ArgumentInfo) or kind is bool:
         return f"`{words}`"
     choices = next((each for each in (kind, *get_args(kind)) if inspect.isclass(each) and issubclass(each, Enum)), None)
