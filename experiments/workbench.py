@@ -1,7 +1,7 @@
 """The workbench in a browser: how long a slider takes to new data and to a painted curve, and its pages as pictures.
 
     python -m experiments.workbench            # the figures
-    python -m experiments.workbench FOLDER     # and pictures of all pages, into this folder
+    python -m experiments.workbench FOLDER     # instead: pictures of all pages, into this folder
 
 Needs Chromium with its driver, and `selenium`. What is measured is the study of the induction machine: 4500 samples,
 two outputs.
@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from experiments.batches import campaign
 
 HERE = Path(__file__).parent
 FLAGS = (
@@ -118,9 +120,49 @@ def measure(driver: Any, address: str) -> None:
         print(f"{name}: median {np.median(times):.1f} ms, 95 % {np.quantile(times, 0.95):.1f} ms")
 
 
+def pictures(driver: Any, address: str, folder: Path) -> None:
+    """Take pictures of all pages."""
+    base = address.split("?")[0]
+    pages = {
+        "studies": "",
+        "what-if": "study?file=study_prior.toml",
+        "results": "results?file=results",
+        "side-by-side": "results?file=results&file=free",
+        "batch": "batch?file=fleet/out",
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, page in pages.items():
+        for kind, width, scheme in (("", 1300, "light"), ("-narrow", 360, "dark")):
+            if kind and name != "what-if":
+                continue
+            size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+            driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+            wanted = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+            driver.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)
+            driver.get(base)
+            wait(driver, f"document.documentElement.dataset.scheme === '{scheme}'")
+            driver.get(base + page)
+            wait(driver, DRAWN if page else "document.readyState === 'complete'")
+            time.sleep(2.0)
+            driver.save_screenshot(str(folder / f"{name}{kind}.png"))
+
+
+def results(folder: Path) -> None:
+    """Run what the pictures show: an identification, the same from another start, a batch."""
+    (folder / "fleet").mkdir()
+    fleet = campaign.write_study(folder / "fleet", 40)
+    for words in (
+        ("identify", "study_prior.toml"),
+        ("identify", "study_prior.toml", "--output", "free", "--set", "parameters.Rs.prior.std=1.0"),
+        ("batch", str(fleet), "--output", "fleet/out"),
+    ):
+        subprocess.run([sys.executable, "-m", "fmuid", *words], cwd=folder, check=True, capture_output=True)
+
+
 def study(folder: Path) -> Path:
     """Copy the study of the induction machine into a folder."""
     source = HERE / "induction_machine"
+    folder.mkdir()
     text = (source / "study_prior.toml").read_text().replace("../../fmus", (HERE.parent / "fmus").as_posix())
     (folder / "study_prior.toml").write_text(text)
     shutil.copy(source / "table.csv", folder)
@@ -129,9 +171,16 @@ def study(folder: Path) -> Path:
 
 def main() -> None:
     """Measure, and take pictures where a folder is given for them."""
-    with tempfile.TemporaryDirectory() as place, opened(study(Path(place))) as (address, seconds), browser() as driver:
-        print(f"address printed after {seconds:.2f} s")
-        measure(driver, address)
+    with tempfile.TemporaryDirectory() as place:
+        folder = study(Path(place) / "induction-machine")
+        if sys.argv[1:]:
+            results(folder)
+        with opened(folder) as (address, seconds), browser() as driver:
+            if sys.argv[1:]:
+                pictures(driver, address, Path(sys.argv[1]))
+            else:
+                print(f"address printed after {seconds:.2f} s")
+                measure(driver, address)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,19 +10,16 @@ from typing import Any
 import pytest
 
 from fmuid.cli.options import DONE
+from tests.support.browser import PATIENCE, chromium
 from tests.support.coil_study import STUDY, coil_table, fmuid_
 
 pytestmark = pytest.mark.browser
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-DRIVER = shutil.which("chromedriver")
-# No host is found, and the browser itself asks for none.
-FLAGS = (
-    *("headless", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-background-networking"),
-    *("disable-component-update", "disable-sync", "disable-dev-shm-usage", "host-resolver-rules=MAP * ~NOTFOUND"),
-)
-# More than enough, s, on a machine with other work.
-PATIENCE = 120.0
+
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Any]:
+    with chromium(tmp_path) as driver:
+        yield driver
 
 
 @pytest.fixture(scope="module")
@@ -38,26 +34,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "study.toml").write_text(text.replace('"Coil"', f'"{evil}"') + asked)
     assert fmuid_("identify", folder / "study.toml") == DONE
     return folder / "results" / "report.html"
-
-
-@pytest.fixture
-def browser(tmp_path: Path) -> Iterator[Any]:
-    if CHROMIUM is None or DRIVER is None:
-        pytest.skip("there is no Chromium with its driver")
-    from selenium import webdriver
-    from selenium.webdriver.chrome.options import Options
-    from selenium.webdriver.chrome.service import Service
-
-    options: Any = Options()
-    options.binary_location = CHROMIUM
-    for flag in (*FLAGS, f"user-data-dir={tmp_path / 'user'}"):
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver: Any = webdriver.Chrome(options=options, service=Service(DRIVER))
-    try:
-        yield driver
-    finally:
-        driver.quit()
 
 
 def opened(driver: Any, report: Path) -> None:

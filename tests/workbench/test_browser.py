@@ -1,0 +1,191 @@
+"""The workbench in a real browser, which reaches this machine alone: by hand, by keyboard, narrow and wide."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fmuid.simulation import AVAILABLE
+from fmuid.workbench import Folder, Workbench
+from tests.support.browser import PATIENCE, chromium
+from tests.support.coil_study import STUDY, coil_table
+from tests.support.misbehaving import Mode, misbehaving_fmu
+
+pytestmark = pytest.mark.browser
+
+MODEL = "Bokeh.documents[0].get_model_by_name"
+DRAWN = "typeof Bokeh !== 'undefined' && Bokeh.documents.length > 0 && Bokeh.documents.every(d => d.is_idle)"
+# The element inside all shadows that a selector finds in the view of a widget.
+FIND = """
+function find(root, name, selector) {
+  for (const element of root.querySelectorAll("*")) {
+    if (!element.shadowRoot) continue;
+    const found = find(element.shadowRoot, name, selector);
+    if (found) return found;
+  }
+  return [...root.querySelectorAll(selector)].find((each) => !name || each.textContent.trim() === name);
+}
+return find(document, arguments[0], arguments[1]);
+"""
+ACTIVE = "let e = document.activeElement; while (e.shadowRoot?.activeElement) e = e.shadowRoot.activeElement; return e;"
+FOREIGN = """
+const [base, done] = arguments;
+const said = [];
+fetch(base + "/", { credentials: "include" }).then(() => said.push("read"), () => said.push("refused")).then(() => {
+  const wire = new WebSocket(base.replace("http", "ws") + "/study/ws", ["bokeh", "token"]);
+  wire.onopen = () => done([...said, "opened"]);
+  wire.onerror = () => done([...said, "refused"]);
+});
+"""
+
+
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Any]:
+    with chromium(tmp_path) as driver:
+        driver.set_script_timeout(PATIENCE)
+        yield driver
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    found = tmp_path / "work"
+    found.mkdir()
+    coil_table(found / "first.csv", 0.0, seed=1)
+    (found / "study.toml").write_text(STUDY)
+    return found
+
+
+@pytest.fixture
+def address(folder: Path) -> Iterator[str]:
+    bench, ready = Workbench(Folder(folder)), threading.Event()
+    thread = threading.Thread(target=bench.run, args=(ready.set,))
+    thread.start()
+    try:
+        assert ready.wait(PATIENCE)
+        yield bench.address
+    finally:
+        bench.stop()
+        thread.join(PATIENCE)
+
+
+def wait(driver: Any, script: str) -> None:
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    WebDriverWait(driver, PATIENCE).until(lambda it: it.execute_script(f"return {script}"))
+
+
+def open_study(driver: Any, address: str, name: str = "study.toml") -> None:
+    driver.get(address)
+    driver.get(f"{address.split('?')[0]}study?file={name}")
+    wait(driver, DRAWN)
+
+
+def residual(driver: Any) -> float:
+    found: float = driver.execute_script(f"return {MODEL}('lines').data.r0.reduce((s, r) => s + r * r, 0)")
+    return found
+
+
+def press(driver: Any, button: str) -> None:
+    driver.execute_script(FIND, button, "button").click()
+
+
+def quiet(driver: Any) -> bool:
+    return [entry for entry in driver.get_log("browser") if entry["level"] not in ("INFO", "DEBUG")] == []
+
+
+def test_pages_open_with_every_other_host_refused(browser: Any, address: str) -> None:
+    base = address.split("/?")[0]
+    open_study(browser, address)
+    wait(browser, f"{MODEL}('misfit').text.includes('misfit of i')")
+    assert quiet(browser)
+    asked = browser.execute_script("return performance.getEntriesByType('resource').map(each => each.name)")
+    assert asked
+    assert all(each.startswith((base, "data:", base.replace("http", "ws"))) for each in asked)
+
+
+def test_a_drag_moves_the_curve(browser: Any, address: str) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    open_study(browser, address)
+    wait(browser, f"{MODEL}('misfit').text.includes('misfit of i')")
+    before = residual(browser)
+    handle = browser.execute_script(FIND, "", ".noUi-handle")
+    ActionChains(browser).click_and_hold(handle).move_by_offset(-30, 0).move_by_offset(-20, 0).release().perform()
+    wait(browser, f"{MODEL}('lines').data.r0.reduce((s, r) => s + r * r, 0) !== {before!r}")
+    assert float(browser.execute_script(f"return {MODEL}('typed R').value")) < 6.0
+    assert quiet(browser)
+
+
+def test_the_keyboard_alone_moves_holds_and_identifies(browser: Any, address: str, folder: Path) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    open_study(browser, address)
+    wait(browser, f"{MODEL}('misfit').text.includes('misfit of i')")
+    before = residual(browser)
+    keys = ActionChains(browser)
+    seen = []
+    for _ in range(40):
+        keys.send_keys(Keys.TAB).perform()
+        active = browser.execute_script(ACTIVE)
+        kind = active.get_attribute("class") or ""
+        seen.append(f"{active.tag_name} {kind} {active.text}")
+        if "noUi-handle" in kind and residual(browser) == before:
+            keys.send_keys(Keys.ARROW_LEFT * 5).perform()
+            wait(browser, f"{MODEL}('lines').data.r0.reduce((s, r) => s + r * r, 0) !== {before!r}")
+        if active.text == "Identify":
+            keys.send_keys(Keys.ENTER).perform()
+            break
+    else:
+        raise AssertionError(seen)
+    wait(browser, f"{MODEL}('state').text.includes('Done')")
+    assert (folder / "results/report.html").is_file()
+    assert any("hold" in each for each in seen)
+    assert quiet(browser)
+
+
+@pytest.mark.skipif(not AVAILABLE, reason="FMUs are not run in processes of their own here")
+def test_an_identification_inside_a_long_simulation_is_cancelled(browser: Any, address: str, folder: Path) -> None:
+    fmu = misbehaving_fmu(folder.parent)
+    text = (folder / "study.toml").read_text().split("[parameters]")[0]
+    text = (
+        text.split("fmu =")[0]
+        + f'fmu = "{fmu.as_posix()}"\nvalues = {{ mode = {int(Mode.SLOW)}, amount = 20000 }}\n'
+        + ('[[experiments]]\ntable = "first.csv"\ninputs = ["u"]\noutputs = { x = "i" }\n')
+    )
+    (folder / "slow.toml").write_text(text + "[parameters]\ngain = { start = 1.0 }\n[isolation]\ntime_limit = 600\n")
+    open_study(browser, address, "slow.toml")
+    press(browser, "Identify")
+    wait(browser, f"{MODEL}('state').text.includes('beginning')")
+    wait(browser, f"!{MODEL}('cancel').disabled")
+    press(browser, "Cancel")
+    wait(browser, f"{MODEL}('state').text.match(/Cancelled|interrupted/)")
+    assert quiet(browser)
+
+
+def test_a_foreign_page_reaches_nothing(browser: Any, address: str, folder: Path) -> None:
+    base = address.split("/?")[0]
+    open_study(browser, address)
+    (folder.parent / "foreign.html").write_text("<title>foreign</title>")
+    browser.get((folder.parent / "foreign.html").as_uri())
+    assert browser.execute_async_script(FOREIGN, base) == ["refused", "refused"]
+
+
+@pytest.mark.parametrize("width", [360, 800, 1920])
+def test_pages_are_as_wide_as_their_window(browser: Any, address: str, width: int) -> None:
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    dark = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", dark)
+    browser.get(address)
+    wait(browser, "document.documentElement.dataset.scheme === 'dark' && document.readyState === 'complete'")
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    open_study(browser, address)
+    assert browser.execute_script("return document.documentElement.dataset.scheme") == "dark"
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    of_labels = "[...Bokeh.documents[0].all_models].map(model => model.axis_label_text_color).filter(color => color)"
+    assert browser.execute_script(f"return [...new Set({of_labels})]") == ["#e6edf3"]
