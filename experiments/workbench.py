@@ -131,6 +131,7 @@ def pictures(driver: Any, address: str, folder: Path) -> None:
         "batch": "batch?file=fleet/out",
     }
     folder.mkdir(parents=True, exist_ok=True)
+    driver.get(address)
     for name, page in pages.items():
         for kind, width, scheme in (("", 1300, "light"), ("-narrow", 360, "dark")):
             if kind and name != "what-if":
