@@ -90,7 +90,7 @@ class LeastSquares:
     Examples
     --------
     >>> x, measured = np.array([0.0, 1.0, 2.0, 3.0]), [2.0, 0.75, 0.27, 0.1]
-    >>> parameters = {"a": fmuid.Parameter(1.0), "k": fmuid.Parameter(0.5)}
+    >>> parameters = {"a": fmuid.Parameter(start=1.0), "k": fmuid.Parameter(start=0.5)}
     >>> problem = fmuid.LeastSquares.from_function(lambda p: p[0] * np.exp(-p[1] * x), measured, parameters)
     >>> fmuid.identify(problem).values.round(2)
     array([2.  , 0.99])
