@@ -48,8 +48,9 @@ def build(doc: Any, bench: Any) -> None:
         return
     texts, figures = pieces(parts)
     for k, figure in enumerate(figures):
-        in_scheme(figure, scheme).name = f"figure{k}"
-        doc.add_root(figure)
+        model = in_scheme(figure, scheme)
+        model.name = f"figure{k}"
+        doc.add_root(model)
     shown = [(text, f"figure{k}" if k < len(figures) else "") for k, text in enumerate(texts)]
     if len(places) == 1 and is_file(places[0] / "result.json"):
         doc.add_root(Predicting(doc, folder, bench.jobs, places[0]).layout)

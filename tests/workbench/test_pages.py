@@ -6,6 +6,7 @@ import base64
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from fmuid.workbench import Folder
 from fmuid.workbench.batch_page import BatchPage
 from fmuid.workbench.home import _results, _studies
 from fmuid.workbench.jobs import Jobs
-from fmuid.workbench.results_page import Predicting, _compared
+from fmuid.workbench.results_page import Predicting, _compared, build
 from tests.support.coil_study import STUDY, coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
@@ -89,6 +90,21 @@ def test_results_stand_side_by_side(tmp_path: Path) -> None:
     (drawn,) = {renderer.data_source for renderer in of_r.renderers}
     np.testing.assert_allclose(drawn.data["value"], [4.0, 4.5])
     np.testing.assert_allclose(drawn.data["high"] - drawn.data["value"], 0.196, rtol=1e-3)
+
+
+def test_figures_of_results_are_roots_of_their_page(tmp_path: Path) -> None:
+    names = ("first", "second")
+    for name in names:
+        (tmp_path / name).mkdir()
+        result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, 0.01)})
+    for asked in (names[:1], names):
+        doc: Any = Document()
+        request = SimpleNamespace(arguments={"file": [name.encode() for name in asked]})
+        doc._session_context = lambda request=request: SimpleNamespace(request=request)
+        build(doc, SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()))
+        named = [root.name for root in doc.roots]
+        assert [root for _, root in doc.template_variables["pieces"] if root] == named
+        assert any(name.startswith("figure") for name in named)
 
 
 def batch(folder: Path, done: int) -> None:

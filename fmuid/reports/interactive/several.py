@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, FactorRange
 
 from fmuid.estimation import Result
+from fmuid.reports.interactive.sketch import ColumnDataSource, FactorRange
 from fmuid.reports.interactive.style import BLUE, INK, MAX_PARAMETERS, Units, hover, named, panel
 
 
