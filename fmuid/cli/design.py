@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fmuid.cli.options import DONE, Folder, InProcess, Overrides, StudyFile, folder_of
+from fmuid.cli.options import DONE, Folder, InProcess, NoReport, Overrides, StudyFile, folder_of
 from fmuid.cli.studies import opened
 
 
@@ -29,16 +29,19 @@ def design(
     ] = None,
     set_: Overrides = None,
     in_process: InProcess = False,
+    no_report: NoReport = False,
 ) -> int:
     """Compare excitations before anything is measured: how accurate estimates will be, or which fault they show."""
     folder = folder_of(output, study)
     with opened(study, set_, in_process, folder) as read:
         from fmuid import files
+        from fmuid.reports import report_of
         from fmuid.reports.console import layout as console
         from fmuid.studies import ranked_excitations
 
         files.make_folder(folder)
         ranked = ranked_excitations(read, tables, by=by, fault=fault)
         console.show_frame("Excitations, the best first", ranked)
-        console.show_files([files.write_table(folder / "design.csv", ranked)])
+        written = files.write_table(folder / "design.csv", ranked)
+        console.show_files([written, *report_of(folder, wanted=not no_report)])
         return DONE

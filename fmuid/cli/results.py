@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fmuid.cli.options import DONE, Figures, InProcess, Overrides
+from fmuid.cli.options import DONE, Figures, InProcess, NoReport, Overrides
 from fmuid.cli.studies import logged
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def predict(
     ] = None,
     level: Annotated[float, typer.Option("--level", metavar="P", help="Of the bands.")] = 0.95,
     figures: Figures = None,
+    no_report: NoReport = False,
     set_: Overrides = None,
     in_process: InProcess = False,
 ) -> int:
@@ -68,7 +69,7 @@ def predict(
     folder = path.parent / "prediction" if output is None else output
     with logged(folder, in_process) as isolated:
         from fmuid import files
-        from fmuid.reports import run_prediction
+        from fmuid.reports import report_of, run_prediction
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.prediction import show_predictions
 
@@ -78,7 +79,7 @@ def predict(
         show_predictions(found)
         files.make_folder(folder)
         written = [*found.write(folder), *(() if figures is None else found.draw(folder, figures))]
-        console.show_files(written)
+        console.show_files([*written, *report_of(folder, wanted=not no_report)])
         return DONE
 
 
@@ -107,6 +108,7 @@ def compare(
         ),
     ] = None,
     in_process: InProcess = False,
+    no_report: NoReport = False,
 ) -> int:
     """Compare results: information criteria and likelihood ratios on the same data, errors on common tables."""
     from fmuid.studies import result_path
@@ -114,14 +116,14 @@ def compare(
     folder = result_path(results[0]).resolve().parents[1] / "comparison" if output is None else output
     with logged(folder, in_process) as isolated:
         from fmuid import files
-        from fmuid.reports import run_comparison
+        from fmuid.reports import report_of, run_comparison
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.comparison import show_comparison
 
         found = run_comparison(results, tables or (), free=free or (), isolated=isolated)
         show_comparison(found)
         files.make_folder(folder)
-        console.show_files(found.write(folder))
+        console.show_files([*found.write(folder), *report_of(folder, wanted=not no_report)])
         return DONE
 
 

@@ -11,10 +11,11 @@ from typing import Any
 import pandas as pd
 
 from fmuid import files
-from fmuid.assessment import Compared, Comparison, IncomparableError, compare
+from fmuid.assessment import CONFIDENCE_LEVEL, Compared, Comparison, IncomparableError, compare
 from fmuid.estimation import Result
 from fmuid.files import as_json, content_of
 from fmuid.model_problem import Prediction
+from fmuid.reports.origin import made_now
 from fmuid.reports.predictions import run_prediction
 from fmuid.reports.words.prediction import comparison_words
 from fmuid.studies import RESULT_FILE, Study, result_path, study_of
@@ -32,13 +33,14 @@ class ComparisonFindings:
         Of the common tables, by the name of the result; empty without.
     apart : str
         Why likelihoods were not compared, "" where they were.
-    files : tuple of Path
-        Those that were written.
+    estimates : tuple of dict
+        ``result``, ``parameter``, ``unit``, ``value``, and ``lower`` and ``upper`` of its interval of 95 %.
     """
 
     comparison: Comparison | None
     predictions: Mapping[str, tuple[Prediction, ...]]
     apart: str = ""
+    estimates: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def table(self) -> pd.DataFrame:
@@ -60,6 +62,7 @@ class ComparisonFindings:
     def write(self, folder: Path) -> list[Path]:
         """Write ``comparison.json`` and ``comparison.csv``, and return their paths."""
         content: dict[str, Any] = {"words": list(self.words), "results": self.table.to_dict("records")}
+        content |= {"estimates": list(self.estimates), **made_now()}
         if self.comparison is not None:
             content |= {"tests": self.comparison.tests, "dependence": self.comparison.dependence}
         return [
@@ -134,7 +137,18 @@ def run_comparison(
     for each, path in zip(candidates, paths if tables else (), strict=bool(tables)):
         study = study_of(path, isolated=isolated, in_place=Path(tables[0]))
         predictions[each.name] = run_prediction(path, tables, study=study, free=free).predictions
-    return ComparisonFindings(comparison, predictions, apart)
+    return ComparisonFindings(comparison, predictions, apart, tuple(row for each in candidates for row in _rows(each)))
+
+
+def _rows(given: Compared) -> list[dict[str, Any]]:
+    """Return a row for each estimate of a result."""
+    found = given.result
+    ends = found.intervals(CONFIDENCE_LEVEL).itertuples(index=False)
+    return [
+        {"result": given.name, "parameter": name, "unit": found.units.get(name, ""), "value": value}
+        | {"lower": end.lower, "upper": end.upper}
+        for name, value, end in zip(found.names, found.values.tolist(), ends, strict=True)
+    ]
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

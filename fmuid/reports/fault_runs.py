@@ -13,9 +13,10 @@ from fmuid import files
 from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.errors import InputError
 from fmuid.progress import Event, Progress
-from fmuid.reports.drawn import REPORT_FILE, check_format
+from fmuid.reports.drawn import check_format
 from fmuid.reports.findings import write_diagnosis
 from fmuid.reports.origin import Origin
+from fmuid.reports.page.write import report_of
 from fmuid.reports.words.monitoring import monitoring_words
 from fmuid.studies import Study, monitor_of, records_of, rule_of
 
@@ -115,7 +116,8 @@ def run_diagnosis(
 
         drawn = diagnosis.draw(found.diagnosis, _units(study))
         found = replace(found, files=(*found.files, *_drawn(drawn, target, figures)))
-    return replace(found, files=(*found.files, *_reported(target, report=report)))
+    there = [] if target is None else report_of(target, wanted=report)
+    return replace(found, files=(*found.files, *there))
 
 
 def run_monitoring(
@@ -188,7 +190,8 @@ def run_monitoring(
         from fmuid.reports.figures import monitoring
 
         found = replace(found, files=(*found.files, *_drawn(monitoring.draw(monitor), target, figures)))
-    return replace(found, files=(*found.files, *_reported(target, report=report and bool(written))))
+    there = [] if target is None else report_of(target, wanted=report and bool(written))
+    return replace(found, files=(*found.files, *there))
 
 
 def _prepared(study: Study | str | Path, folder: str | Path | None, needed: bool) -> tuple[Study, Path | None]:
@@ -225,18 +228,6 @@ def residuals_of(frame: pd.DataFrame) -> list[pd.Series[float]]:
         [str(name) for name in frame.columns if str(name).startswith(each)] for each in ("measured.", "simulated.")
     )
     return [frame[measured] - frame[simulated] for measured, simulated in zip(*kinds, strict=True)]
-
-
-def _reported(folder: Path | None, *, report: bool) -> list[Path]:
-    """Write the report where it is asked for; one of an earlier run goes."""
-    if folder is None:
-        return []
-    if not report:
-        (folder / REPORT_FILE).unlink(missing_ok=True)
-        return []
-    from fmuid.reports.page import write
-
-    return [write.write_report(folder)]
 
 
 def _tell(progress: Progress | None, found: DiagnosisFindings | MonitoringFindings) -> None:

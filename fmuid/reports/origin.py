@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fmuid.version import __version__
+
 if TYPE_CHECKING:
     from fmuid.studies import Study
 
@@ -47,7 +49,7 @@ class Origin:
         }
         tables = {path.name: path for path in (each.table for each in study.experiments)}
         digests = {name: _digest(path) for name, path in tables.items() if path.is_file()}
-        return cls(study.title, told, digests, datetime.now(UTC).isoformat(timespec="seconds"))
+        return cls(study.title, told, digests, made_now()["date"])
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return what a JSON file of results has besides the study."""
@@ -56,6 +58,11 @@ class Origin:
     def with_study(self, study: Study) -> dict[str, Any]:
         """Return the same, and the study by the name of its file."""
         return self.to_json_dict() | {"study": {"file": study.path.name, **self.study}}
+
+
+def made_now() -> dict[str, str]:
+    """Return by which version and when something is made, ISO 8601 in UTC."""
+    return {"version": __version__, "date": datetime.now(UTC).isoformat(timespec="seconds")}
 
 
 def _content(path: Path) -> bytes:

@@ -17,6 +17,7 @@ from fmuid.model_problem import Prediction
 from fmuid.progress import Progress
 from fmuid.reports.drawn import check_format, clear_figures
 from fmuid.reports.findings import stacked
+from fmuid.reports.origin import made_now
 from fmuid.reports.words.prediction import fold_words, prediction_words
 from fmuid.studies import (
     Fold,
@@ -45,15 +46,15 @@ class PredictionFindings:
         What is to be known of the result.
     seen : tuple of str
         Records that the result was made from.
-    files : tuple of Path
-        Those that were written.
+    title : str
+        Of the study.
     """
 
     predictions: tuple[Prediction, ...]
     folds: tuple[Fold, ...] = ()
     notes: tuple[SourceNote, ...] = ()
     seen: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
+    title: str = ""
 
     @property
     def scores(self) -> pd.DataFrame:
@@ -73,7 +74,7 @@ class PredictionFindings:
     def to_json_dict(self) -> dict[str, Any]:
         """Return the content of ``prediction.json``."""
         records = [each.to_json_dict() | {"seen": each.fit.experiment in self.seen} for each in self.predictions]
-        content: dict[str, Any] = {"words": list(self.words), "records": records}
+        content: dict[str, Any] = {"words": list(self.words), "records": records, "title": self.title, **made_now()}
         if self.folds:
             content["folds"] = [
                 {
@@ -177,8 +178,8 @@ def run_prediction(
         parts = cross_validate(study, folds, free=free, level=level, progress=progress)
         order = {given.name: k for k, given in enumerate(study.experiments)}
         found = sorted((p for fold in parts for p in fold.predictions), key=lambda p: order[p.fit.experiment])
-        return PredictionFindings(tuple(found), parts, notes)
+        return PredictionFindings(tuple(found), parts, notes, title=study.title)
     records = records_like(study, [Path(table) for table in tables], like)
     seen = tuple(each.name for each in records if estimates.made_from(each))
     predictions = tuple(predict_with(study, estimates, each, free=free, level=level) for each in records)
-    return PredictionFindings(predictions, (), notes, seen)
+    return PredictionFindings(predictions, (), notes, seen, study.title)

@@ -38,6 +38,7 @@ def rows(folder: Path) -> dict[str, dict[str, float]]:
     return {str(row.pop("name")): row for row in frame.to_dict("records")}  # type: ignore[misc]
 
 
+@pytest.mark.usefixtures("drawn_figures")
 def test_on_the_same_data(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = [made / name for name in ("both", "right", "wrong")]
     assert fmuid_("compare", *paths, "-o", tmp_path, "--in-process") == DONE
@@ -56,6 +57,12 @@ def test_on_the_same_data(made: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     table = rows(tmp_path)
     assert table["both"]["parameters"] == table["right"]["parameters"] + 1 == 3
     assert list(table)[-1] == "wrong"
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for words in ("wrong is rejected against both", "By likelihood", "Estimates beside each other"):
+        assert words in page
+    told = pd.DataFrame(content["estimates"]).set_index(["result", "parameter"])
+    assert told.index.to_list() == [("both", "R"), ("both", "L"), ("right", "R"), ("wrong", "R")]
+    assert (told["lower"] < told["value"]).all() and (told["value"] < told["upper"]).all()
 
 
 def test_on_a_common_table(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -24,6 +24,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.usefixtures("drawn_figures")
 def test_design(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = (folder / "study.toml", folder / "constant.csv", folder / "square.csv", "--in-process")
     assert fmuid_("design", *words, "-o", folder / "out", "--by", "worst") == DONE
@@ -31,6 +32,7 @@ def test_design(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert list(found["excitation"]) == ["square", "constant"]
     assert found["worst"].is_monotonic_increasing
     assert "square" in capsys.readouterr().out
+    assert "square is the best of 2 excitations" in (folder / "out" / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

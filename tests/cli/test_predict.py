@@ -43,10 +43,12 @@ def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.Captur
     assert len(pd.read_csv(tmp_path / "prediction.csv")) == 1200
     figures = {path.stem for path in (tmp_path / "figures").iterdir()}
     assert {"prediction-second", "prediction-third", "residuals-second"} <= figures
-    assert fmuid_("predict", made / "results", *tables, *words) == DONE
+    assert fmuid_("predict", made / "results", *tables, *words, "--no-report") == DONE
     assert list((tmp_path / "figures").iterdir()) == []  # those of an earlier run
+    assert not (tmp_path / "report.html").exists()
 
 
+@pytest.mark.usefixtures("drawn_figures")
 def test_the_record_of_the_result_is_no_prediction(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -57,8 +59,12 @@ def test_the_record_of_the_result_is_no_prediction(
     rmse = json.loads((tmp_path / "prediction.json").read_text())["records"][0]["outputs"][0]["rmse"]
     assert rmse**2 == pytest.approx(identified["noise_variance"]["i"] * 598 / 600, rel=1e-3)
     assert "as noise and estimates let expect" in out
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "The result was made from first: this is no prediction" in page
+    assert "carries over</span>" not in page
 
 
+@pytest.mark.usefixtures("drawn_figures")
 def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     several = [
         f'{{table="{name}.csv", inputs=["u"], outputs=["i"], interpolation="hold"}}' for name in ("first", "second")
@@ -68,6 +74,9 @@ def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert code == DONE
     out = capsys.readouterr().out
     assert "Left out in turn" in " ".join(out.split())
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for part in ("Predicted: first", "Predicted: second", "Left out in turn", "i in second is predicted with a fit of"):
+        assert part in page
     folds = json.loads((tmp_path / "prediction.json").read_text())["folds"]
     assert [fold["left_out"] for fold in folds] == [["first"], ["second"]]
 
@@ -75,7 +84,6 @@ def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_from_python(made: Path) -> None:
     found = fmuid.run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
     assert found.predictions[0].scores[0].ratio == pytest.approx(1.0, abs=0.1)
-    assert found.files == ()
     assert any("is predicted with a fit of" in words for words in found.words)
 
 

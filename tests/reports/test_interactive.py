@@ -17,7 +17,7 @@ from fmuid.estimation import Result
 from fmuid.reports.interactive import style
 from fmuid.reports.thinning import evenly, extremes
 from tests.support import records
-from tests.support.live_figures import estimates, fit, residuals, search, uncertainty
+from tests.support.live_figures import comparison, estimates, fit, residuals, search, uncertainty
 
 Array = npt.NDArray[np.float64]
 
@@ -116,6 +116,19 @@ def test_fit() -> None:
     (grey,) = marks(upper, BoxAnnotation)
     assert grey.right == given.times[50]
     assert entries(upper) == ["measured", "simulated"]
+
+
+def test_the_band_of_a_prediction() -> None:
+    """It lies around the simulated line above, around zero below."""
+    given = records.record()
+    half = np.full(given.simulated.shape, 0.5)
+    upper, lower, *_ = plots(fit.fit(given, half, 0.9))
+    assert entries(upper) == ["measured", "simulated", "90 % band"]
+    for plot, middle in ((upper, given.simulated[:, 0]), (lower, 0.0 * given.simulated[:, 0])):
+        (area,) = [each for each in plot.renderers if type(each.glyph).__name__ == "VArea"]
+        low, high = (area.data_source.data[getattr(area.glyph, key)] for key in ("y1", "y2"))
+        np.testing.assert_allclose(low, middle - 0.5, atol=1e-6)
+        np.testing.assert_allclose(high, middle + 0.5, atol=1e-6)
 
 
 def test_a_long_record_is_thinned() -> None:
@@ -276,6 +289,33 @@ def test_accuracy_marks_shifts_that_spoil_intervals() -> None:
     small, large = drawn(plot, "Scatter")
     assert (small["x"].tolist(), large["x"].tolist()) == ([0.02], [-0.5])
     assert entries(plot) == ["harmless", "larger than a tenth"]
+
+
+# --- what stands beside each other
+
+
+def test_bars_are_of_one_scale_and_the_first_is_apart() -> None:
+    plot = comparison.bars(["a", "b"], np.array([0.5, 2.0]), "misfit")
+    assert plot.y_range.factors == ["b", "a"]
+    assert plot.x_range.start == 0
+    found = {str(each.glyph.fill_color): each.data_source.data["v"].tolist() for each in plot.renderers}
+    assert list(found.values()) == [[0.5], [2.0]]
+
+
+def test_estimates_that_only_one_result_has_are_left_out() -> None:
+    row = {"result": "a", "parameter": "R", "unit": "Ohm", "value": 4.0, "lower": 3.8, "upper": 4.2}
+    (plot,) = comparison.estimates(pd.DataFrame([row, row | {"result": "b"}, row | {"parameter": "L"}]))
+    assert labels(plot)[0] == "R (Ohm)"
+    assert plot.y_range.factors == ["b", "a"]
+
+
+def test_sensitivities_of_those_that_do_most() -> None:
+    times = np.linspace(0.0, 1.0, 50)
+    table = pd.DataFrame({"time": times, **{f"i/p{k}": (k + 1.0) * times for k in range(12)}})
+    (plot,) = plots(comparison.sensitivities(table, {"i": "A"}))
+    assert labels(plot) == ("time (s)", "i (A)")
+    assert entries(plot) == [f"p{k}" for k in range(4, 12)]
+    np.testing.assert_allclose(drawn(plot, "Line")[-1]["y"], 12.0 * times, rtol=1e-6)
 
 
 # --- uncertainty

@@ -27,5 +27,6 @@ def _live(found: Any) -> Any:
     return found
 
 
-batch, diagnosis, estimates, fit = (_Live(name) for name in ("batch", "diagnosis", "estimates", "fit"))
+batch, comparison, diagnosis = (_Live(name) for name in ("batch", "comparison", "diagnosis"))
+estimates, fit = (_Live(name) for name in ("estimates", "fit"))
 residuals, search, uncertainty = (_Live(name) for name in ("residuals", "search", "uncertainty"))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmuid.arrays import Floats, Indices
+from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.reports.interactive.sketch import (
     BasicTicker,
     BoxAnnotation,
@@ -44,7 +45,7 @@ def worst(records: Sequence[Fit]) -> tuple[Fit, ...]:
     return tuple(record for record in records if record in kept)
 
 
-def fit(record: Fit) -> Any:
+def fit(record: Fit, half_width: Floats | None = None, degree: float = CONFIDENCE_LEVEL) -> Any:
     """Draw the outputs of an experiment: measured dots, the simulated line, the residual below.
 
     Zoom, hover and crosshair are linked over all outputs. Of more than `MAX_OUTPUTS` those of greatest misfit are
@@ -53,17 +54,24 @@ def fit(record: Fit) -> Any:
     Parameters
     ----------
     record : Fit
+    half_width : (K, n_outputs) array, optional
+        Of the band around the simulated line in which a measurement is expected, and around zero in the residual; NaN
+        where there is none.
+    degree : float
+        Of the band.
     """
     order = np.argsort(-np.nan_to_num(np.asarray(record.misfit)), kind="stable")
     outputs = sorted(int(output) for output in order[:MAX_OUTPUTS])
-    lines, dots = sources(record, outputs)
+    lines, dots = sources(record, outputs, half_width)
+    band = "" if half_width is None else f"{100 * degree:.4g} % band"
     times = record.times
     across = Range1d(float(times[0]), float(times[-1]), bounds="auto")
     cross = Span(dimension="height", line_dash="dotted", line_color=GREY)
     plots: list[Any] = []
     for j in outputs:
         last = j == outputs[-1]
-        plots += [_upper(record, j, (lines, dots), across), _lower(record, j, lines, across, last=last)]
+        plots.append(_upper(record, j, (lines, dots), across, band))
+        plots.append(_lower(record, j, lines, across, last=last))
     for plot in plots:
         plot.add_tools(CrosshairTool(overlay=cross))
         plot.min_border_top = plot.min_border_bottom = 4
@@ -72,14 +80,20 @@ def fit(record: Fit) -> Any:
     return below_each_other(plots)
 
 
-def sources(record: Fit, outputs: Sequence[int]) -> tuple[Sketch, Sketch]:
+def sources(record: Fit, outputs: Sequence[int], half_width: Floats | None = None) -> tuple[Sketch, Sketch]:
     """Return the rows that draw the lines, by least and greatest, and those that are drawn as dots, evenly.
 
-    Columns are ``t``, and of output number j ``m``, ``s`` and ``r`` with the number: measured, simulated, residual.
+    Columns are ``t``, and of output number j ``m``, ``s`` and ``r`` with the number: measured, simulated, residual;
+    with a band its borders ``a`` and ``b``, and those around zero, ``n`` and ``w``.
     """
     simulated, measured = record.simulated[:, outputs], record.measured[:, outputs]
     kept = extremes(np.hstack([simulated, measured - simulated]), MAX_ROWS)
     lines = _columns(record, outputs, kept)
+    if half_width is not None:
+        for j in outputs:
+            half, middle = half_width[kept, j], record.simulated[kept, j]
+            pairs = (("n", -half), ("w", half), ("a", middle - half), ("b", middle + half))
+            lines |= {f"{key}{j}": _short(values) for key, values in pairs}
     if len(kept) == len(record.times) <= MAX_DOTS:
         shared = ColumnDataSource(lines)
         return shared, shared
@@ -104,15 +118,16 @@ def _short(values: Floats) -> Any:
         return values.astype(np.float32)
 
 
-def _upper(record: Fit, j: int, given: tuple[Sketch, Sketch], across: Sketch) -> Any:
+def _upper(record: Fit, j: int, given: tuple[Sketch, Sketch], across: Sketch, band: str) -> Any:
     lines, dots = given
     plot = panel(y=label(record.outputs[j], record.units[j]), height=220, x_range=across, lod_threshold=None)
     size = 3 if len(dots.data["t"]) > 600 else 5
+    area = [plot.varea("t", f"a{j}", f"b{j}", source=lines, fill_color=BLUE, fill_alpha=0.18)] if band else []
     seen = plot.scatter("t", f"m{j}", source=dots, size=size, fill_color=GREY, fill_alpha=0.6, line_color=None)
     line = plot.line("t", f"s{j}", source=lines, line_color=BLUE, line_width=1.8)
     numbers = [("measured", f"@m{j}{{0.00000}}"), ("simulated", f"@s{j}{{0.00000}}"), ("residual", f"@r{j}{{0.00000}}")]
     hover(plot, line, ("time", "@t{0.0000} s"), *numbers, vertical=True)
-    legend(plot, [("measured", [seen]), ("simulated", [line])])
+    legend(plot, [("measured", [seen]), ("simulated", [line]), (band, area)])
     plot.xaxis.visible = False
     return plot
 
@@ -120,6 +135,8 @@ def _upper(record: Fit, j: int, given: tuple[Sketch, Sketch], across: Sketch) ->
 def _lower(record: Fit, j: int, lines: Sketch, across: Sketch, *, last: bool) -> Any:
     text = label("residual", record.units[j])
     plot = panel(x="time (s)" if last else "", y=text, height=140 if last else 110, x_range=across, lod_threshold=None)
+    if f"w{j}" in lines.data:
+        plot.varea("t", f"n{j}", f"w{j}", source=lines, fill_color=BLUE, fill_alpha=0.18)
     plot.line("t", f"r{j}", source=lines, line_color=RED, line_width=0.9)
     level(plot, 0.0)
     plot.xaxis.visible = last

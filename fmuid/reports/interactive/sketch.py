@@ -121,7 +121,7 @@ class Plot(Sketch):
         super().__init__("Plot", **more)
         self.x_range, self.y_range = x_range or Sketch("DataRange1d"), y_range or Sketch("DataRange1d")
         kinds = [
-            "categorical" if getattr(across, "kind", "") == "FactorRange" else kind
+            "categorical" if getattr(across, "kind", type(across).__name__) == "FactorRange" else kind
             for across, kind in ((self.x_range, x_axis_type), (self.y_range, y_axis_type))
         ]
         self.x_scale, self.y_scale = (Sketch(_SCALES[kind]) for kind in kinds)

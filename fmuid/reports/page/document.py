@@ -133,11 +133,10 @@ def page(title: str, parts: Sequence[Part]) -> str:
         f'<meta http-equiv="Content-Security-Policy" content="{policy}"><meta name="referrer" content="no-referrer">'
         f"<title>{text(title)}</title><style>{_file('page.css')}</style></head>\n"
     )
+    ends = "".join(part.end for part in parts)
+    end = f"<section class=end>{ends}</section>" if ends else ""
     tail = "".join(f"<script>{each}</script>\n" for each in scripts)
-    return (
-        f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n"
-        f"<section class=end>{''.join(part.end for part in parts)}</section></main>\n{tail}</body></html>\n"
-    )
+    return f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n{end}</main>\n{tail}</body></html>\n"
 
 
 def pieces(parts: Sequence[Part]) -> tuple[list[str], list[Any]]:

@@ -13,7 +13,10 @@ from fmuid.text import listed
 if TYPE_CHECKING:
     from fmuid.reports.page.document import Part
 
-FILES = ("result.json", "diagnosis.json", "monitoring.json", "summary.json", "prediction.json")
+FILES = (
+    *("result.json", "diagnosis.json", "monitoring.json", "summary.json", "prediction.json", "comparison.json"),
+    *("design.csv", "sensitivities.csv"),
+)
 """What a folder of results has at least one of."""
 
 
@@ -58,18 +61,36 @@ def contents(folder: Path) -> tuple[str, list[Part]]:
         raise InputError(f"{folder} has no {listed(FILES)}: give the folder that a command has written into")
     from fmuid.reports.page.contents import read_json
 
-    title = str(read_json(folder / there[0]).get("title", "")) or folder.absolute().parent.name
+    first = read_json(folder / there[0]) if there[0].endswith(".json") else {}
+    title = str(first.get("title", "")) or folder.absolute().parent.name
     return title, [_part(folder, name) for name in there]
 
 
+def report_of(folder: Path, *, wanted: bool) -> list[Path]:
+    """Write the report of a folder where it is wanted; one of an earlier run goes.
+
+    Raises
+    ------
+    InputError
+        As `write_report` does.
+    """
+    if wanted:
+        return [write_report(folder)]
+    (folder / REPORT_FILE).unlink(missing_ok=True)
+    return []
+
+
 def _part(folder: Path, name: str) -> Part:
-    from fmuid.reports.page import batches, faults, identification, predictions
+    from fmuid.reports.page import batches, faults, identification, validation
 
     made = {
         "result.json": identification.part,
         "diagnosis.json": faults.part_of_diagnosis,
         "monitoring.json": faults.part_of_monitoring,
         "summary.json": batches.part,
-        "prediction.json": predictions.part,
+        "prediction.json": validation.part_of_prediction,
+        "comparison.json": validation.part_of_comparison,
+        "design.csv": validation.part_of_design,
+        "sensitivities.csv": validation.part_of_sensitivities,
     }
     return made[name](folder)

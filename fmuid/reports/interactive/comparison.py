@@ -1,0 +1,120 @@
+"""What stands beside each other: results by their criteria and estimates, excitations, what parameters do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.arrays import Floats
+from fmuid.reports.interactive.sketch import ColumnDataSource, FactorRange, Range1d
+from fmuid.reports.interactive.style import (
+    AMBER,
+    BLUE,
+    GREY,
+    INK,
+    MAX_OUTPUTS,
+    MAX_PARAMETERS,
+    MAX_ROWS,
+    RED,
+    Units,
+    below_each_other,
+    hover,
+    legend,
+    level,
+    named,
+    panel,
+)
+from fmuid.reports.thinning import extremes
+from fmuid.text import label
+
+# Bars of a figure; more make one that nobody reads.
+MAX_BARS = 24
+# Lines of a figure: those that are largest. More cannot be told apart.
+LOOKS = tuple((color, dash) for dash in ("solid", "dashed") for color in (BLUE, RED, AMBER, GREY))
+
+
+def bars(names: list[str], values: Floats, text: str) -> Any:
+    """Draw a bar for each name, in their order, the first of which is red: the least is the best.
+
+    Parameters
+    ----------
+    names : list of str
+        Of results or excitations, the best first.
+    values : (n,) array
+        NaN where there is none.
+    text : str
+        What they are.
+    """
+    names, values = names[:MAX_BARS], values[:MAX_BARS]
+    plot = panel(x=text, height=80 + 28 * len(names), y_range=FactorRange(factors=names[::-1]))
+    best = np.arange(len(names)) == 0
+    for rows, color in ((best, RED), (~best, BLUE)):
+        if rows.any():
+            source = ColumnDataSource({"name": list(np.array(names)[rows]), "v": values[rows]})
+            drawn = plot.hbar("name", 0.55, "v", source=source, fill_color=color, line_color=None)
+            hover(plot, drawn, ("", "@name"), ("value", "@v{0.0000}"))
+    plot.x_range.start = 0
+    plot.yaxis.major_label_text_color = INK
+    return plot
+
+
+def estimates(table: pd.DataFrame) -> list[Any]:
+    """Draw the estimates that several results have of a parameter, with their intervals.
+
+    Parameters
+    ----------
+    table : DataFrame
+        ``result``, ``parameter``, ``unit``, ``value``, ``lower`` and ``upper``.
+    """
+    plots = []
+    for name, rows in list(table.groupby("parameter", sort=False))[:MAX_PARAMETERS]:
+        if len(rows) < 2:
+            continue
+        factors = [str(each) for each in rows["result"]]
+        text = label(str(name), rows["unit"].iloc[0])
+        plot = panel(x=text, height=90 + 26 * len(rows), y_range=FactorRange(factors=factors[::-1]))
+        data = {key: rows[key].to_numpy(np.float64) for key in ("value", "lower", "upper")}
+        data = {key: np.where(np.isfinite(each), each, np.nan) for key, each in data.items()}
+        source = ColumnDataSource({"name": factors, **data})
+        plot.segment("lower", "name", "upper", "name", source=source, line_color=BLUE, line_width=3)
+        dots = plot.scatter("value", "name", source=source, size=9, fill_color=BLUE, line_color=None)
+        hover(plot, dots, ("value", "@value{0.000000}"), ("interval", "@lower{0.000000} to @upper{0.000000}"))
+        plot.yaxis.major_label_text_color = INK
+        plots.append(plot)
+    return plots
+
+
+def sensitivities(table: pd.DataFrame, units: Units | None = None) -> Any:
+    """Draw θ ∂ŷ/∂θ (1.33) of each output over time, a line for each of the parameters that do most.
+
+    Parameters
+    ----------
+    table : DataFrame
+        ``time``, and ``output/parameter`` for each pair, as in ``sensitivities.csv``, of one experiment.
+    units : mapping of str to str, optional
+        Of the outputs.
+    """
+    pairs = [str(name) for name in table.columns if "/" in str(name)]
+    outputs = list(dict.fromkeys(name.rpartition("/")[0] for name in pairs))[:MAX_OUTPUTS]
+    plots: list[Any] = []
+    for output in outputs:
+        mine = [name for name in pairs if name.rpartition("/")[0] == output]
+        values = table[mine].to_numpy(np.float64)
+        largest = set(np.argsort(-np.nansum(values**2, axis=0), kind="stable")[: len(LOOKS)].tolist())
+        values, mine = values[:, sorted(largest)], [mine[k] for k in sorted(largest)]
+        kept = extremes(values, MAX_ROWS)
+        data = {"t": table["time"].to_numpy(np.float64)[kept]}
+        source = ColumnDataSource(data | {f"v{k}": values[kept, k].astype(np.float32) for k in range(len(mine))})
+        last = output == outputs[-1]
+        across = plots[0].x_range if plots else Range1d(*table["time"].iloc[[0, -1]].tolist())
+        plot = panel(x="time (s)" if last else "", y=named(output, units), height=210, x_range=across)
+        entries = []
+        for k, (name, (color, dash)) in enumerate(zip(mine, LOOKS, strict=False)):
+            line = plot.line("t", f"v{k}", source=source, line_color=color, line_dash=dash, line_width=1.4)
+            entries.append((name.rpartition("/")[2], [line]))
+        level(plot, 0.0)
+        legend(plot, entries)
+        plots.append(plot)
+    return below_each_other(plots)

@@ -1,0 +1,197 @@
+"""The parts of a report that predictions, comparisons, excitations and sensitivities make up."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.errors import InputError
+from fmuid.files import is_file
+from fmuid.reports.interactive import comparison
+from fmuid.reports.interactive.fit import fit
+from fmuid.reports.interactive.style import MAX_EXPERIMENTS, MAX_OUTPUTS
+from fmuid.reports.page.contents import read_json, read_table
+from fmuid.reports.page.document import Part, Section, table
+from fmuid.reports.page.provenance import origin
+from fmuid.reports.page.verdict import Said
+from fmuid.reports.words.prediction import ALIKE_AIC, LEAST_RATIO, with_unit
+from fmuid.simulation import Fit
+from fmuid.text import listed
+
+PREDICTED = (
+    "Dots were measured, the line is simulated with the values of the result; the residual is below. "
+    "In the band a new measurement is expected, by the noise and by how well the parameters are known: about as many "
+    "dots lie in it as its level says, where the model carries over."
+)
+BESIDE = "How far each result is behind the best, of which a bar is missing: 2 say little, 10 are clear."
+MISFITS = "‖measured − simulated‖ / ‖measured‖ over the common tables."
+ESTIMATES = "What the results say of the parameters that several have, with intervals of 95 %: they should overlap."
+WORST = "The shorter, the better: the largest of the parameters' relative standard deviations, the best excitation red."
+FOUND = "The shorter, the better: the smallest size of the fault that is found, over its magnitude; the best is red."
+SENSITIVITIES = (
+    "What a relative change of a parameter does to each output, θ ∂y/∂θ. A parameter whose line is small is hardly "
+    "determined by this excitation; two whose lines look alike are hardly told apart."
+)
+
+
+HEADS = {
+    "name": "result",
+    "log_likelihood": "log-likelihood",
+    "aic": "AIC",
+    "bic": "BIC",
+    "corrected_aic": "corrected AIC",
+    "corrected_bic": "corrected BIC",
+}
+"""What columns of ``comparison.csv`` are called."""
+
+
+def part_of_prediction(folder: Path) -> Part:
+    """Return the part on the predictions in a folder.
+
+    Raises
+    ------
+    InputError
+        If a file in it cannot be read.
+    """
+    content, whole = read_json(folder / "prediction.json"), read_table(folder / "prediction.csv")
+    try:
+        records = content["records"]
+        said = [Said(str(text), "prediction") for text in content["words"]]
+        scores = [{"record": each["experiment"], **score} for each in records for score in each["outputs"]]
+        worst = sorted(records, key=lambda each: -max([0.0, *(score["misfit"] for score in each["outputs"])]))
+        shown = [each for each in records if each in worst[:MAX_EXPERIMENTS]]
+        figures = [_predicted(each, whole, len(records)) for each in shown]
+        seen = [str(each["experiment"]) for each in records if each.get("seen")]
+        rows = _scores(scores)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(f"{folder} has no whole results of fmuid predict ({error}): predict again") from None
+    ratios = [score["ratio"] for score in scores if score.get("ratio") is not None]
+    good = all(ratio <= LEAST_RATIO for ratio in ratios)
+    state = "seen before" if seen else "predicted" if not ratios else "carries over" if good else "worse than expected"
+    if seen:
+        said.append(Said(f"The result was made from {listed(seen)}: this is no prediction", doubtful=True))
+    sections = []
+    for k, (each, drawn) in enumerate(zip(shown, figures, strict=True)):
+        heading = "Predicted" + (f": {each['experiment']}" if len(records) > 1 else "")
+        name = "prediction" if k == 0 else f"prediction-{k + 1}"
+        sections.append(Section(name, heading, PREDICTED if k == 0 else "", [drawn], 1))
+    return Part("Prediction", state, good and not seen, said, rows, sections, origin(content))
+
+
+def _predicted(record: dict[str, Any], whole: pd.DataFrame, count: int) -> Any:
+    rows = whole[whole["experiment"] == record["experiment"]] if count > 1 else whole
+    outputs = [str(name).removeprefix("simulated.") for name in rows.columns if str(name).startswith("simulated.")]
+    outputs = outputs[:MAX_OUTPUTS]
+    units = {score["output"]: score["unit"] or None for score in record["outputs"]}
+    measured, simulated, upper = (
+        rows[[f"{kind}.{name}" for name in outputs]].to_numpy(np.float64) for kind in ("measured", "simulated", "upper")
+    )
+    times, told = rows["time"].to_numpy(np.float64), tuple(units.get(name) for name in outputs)
+    given = Fit(record["experiment"], times, tuple(outputs), told, measured, simulated, np.isfinite(measured))
+    half = upper - simulated
+    return fit(given, half if np.isfinite(half).any() else None, float(record["level"]))
+
+
+def _scores(scores: list[dict[str, Any]]) -> str:
+    columns = {
+        "output": [str(each["output"]) for each in scores],
+        "record": [str(each["record"]) for each in scores],
+        "fit": [f"{each['fit']:.4g} %" for each in scores],
+        "RMSE": [with_unit(each["rmse"], each["unit"]) for each in scores],
+        "expected": [_number(each["expected"]) for each in scores],
+        "ratio": [_number(each["ratio"], 3) for each in scores],
+        "in the band": ["" if each["inside"] is None else f"{100 * each['inside']:.3g} %" for each in scores],
+    }
+    return table(columns, numbers=[name for name in columns if name not in ("output", "record")])
+
+
+def part_of_comparison(folder: Path) -> Part:
+    """Return the part on the comparison in a folder.
+
+    Raises
+    ------
+    InputError
+        If a file in it cannot be read.
+    """
+    content = read_json(folder / "comparison.json")
+    try:
+        rows = pd.DataFrame(content["results"])
+        last = len(content["words"]) - 1 if "misfit" in rows else -1
+        said = [Said(str(text), "misfits" if k == last else "criteria") for k, text in enumerate(content["words"])]
+        sections = [
+            Section(name, heading, caption, [_ranked(rows, column, text)], 1)
+            for name, heading, caption, column, text in (
+                ("criteria", "By likelihood", BESIDE, "behind", "behind the best, Akaike's criterion"),
+                ("misfits", "On the common tables", MISFITS, "misfit", "misfit"),
+            )
+            if column in rows
+        ]
+        told = pd.DataFrame(content.get("estimates", []))
+        drawn = comparison.estimates(told) if len(told) else []
+        sections += [Section("estimates", "Estimates beside each other", ESTIMATES, drawn)] if drawn else []
+        ordered = rows.sort_values("behind" if "behind" in rows else "misfit")
+        alike = "behind" in rows and float(ordered["behind"].iloc[1]) < ALIKE_AIC
+        columns = {HEADS.get(str(key), str(key)): [_cell(each) for each in rows[key]] for key in rows}
+        shown = table(columns, numbers=list(columns)[1:])
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(f"{folder} has no whole results of fmuid compare ({error}): compare again") from None
+    state = "not told apart" if alike else f"best: {ordered['name'].iloc[0]}"
+    return Part("Comparison", state, not alike, said, shown, sections, origin(content))
+
+
+def _ranked(rows: pd.DataFrame, column: str, text: str) -> Any:
+    ordered = rows.sort_values(column)
+    return comparison.bars([str(name) for name in ordered["name"]], ordered[column].to_numpy(np.float64), text)
+
+
+def part_of_design(folder: Path) -> Part:
+    """Return the part on the excitations in a folder.
+
+    Raises
+    ------
+    InputError
+        If a file in it cannot be read.
+    """
+    rows = read_table(folder / "design.csv")
+    names, accuracy = [str(name) for name in rows["excitation"]], "log_determinant" in rows
+    text, caption = ("largest relative std", WORST) if accuracy else ("smallest fault found / its magnitude", FOUND)
+    worst = rows["worst"].to_numpy(np.float64)
+    what = "leaves no relative std above" if accuracy else "shows faults from this share of their magnitude on:"
+    said = [Said(f"{names[0]} is the best of {len(names)} excitations: it {what} {worst[0]:.3g}", "excitations")]
+    shown = table({str(key): [_cell(each) for each in rows[key]] for key in rows}, numbers=list(rows.columns[1:]))
+    section = Section("excitations", "Excitations, the best first", caption, [comparison.bars(names, worst, text)], 1)
+    return Part("Design", f"best: {names[0]}", True, said, shown, [section])
+
+
+def part_of_sensitivities(folder: Path) -> Part:
+    """Return the part on the sensitivities in a folder; units are those of its ``result.json``, where there is one.
+
+    Raises
+    ------
+    InputError
+        If a file in it cannot be read.
+    """
+    whole, result = read_table(folder / "sensitivities.csv"), folder / "result.json"
+    known = read_json(result).get("experiments", []) if is_file(result) else []
+    units = {name: unit for each in known for name, unit in each["outputs"].items()}
+    groups = list(whole.groupby("experiment", sort=False)) if "experiment" in whole else [("", whole)]
+    sections = []
+    for k, (each, rows) in enumerate(groups[:MAX_EXPERIMENTS]):
+        name = str(each)
+        heading = f"Sensitivities: {name}" if name else "Sensitivities"
+        anchor, caption = ("sensitivities", SENSITIVITIES) if k == 0 else (f"sensitivities-{k + 1}", "")
+        sections.append(Section(anchor, heading, caption, [comparison.sensitivities(rows, units)], 1))
+    said = [Said("What relative changes of the parameters do to the outputs at their starts", "sensitivities")]
+    return Part("Sensitivities", f"{len(groups)} experiment{'s' * (len(groups) > 1)}", True, said, "", sections)
+
+
+def _cell(value: Any) -> str:
+    return _number(value) if isinstance(value, float) else str(value)
+
+
+def _number(value: float | None, digits: int = 4) -> str:
+    return "" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
