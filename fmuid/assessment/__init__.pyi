@@ -13,6 +13,8 @@ from .criterion_map import map_criterion as map_criterion
 from .criterion_map import region_rise as region_rise
 from .ends import EndKind as EndKind
 from .ends import Remark as Remark
+from .parabolas import both_known as both_known
+from .parabolas import parabolas as parabolas
 from .prior_and_data import Influence as Influence
 from .prior_and_data import Obstacle as Obstacle
 from .prior_and_data import Reading as Reading

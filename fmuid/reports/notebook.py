@@ -261,6 +261,14 @@ class ResultPlots:
             raise InputError("what the data alone say is in the findings of fmuid.run_study: draw them")
         return Drawing(drawn.belief(self._findings.reading.table, self._units), 3)
 
+    def parabolas(self, *names: str) -> Drawing:
+        """Criterion of prior, data and both over parameters, default all with a prior; of `Findings` only."""
+        from fmuid.reports.interactive import estimates as drawn
+
+        if self._findings is None:
+            raise InputError("what the data alone say is in the findings of fmuid.run_study: draw them")
+        return Drawing(drawn.parabolas(self._findings.reading.table, names, self._units), 3)
+
     def _kept(self, there: bool) -> None:
         if not there:
             raise InputError("this result has nothing of it: one read from a file has neither trace nor fit")

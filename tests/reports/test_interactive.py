@@ -13,7 +13,9 @@ import pytest
 from bokeh.models import Axis, BoxAnnotation, Legend, Plot, Span
 
 from fmuid.assessment import CriterionMap
+from fmuid.errors import InputError
 from fmuid.estimation import Result
+from fmuid.reports.figures.parabolas import parabolas
 from fmuid.reports.interactive import style
 from fmuid.reports.thinning import evenly, extremes
 from tests.support import records
@@ -257,6 +259,31 @@ def test_belief_draws_densities_of_what_is_known() -> None:
         assert line["x"][np.argmax(line["y"])] == pytest.approx(mean)
         assert line["y"].max() == pytest.approx(1.0 / (std * math.sqrt(2 * math.pi)))
     assert entries(unknown) == ["prior", "both"]
+
+
+def test_parabolas_of_prior_data_and_both() -> None:
+    """Of one parameter the third is the sum of the other two, (1.57)."""
+    std = 1.0 / math.hypot(1 / 0.2, 1 / 0.1)
+    mean = std**2 * (4.2 / 0.2**2 + 3.9 / 0.1**2)
+    row = {"parameter": "R", "prior": 4.2, "prior_std": 0.2, "data": 3.9, "data_std": 0.1, "combined": mean}
+    row |= {"combined_std": std, "conflict": -0.3 / math.hypot(0.2, 0.1)}
+    free = row | {"parameter": "L", "prior": np.nan, "prior_std": np.nan, "conflict": np.nan}
+    reading = pd.DataFrame([row, free])
+    (plot,) = estimates.parabolas(reading, units={"R": "Ohm"})
+    assert labels(plot) == ("R (Ohm)", "criterion")
+    prior, data, both = drawn(plot, "Line")
+    assert prior["y"] == pytest.approx(((prior["x"] - 4.2) / 0.2) ** 2)
+    assert both["y"] == pytest.approx(prior["y"] + data["y"])
+    (alone,) = estimates.parabolas(reading, ["L"])
+    assert entries(alone) == ["data alone", "both"]
+    printed = parabolas(reading)
+    (axes,) = printed.axes
+    assert axes.get_xlabel() == "R"
+    assert [line.get_ydata().min() for line in axes.lines] == pytest.approx([0.0, 0.0, 1.8], abs=0.05)
+    with pytest.raises(InputError, match="'Q' is not in the reading"):
+        estimates.parabolas(reading, ["Q"])
+    with pytest.raises(InputError, match="no parameter"):
+        parabolas(reading.iloc[1:])
 
 
 def test_correlation() -> None:

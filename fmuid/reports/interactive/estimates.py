@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.assessment import region_rise
+from fmuid.assessment import both_known, region_rise
+from fmuid.assessment import parabolas as parabolas_of
 from fmuid.estimation import SHIFT_LIMIT
 from fmuid.reports.interactive.sketch import (
     BoxAnnotation,
@@ -38,12 +39,16 @@ from fmuid.reports.interactive.style import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import pandas as pd
 
     from fmuid.estimation import Result
 
 # Densities are drawn so many standard deviations wide; a density wider than this many of the narrowest is cut.
 DENSITY_STDS, WIDEST = 4.0, 12.0
+# Of a figure of parabolas, in that of the sum.
+HEIGHT = 1.05
 # Pairs whose ellipses are drawn: the most correlated ones.
 MAX_ELLIPSES = 6
 # Text on cells of a strong colour, and on pale ones: the cells are the same on a dark page.
@@ -89,6 +94,43 @@ def belief(reading: pd.DataFrame, units: Units | None = None) -> list[Any]:
         bare(plot)
         legend(plot, entries)
         plot.xaxis.ticker.desired_num_ticks = 4
+        plots.append(plot)
+    return plots
+
+
+def parabolas(reading: pd.DataFrame, names: Sequence[str] = (), units: Units | None = None) -> list[Any]:
+    """Draw the criterion of prior, data and both over parameters: the chapter's figure 1.1.
+
+    Parameters
+    ----------
+    reading : DataFrame
+        As in ``reading.csv``.
+    names : sequence of str
+        Default: all that prior and data both speak of.
+    units : mapping of str to str, optional
+        Of the parameters.
+
+    Raises
+    ------
+    InputError
+        If there is no such parameter, or it has no standard deviation.
+    """
+    plots = []
+    for name in list(names or both_known(reading))[:MAX_PARAMETERS]:
+        curves = parabolas_of(reading, name)
+        plot = panel(x=named(name, units), y="criterion", height=230)
+        entries = []
+        for part, text, color in (("prior", "prior", AMBER), ("data", "data alone", GREY), ("both", "both", BLUE)):
+            if curves[part].notna().all():
+                line = plot.line(
+                    curves["value"].to_numpy(),
+                    curves[part].to_numpy(),
+                    line_color=color,
+                    line_width=2.0 if part == "both" else 1.4,
+                )
+                entries.append((text, [line]))
+        reach(plot, y=(0.0, HEIGHT * float(curves["both"].max())))
+        legend(plot, entries)
         plots.append(plot)
     return plots
 
