@@ -51,7 +51,8 @@ def parabolas(reading: pd.DataFrame, name: str) -> pd.DataFrame:
     grid = np.linspace(min(least) - REACH * std, max(least) + REACH * std, POINTS)
     found = {"value": grid}
     for part, (mean, spread) in parts.items():
-        found["both" if part == "combined" else part] = ((grid - mean) / spread) ** 2 if spread < np.inf else np.nan
+        curve = ((grid - mean) / spread) ** 2 if spread < np.inf else np.full(POINTS, np.nan)
+        found["both" if part == "combined" else part] = curve
     found["both"] += np.nan_to_num(float(row["conflict"])) ** 2
     return pd.DataFrame(found)
 

@@ -279,7 +279,7 @@ def test_parabolas_of_prior_data_and_both() -> None:
     printed = parabolas(reading)
     (axes,) = printed.axes
     assert axes.get_xlabel() == "R"
-    assert [line.get_ydata().min() for line in axes.lines] == pytest.approx([0.0, 0.0, 1.8], abs=0.05)
+    assert [np.min(np.asarray(line.get_ydata())) for line in axes.lines] == pytest.approx([0.0, 0.0, 1.8], abs=0.05)
     with pytest.raises(InputError, match="'Q' is not in the reading"):
         estimates.parabolas(reading, ["Q"])
     with pytest.raises(InputError, match="no parameter"):
