@@ -10,6 +10,9 @@ import pandas as pd
 import pytest
 from bokeh.models import BoxAnnotation, Span
 
+from fmuid.diagnosis.coordinates import CauseKind
+from fmuid.diagnosis.evidence.remainder import NOTHING_LEFT
+from fmuid.diagnosis.findings import Change, Evidence, Explanation, Suspect
 from fmuid.diagnosis.monitoring.alarms import Alarm
 from fmuid.files import as_json
 from tests.support.live_figures import diagnosis
@@ -69,6 +72,38 @@ def test_sizes_show_zero() -> None:
     assert first.y_range.factors == ["<b>dL</b> (Ohm)", "dR (Ohm)"]
     assert first.x_range.start < -0.5 < 0 < 1.2 < first.x_range.end
     assert [each.location for each in marks(first, Span)] == [0.0]
+
+
+@pytest.fixture
+def news() -> Evidence:
+    """Evidence of lost turns, beside which a gain of the sensor is not excluded."""
+    turns = Change(CauseKind("fault"), "dR", "turns", 0.3, 0.05, "Ohm")
+    gain = Change(CauseKind("gain"), "i", "", -0.02, 0.01, "")
+    still = Change(CauseKind("offset"), "i", "", 0.0, 0.1, "A")
+    suspects = (
+        Suspect(still, 0.01, 0.9, "gain(i)", 1.5),
+        Suspect(turns, 41.0, 1e-9, "gain(i)", math.radians(5.0)),
+        Suspect(gain, 38.0, 1e-8, "turns.dR", math.radians(5.0)),
+    )
+    explanations = (Explanation((turns,), 1.0), Explanation((gain,), 0.2))
+    return Evidence(1e-9, True, explanations, suspects, 1.0, 1.0, 3.0, 600, True, NOTHING_LEFT)
+
+
+def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: Evidence) -> None:
+    plot = diagnosis.causes(news)
+    assert plot.y_range.factors[::-1] == ["turns (dR)", "the gain of the sensor of i", "an offset of the sensor of i"]
+    red, grey = (each.data_source.data for each in plot.renderers)
+    assert (red["d"], grey["d"]) == ([41.0, 38.0], [diagnosis.LEAST_STATISTIC])
+    assert red["near"] == ["gain(i), 5°", "turns.dR, 5°"]
+    assert red["size"][0] == "0.300 ± 0.050 Ohm"
+
+
+def test_changes_have_their_intervals_in_units_that_are_read(news: Evidence) -> None:
+    turns, gain = diagnosis.changes(news)
+    assert turns.xaxis.axis_label == "size, with its interval of 95 % (Ohm)"
+    assert gain.xaxis.axis_label == "size, with its interval of 95 % (%)"
+    data = gain.renderers[0].data_source.data
+    assert [*data["value"], *data["low"], *data["high"]] == pytest.approx([-2.0, -3.96, -0.04], abs=1e-3)
 
 
 def test_residuals_without_and_with_the_fault() -> None:

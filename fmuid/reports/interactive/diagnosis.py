@@ -26,12 +26,13 @@ from fmuid.reports.interactive.style import (
     reach,
 )
 from fmuid.reports.thinning import extremes
+from fmuid.reports.words.diagnosis import change_name, change_size
 from fmuid.text import label
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.diagnosis import Diagnosis, Hypothesis
+    from fmuid.diagnosis import Diagnosis, Evidence, Hypothesis
 
 # More hypotheses than these make a figure nobody reads: the most significant are kept.
 MAX_FAULTS = 12
@@ -103,32 +104,89 @@ def sizes(found: Diagnosis) -> list[Any]:
     plots = []
     for each in shown(found):
         known = [size for size in each.sizes if math.isfinite(size.std)]
-        if not known:
+        if known:
+            names = [label(size.name, size.unit) for size in known]
+            values, ends = [size.value for size in known], [size.interval() for size in known]
+            color = RED if each.name in found.named else GREY
+            plots.append(_intervals(f"{each.name}: size, with its interval of 95 %", names, values, ends, color))
+    return plots
+
+
+def _intervals(text: str, names: list[str], values: list[float], ends: list[tuple[float, float]], color: str) -> Any:
+    """Draw values with their intervals beside zero, a row a name."""
+    factors = list(dict.fromkeys(names))[::-1]
+    plot = panel(x=text, height=100 + 26 * len(names), y_range=FactorRange(factors=factors))
+    columns = {"low": [low for low, _ in ends], "high": [high for _, high in ends]}
+    source = ColumnDataSource({"name": names, "value": values, **columns})
+    plot.segment("low", "name", "high", "name", source=source, line_color=color, line_width=3)
+    dots = plot.scatter("value", "name", source=source, size=9, fill_color=color, line_color=None)
+    hover(plot, dots, ("size", "@value{0.000000}"), ("interval", "@low{0.000000} to @high{0.000000}"))
+    level(plot, 0.0, vertical=True)
+    low, high = min(0.0, *columns["low"]), max(0.0, *columns["high"])
+    reach(plot, x=(low - 0.05 * (high - low), high + 0.05 * (high - low)))
+    plot.yaxis.major_label_text_color = INK
+    return plot
+
+
+def causes(found: Evidence) -> Any:
+    """Draw what each cause alone lowers the criterion by, the likeliest first; what explains the record is red.
+
+    The pointer shows the size, and which other cause has the nearest signature, at which angle.
+
+    Parameters
+    ----------
+    found : Evidence
+    """
+    kept = sorted(found.suspects, key=lambda each: each.probability)[:MAX_FAULTS]
+    names = [change_name(each.change) for each in kept]
+    named = {change_name(change) for each in found.explanations for change in each.changes}
+    plot = panel(
+        x="D, by how much the cause alone lowers the criterion",
+        height=110 + 28 * len(kept),
+        y_range=FactorRange(factors=names[::-1]),
+        x_axis_type="log",
+    )
+    entries = []
+    for text, color, mine in (("explains the record", RED, True), ("other causes", GREY, False)):
+        rows = [(name, each) for name, each in zip(names, kept, strict=True) if (name in named) is mine]
+        columns = {
+            "name": [name for name, _ in rows],
+            "d": [max(each.statistic, LEAST_STATISTIC) for _, each in rows],
+            "told": [each.statistic for _, each in rows],
+            "p": [each.probability for _, each in rows],
+            "size": [change_size(each.change) for _, each in rows],
+            "near": [f"{each.rival}, {math.degrees(each.rival_angle):.0f}°" if each.rival else "" for _, each in rows],
+        }
+        if rows:
+            source = ColumnDataSource(columns)
+            bars = plot.hbar("name", 0.55, "d", LEAST_STATISTIC, source=source, fill_color=color, line_color=None)
+            numbers = (("D", "@told{0.000}"), ("probability by chance", "@p{0.0e}"))
+            hover(plot, bars, *numbers, ("size", "@size"), ("nearest signature", "@near"))
+            entries.append((text, [bars]))
+    legend(plot, entries)
+    most = max((each.statistic for each in kept), default=1.0)
+    reach(plot, x=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
+    plot.yaxis.major_label_text_color = INK
+    return plot
+
+
+def changes(found: Evidence) -> list[Any]:
+    """Draw the size of each change that explains the record, with its interval of 95 %; shares in percent.
+
+    Parameters
+    ----------
+    found : Evidence
+    """
+    plots, drawn = [], set()
+    for each in (change for one in found.explanations for change in one.changes):
+        name = change_name(each)
+        if name in drawn or not math.isfinite(each.std):
             continue
-        color = RED if each.name in found.named else GREY
-        names = [label(size.name, size.unit) for size in known]
-        ends = [size.interval() for size in known]
-        plot = panel(
-            x=f"{each.name}: size, with its interval of 95 %",
-            height=100 + 26 * len(known),
-            y_range=FactorRange(factors=list(dict.fromkeys(names))[::-1]),
-        )
-        source = ColumnDataSource(
-            {
-                "name": names,
-                "value": [size.value for size in known],
-                "low": [low for low, _ in ends],
-                "high": [high for _, high in ends],
-            }
-        )
-        plot.segment("low", "name", "high", "name", source=source, line_color=color, line_width=3)
-        dots = plot.scatter("value", "name", source=source, size=9, fill_color=color, line_color=None)
-        hover(plot, dots, ("size", "@value{0.000000}"), ("interval", "@low{0.000000} to @high{0.000000}"))
-        level(plot, 0.0, vertical=True)
-        low, high = min(0.0, *(end for end, _ in ends)), max(0.0, *(end for _, end in ends))
-        reach(plot, x=(low - 0.05 * (high - low), high + 0.05 * (high - low)))
-        plot.yaxis.major_label_text_color = INK
-        plots.append(plot)
+        drawn.add(name)
+        scale, unit = (100.0, "%") if each.kind.is_share else (1.0, each.unit)
+        low, high = each.interval()
+        text = label("size, with its interval of 95 %", unit)
+        plots.append(_intervals(text, [name], [scale * each.value], [(scale * low, scale * high)], RED))
     return plots
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from fmuid.diagnosis import Diagnosis
+from fmuid.diagnosis import Diagnosis, Evidence
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import diagnosis
@@ -16,7 +16,7 @@ from fmuid.reports.page.contents import read_json, read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import Said
-from fmuid.reports.words.diagnosis import chance, diagnosis_words
+from fmuid.reports.words.diagnosis import chance, diagnosis_words, explanation_words
 from fmuid.text import has_unit, rounded, with_std
 
 EVIDENCE = (
@@ -27,6 +27,12 @@ SIZES = "Each fault's sizes with their intervals of 95 %. Where one holds zero t
 RESIDUAL = (
     "What the healthy model leaves unexplained, and what is left with the fault. With the right fault only noise stays."
 )
+CAUSES = (
+    "Every cause by itself: faults, sensors, the supply, parameters. Red is what explains the record; the table has "
+    "what else the record does not exclude, with its odds. The pointer shows which other cause looks most alike: at a "
+    "small angle the two can hardly be told apart."
+)
+CHANGES = "The sizes of what explains the record, with their intervals of 95 %."
 TIMELINE = (
     "Estimates of each window alone, with their intervals of 95 %. Red dots are windows that are significant by "
     "themselves; the red dashed line is where an alarm was raised, the red ground how long it lasted; dotted lines "
@@ -47,8 +53,10 @@ def part_of_diagnosis(folder: Path) -> Part:
     content = read_json(folder / "diagnosis.json")
     units = content.get("units") or {}
     first, *others = diagnosis_words(found)
-    said = [Said(first, "evidence"), *(Said(text, "sizes", doubtful=True) for text in others)]
+    proof = "evidence" if found.evidence is None else "causes"
+    said = [Said(first, proof), *(Said(text, "sizes", doubtful=True) for text in others)]
     sections = [
+        *([] if found.evidence is None else _causes(found.evidence)),
         Section("evidence", "What decides", EVIDENCE, [diagnosis.evidence(found)], 1),
         Section("sizes", "Sizes of the faults", SIZES, diagnosis.sizes(found), 2),
     ]
@@ -60,6 +68,19 @@ def part_of_diagnosis(folder: Path) -> Part:
     good = found.kind == "healthy"
     shown = [each for each in sections if each.figures]
     return Part("Diagnosis", found.kind, good, said, faults_table(found), shown, origin(content))
+
+
+def _causes(found: Evidence) -> list[Section]:
+    odds = table(
+        {
+            "explanation": [explanation_words(each) for each in found.explanations],
+            "odds against the best": [f"{each.odds:.2g}" for each in found.explanations],
+        },
+        numbers=["odds against the best"],
+    )
+    body = odds if found.explanations else ""
+    sections = [Section("causes", "What may be new", CAUSES, [diagnosis.causes(found)], 1, body)]
+    return [*sections, Section("changes", "How large it is", CHANGES, diagnosis.changes(found), 2)]
 
 
 def faults_table(found: Diagnosis) -> str:
