@@ -1,7 +1,4 @@
-"""A study: model, experiments, parameters, priors, noise, estimator, and what is asked of the result, from a TOML file.
-
-`fmuid.studies.study_file` has the words of the file.
-"""
+"""A study from a TOML file, whose words `fmuid.studies.study_file` has: model, experiments, what is asked of them."""
 
 from __future__ import annotations
 
