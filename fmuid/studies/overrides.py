@@ -42,8 +42,9 @@ def override(data: dict[str, Any], setting: str, file: str) -> None:
         raise InputError(f"--set {setting}: expected path=value, as in --set parameters.Rs.start=9")
     value, name = _value(text.strip()), ".".join(segments[1:])
     known = data.get("parameters")
-    if segments[0] == "parameters" and isinstance(known, dict) and name in known and type(value) in (int, float):
-        del known[name]
+    one = isinstance(known, dict) and name in known and not (len(segments) > 2 and segments[1] in known)
+    if segments[0] == "parameters" and one and type(value) in (int, float):
+        del data["parameters"][name]
         segments = ["model", "values", name]
     _assign(data, segments, value, (), StudyFile, f"--set {setting}: {file}")
 
