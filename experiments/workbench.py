@@ -39,7 +39,7 @@ const [place, done] = arguments;
 const doc = Bokeh.documents[0], slider = doc.get_model_by_name("Rs"), source = doc.get_model_by_name("lines");
 const views = [...Bokeh.index.roots ?? Object.values(Bokeh.index)].flatMap(function all(view) {
   return [view, ...[...(view.children?.() ?? [])].flatMap(all)];
-}).filter((view) => view.model.type === "Figure" && view.is_displayed);
+}).filter((view) => ["Figure", "Plot"].includes(view.model.type) && view.is_displayed);
 const left = new Set(views), begun = performance.now();
 let data = NaN;
 const changed = () => { data = performance.now(); };
