@@ -131,12 +131,12 @@ def dated(onsets: Onsets, rise: float) -> Dated:
     size = weights @ sizes
     off = sizes - size
     covariance = np.einsum("t,tij->ij", weights, onsets.covariances + off[:, :, None] * off[:, None, :])
-    # an onset stands for all times nearer to it than to the others
-    first, last, half = within.min(), within.max(), onsets.widths / 2.0
-    low = onsets.clock[first] - (half[first - 1] if first else 0.0)
+    # between two onsets lies any time; the columns, which have no transient after an onset, see it up to a block late
+    first, last = within.min(), within.max()
+    low = onsets.clock[first] - (onsets.widths[first - 1] if first else 0.0)
     return Dated(
         float(onsets.clock[int(np.argmax(evidence))]),
-        (float(low), float(onsets.clock[last] + half[last])),
+        (float(low), float(onsets.clock[last] + onsets.widths[last])),
         size,
         covariance,
         float(evidence.max()) + math.log(total / float(onsets.widths.sum())),
