@@ -1,4 +1,7 @@
-"""A study from a TOML file, whose words `fmuid.studies.study_file` has: model, experiments, what is asked of them."""
+"""A study: model, experiments, parameters, priors, noise, estimator, and what is asked of the result, from a TOML file.
+
+`fmuid.studies.study_file` has the words of the file.
+"""
 
 from __future__ import annotations
 
@@ -280,12 +283,8 @@ class Study(Displayed):
     def known_variance(self) -> dict[str, float]:
         """The noise variance known of each output: the given one, or that of the results that priors are taken from."""
         outputs = tuple(dict.fromkeys(name for given in self.experiments for name in given.outputs))
-        known = {
-            name: variance
-            for source in self.sources
-            for name, variance in source.result.noise_variance.items()
-            if name in outputs
-        }
+        found = [each for source in self.sources for each in source.result.noise_variance.items()]
+        known = {name: variance for name, variance in found if name in outputs}
         given = self.noise.known(outputs)
         return known | {name: float(value) for name, value in zip(outputs, given, strict=True) if not math.isnan(value)}
 
@@ -373,8 +372,8 @@ class Study(Displayed):
 
     def simulators(self) -> tuple[Simulator, ...]:
         """Return the simulator of each experiment, as a function of the study's parameters in their order."""
-        names, model = tuple(self.parameters), self.model
-        return tuple(Simulator(self.system, table, names, values=model.values) for table in self.tables)
+        names, values = tuple(self.parameters), self.model.values
+        return tuple(Simulator(self.system, table, names, values=values) for table in self.tables)
 
     def simulate(self) -> list[pd.DataFrame]:
         """Simulate every experiment at the parameters' starts: ``time`` (s) and each output, by its name in the FMU.
