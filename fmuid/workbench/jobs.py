@@ -23,7 +23,7 @@ from fmuid.progress import EVENTS, Event, of_line
 # Seconds after which a command that was asked to end is asked once more, and ended without more ado. Between them it
 # writes what it has.
 SECOND_REQUEST, LAST_REQUEST = 20.0, 40.0
-_INTERRUPT = getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT)
+_INTERRUPT = getattr(signal, "CTRL_BREAK_EVENT", signal.SIGTERM)  # Ctrl-C is ignored by what a shell runs behind
 
 
 def command_text(words: Sequence[str]) -> str:
@@ -84,7 +84,7 @@ class Job:
         return (time.monotonic() if self.running else self.ended) - self.begun
 
     def cancel(self) -> None:
-        """Ask it to end, as Ctrl-C does: it writes what it has found so far."""
+        """Ask it to end: it writes what it has found so far."""
         if self.running:
             self.asked = self.asked or time.monotonic()
             with contextlib.suppress(OSError):
