@@ -15,7 +15,7 @@ from bokeh.models import Axis, BoxAnnotation, Legend, Plot, Span
 from fmuid.assessment import CriterionMap
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.reports.figures.parabolas import parabolas
+from fmuid.reports.figures.criterion_map import parabolas
 from fmuid.reports.interactive import style
 from fmuid.reports.thinning import evenly, extremes
 from tests.support import records
