@@ -38,6 +38,8 @@ inputs = ["u"]
 outputs = ["i"]
 interpolation = "hold"
 """
+# Nothing but a search that is given no time.
+HASTY = ["--set", "estimator.max_iterations=1", "--set", "estimator.remedies=false"]
 
 
 @pytest.fixture
@@ -151,7 +153,7 @@ def test_api_gives_what_the_command_writes(folder: Path) -> None:
 
 
 def test_not_converged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fmuid_("identify", folder / "study.toml", "--set", "estimator.max_iterations=1") == NOT_SUCCEEDED
+    assert fmuid_("identify", folder / "study.toml", *HASTY) == NOT_SUCCEEDED
     assert result(folder / "results")["converged"] is False
     assert "raise max_iterations" in capsys.readouterr().out
 
@@ -392,7 +394,7 @@ def test_uncertainty_interrupted(
 
 def test_uncertainty_needs_a_minimum(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "study.toml").write_text(STUDY + ASKED)
-    assert fmuid_("identify", folder / "study.toml", "--set", "estimator.max_iterations=1") == NOT_SUCCEEDED
+    assert fmuid_("identify", folder / "study.toml", *HASTY) == NOT_SUCCEEDED
     assert "[uncertainty] is left out" in capsys.readouterr().err
     assert "profiles" not in result(folder / "results")
 

@@ -31,7 +31,7 @@ def test_the_page_has_what_a_word_takes() -> None:
         '`"linear"` | between samples; "hold" for commands of a digital controller |',
         "## `[diagnosis.faults.<name>.parameters.<name>]`",
         "| `from` | a text in quotes | must be given | an output |",
-        "| `needed` | a whole number above 0 | `3` | an alarm takes so many significant windows ... |",
+        "| `horizon` | a number above 0 |  | in which the level holds, s; default: each record |",
     ):
         assert line in lines
 
