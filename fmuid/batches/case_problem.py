@@ -70,6 +70,7 @@ def problem_of(
         joint_prior=joint,
         loss=study.loss,
         sensitivity=study.sensitivity,
+        choices={name: few for name, few in study.model.choices.items() if name not in known},
         simulators=simulators,
     )
 

@@ -58,6 +58,7 @@ from .result import Result as Result
 from .starts.noise_level import second_difference_noise as second_difference_noise
 from .starts.outcome import LARGEST_MISFIT as LARGEST_MISFIT
 from .starts.outcome import Attempt as Attempt
+from .starts.outcome import ChoiceTried as ChoiceTried
 from .starts.outcome import Remedy as Remedy
 from .starts.outcome import Trouble as Trouble
 from .starts.weak_form import WeakForm as WeakForm

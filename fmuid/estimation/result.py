@@ -26,7 +26,7 @@ from fmuid.estimation.history import History
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
-from fmuid.estimation.starts.outcome import Attempt
+from fmuid.estimation.starts.outcome import Attempt, ChoiceTried
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
@@ -50,8 +50,8 @@ class Result(Plotted):
         NaN where there is no prior.
     covariance : (N, N) array
         Local covariance of the estimates under noise of the colour that the residual shows
-        (`fmuid.estimation.colour.sandwich`); infinite variances where a parameter is not determined, NaN throughout
-        where the search stalled: away from a minimum it says nothing.
+        (`fmuid.estimation.colour.sandwich`); infinite variances where a parameter is not determined, all NaN where the
+        search stalled.
     white_covariance : (N, N) array
         What it would be if the noise were white (1.31).
     freedom : (N,) array
@@ -63,15 +63,13 @@ class Result(Plotted):
     criterion : float
         The compound criterion (1.37) at the estimate with the variances that the last search used.
     log_likelihood : float
-        Of the data at the estimate, its constant included, without priors (`LeastSquares.log_likelihood`): what
-        compares between runs on the same data. NaN with a robust loss.
+        Of the data at the estimate, without priors (`LeastSquares.log_likelihood`). NaN with a robust loss.
     degrees_of_freedom : float
         Of the noise variances: K − N where they are estimated, infinite where all are given.
     iterations, simulations : int
     elapsed_s : float
     undetermined : tuple of Direction
-        Directions in which the estimates could be moved without any effect, or along which their standard deviations
-        are so large that they are not determined in effect (`fmuid.estimation.covariance`).
+        Directions in which the estimates could move without effect, or next to none (`fmuid.estimation.covariance`).
     weak : tuple of Direction
         Directions that are determined to no better than the parameters' own magnitudes.
     prior_determined : tuple of Direction
@@ -86,28 +84,27 @@ class Result(Plotted):
     sensitivity : Sensitivity or None
         How the derivatives by the parameters were found.
     moved_start : tuple of str
-        Parameters that change no output at the start that was given; `start` is another one, where they do.
+        Parameters that change no output at the start that was given; `start` is another one.
     local : LocalModel or None
-        The problem made linear at the estimate, which `fmuid.assessment.prior_and_data` and
-        `fmuid.assessment.residuals` start from; with the given noise variances where there are any, else with the
-        estimated ones. None where it was not kept in a file.
+        The problem made linear at the estimate, with the given noise variances or else the estimated ones. None where
+        it was not kept in a file.
     noise : ColouredNoise or None
         The noise of all rows of the data, as the residual shows it. None where it was not kept in a file.
     history : History or None
-        What `trace`, `rounds` and `fit` are made of. None where it was not kept in a file; they are empty then.
+        What `trace`, `rounds` and `fit` are made of, which are empty where it was not kept in a file.
     optima : tuple of Optimum
-        Where the whole box was searched: all that were found, each once, the best first. Not kept in a file.
+        Where the whole box was searched, from `fits` points: all that were found, the best first. Not kept in a file.
     fits : int or None
-        Of a search of the whole box: how many searches were made from points of it. Not kept in a file.
     accuracy : Accuracy or None
-        What the error of the simulation does to the estimates; where it shifts them, that is part of `covariance`. None
-        where the simulation was not checked.
+        What the error of the simulation does to the estimates, part of `covariance`. None where it was not checked.
     data : tuple of MeasuredSeries
         Which measurements it was made from.
     attempts : tuple of Attempt
         The starts that were tried, where the one that was given did not lead to a good end at once; empty where it did.
     units : mapping of str to str
         Of the parameters that have one.
+    combinations : tuple of ChoiceTried
+        Of the values of parameters that take few: all that were tried, the best first, which the result is of.
 
     Examples
     --------
@@ -152,6 +149,7 @@ class Result(Plotted):
     data: tuple[MeasuredSeries, ...] = ()
     attempts: tuple[Attempt, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    combinations: tuple[ChoiceTried, ...] = ()
 
     @cached_property
     def trace(self) -> pd.DataFrame:
@@ -170,6 +168,11 @@ class Result(Plotted):
     def fit(self) -> tuple[pd.DataFrame, ...]:
         """One table an experiment: time, and ``measured.<output>`` and ``simulated.<output>`` for each output."""
         return () if self.history is None else self.history.fit_frames()
+
+    @property
+    def chosen(self) -> dict[str, float | int | bool | str]:
+        """The values of parameters that take few."""
+        return dict(self.combinations[0].values) if self.combinations else {}
 
     @property
     def converged(self) -> bool:
@@ -358,10 +361,7 @@ class Result(Plotted):
     def from_json(cls, path: str | Path) -> Result:
         """Read a ``result.json``; trace, rounds, fit and local, which are not in it, are empty or None.
 
-        Raises
-        ------
-        InputError
-            If the file cannot be read or is not such a result.
+        An `InputError` says that it cannot be read or is not such a result.
         """
         return cls(**result_file.read(Path(path)))
 

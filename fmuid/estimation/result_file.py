@@ -15,7 +15,7 @@ from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
-from fmuid.estimation.starts.outcome import Attempt
+from fmuid.estimation.starts.outcome import Attempt, ChoiceTried
 from fmuid.files import ContentError, as_json, content_of
 from fmuid.text import with_std
 
@@ -24,7 +24,7 @@ LINE_PARAMETERS = 8
 _AS_THEY_ARE = (
     *("noise_variance", "given_variance", "criterion", "log_likelihood", "degrees_of_freedom", "iterations"),
     *("simulations", "elapsed_s", "undetermined", "weak", "prior_determined", "at_bounds", "version", "models"),
-    *("sensitivity", "moved_start", "data", "attempts"),
+    *("sensitivity", "moved_start", "data", "attempts", "combinations"),
 )
 
 
@@ -139,6 +139,7 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
         "accuracy": Accuracy.of_json(data["accuracy"], column["numerical_shift"]) if data.get("accuracy") else None,
         "data": tuple(map(MeasuredSeries.of_json, data.get("data", ()))),
         "attempts": tuple(map(Attempt.of_json, data.get("attempts", ()))),
+        "combinations": tuple(map(ChoiceTried.of_json, data.get("combinations", ()))),
         "units": {name: str(parameters[name]["unit"]) for name in names if parameters[name].get("unit")},
     }
 

@@ -33,6 +33,7 @@ from fmuid.estimation import (
 )
 from fmuid.model_problem import checked_search
 from fmuid.model_problem.corrected_start import corrected_start
+from fmuid.model_problem.discrete_search import identify_each
 from fmuid.model_problem.equation_start import equation_start
 from fmuid.model_problem.problem import Problem
 from fmuid.model_problem.region import CheckedRegion
@@ -111,6 +112,21 @@ def identify(
     Result(converged: R = 3.9989 ± 0.0015, L = 0.100016 ± 0.000050)
     """
     method = settings or Marquardt()
+    if isinstance(problem, Problem) and problem.choices:
+        return identify_each(problem, lambda: _identify(problem, method, progress, start, accuracy, remedies, None))
+    return _identify(problem, method, progress, start, accuracy, remedies, region)
+
+
+def _identify(
+    problem: LeastSquares,
+    method: Method,
+    progress: Progress | None,
+    start: ArrayLike | None,
+    accuracy: str,
+    remedies: bool,
+    region: CheckedRegion | None,
+) -> Result:
+    """Identify the parameters of a problem whose other values are all known."""
     if isinstance(problem, Problem) and problem.corrected:
         return method.search(problem, progress, start)
     if not remedies or method.whole_box or not isinstance(problem, Problem):

@@ -213,7 +213,7 @@ def predict(
     system = System.of(model)
     free = {name: replace(each, prior=None, per_experiment=False) for name, each in (free or {}).items()}
     known = estimates_for(result, system, experiment, free)
-    record = _Record(system, result, experiment, {**(values or {})}, known, free, step_size)
+    record = _Record(system, result, experiment, {**(values or {}), **result.chosen}, known, free, step_size)
     again = record.estimate() if free else None
     return record.predicted(again, level)
 

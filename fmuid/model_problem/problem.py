@@ -16,7 +16,8 @@ from fmuid.data import Experiment, JointPrior, Noise, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, LeastSquares, Result
 from fmuid.fmi import FMU
-from fmuid.models import System
+from fmuid.model_problem.choices import Given, choices_of
+from fmuid.models import System, Value
 from fmuid.simulation import (
     AS_ASKED,
     Refinement,
@@ -52,6 +53,9 @@ class Problem(LeastSquares):
     sensitivity : "finite-difference", "forward" or "fmu"
         How the derivatives of the outputs by the parameters are found
         (`fmuid.estimation.model_derivatives.SENSITIVITIES`).
+    choices : mapping of str to sequence of values, or to "all", optional
+        Variables that take few values, Integer, Boolean or of an enumeration: `fmuid.identify` searches with each
+        combination of them and leaves the problem at the best. "all": those that the FMU declares.
     simulators : sequence of Simulator, optional
         Those of another problem that differs in its measurements only, which saves laying out the simulation anew.
 
@@ -89,6 +93,7 @@ class Problem(LeastSquares):
         joint_prior: JointPrior | None = None,
         loss: str = "linear",
         sensitivity: str = "finite-difference",
+        choices: Given | None = None,
         simulators: Sequence[Simulator] = (),
     ) -> None:
         if sensitivity not in SENSITIVITIES:
@@ -96,12 +101,16 @@ class Problem(LeastSquares):
             raise InputError(f"sensitivity {sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
         self.system = System.of(model)
         listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
-        self._simulators = list(simulators) or [
-            Simulator(self.system, experiment, tuple(parameters), values=values or {}, step_size=step_size)
-            for experiment in listed
-        ]
+        self.choices = choices_of(self.system, choices or {})
+        both = next((name for name in self.choices if name in parameters), None)
+        if both is not None:
+            raise InputError(f"{both!r} is to be identified and takes few values: keep one of the two")
+        held = dict(values or {}) | {name: few[0] for name, few in self.choices.items()}
+        self._given = tuple(parameters), held, step_size
+        self._simulators = list(simulators) or self._laid_out(listed, held)
         self.refinement = AS_ASKED
         self._finer: dict[Refinement, Problem] = {}
+        self._tables = listed
         self._known: tuple[Floats, Floats] | None = None
         self._due = 0
         super().__init__(
@@ -114,6 +123,24 @@ class Problem(LeastSquares):
             sensitivity=sensitivity,
             derivatives=_derivatives(self._simulators, sensitivity),
         )
+
+    def _laid_out(self, experiments: Sequence[Experiment], held: Mapping[str, Value]) -> list[Simulator]:
+        names, _, step_size = self._given
+        return [Simulator(self.system, each, names, values=held, step_size=step_size) for each in experiments]
+
+    def choose(self, values: Mapping[str, Value]) -> None:
+        """Hold parameters that take few values at these from now on, simulated as was asked for."""
+        _, held, _ = self._given
+        self._simulators = self._laid_out(self._tables, {**held, **values})
+        self._predictors = tuple(self._simulators)
+        self._derivatives = tuple(_derivatives(self._simulators, self.sensitivity))
+        self.refinement, self._finer, self._known, self._reasons = AS_ASKED, {}, None, {}
+
+    def become(self, result: Result) -> None:
+        """Simulate as a result of this problem was, with the values that it has chosen."""
+        if result.chosen:
+            self.choose(result.chosen)
+        self.simulate_by(refinement_of(result))
 
     @property
     def models(self) -> dict[str, dict[str, Any]]:

@@ -67,6 +67,7 @@ def write_estimates(folder: Path, system: System, result: Result) -> list[Path]:
             unit = system.variables[name].unit
             said = " ".join(filter(None, (f"standard deviation {std:.3g}", unit)))
             values[name] = Quantity(value, unit, said)
+    values |= {name: Quantity(value) for name, value in result.chosen.items() if values}
     path = folder / ESTIMATES_FILE
     if not values or not result.converged:
         path.unlink(missing_ok=True)

@@ -230,7 +230,12 @@ class DiagnosisWords(Words):
             If there is no fault to look for, the healthy result cannot be read, or another word of the study does not
             go with a diagnosis.
         """
-        for said, there in (("[prior]", known.joint_prior is not None), (f'loss = "{loss}"', loss != "linear")):
+        several = (f"values of {next(iter(known.choices), '')}", bool(known.choices))
+        for said, there in (
+            ("[prior]", known.joint_prior is not None),
+            (f'loss = "{loss}"', loss != "linear"),
+            several,
+        ):
             if there:
                 raise self.error(f"does not go with {said} in this version: remove one of the two")
         try:

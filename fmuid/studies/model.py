@@ -82,6 +82,8 @@ class ModelSettings:
         How the FMUs run in a process of their own; None: in this one.
     sources : tuple of Source
         The earlier results that values are taken from.
+    choices : mapping of str to sequence of values, or to "all"
+        The parameters that take few values, of which each combination is tried.
     """
 
     components: Mapping[str, tuple[Path, Numerics]]
@@ -92,6 +94,12 @@ class ModelSettings:
     connectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     isolation: Isolation | None = None
     sources: tuple[Source, ...] = ()
+    choices: Mapping[str, Sequence[Value] | str] = field(default_factory=dict)
+
+    def choosing(self, choices: Mapping[str, Sequence[Value] | str]) -> ModelSettings:
+        """Return the model with parameters that take few values, held at the first where these are listed."""
+        first = {name: values[0] for name, values in choices.items() if not isinstance(values, str)}
+        return replace(self, values={**self.values, **first}, choices=choices)
 
     def system(self) -> System:
         """Return the model: its FMUs and their connections.

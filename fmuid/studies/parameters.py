@@ -10,13 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Tag
+from pydantic import BeforeValidator, Tag
 
 from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import Outcome, Result
 from fmuid.fmi import FMU
-from fmuid.models import System
+from fmuid.models import System, Value
 from fmuid.studies.toml import show
 from fmuid.studies.words import (
     BY_SHAPE,
@@ -32,7 +32,9 @@ from fmuid.studies.words import (
     Numbers,
     Place,
     Positive,
+    Scalar,
     Words,
+    as_list,
     said_of_table,
     word,
 )
@@ -91,10 +93,16 @@ Groups = Annotated[dict[str, Names], Entries("a table { group = experiments }")]
 class ParameterWords(Words):
     """A parameter to identify, by its name in the FMU."""
 
-    start: Number = word(
-        ...,
+    start: Number | None = word(
+        None,
         "where the search begins; of a vector or a matrix, rows of numbers: [[1.0, 0.0], [0.0, 1.0]]",
         json_schema_extra={"type": ["number", "array"]},
+    )
+    values: Annotated[list[Scalar], BeforeValidator(as_list)] = word(
+        [],
+        "in place of all else, of an Integer, a Boolean or an enumeration: its values, of which each is tried; "
+        '"all" that the FMU declares',
+        [1, 2, 3],
     )
     min: Number = word(-math.inf, "lower bound")
     max: Number = word(math.inf, "upper bound")
@@ -242,13 +250,16 @@ class Knowns:
     joint_prior : JointPrior or None
     sources : tuple of Source
     names : tuple of str
-        All parameters, those per experiment one by one.
+        All parameters but the following, those per experiment one by one.
+    choices : dict of str to tuple of values, or to "all"
+        The parameters that take few values.
     """
 
     parameters: dict[str, Parameter]
     joint_prior: JointPrior | None
     sources: tuple[Source, ...]
     names: tuple[str, ...]
+    choices: dict[str, tuple[Value, ...] | str]
 
 
 class Reader:
@@ -280,14 +291,15 @@ class Reader:
         if not words:
             if prior is not None:
                 raise self.top.error("has a [prior] and no parameters: name those to identify under [parameters]")
-            return Knowns({}, None, (), ())
-        parameters = {name: self._parameter(name, each) for name, each in words.items()}
+            return Knowns({}, None, (), (), {})
+        choices = {name: self._values(name, each) for name, each in words.items() if each.values}
+        parameters = {name: self._parameter(name, each) for name, each in words.items() if not each.values}
         alone = self._set(parameters, experiments, None, "parameters")
         if prior is None:
-            return Knowns(parameters, None, tuple(self.sources), alone.names)
+            return Knowns(parameters, None, tuple(self.sources), alone.names, choices)
         joint = self._joint(prior, alone.names)
         self._set(parameters, experiments, joint, "prior")
-        return Knowns(parameters, joint, tuple(self.sources), alone.names)
+        return Knowns(parameters, joint, tuple(self.sources), alone.names, choices)
 
     def _set(
         self, parameters: Mapping[str, Parameter], experiments: Sequence[str], joint: JointPrior | None, table: str
@@ -297,7 +309,16 @@ class Reader:
         except InputError as error:
             raise InputError(f"{self.top.below(table)}: {error}") from None
 
+    def _values(self, name: str, words: ParameterWords) -> tuple[Value, ...] | str:
+        for key in sorted(words.model_fields_set - {"values"}):
+            raise words.error(f"has both values and {key}: a parameter that takes few values has nothing else")
+        if name in self.held:
+            raise words.error(f"is also held at {show(self.held[name])} by [model.values]: keep one of the two")
+        return "all" if words.values == ["all"] else tuple(words.values)
+
     def _parameter(self, name: str, words: ParameterWords) -> Parameter:
+        if words.start is None:
+            raise words.error(f"needs the key 'start': {type(words).model_fields['start'].description}")
         prior = None if words.prior is None else self._normal(name, words.prior)
         try:
             return Parameter(words.start, words.min, words.max, words.nominal, prior, words.per_experiment)

@@ -18,7 +18,7 @@ from fmuid.data import Experiment, JointPrior, Noise, Parameter
 from fmuid.displays import Displayed
 from fmuid.errors import InputError
 from fmuid.estimation import Method, Result
-from fmuid.model_problem import Problem, identify, refinement_of
+from fmuid.model_problem import Problem, identify
 from fmuid.models import System
 from fmuid.progress import Progress
 from fmuid.simulation import Fit, Simulator, fit_of
@@ -161,6 +161,7 @@ class Study(Displayed):
         model = replace(words.model.settings(), isolation=isolation if isolated else None)
         experiments = named(words.experiments, top)
         known = Reader(top, model.values).read(words.parameters, words.prior, [given.name for given in experiments])
+        model = model.choosing(known.choices)
         estimator, search, asked = words.estimator, words.estimator.settings(), words.uncertainty.settings(known.names)
         noise = words.noise.settings({given.name: given.noise for given in experiments})
         estimator.check_loss(search, asked, top)
@@ -256,6 +257,7 @@ class Study(Displayed):
             joint_prior=self.joint_prior,
             loss=self.loss,
             sensitivity=self.sensitivity,
+            choices=self.model.choices,
         )
 
     @cached_property
@@ -270,13 +272,7 @@ class Study(Displayed):
         return tuple(dict.fromkeys(note for source in self._all_sources for note in source.compare(self.system)))
 
     def check_sources(self) -> None:
-        """Check that the results which priors are taken from are of this model.
-
-        Raises
-        ------
-        InputError
-            If one of them is a result of another model.
-        """
+        """Check that the results which priors are taken from are of this model: an `InputError` where one is not."""
         _ = self.notes
 
     @property
@@ -367,7 +363,7 @@ class Study(Displayed):
             If the simulation fails at the result.
         """
         problem = self.problem()
-        problem.simulate_by(refinement_of(result))
+        problem.become(result)
         return explore(problem, result, self.uncertainty_settings, progress, box=self.estimator.whole_box)
 
     def simulators(self) -> tuple[Simulator, ...]:

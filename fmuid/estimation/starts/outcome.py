@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from fmuid.estimation.marquardt.outcome import Outcome
+
 
 class Remedy(Enum):
     """Where a search set out from; the values are what ``result.json`` has."""
@@ -75,3 +77,37 @@ class Attempt:
         return cls(
             Remedy(data["remedy"]), Trouble(data["trouble"]), misfit, int(data["simulations"]), bool(data["kept"])
         )
+
+
+@dataclass(frozen=True)
+class ChoiceTried:
+    """A combination of the values of parameters that take few, which was searched with.
+
+    Attributes
+    ----------
+    values : mapping of str to float, int, bool or str
+    outcome : Outcome or None
+        How its search ended; None where it could not begin.
+    behind : float
+        By how much its −2 ln L, with the prior's part, is above that of the best one: 0 for that, infinite without end.
+    estimates : mapping of str to float
+        Of the other parameters.
+    """
+
+    values: Mapping[str, float | int | bool | str]
+    outcome: Outcome | None
+    behind: float
+    estimates: Mapping[str, float]
+
+    @classmethod
+    def of_json(cls, data: Mapping[str, Any]) -> ChoiceTried:
+        """Return a combination of a file.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If the data are not of one.
+        """
+        outcome = None if data["outcome"] is None else Outcome(data["outcome"])
+        behind = math.inf if data["behind"] is None else float(data["behind"])
+        return cls(dict(data["values"]), outcome, behind, {str(k): float(v) for k, v in data["estimates"].items()})

@@ -22,7 +22,8 @@ class Variable(NamedTuple):
 
     `start`, `min`, `max` and `nominal` are in `unit`; `type` is Real, Integer, Boolean, String, Binary or Clock
     (an enumeration is an Integer), `wire` the FMI 3.0 type that the binary's functions take. The elements of an array
-    (FMI 3.0) are variables ``x[1,1]``, ``x[1,2]`` of one `reference`; `array` has all their names, row by row.
+    (FMI 3.0) are variables ``x[1,1]``, ``x[1,2]`` of one `reference`; `array` has all their names, row by row. `items`
+    are the values that an enumeration has.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Variable(NamedTuple):
     description: str = ""
     is_state: bool = False
     array: tuple[str, ...] = ()
+    items: tuple[int, ...] = ()
 
     @property
     def settable(self) -> bool:

@@ -247,6 +247,7 @@ class _Variables:
                 float(text) if (text := value.get(word) or declared.get(word)) else None
                 for word in ("min", "max", "nominal")
             ]
+            items = tuple(int(item.get("value", "")) for item in declared.iterfind("Item"))
             return [
                 Variable(
                     each,
@@ -264,6 +265,7 @@ class _Variables:
                     description,
                     is_state,
                     array,
+                    items,
                 )
                 for each, text in zip(names, starts, strict=True)
             ]

@@ -8,7 +8,7 @@ from fmuid.estimation import Determined, Outcome
 from fmuid.model_problem import TimeScale
 from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
-from fmuid.reports.words.starts import attempt_words
+from fmuid.reports.words.starts import attempt_words, combination_words
 from fmuid.studies import SourceDoubt
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def start_words(result: Result) -> tuple[str, ...]:
         for name, start, value in zip(result.names, result.start.tolist(), result.values.tolist(), strict=True)
         if start * value < 0 and not result.converged
     ]
-    return *moved, *attempt_words(result), *crossed
+    return *moved, *combination_words(result), *attempt_words(result), *crossed
 
 
 def dependence_words(result: Result) -> tuple[str, ...]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fmuid.estimation import Attempt, Remedy, Trouble
+from fmuid.estimation import Attempt, ChoiceTried, Remedy, Trouble
+from fmuid.model_problem import RIVAL_CRITERION
 from fmuid.text import listed
 
 if TYPE_CHECKING:
@@ -27,6 +28,28 @@ ENDS = {
     Trouble.MISFIT: "left {misfit:.3g} times the noise that the data show",
 }
 """What became of it."""
+
+
+def combination_words(result: Result) -> tuple[str, ...]:
+    """Return which values fit best of parameters that take few, and how far the next best is."""
+    if not result.combinations:
+        return ()
+    best, *others = result.combinations
+    failed = [each for each in others if each.outcome is None]
+    said = f"{_values(best)} fits best of {len(result.combinations)} combinations"
+    if len(others) > len(failed):
+        behind = others[0].behind
+        said += f"; the next best, {_values(others[0])}, is behind by {behind:.3g} in −2 ln L"
+        if behind < RIVAL_CRITERION:
+            said += ": the data hardly tell which of the two is true, measure more"
+    if failed:
+        said += f"; {len(failed)} could not be searched with, {_values(failed[0])} first"
+    return (said,)
+
+
+def _values(each: ChoiceTried) -> str:
+    said = {name: str(value).lower() if isinstance(value, bool) else value for name, value in each.values.items()}
+    return ", ".join(f"{name} = {value}" for name, value in said.items())
 
 
 def attempt_words(result: Result) -> tuple[str, ...]:

@@ -130,7 +130,13 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     return fmi2Discard;
   }
 #endif
+#ifdef CHOICES /* x' = gain * (u + b - n * x), exactly for an input that holds */
+  double rate = m->r[GAIN] * m->n, end = m->n ? (m->r[U] + m->b) / m->n : 0;
+  if (m->n == 9) return fmi2Error;
+  m->r[X] = m->n ? end + (m->r[X] - end) * exp(-rate * h) : m->r[X] + m->r[GAIN] * (m->r[U] + m->b) * h;
+#else
   m->r[X] += m->r[GAIN] * m->r[U] * h;
+#endif
   m->time = t + h;
   if (t + h > m->r[NAN_AT]) m->r[X] = NAN;
   if (m->n == 7) say(m, fmi2Warning, "%s: seven at %g", t);
