@@ -32,8 +32,8 @@ from .layout import FeedThrough as FeedThrough
 from .layout import Integration as Integration
 from .layout import Operation as Operation
 from .layout import Plan as Plan
-from .layout import Run as Run
 from .layout import Sensitivities as Sensitivities
+from .layout import Simulation as Simulation
 from .layout import TimeGrid as TimeGrid
 from .layout import new_reports as new_reports
 from .layout import shares as shares

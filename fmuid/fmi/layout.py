@@ -132,7 +132,7 @@ def new_reports(count: int) -> NDArray[np.intp]:
     return np.full((count, codes.REPORT), codes.UNDONE, np.intp)
 
 
-class Run:
+class Simulation:
     """What threads simulate: a plan over a grid. It can travel to another process.
 
     Parameters
@@ -145,8 +145,8 @@ class Run:
     def __init__(self, plan: Plan, grid: TimeGrid, output_names: tuple[str, ...]) -> None:
         self.plan, self.grid, self.output_names = plan, grid, output_names
 
-    def __reduce__(self) -> tuple[type[Run], tuple[Plan, TimeGrid, tuple[str, ...]]]:
-        return Run, (self.plan, self.grid, self.output_names)
+    def __reduce__(self) -> tuple[type[Simulation], tuple[Plan, TimeGrid, tuple[str, ...]]]:
+        return Simulation, (self.plan, self.grid, self.output_names)
 
     def integrate(self, component: int, integrator: str) -> None:
         """Integrate a component for model exchange by another integrator from now on."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import SimulationError
-from fmuid.fmi import Run
+from fmuid.fmi import Simulation
 
 
 class Executor(Protocol):
@@ -19,12 +19,12 @@ class Executor(Protocol):
 
     lock: threading.RLock
 
-    def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         """Simulate all thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
 
     def failure(
         self,
-        run: Run,
+        simulation: Simulation,
         theta: Floats,
         outputs: Floats,
         report: NDArray[np.intp],

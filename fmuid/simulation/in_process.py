@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import SimulationError
-from fmuid.fmi import Custody, Run, codes, shares
+from fmuid.fmi import Custody, Simulation, codes, shares
 from fmuid.models import STIFF_INTEGRATOR, Component
 from fmuid.simulation.simulation_thread import SimulationThread
 
@@ -47,28 +47,28 @@ class InProcessExecutor:
         self._custody = Custody((model.fmu, model.kind) for model in components.values())
         self._doing: NDArray[np.intp] | None = None
 
-    def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         """Simulate all thetas (m, N), in equal shares over the threads; a model found stiff is run again as such.
 
         Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`).
         """
         with self._custody.turn(self):
-            self._run_shares(run, thetas, outputs, reports)
-            if any(run.plan.integrations) and self._found_stiff(run, reports):
+            self._run_shares(simulation, thetas, outputs, reports)
+            if any(simulation.plan.integrations) and self._found_stiff(simulation, reports):
                 for thread in self._threads:
-                    thread.forget(run)
-                self._run_shares(run, thetas, outputs, reports)
+                    thread.forget(simulation)
+                self._run_shares(simulation, thetas, outputs, reports)
 
-    def _found_stiff(self, run: Run, reports: NDArray[np.intp]) -> bool:
+    def _found_stiff(self, simulation: Simulation, reports: NDArray[np.intp]) -> bool:
         """Have a run integrate as such the models that the default integrator found stiff; return if there are any."""
         stiff = {int(component) for function, component, *_ in reports if function == codes.STIFF}
         models = list(self._components.values())
         undecided = [component for component in stiff if models[component].numerics.integrator is None]
         for component in undecided:
-            run.integrate(component, STIFF_INTEGRATOR)
+            simulation.integrate(component, STIFF_INTEGRATOR)
         return bool(undecided)
 
-    def _run_shares(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _run_shares(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         count = min(self._limit, len(thetas))
         while len(self._threads) < count:
             self._threads.append(SimulationThread(self._components, len(self._threads), self._resets, self._told))
@@ -76,26 +76,26 @@ class InProcessExecutor:
         futures: list[Future[None]] = []
         try:
             if count == 1:
-                self._threads[0].start(self._threads[0].run, run, thetas, outputs, reports)
+                self._threads[0].start(self._threads[0].run, simulation, thetas, outputs, reports)
                 return
             for thread, share in reversed(list(zip(self._threads, shares(len(thetas), count), strict=False))):
                 # the caller's own share last: it is worked off at once
-                future = thread.start(thread.run, run, thetas[share], outputs[share], reports[share])
+                future = thread.start(thread.run, simulation, thetas[share], outputs[share], reports[share])
                 futures += [future] if future else []
             wait(futures)
         except BaseException:  # an interruption: the other threads are not to go on for nobody
             for thread in self._threads:
-                thread.cancel(run)
+                thread.cancel(simulation)
             wait(futures)
             for thread in self._threads:
-                thread.forget(run)
+                thread.forget(simulation)
             raise
         for future in futures:
             future.result()
 
     def failure(
         self,
-        run: Run,
+        simulation: Simulation,
         theta: Floats,
         outputs: Floats,
         report: NDArray[np.intp],
@@ -107,11 +107,11 @@ class InProcessExecutor:
         To `explain` it, the simulation is repeated to hear what the FMU says; the error names the `parameters`.
         """
         thread = self._threads[0]
-        known = thread.error(run, outputs, report, parameters)
+        known = thread.error(simulation, outputs, report, parameters)
         if known is None or not explain:
             return known
         with self._custody.turn(self):
-            return thread.explain(run, theta, parameters) or known
+            return thread.explain(simulation, theta, parameters) or known
 
     @property
     def longest(self) -> float:

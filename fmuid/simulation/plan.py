@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fmuid.fmi import MOST_STEPS, Integration, Plan, Run, codes
+from fmuid.fmi import MOST_STEPS, Integration, Plan, Simulation, codes
 from fmuid.models import DEFAULT_TOLERANCE
 from fmuid.simulation import operations
 from fmuid.simulation.grid import grid_of
@@ -14,7 +14,7 @@ from fmuid.simulation.operations import Operations, Outputs
 from fmuid.simulation.task import Task
 
 
-def run_of(task: Task) -> Run:
+def simulation_of(task: Task) -> Simulation:
     """Return the run of a task.
 
     Raises
@@ -22,7 +22,7 @@ def run_of(task: Task) -> Run:
     InputError
         If an FMU cannot step that way, or elements of one array vary in different ways.
     """
-    return Run(plan_of(task), grid_of(task), task.experiment.output_names)
+    return Simulation(plan_of(task), grid_of(task), task.experiment.output_names)
 
 
 def plan_of(task: Task, add_outputs: Callable[[Operations], Outputs] = operations.outputs) -> Plan:

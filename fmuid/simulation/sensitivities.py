@@ -11,14 +11,14 @@ from fmuid.arrays import Floats
 from fmuid.errors import InputError, RefusedError
 from fmuid.models import DEFAULT_TOLERANCE
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.forward_run import (
+from fmuid.simulation.forward_simulation import (
     Refusal,
-    SensitivityRun,
-    directional_run,
+    SensitivitySimulation,
+    directional_simulation,
     extended_by,
-    initial_run,
+    initial_simulation,
     initial_states,
-    twin_run,
+    twin_simulation,
 )
 from fmuid.simulation.simulator import Simulator
 
@@ -122,10 +122,10 @@ class ForwardSensitivities:
         self._simulator, self._model = simulator, model
         variables = [simulator.system.variables[name] for name, *_ in simulator.targets]
         self._nominal = np.array([abs(variable.nominal or 1.0) for variable in variables])
-        self._directional = directional_run(simulator)
-        self._initial = initial_run(simulator) if self._directional else None
+        self._directional = directional_simulation(simulator)
+        self._initial = initial_simulation(simulator) if self._directional else None
         self._checked = False
-        self._twins: SensitivityRun | None = None
+        self._twins: SensitivitySimulation | None = None
         self._lock = threading.RLock()  # the arrays of a run hold one theta
 
     @property
@@ -170,13 +170,15 @@ class ForwardSensitivities:
                 return self._derivatives(theta)
         return gathered
 
-    def _by_directional_derivatives(self, run: SensitivityRun, values: Floats, magnitudes: Floats) -> Floats | None:
+    def _by_directional_derivatives(
+        self, simulation: SensitivitySimulation, values: Floats, magnitudes: Floats
+    ) -> Floats | None:
         """Return the derivatives by variables, in the units of the FMU, None if the FMU does not give them."""
         initial = self._initial_sensitivities(values, magnitudes)
         if initial is None:
             return None
-        run.given.magnitudes[:], run.given.initial[:] = magnitudes, initial
-        outputs = run.simulate(executor_of(self._simulator.system), values)
+        simulation.given.magnitudes[:], simulation.given.initial[:] = magnitudes, initial
+        outputs = simulation.simulate(executor_of(self._simulator.system), values)
         if isinstance(outputs, Refusal):
             return None
         n = len(self._simulator.output_names)
@@ -208,18 +210,18 @@ class ForwardSensitivities:
             name = self._model.fmu.path.name
             return Refusal(f"{name} can be instantiated only once, and differences need twins of it")
         if self._twins is None:
-            self._twins = twin_run(self._simulator)
-        run, changed = self._twins, values + TWIN_STEP * magnitudes
+            self._twins = twin_simulation(self._simulator)
+        simulation, changed = self._twins, values + TWIN_STEP * magnitudes
         tolerance = self._model.numerics.tolerance or DEFAULT_TOLERANCE
-        run.given.magnitudes[:] = magnitudes * min(1.0, tolerance / TWIN_TOLERANCE)
-        run.given.steps[:] = changed - values
+        simulation.given.magnitudes[:] = magnitudes * min(1.0, tolerance / TWIN_TOLERANCE)
+        simulation.given.steps[:] = changed - values
         several = np.tile(values, (values.size + 1, 1))
         np.fill_diagonal(several, changed)
-        outputs = run.simulate(executor_of(run.system), several.ravel())
+        outputs = simulation.simulate(executor_of(simulation.system), several.ravel())
         if isinstance(outputs, Refusal):
             return outputs
         split = np.moveaxis(outputs.reshape(len(outputs), values.size + 1, -1), 1, 0)
-        found: Floats = (split[:-1] - split[-1]) / run.given.steps[:, None, None]
+        found: Floats = (split[:-1] - split[-1]) / simulation.given.steps[:, None, None]
         return found
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError, SimulationError
-from fmuid.fmi import Instance, Loop, Run, codes, describe, new_reports, warn
+from fmuid.fmi import Instance, Loop, Simulation, codes, describe, new_reports, warn
 from fmuid.models import Component
 
 _log = logging.getLogger("fmuid.fmu")
@@ -77,7 +77,7 @@ class SimulationThread:
         self._components, self._index = components, index
         self._executor = ThreadPoolExecutor(1, f"fmuid-{index}") if index else None
         self._instances: list[Instance] = []
-        self._loops: weakref.WeakKeyDictionary[Run, Loop] = weakref.WeakKeyDictionary()
+        self._loops: weakref.WeakKeyDictionary[Simulation, Loop] = weakref.WeakKeyDictionary()
         self._used = np.zeros(0, np.intp)
         self._seconds = CALL_SECONDS  # of one simulation, as last measured
         self._resets, self._cancelled = resets, False
@@ -96,18 +96,18 @@ class SimulationThread:
         task(*arguments)
         return None
 
-    def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, codes.REPORT)."""
         done = 0
         while done < len(thetas) and not self._cancelled:
             share = max(1, int(CALL_SECONDS / self._seconds)) if self._resets else 1
             part = slice(done, min(len(thetas), done + share))
             began = time.perf_counter()
-            self._call(run, thetas[part], outputs[part], reports[part])
+            self._call(simulation, thetas[part], outputs[part], reports[part])
             self._seconds = max((time.perf_counter() - began) / share, 1e-6)
             if (reports[part, 2] == codes.DONE_WELL).all():
                 if self._resets is None:
-                    self._try_reset(run, thetas[part], outputs[part])
+                    self._try_reset(simulation, thetas[part], outputs[part])
             else:
                 part = self._valid(part, reports)
                 if (reports[part, 2][reports[part, 0] >= 0] >= FATAL).any():
@@ -126,21 +126,21 @@ class SimulationThread:
             again |= stuck
         return slice(part.start, part.start + int(np.argmax(again)) if again.any() else part.stop)
 
-    def _try_reset(self, run: Run, theta: Floats, expected: Floats) -> None:
+    def _try_reset(self, simulation: Simulation, theta: Floats, expected: Floats) -> None:
         """Repeat the first simulation after a reset: an FMU that keeps something is instantiated anew every time."""
         if not np.isfinite(expected).all():
             return
         with self._busy(codes.REPEATING):
-            self._judge_reset(run, theta, expected)
+            self._judge_reset(simulation, theta, expected)
 
-    def _judge_reset(self, run: Run, theta: Floats, expected: Floats) -> None:
-        same, fatal = self._repeats(run, theta, expected)
+    def _judge_reset(self, simulation: Simulation, theta: Floats, expected: Floats) -> None:
+        same, fatal = self._repeats(simulation, theta, expected)
         self._resets = same
         if not same:
             self._give_up_reset(fatal)
         if not same and self._can_be_replaced:
             self._prepare()
-            same, fatal = self._repeats(run, theta, expected)
+            same, fatal = self._repeats(simulation, theta, expected)
             self.close(fatal)
             if not same and self._index == 0:
                 _log.warning(
@@ -149,10 +149,10 @@ class SimulationThread:
                     ", ".join(self._labels),
                 )
 
-    def _repeats(self, run: Run, theta: Floats, expected: Floats) -> tuple[bool, bool]:
+    def _repeats(self, simulation: Simulation, theta: Floats, expected: Floats) -> tuple[bool, bool]:
         """Simulate again; return whether the outputs are the same, and whether the FMU failed fatally."""
         outputs, report = np.empty_like(expected), new_reports(1)
-        self._simulate(run, theta, outputs, report)
+        self._simulate(simulation, theta, outputs, report)
         tolerance = RESET_TOLERANCE * np.abs(expected).max(initial=0.0)
         same = report[0, 0] < 0 and np.allclose(outputs, expected, rtol=0.0, atol=tolerance)
         return bool(same), bool(report[0, 0] >= 0 and report[0, 2] >= FATAL)
@@ -182,9 +182,9 @@ class SimulationThread:
         finally:
             self.doing[0] = before
 
-    def explain(self, run: Run, theta: Floats, parameters: Mapping[str, float]) -> SimulationError | None:
+    def explain(self, simulation: Simulation, theta: Floats, parameters: Mapping[str, float]) -> SimulationError | None:
         """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
-        outputs = np.empty((1, run.grid.times.size, len(run.output_names)))
+        outputs = np.empty((1, simulation.grid.times.size, len(simulation.output_names)))
         reports = new_reports(1)
         if self._resets is False or (self._resets is None and self._can_be_replaced):
             self.close()  # whether a reset undoes the failure is not known
@@ -192,8 +192,8 @@ class SimulationThread:
         for instance in self._instances:
             instance.forget_messages()
             instance.set_logging(True)
-        self._simulate(run, theta[np.newaxis], outputs, reports)
-        error = self.error(run, outputs[0], reports[0], parameters)
+        self._simulate(simulation, theta[np.newaxis], outputs, reports)
+        error = self.error(simulation, outputs[0], reports[0], parameters)
         if reports[0, 0] >= 0 and reports[0, 2] >= FATAL:
             self.close(fatal=True)
         for instance in self._instances:
@@ -202,32 +202,32 @@ class SimulationThread:
         return error
 
     def error(
-        self, run: Run, outputs: Floats, report: NDArray[np.intp], parameters: Mapping[str, float]
+        self, simulation: Simulation, outputs: Floats, report: NDArray[np.intp], parameters: Mapping[str, float]
     ) -> SimulationError | None:
         """Return what a report and the outputs say, as an error; None where the simulation succeeded."""
         function, component, _, sample = (int(word) for word in report[:4])
         if function >= 0:
-            at = float(run.grid.times[max(sample, 0)])
+            at = float(simulation.grid.times[max(sample, 0)])
             if function == codes.LOOP:
-                loop = run.plan.loops[component]
+                loop = simulation.plan.loops[component]
                 what = f"the loop of direct feed-through through {loop.words} ({len(loop.signals)} unknowns) has no "
                 return SimulationError(", ".join(self._labels), at, parameters, what + "solution that is found", [])
             said = _last_words(self._instances[component]) if self._instances else []
-            what = self._describe(run, report)
+            what = self._describe(simulation, report)
             return SimulationError(self._labels[component], at, parameters, what, said)
         finite = np.isfinite(outputs)
         if not finite.all():
             row, column = np.argwhere(~finite)[0]
-            what = f"output {run.output_names[column]!r} is not finite"
+            what = f"output {simulation.output_names[column]!r} is not finite"
             said = [text for instance in self._instances for text in _last_words(instance)]
-            return SimulationError(", ".join(self._labels), float(run.grid.times[row]), parameters, what, said)
+            return SimulationError(", ".join(self._labels), float(simulation.grid.times[row]), parameters, what, said)
         return None
 
-    def _describe(self, run: Run, report: NDArray[np.intp]) -> str:
+    def _describe(self, simulation: Simulation, report: NDArray[np.intp]) -> str:
         failure, component, status, _, bad = (int(word) for word in report[:5])
         time, step = (float(number) for number in report[5:].view(np.float64))
         description = list(self._components.values())[component].fmu.description
-        integration, count = run.plan.integrations[component], len(description.states)
+        integration, count = simulation.plan.integrations[component], len(description.states)
         state = description.states[bad % count] if bad >= 0 and count else "of the model"
         state += f" (its sensitivity to parameter {bad // count})" if count and bad >= count else ""
         integrator = integration.integrator if integration else ""
@@ -241,16 +241,16 @@ class SimulationThread:
         self._instances = []
         self._loops.clear()
 
-    def cancel(self, run: Run) -> None:
+    def cancel(self, simulation: Simulation) -> None:
         """Let the simulations of a run end soon, as failed; it must be forgotten before its next one."""
         self._cancelled = True
-        loop = self._loops.get(run)
+        loop = self._loops.get(simulation)
         if loop is not None:
             loop.cancel()
 
-    def forget(self, run: Run) -> None:
+    def forget(self, simulation: Simulation) -> None:
         """Lay a run out anew before its next simulation."""
-        self._loops.pop(run, None)
+        self._loops.pop(simulation, None)
 
     def shut_down(self) -> None:
         """Free the instances in their own thread and end it."""
@@ -283,21 +283,21 @@ class SimulationThread:
                     self._instances.append(Instance(model.fmu, model.kind, name))
             self._used = np.zeros(len(self._instances), np.intp)
 
-    def _call(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _call(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         if self._resets is False:
             self.close()
         self._prepare()
-        self._simulate(run, thetas, outputs, reports)
+        self._simulate(simulation, thetas, outputs, reports)
         if self._resets is None and reports[0, 0] == codes.RESET:  # the simulation before failed: nothing was known
             self._give_up_reset(fatal=reports[0, 2] >= FATAL)
             self._prepare()
-            self._simulate(run, thetas, outputs, reports)
+            self._simulate(simulation, thetas, outputs, reports)
 
-    def _simulate(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
-        loop = self._loops.get(run)
+    def _simulate(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+        loop = self._loops.get(simulation)
         if loop is None:
             with self._busy(codes.PREPARING):
-                loop = self._loops[run] = Loop(run.plan, run.grid, self._instances, self._used)
+                loop = self._loops[simulation] = Loop(simulation.plan, simulation.grid, self._instances, self._used)
         if self._cancelled:
             loop.cancel()
         began = time.perf_counter()

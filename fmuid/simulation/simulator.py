@@ -14,7 +14,7 @@ from fmuid.errors import InputError, SimulationError
 from fmuid.fmi import FMU, codes, new_reports
 from fmuid.models import Isolation, Numerics, System, Value, column_conversion
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.plan import run_of
+from fmuid.simulation.plan import simulation_of
 from fmuid.simulation.task import task_of
 
 
@@ -102,7 +102,9 @@ class Simulator:
             for name, factor, offset in self.system.targets(parameter)
         ]
         names = [name for name, *_ in self._targets]
-        self._run = run_of(task_of(self.system, experiment, names, self._target_values(), step_size, divisor))
+        self._simulation = simulation_of(
+            task_of(self.system, experiment, names, self._target_values(), step_size, divisor)
+        )
         self._executor = executor_of(self.system)
         self._conversions = self._output_conversions()
         fed = {*names, *self._target_values(), *self.system.connected_inputs, *self.system.connectors}
@@ -154,13 +156,13 @@ class Simulator:
     @property
     def stiff(self) -> frozenset[str]:
         """The components that "rk45", where nobody asked for it, has found stiff: "cvode" has taken its place."""
-        begun = zip(self.system.components.items(), self._run.plan.integrations, strict=True)
+        begun = zip(self.system.components.items(), self._simulation.plan.integrations, strict=True)
         return frozenset(name for (name, model), now in begun if now and now.integrator != model.integrator)
 
     @property
     def corrects(self) -> bool:
         """Whether measurements correct the states at the samples."""
-        return self._run.grid.gain is not None
+        return self._simulation.grid.gain is not None
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -202,10 +204,10 @@ class Simulator:
             )
         if not np.isfinite(given).all():
             raise InputError(f"theta must be finite; one of the values for {self._names} is not")
-        outputs = np.empty((len(given), self._run.grid.times.size, len(self.output_names)))
+        outputs = np.empty((len(given), self._simulation.grid.times.size, len(self.output_names)))
         reports = new_reports(len(given))
         with self._executor.lock:
-            self._executor.run(self._run, self.target_values(given), outputs, reports)
+            self._executor.run(self._simulation, self.target_values(given), outputs, reports)
             errors = self._explain(given, outputs, reports)
         return Simulations(self.in_table_units(outputs), errors)
 
@@ -253,7 +255,7 @@ class Simulator:
         measured = self.experiment.output_values.copy()
         for j, (factor, offset) in self._conversions.items():
             measured[:, j] = (measured[:, j] - offset) / factor
-        other._run.grid = other._run.grid._replace(gain=np.ascontiguousarray(gain), measured=measured)
+        other._simulation.grid = other._simulation.grid._replace(gain=np.ascontiguousarray(gain), measured=measured)
         return other
 
     def _like(
@@ -268,7 +270,7 @@ class Simulator:
         other = Simulator(system, experiment, self.parameters, values=values, step_size=step_size, divisor=divisor)
         if tolerance is not None:
             other._tolerance = tolerance
-            other._run.control(tolerance, most_steps)
+            other._simulation.control(tolerance, most_steps)
         return other
 
     @property
@@ -295,7 +297,7 @@ class Simulator:
             theta = self.target_values(thetas[i : i + 1])[0]
             # what the FMU says costs another simulation: for the first failure
             explain = not any(errors)
-            errors[i] = self._executor.failure(self._run, theta, outputs[i], reports[i], named, explain)
+            errors[i] = self._executor.failure(self._simulation, theta, outputs[i], reports[i], named, explain)
             if errors[i] is not None:
                 outputs[i] = np.nan
         return tuple(errors)

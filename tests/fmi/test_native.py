@@ -20,12 +20,12 @@ from fmuid.fmi import codes, native
 from fmuid.fmi.checks import check_arrays, check_plan
 from fmuid.fmi.fmu import FMU
 from fmuid.fmi.instance import Instance
-from fmuid.fmi.layout import Operation, Run, new_reports
+from fmuid.fmi.layout import Operation, Simulation, new_reports
 from fmuid.fmi.loop import Loop
 from fmuid.fmi.native import build
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
-from fmuid.simulation.plan import run_of
+from fmuid.simulation.plan import simulation_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.task import task_of
 from tests.support.exported import export_text
@@ -117,47 +117,52 @@ def test_every_compiler_is_told_its_target() -> None:
 
 
 @pytest.fixture(scope="module")
-def runs() -> dict[str, tuple[Run, list[int]]]:
+def runs() -> dict[str, tuple[Simulation, list[int]]]:
     """Plans of all kinds with the versions of their components: connected, with a loop, by model exchange."""
     frame = pd.DataFrame({"time": TIMES, "u": np.sin(TIMES), "i": 0.0})
     coil = FMUS / "Coil" / "Coil.fmu"
     pair = System(components={"a": coil, "b": coil}, connections=[("a.i", "b.u", 2.0, 1.0)], master="gauss-seidel")
     single = Experiment(frame, ["u"], ["i"])
     return {
-        "pair": (run_of(task_of(pair, Experiment(frame, {"a.u": "u"}, {"b.i": "i"}), ["a.R"], {}, None)), [2, 2]),
-        "co-simulation": (run_of(task_of(System(coil), single, ["R", "L"], {}, 0.01)), [2]),
+        "pair": (
+            simulation_of(task_of(pair, Experiment(frame, {"a.u": "u"}, {"b.i": "i"}), ["a.R"], {}, None)),
+            [2, 2],
+        ),
+        "co-simulation": (simulation_of(task_of(System(coil), single, ["R", "L"], {}, 0.01)), [2]),
         "model exchange": (
-            run_of(task_of(System(coil, numerics=Numerics("model-exchange")), single, ["R"], {}, None)),
+            simulation_of(task_of(System(coil, numerics=Numerics("model-exchange")), single, ["R"], {}, None)),
             [2],
         ),
     }
 
 
 @pytest.mark.parametrize("name", ["pair", "co-simulation", "model exchange"])
-def test_no_operation_that_points_nowhere_gets_through(runs: dict[str, tuple[Run, list[int]]], name: str) -> None:
-    run, versions = runs[name]
-    check_plan(run.plan, run.grid, versions)
-    for i, operation in enumerate(run.plan.operations):
+def test_no_operation_that_points_nowhere_gets_through(
+    runs: dict[str, tuple[Simulation, list[int]]], name: str
+) -> None:
+    simulation, versions = runs[name]
+    check_plan(simulation.plan, simulation.grid, versions)
+    for i, operation in enumerate(simulation.plan.operations):
         for field in Operation._fields:
             if operation.function == codes.COPY and field in ("component", "n_values", "wire", "when"):
                 continue  # of no meaning
             for wrong in (-1, -(2**40), 10**6, 2**62):
-                operations = list(run.plan.operations)
+                operations = list(simulation.plan.operations)
                 operations[i] = operation._replace(**{field: wrong})
                 with pytest.raises(ValueError, match="operations"):
-                    check_plan(run.plan._replace(operations=tuple(operations)), run.grid, versions)
+                    check_plan(simulation.plan._replace(operations=tuple(operations)), simulation.grid, versions)
 
 
 @pytest.mark.parametrize("name", ["pair", "co-simulation", "model exchange"])
-def test_no_index_that_points_nowhere_gets_through(runs: dict[str, tuple[Run, list[int]]], name: str) -> None:
-    run, versions = runs[name]
+def test_no_index_that_points_nowhere_gets_through(runs: dict[str, tuple[Simulation, list[int]]], name: str) -> None:
+    simulation, versions = runs[name]
     for part, kinds in (
         ("plan", ("stages", "parameter_signals", "input_signals", "input_modes", "derivative_signals")),
         ("plan", ("output_signals", "output_terms", "groups")),
         ("grid", ("substeps", "strides")),
     ):
         for kind in kinds:
-            whole = getattr(run, part)
+            whole = getattr(simulation, part)
             given = getattr(whole, kind)
             for place in np.ndindex(given.shape):
                 for wrong in (-7, -(2**62), 2**62):
@@ -165,30 +170,32 @@ def test_no_index_that_points_nowhere_gets_through(runs: dict[str, tuple[Run, li
                         continue  # many substeps are not wrong
                     changed = given.copy()
                     changed[place] = wrong
-                    both = {"plan": run.plan, "grid": run.grid} | {part: whole._replace(**{kind: changed})}
+                    both = {"plan": simulation.plan, "grid": simulation.grid} | {
+                        part: whole._replace(**{kind: changed})
+                    }
                     with pytest.raises(ValueError, match="of a plan"):
                         check_plan(both["plan"], both["grid"], versions)
             for other in (given.astype(np.int32), given[:-1] if kind != "groups" else given[:, :1]):
-                both = {"plan": run.plan, "grid": run.grid} | {part: whole._replace(**{kind: other})}
+                both = {"plan": simulation.plan, "grid": simulation.grid} | {part: whole._replace(**{kind: other})}
                 if other.dtype == np.int32 or kind not in ("parameter_signals", "output_signals", "output_terms"):
                     with pytest.raises(ValueError, match="of a plan"):
                         check_plan(both["plan"], both["grid"], versions)
 
 
-def test_random_plans_are_refused_or_run(runs: dict[str, tuple[Run, list[int]]]) -> None:
+def test_random_plans_are_refused_or_run(runs: dict[str, tuple[Simulation, list[int]]]) -> None:
     """Small indices at random: what gets through the checks does not crash (best seen under a sanitizer)."""
     rng = np.random.default_rng(12)
-    run, _ = runs["pair"]
+    simulation, _ = runs["pair"]
     fmu = System(FMUS / "Coil" / "Coil.fmu").components[""].fmu
     instances = [Instance(fmu, "co-simulation", name) for name in "ab"]
     used, refused, tried = np.zeros(2, np.intp), 0, 300
     for _ in range(tried):
-        operations = list(run.plan.operations)
+        operations = list(simulation.plan.operations)
         i, field = rng.integers(len(operations)), str(rng.choice(Operation._fields))
         operations[i] = operations[i]._replace(**{field: int(rng.integers(-1, 30))})
-        plan = run.plan._replace(operations=tuple(operations))
+        plan = simulation.plan._replace(operations=tuple(operations))
         try:
-            loop = Loop(plan, run.grid, instances, used)
+            loop = Loop(plan, simulation.grid, instances, used)
         except (ValueError, InputError):
             refused += 1
             continue
@@ -198,18 +205,18 @@ def test_random_plans_are_refused_or_run(runs: dict[str, tuple[Run, list[int]]])
         instance.close()
 
 
-def test_arrays_of_other_shapes_are_refused(runs: dict[str, tuple[Run, list[int]]]) -> None:
-    run, _ = runs["pair"]
+def test_arrays_of_other_shapes_are_refused(runs: dict[str, tuple[Simulation, list[int]]]) -> None:
+    simulation, _ = runs["pair"]
     right = np.zeros((3, 1)), np.zeros((3, TIMES.size, 1)), new_reports(3)
-    check_arrays(run.plan, run.grid, *right)
+    check_arrays(simulation.plan, simulation.grid, *right)
     for i, name in enumerate(("thetas", "outputs", "reports")):
         for wrong in (right[i][:, :0], right[i].astype(np.float32), np.asfortranarray(np.repeat(right[i], 2, 1))):
             arrays: list[Any] = list(right)
             arrays[i] = wrong
             with pytest.raises(ValueError, match=name):
-                check_arrays(run.plan, run.grid, *arrays)
+                check_arrays(simulation.plan, simulation.grid, *arrays)
     with pytest.raises(ValueError, match="outputs"):
-        check_arrays(run.plan, run.grid, right[0], right[1][:2], right[2])
+        check_arrays(simulation.plan, simulation.grid, right[0], right[1][:2], right[2])
 
 
 # --- what it does
@@ -222,10 +229,12 @@ def test_a_simulation_is_cancelled_inside_its_integrator(tmp_path: Path, method:
     numerics = Numerics("model-exchange", method, tolerance=1e-13, step_size=step)
     system = System(hybrid_fmu(tmp_path, "van_der_pol"), numerics=numerics)
     frame = pd.DataFrame({"time": [0.0, 1e5], "x": 0.0})
-    run = run_of(task_of(system, Experiment(frame, [], {"x0": "x"}), [], {"p0": 1.0, "start0": 2.0}, None))
+    simulation = simulation_of(
+        task_of(system, Experiment(frame, [], {"x0": "x"}), [], {"p0": 1.0, "start0": 2.0}, None)
+    )
     (component,) = system.components.values()
     instance, used = Instance(component.fmu, component.kind, "x"), np.zeros(1, np.intp)
-    loop, reports = Loop(run.plan, run.grid, [instance], used), new_reports(1)
+    loop, reports = Loop(simulation.plan, simulation.grid, [instance], used), new_reports(1)
     thread = threading.Thread(target=loop.run, args=(np.zeros((1, 0)), np.zeros((1, 2, 1)), reports))
     state = loop._integrators[0]
     assert state is not None
@@ -286,12 +295,12 @@ def test_whole_rows_go_through_as_each_sample_does(probe: ProbeMaker, model: str
         thetas = np.array([[9.0], [0.25], [0.05]])
     experiment = Experiment(frame, inputs, dict.fromkeys(outputs, "y"), interpolation=interpolation)
     system = System(path, numerics=Numerics("co-simulation"))
-    run = run_of(task_of(system, experiment, parameters, {}, None))
+    simulation = simulation_of(task_of(system, experiment, parameters, {}, None))
     (component,) = system.components.values()
     found = []
     for by_rows in (True, False):
         instance, used = Instance(component.fmu, component.kind, "x"), np.zeros(1, np.intp)
-        loop = Loop(run.plan, run.grid, [instance], used)
+        loop = Loop(simulation.plan, simulation.grid, [instance], used)
         assert loop._plan.by_rows
         loop._plan.by_rows = by_rows
         got, reports = np.zeros((len(thetas), 6, len(outputs))), new_reports(len(thetas))
@@ -303,12 +312,12 @@ def test_whole_rows_go_through_as_each_sample_does(probe: ProbeMaker, model: str
     assert (found[0][1][1][0] >= 0) == (model == "failing")
 
 
-def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, tuple[Run, list[int]]]) -> None:
+def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, tuple[Simulation, list[int]]]) -> None:
     coil = FMU(FMUS / "Coil" / "Coil.fmu")
-    for run, versions in runs.values():  # coupled; in substeps; by model exchange
-        kinds = ["model-exchange" if each else "co-simulation" for each in run.plan.integrations]
+    for simulation, versions in runs.values():  # coupled; in substeps; by model exchange
+        kinds = ["model-exchange" if each else "co-simulation" for each in simulation.plan.integrations]
         instances = [Instance(coil, kind, f"x{i}") for i, kind in enumerate(kinds)]
-        assert not Loop(run.plan, run.grid, instances, np.zeros(len(versions), np.intp))._plan.by_rows
+        assert not Loop(simulation.plan, simulation.grid, instances, np.zeros(len(versions), np.intp))._plan.by_rows
         for instance in instances:
             instance.close()
 

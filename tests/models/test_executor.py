@@ -14,7 +14,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.forward_run import twin_run
+from fmuid.simulation.forward_simulation import twin_simulation
 from fmuid.simulation.simulator import Simulator
 from tests.support.paths import FMUS
 from tests.support.probe_fmu import ProbeMaker
@@ -65,7 +65,7 @@ def test_an_executor_is_made_once_and_closed_with_the_variants() -> None:
     frame = pd.DataFrame({"time": 0.01 * np.arange(20), "u": 1.0, "i": 0.0})
     with System(coil, numerics=Numerics("model-exchange")) as system:
         simulators = [Simulator(system, Experiment(frame, ["u"], ["i"]), ["R", "L"]) for _ in range(2)]
-        runs = [twin_run(simulator) for simulator in simulators]
+        runs = [twin_simulation(simulator) for simulator in simulators]
         simulators[0]([4.0, 0.1])
         for run in runs:
             run.simulate(executor_of(run.system), np.tile([4.0, 0.1], 3))

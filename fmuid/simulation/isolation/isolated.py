@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import FmuidError, SimulationError
-from fmuid.fmi import Run, codes, shares
+from fmuid.fmi import Simulation, codes, shares
 from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
 from fmuid.simulation.isolation.ends import GREW, HUNG, KILLED, End
 from fmuid.simulation.isolation.keeper import FIRST_TIME_LIMIT, MOST_KILLS, Keeper, left
@@ -62,7 +62,7 @@ class IsolatedExecutor:
         self._limit = min(limit, settings.threads or limit)
         self._keeper = Keeper(settings, [], set() if told is None else told)
         self._resets: bool | None = None  # False: a reset crashes the FMU
-        self._numbers: weakref.WeakKeyDictionary[Run, int] = weakref.WeakKeyDictionary()
+        self._numbers: weakref.WeakKeyDictionary[Simulation, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()
         self._steps = 0  # of the simulation with most of them
         self._found_stiff = 0  # models, in any run
@@ -71,7 +71,7 @@ class IsolatedExecutor:
 
     # --- simulations
 
-    def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
         Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`). Where one of
@@ -81,9 +81,9 @@ class IsolatedExecutor:
         found = -1
         while found != self._found_stiff:
             found = self._found_stiff
-            self._run_chunks(run, thetas, outputs, reports)
+            self._run_chunks(simulation, thetas, outputs, reports)
 
-    def _run_chunks(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _run_chunks(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         first, largest = 0, max(1, CHUNK_BYTES // max(1, outputs[:1].nbytes))
         while first < len(thetas):
             # the first ones by themselves, so that what they need is known and not taken for growth
@@ -91,11 +91,11 @@ class IsolatedExecutor:
             often = 1 if not before else max(1, int(MEASURE_SECONDS / max(self._keeper.longest, 1e-6)))
             most = min(largest, self._limit * often, max(1, recycle - before) if recycle else largest)
             part = slice(first, first + most)
-            self._run_part(run, thetas[part], outputs[part], reports[part])
+            self._run_part(simulation, thetas[part], outputs[part], reports[part])
             self._keeper.replace_outgrown()
             first = part.stop
 
-    def _run_part(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _run_part(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         left, suspects = np.arange(len(thetas)), list[int]()
         kills, unblamed = np.zeros(len(thetas), np.intp), 0
         while left.size:
@@ -103,7 +103,7 @@ class IsolatedExecutor:
                 self._keeper.replace()  # they run alone, each in a fresh process
             group = np.array(suspects[:1], np.intp) if suspects else left
             fresh = self._host().simulations == 0
-            end, undone = self._attempt(run, thetas, outputs, reports, group)
+            end, undone = self._attempt(simulation, thetas, outputs, reports, group)
             if end is None and group is left:
                 return
             left = np.setdiff1d(left, np.setdiff1d(group, undone), assume_unique=True)
@@ -129,7 +129,12 @@ class IsolatedExecutor:
                 suspects = list(dict.fromkeys([*blamed, *suspects]))
 
     def _attempt(
-        self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp], group: NDArray[np.intp]
+        self,
+        simulation: Simulation,
+        thetas: Floats,
+        outputs: Floats,
+        reports: NDArray[np.intp],
+        group: NDArray[np.intp],
     ) -> tuple[End | None, NDArray[np.intp]]:
         """Simulate some thetas; return how the process came to an end, if it did, and what is still to be done."""
         host, end = self._host(), None
@@ -137,17 +142,17 @@ class IsolatedExecutor:
         (their_reports, their_thetas, their_outputs), size = host.room(shape)
         their_reports[:] = codes.UNDONE
         their_thetas[:] = thetas[group]
-        varying = [(each.magnitudes, each.initial, each.steps) for each in run.varying]
+        varying = [(each.magnitudes, each.initial, each.steps) for each in simulation.varying]
         try:
-            number = self._tell(host, run)
+            number = self._tell(host, simulation)
             host.simulations += len(group)
             stiff, longest = host.order(
-                "run", number, shape, size, varying, limit=self._time_limit(run), reports=their_reports
+                "run", number, shape, size, varying, limit=self._time_limit(simulation), reports=their_reports
             )
             self._keeper.longest = max(self._keeper.longest, longest)
-            self._steps = max(self._steps, _steps(run))
+            self._steps = max(self._steps, _steps(simulation))
             for component in stiff:
-                run.integrate(component, STIFF_INTEGRATOR)
+                simulation.integrate(component, STIFF_INTEGRATOR)
                 self._found_stiff += 1
         except End as ended:
             end = ended
@@ -167,16 +172,16 @@ class IsolatedExecutor:
                 found.append(waiting[0])
         return found
 
-    def _time_limit(self, run: Run) -> float:
+    def _time_limit(self, simulation: Simulation) -> float:
         """Return how long a simulation may take, s; one of more steps than all before is like the first of all."""
         if self._settings.time_limit:
             return self._settings.time_limit
-        first = FIRST_TIME_LIMIT + STEP_LIMIT * _steps(run) if _steps(run) > self._steps else 0.0
+        first = FIRST_TIME_LIMIT + STEP_LIMIT * _steps(simulation) if _steps(simulation) > self._steps else 0.0
         return max(first, self._keeper.time_limit)
 
     def failure(
         self,
-        run: Run,
+        simulation: Simulation,
         theta: Floats,
         outputs: Floats,
         report: NDArray[np.intp],
@@ -192,7 +197,7 @@ class IsolatedExecutor:
                 host = self._host()
                 words = theta, outputs, report, dict(parameters), explain
                 found: SimulationError | None = host.order(
-                    "failure", self._tell(host, run), *words, limit=self._time_limit(run)
+                    "failure", self._tell(host, simulation), *words, limit=self._time_limit(simulation)
                 )
                 return found
             except End as end:
@@ -227,16 +232,16 @@ class IsolatedExecutor:
         self._known.clear()
         host.order("start", self._components, self._limit, self._resets, limit=FIRST_TIME_LIMIT)
 
-    def _tell(self, host: Host, run: Run) -> int:
+    def _tell(self, host: Host, simulation: Simulation) -> int:
         """Return the number of a run, which the process knows now."""
-        number = self._numbers.get(run)
+        number = self._numbers.get(simulation)
         if number is None:
-            number = self._numbers[run] = self._next
+            number = self._numbers[simulation] = self._next
             self._next += 1
-            weakref.finalize(run, self._forgotten.append, number).atexit = False
+            weakref.finalize(simulation, self._forgotten.append, number).atexit = False
         if number not in self._known:
             forgotten = self._forgotten[:]
-            host.order("know", number, run, forgotten, limit=FIRST_TIME_LIMIT)
+            host.order("know", number, simulation, forgotten, limit=FIRST_TIME_LIMIT)
             host.records[number] = host.sent
             for each in forgotten:
                 host.records.pop(each, None)
@@ -244,9 +249,9 @@ class IsolatedExecutor:
             self._known.add(number)
         return number
 
-    def forget(self, run: Run) -> None:
+    def forget(self, simulation: Simulation) -> None:
         """Tell a run anew before its next simulation: it has changed."""
-        self._numbers.pop(run, None)
+        self._numbers.pop(simulation, None)
 
     def cancel(self) -> None:
         """Have simulations that another thread runs here end, with an error there."""
@@ -281,5 +286,5 @@ def printed() -> str:
     return "".join([*left(), *(executor.printed() for executor in list(_living))])
 
 
-def _steps(run: Run) -> int:
-    return int(run.grid.substeps.sum())
+def _steps(simulation: Simulation) -> int:
+    return int(simulation.grid.substeps.sum())

@@ -32,7 +32,7 @@ from fmuid.simulation.isolation.family import adopt_orphans, children
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from fmuid.fmi import Run
+    from fmuid.fmi import Simulation
     from fmuid.simulation.in_process import InProcessExecutor
 
 AVAILABLE = hasattr(os, "fork") and hasattr(socket, "send_fds")
@@ -93,7 +93,7 @@ class Service:
     def __init__(self, channel: Channel, memory: int) -> None:
         self._channel, self._file = channel, memory
         self._memory = mmap.mmap(-1, mmap.PAGESIZE)
-        self._runs: dict[int, Run] = {}
+        self._runs: dict[int, Simulation] = {}
         self._executor: InProcessExecutor | None = None
         self._messages = _Messages()
         logger = logging.getLogger("fmuid")
@@ -138,11 +138,11 @@ class Service:
         assert self._executor is not None, "start comes first"
         return self._executor
 
-    def _know(self, number: int, run: Run, forgotten: Sequence[int]) -> None:
+    def _know(self, number: int, simulation: Simulation, forgotten: Sequence[int]) -> None:
         """Remember a run by its number, and forget others."""
         for each in forgotten:
             self._runs.pop(each, None)
-        self._runs[number] = run
+        self._runs[number] = simulation
 
     def _run(
         self,
@@ -152,17 +152,17 @@ class Service:
         varying: Sequence[Sequence[Any]],
     ) -> tuple[list[int], float]:
         """Simulate; return the components that were found stiff, and the duration of the longest simulation, s."""
-        run = self._runs[number]
+        simulation = self._runs[number]
         if len(self._memory) != size:
             self._memory = mmap.mmap(self._file, size)
             self._own.show_doing(np.frombuffer(self._memory, np.intp, DOING_WORDS))
-        for given, new in zip(run.varying, varying, strict=True):
+        for given, new in zip(simulation.varying, varying, strict=True):
             for array, values in zip((given.magnitudes, given.initial, given.steps), new, strict=True):
                 array[:] = values
         reports, thetas, outputs = arrays(self._memory, shape)
-        before = [each and each.integrator for each in run.plan.integrations]
-        self._own.run(run, thetas, outputs, reports)
-        after = [each and each.integrator for each in run.plan.integrations]
+        before = [each and each.integrator for each in simulation.plan.integrations]
+        self._own.run(simulation, thetas, outputs, reports)
+        after = [each and each.integrator for each in simulation.plan.integrations]
         return [i for i, pair in enumerate(zip(before, after, strict=True)) if pair[0] != pair[1]], self._own.longest
 
     def _failure(self, number: int, *arguments: Any) -> Any:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.errors import SimulationError
-from fmuid.fmi import Run, shares
+from fmuid.fmi import Simulation, shares
 from fmuid.models import Component, Isolation
 from fmuid.simulation.isolation.isolated import IsolatedExecutor
 
@@ -43,21 +43,21 @@ class SpreadExecutor:
         self._parts = [IsolatedExecutor(components, 1, settings, told) for _ in range(limit)]
         self._threads = ThreadPoolExecutor(limit, "fmuid-process")
 
-    def run(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         """Simulate all thetas (m, N) in equal shares; where one finds a model stiff, all are run again as such."""
-        plan = run.plan
-        self._run_shares(run, thetas, outputs, reports)
-        if run.plan is not plan:
+        plan = simulation.plan
+        self._run_shares(simulation, thetas, outputs, reports)
+        if simulation.plan is not plan:
             for part in self._parts:
-                part.forget(run)
-            self._run_shares(run, thetas, outputs, reports)
+                part.forget(simulation)
+            self._run_shares(simulation, thetas, outputs, reports)
 
-    def _run_shares(self, run: Run, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _run_shares(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
         count = min(len(self._parts), len(thetas))
         futures: list[Future[None]] = []
         try:
             for part, share in reversed(list(zip(self._parts, shares(len(thetas), count), strict=False))):
-                given = run, thetas[share], outputs[share], reports[share]
+                given = simulation, thetas[share], outputs[share], reports[share]
                 if part is self._parts[0]:  # the caller's own share last: it is worked off at once
                     part.run(*given)
                 else:
@@ -75,7 +75,7 @@ class SpreadExecutor:
 
     def failure(
         self,
-        run: Run,
+        simulation: Simulation,
         theta: Floats,
         outputs: Floats,
         report: NDArray[np.intp],
@@ -83,7 +83,7 @@ class SpreadExecutor:
         explain: bool = False,
     ) -> SimulationError | None:
         """Return what outputs and report of one simulation say as an error; None where it succeeded."""
-        return self._parts[0].failure(run, theta, outputs, report, parameters, explain)
+        return self._parts[0].failure(simulation, theta, outputs, report, parameters, explain)
 
     def printed(self) -> str:
         """Return and forget what the FMUs printed."""

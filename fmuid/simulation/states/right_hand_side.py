@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.fmi import Run, codes, new_reports
+from fmuid.fmi import Simulation, codes, new_reports
 from fmuid.models import System
 from fmuid.simulation.accuracy import by_model_exchange
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.forward_run import extended_by, initial_run, initial_states, names_of
+from fmuid.simulation.forward_simulation import extended_by, initial_simulation, initial_states, names_of
 from fmuid.simulation.grid import grid_of
 from fmuid.simulation.plan import plan_of
 from fmuid.simulation.simulator import Simulator
@@ -65,7 +65,7 @@ class RightHandSide:
         # nothing varies between points
         self._plan = plan_of(replace(task, modes=dict.fromkeys(task.modes, codes.HELD)))
         self._names = task.experiment.output_names
-        self._start = initial_run(simulator.by(system, 1, None))
+        self._start = initial_simulation(simulator.by(system, 1, None))
 
     @classmethod
     def of(cls, simulator: Simulator) -> RightHandSide | None:
@@ -86,12 +86,12 @@ class RightHandSide:
 
         P = 2 (K − 1) points: the beginning and the end of each interval. Outputs are in the units of the table.
         """
-        run = Run(self._plan, self._grid._replace(states=np.ascontiguousarray(states)), self._names)
+        simulation = Simulation(self._plan, self._grid._replace(states=np.ascontiguousarray(states)), self._names)
         executor, count = executor_of(self._system), len(self.states)
         found = np.empty((len(thetas), len(states), len(self._names)))
         reports = new_reports(len(thetas))
         with executor.lock:
-            executor.run(run, self._simulator.target_values(thetas), found, reports)
+            executor.run(simulation, self._simulator.target_values(thetas), found, reports)
         found[reports[:, 0] >= 0] = np.nan
         return found[:, :, :count], self._simulator.in_table_units(found[:, :, count:])
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.data import Experiment
-from fmuid.fmi import Plan, Run, Sensitivities, codes, new_reports
+from fmuid.fmi import Plan, Sensitivities, Simulation, codes, new_reports
 from fmuid.models import STIFF_INTEGRATOR, Component, Executor, Port, System
 from fmuid.simulation.grid import grid_of
 from fmuid.simulation.operations import outputs_with_sensitivities
-from fmuid.simulation.plan import plan_of, run_of
+from fmuid.simulation.plan import plan_of, simulation_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.task import task_of
 
@@ -48,38 +48,38 @@ def names_of(simulator: Simulator) -> list[str]:
 
 
 @dataclass(frozen=True)
-class SensitivityRun:
+class SensitivitySimulation:
     """A run whose outputs carry sensitivities with them.
 
     Attributes
     ----------
-    run : Run
+    simulation : Simulation
     system : System
         What it runs.
     given : Sensitivities
         Its arrays are filled in before each simulation.
     """
 
-    run: Run
+    simulation: Simulation
     system: System
     given: Sensitivities
 
     def simulate(self, executor: Executor, theta: Floats) -> Floats | Refusal:
         """Simulate theta (N,); return the outputs (K, n), or why there are none."""
-        outputs = np.empty((1, self.run.grid.times.size, len(self.run.output_names)))
+        outputs = np.empty((1, self.simulation.grid.times.size, len(self.simulation.output_names)))
         reports = new_reports(1)
         with executor.lock:
-            executor.run(self.run, theta[None], outputs, reports)
+            executor.run(self.simulation, theta[None], outputs, reports)
             if reports[0, 0] == codes.SENSITIVITIES:
                 return Refusal("the FMU gives no directional derivatives of its outputs by parameters")
-            error = executor.failure(self.run, theta, outputs[0], reports[0], {})
+            error = executor.failure(self.simulation, theta, outputs[0], reports[0], {})
         if error is not None:
             return Refusal(f"from t = {error.time:g} s on, {error.call}")
         found: Floats = outputs[0]
         return found
 
 
-def directional_run(simulator: Simulator) -> SensitivityRun | None:
+def directional_simulation(simulator: Simulator) -> SensitivitySimulation | None:
     """Return the run with directional derivatives of the FMU; the outputs' sensitivities follow them, by parameters.
 
     None if the FMU has no directional derivatives that would do: it declares none, has arrays, or a parameter is the
@@ -104,8 +104,8 @@ def directional_run(simulator: Simulator) -> SensitivityRun | None:
     )
     task = task_of(system, simulator.experiment, names, *simulator.settings)
     plan = plan_of(task, partial(outputs_with_sensitivities, count=count))
-    run = Run(carrying(plan, given), grid_of(task), simulator.output_names * (1 + count))
-    return SensitivityRun(run, system, given)
+    simulation = Simulation(carrying(plan, given), grid_of(task), simulator.output_names * (1 + count))
+    return SensitivitySimulation(simulation, system, given)
 
 
 def carrying(plan: Plan, given: Sensitivities) -> Plan:
@@ -115,7 +115,7 @@ def carrying(plan: Plan, given: Sensitivities) -> Plan:
     return plan._replace(integrations=(*followers, last and last._replace(sensitivities=given)))
 
 
-def initial_run(simulator: Simulator) -> Run | None:
+def initial_simulation(simulator: Simulator) -> Simulation | None:
     """Return the run that initialises a simulator's FMU, and whose outputs are the states.
 
     None if the states are not open to view.
@@ -125,23 +125,23 @@ def initial_run(simulator: Simulator) -> Run | None:
     if any(system.variables[name].causality not in ("output", "local") for name in states):
         return None
     experiment = extended_by(simulator.experiment, states)
-    run = run_of(task_of(system, experiment, names_of(simulator), *simulator.settings))
-    grid = run.grid
-    run.grid = grid._replace(times=grid.times[:1], substeps=grid.substeps[:0], inputs=grid.inputs[:1])
-    return run
+    simulation = simulation_of(task_of(system, experiment, names_of(simulator), *simulator.settings))
+    grid = simulation.grid
+    simulation.grid = grid._replace(times=grid.times[:1], substeps=grid.substeps[:0], inputs=grid.inputs[:1])
+    return simulation
 
 
-def initial_states(run: Run, executor: Executor, thetas: Floats) -> Floats | None:
+def initial_states(simulation: Simulation, executor: Executor, thetas: Floats) -> Floats | None:
     """Return the initial states (m, n_states) of thetas (m, N), None if an initialisation fails."""
-    outputs = np.empty((len(thetas), 1, len(run.output_names)))
+    outputs = np.empty((len(thetas), 1, len(simulation.output_names)))
     reports = new_reports(len(thetas))
     with executor.lock:
-        executor.run(run, thetas, outputs, reports)
+        executor.run(simulation, thetas, outputs, reports)
     found = outputs[:, 0]
     return None if (reports[:, 0] >= 0).any() or not np.isfinite(found).all() else found
 
 
-def twin_run(simulator: Simulator) -> SensitivityRun:
+def twin_simulation(simulator: Simulator) -> SensitivitySimulation:
     """Return the run of a system that has an FMU N + 1 times: with each parameter a little changed, and last as it is.
 
     Its parameters and outputs are those of all components in turn.
@@ -173,11 +173,11 @@ def twin_run(simulator: Simulator) -> SensitivityRun:
         step_size,
     )
     task = replace(task, steps=dict.fromkeys(task.steps))  # as for a single FMU: its integrator steps as it likes
-    run = run_of(task)
+    simulation = simulation_of(task)
     for component in range(count + 1) if simulator.stiff else ():
-        run.integrate(component, STIFF_INTEGRATOR)
-    run.plan = carrying(run.plan, given)
-    return SensitivityRun(run, twins, given)
+        simulation.integrate(component, STIFF_INTEGRATOR)
+    simulation.plan = carrying(simulation.plan, given)
+    return SensitivitySimulation(simulation, twins, given)
 
 
 def _twins_of(system: System, count: int, inputs: tuple[str, ...]) -> System:
