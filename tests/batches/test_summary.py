@@ -491,6 +491,7 @@ def test_starts_and_where_they_end() -> None:
     assert ends.get_xlabel() == "start of R"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "frame",
     [

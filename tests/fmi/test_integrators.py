@@ -360,6 +360,7 @@ def test_stiff_van_der_pol_against_radau(make: Maker, jacobian: str, stiff: NDAr
     assert (trial.numbers[COUNT] > 0) == (jacobian == "exact")
 
 
+@pytest.mark.slow
 def test_robertson_against_radau(make: Maker) -> None:
     trial = make(ROBERTSON, [1.0, 0.0, 0.0], integrator="cvode", tolerance=1e-11).begin()
 

@@ -91,6 +91,7 @@ def test_the_fmu_of_these_tests_does_not_bear_threads(folder: Path) -> None:
     assert any(found.errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("said", [{}, OPEN_MODELICA], ids=["nothing", "OpenModelica"])
 def test_both_interfaces_in_turn(folder: Path, said: dict[str, Any]) -> None:
     """One process never holds instances of both: whoever is asked makes room for itself, as often as one likes."""

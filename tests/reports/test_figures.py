@@ -205,6 +205,7 @@ def test_save_replaces_the_figures_of_an_earlier_run(tmp_path: Path) -> None:
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "head"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
 def test_figures_for_print_are_the_same_file_each_time(tmp_path: Path, kind: str, head: bytes) -> None:
     once, again = (plots.save({"fit": figures_fit.fit(record())}, tmp_path / n, kind)[0] for n in "ab")

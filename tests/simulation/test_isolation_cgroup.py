@@ -99,6 +99,7 @@ def test_a_host_has_a_group_of_its_own_until_it_ends(parent: Path) -> None:
     assert not any(group.exists() for group in groups)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("then", ["closed", "next"])
 def test_what_has_left_its_session_ends_though_the_server_was_killed(folder: Path, parent: Path, then: str) -> None:
     """All who would adopt it are gone with the server."""
@@ -134,6 +135,7 @@ with subprocess.Popen(["sleep", "600"], preexec_fn=lambda: cgroup.enter(group), 
 """
 
 
+@pytest.mark.slow
 def test_groups_of_owners_that_were_killed_are_swept_and_no_others(parent: Path) -> None:
     owners = [
         subprocess.Popen([sys.executable, "-c", OWNER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

@@ -139,6 +139,7 @@ simulator(np.tile([2.0, float(mode)], (4, 1)))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "mode"),
     [
@@ -240,6 +241,7 @@ def test_the_default_is_in_process(folder: Path) -> None:
     assert {process.pid for process in processes()} <= there
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["closed", "killed", "struck"])
 def test_who_has_the_number_of_a_host_by_now_is_left_alone(how: str) -> None:
     """A host that went with its server, which nobody asks about for long; process numbers come round."""
