@@ -68,12 +68,9 @@ class Result(Plotted):
         Of the noise variances: K − N where they are estimated, infinite where all are given.
     iterations, simulations : int
     elapsed_s : float
-    undetermined : tuple of Direction
-        Directions in which the estimates could move without effect, or next to none (`fmuid.estimation.covariance`).
-    weak : tuple of Direction
-        Directions that are determined to no better than the parameters' own magnitudes.
-    prior_determined : tuple of Direction
-        Directions that the data alone leave undetermined, and the prior decides.
+    undetermined, weak, prior_determined : tuple of Direction
+        Directions in which the estimates could move without effect, or next to none (`fmuid.estimation.covariance`);
+        that are determined to no better than the parameters' own magnitudes; that the data leave to the prior.
     at_bounds : tuple of AtBound
         Parameters that the data would push beyond a bound.
     version : str
@@ -105,6 +102,8 @@ class Result(Plotted):
         Of the parameters that have one.
     combinations : tuple of ChoiceTried
         Of the values of parameters that take few: all that were tried, the best first, which the result is of.
+    observer : float or None
+        Time constant in samples of the observer whose predictions were fitted (`fmuid.model_problem.observed`).
 
     Examples
     --------
@@ -150,6 +149,7 @@ class Result(Plotted):
     attempts: tuple[Attempt, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     combinations: tuple[ChoiceTried, ...] = ()
+    observer: float | None = None
 
     @cached_property
     def trace(self) -> pd.DataFrame:

@@ -24,7 +24,7 @@ LINE_PARAMETERS = 8
 _AS_THEY_ARE = (
     *("noise_variance", "given_variance", "criterion", "log_likelihood", "degrees_of_freedom", "iterations"),
     *("simulations", "elapsed_s", "undetermined", "weak", "prior_determined", "at_bounds", "version", "models"),
-    *("sensitivity", "moved_start", "data", "attempts", "combinations"),
+    *("sensitivity", "moved_start", "data", "attempts", "combinations", "observer"),
 )
 
 
@@ -140,6 +140,7 @@ def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
         "data": tuple(map(MeasuredSeries.of_json, data.get("data", ()))),
         "attempts": tuple(map(Attempt.of_json, data.get("attempts", ()))),
         "combinations": tuple(map(ChoiceTried.of_json, data.get("combinations", ()))),
+        "observer": None if data.get("observer") is None else float(data["observer"]),
         "units": {name: str(parameters[name]["unit"]) for name in names if parameters[name].get("unit")},
     }
 

@@ -71,7 +71,7 @@ def identify(
     problem : LeastSquares
         Only a `Problem`, whose predictors run FMUs, has a simulation to check, and remedies. It is simulated in a finer
         way from then on where the search has to go on by one. One that measurements correct
-        (`fmuid.model_problem.observed`) has neither.
+        (`fmuid.model_problem.observed`) has neither, and its result says so by `Result.observer`.
     settings : Marquardt or GlobalSearch, optional
         Default: Marquardt's search from the parameters' starts.
     progress : callable, optional
@@ -128,7 +128,7 @@ def _identify(
 ) -> Result:
     """Identify the parameters of a problem whose other values are all known."""
     if isinstance(problem, Problem) and problem.corrected:
-        return method.search(problem, progress, start)
+        return replace(method.search(problem, progress, start), observer=problem.observer)
     if not remedies or method.whole_box or not isinstance(problem, Problem):
         return checked_search.identify(problem, method, progress, start, accuracy=accuracy, region=region)
     return _GuardedSearch(problem, method, progress, accuracy, region).run(start)

@@ -36,8 +36,8 @@ TINY = 1e-300
 def observed(problem: Problem, samples: float = 3.0) -> Problem:
     """Return a problem whose states an observer corrects at each sample, for `fmuid.identify`.
 
-    What is identified by it is predicted over a few samples, and is no output error: its result says so by its
-    ``accuracy``, which nothing finer was compared with. Neither are there remedies.
+    What is identified by it is predicted over a few samples, and is no output error: its result says so
+    (`Result.observer`). Its simulation is compared with nothing finer, and there are no remedies.
 
     Parameters
     ----------
@@ -49,12 +49,19 @@ def observed(problem: Problem, samples: float = 3.0) -> Problem:
     Raises
     ------
     InputError
-        If the model shows no right-hand side, has several outputs, or states that its output does not observe.
+        If the model shows no right-hand side, has several outputs, states that its output does not observe, or
+        parameters that take few values.
     """
     if not samples > 0.0:
         raise InputError(f"the observer's time constant must be a positive number of samples, not {samples:g}")
+    if problem.choices:
+        raise InputError(f"an observer is for one model, and {next(iter(problem.choices))!r} takes few values: hold it")
     start = problem.parameters.start
-    return problem.simulated_by([_observed(problem, index, start, samples) for index in range(len(problem.simulators))])
+    other = problem.simulated_by(
+        [_observed(problem, index, start, samples) for index in range(len(problem.simulators))]
+    )
+    other.observer = samples
+    return other
 
 
 def _observed(problem: Problem, index: int, start: Floats, samples: float) -> Simulator:

@@ -66,6 +66,8 @@ class Problem(LeastSquares):
     refinement : Refinement
         How much finer than that it is simulated: a search whose simulation turns out too coarse goes on by a finer one
         (`fmuid.identify`), and so does all that is done with the problem from then on.
+    observer : float or None
+        The time constant, in samples, of an observer that corrects the states (`fmuid.model_problem.observed`).
 
     Raises
     ------
@@ -109,6 +111,7 @@ class Problem(LeastSquares):
         self._given = tuple(parameters), held, step_size
         self._simulators = list(simulators) or self._laid_out(listed, held)
         self.refinement = AS_ASKED
+        self.observer: float | None = None
         self._finer: dict[Refinement, Problem] = {}
         self._tables = listed
         self._known: tuple[Floats, Floats] | None = None

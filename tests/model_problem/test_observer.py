@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from scipy.linalg import expm
 import fmuid
 from fmuid.model_problem import observed
 from fmuid.model_problem.observer import observer_gain
+from fmuid.reports.page.verdict import identification_words
 from tests.support.exported import export_text
 
 CART = """model Cart
@@ -71,7 +74,26 @@ def test_a_right_model_is_found_with_an_observer_too(cart: Path) -> None:
     assert result.converged
     assert result.attempts == ()
     assert result.accuracy is None
+    assert result.observer == 3.0
     assert [result["m"], result["d"]] == pytest.approx([M, D], rel=1e-3)
+
+
+def test_the_result_says_that_it_is_no_output_error(cart: Path, tmp_path: Path) -> None:
+    result = fmuid.identify(observed(problem(cart, 0.0), 5.0))
+    (tmp_path / "result.json").write_text(json.dumps(result.to_json_dict()), encoding="utf-8")
+    kept = fmuid.Result.from_json(tmp_path / "result.json")
+    assert kept.observer == 5.0
+    said = "An observer with its poles at 5 samples kept the simulation with the record: this is a fit of predictions"
+    assert said in fmuid.describe(kept)
+    assert any(said in each.text and each.doubtful for each in identification_words(kept.to_json_dict(), kept, ()))
+    assert "observer" not in fmuid.describe(replace(kept, observer=None))
+
+
+def test_combinations_are_not_observed(cart: Path) -> None:
+    whole = problem(cart, 0.0)
+    whole.choices = {"mode": (1, 2)}
+    with pytest.raises(fmuid.InputError, match="'mode' takes few values: hold it"):
+        observed(whole)
 
 
 def test_an_error_of_the_model_pulls_output_error_more(cart: Path) -> None:

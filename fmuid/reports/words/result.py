@@ -75,7 +75,19 @@ def _so_far(result: Result) -> str:
 
 def remarks(result: Result) -> tuple[str, ...]:
     """Return the sentences on what the estimates do not show by themselves."""
-    return *start_words(result), *accuracy_words(result.names, result.accuracy), *dependence_words(result)
+    accuracy = accuracy_words(result.names, result.accuracy)
+    return *observer_words(result), *start_words(result), *accuracy, *dependence_words(result)
+
+
+def observer_words(result: Result) -> tuple[str, ...]:
+    """Return what an observer makes of a result."""
+    if result.observer is None:
+        return ()
+    return (
+        f"an observer with its poles at {result.observer:g} samples kept the simulation with the record: this is a fit "
+        "of predictions over about that time, not of the output error, and noise of the measurements biases it the "
+        "more, the faster the observer is",
+    )
 
 
 def start_words(result: Result) -> tuple[str, ...]:
