@@ -28,7 +28,10 @@ from .preparation.prepare import Axes as Axes
 from .preparation.prepare import Preparation as Preparation
 from .preparation.prepare import reduce as reduce
 from .tables import BEGIN as BEGIN
+from .tables import UNITS as UNITS
+from .tables import numeric_column as numeric_column
 from .tables import read_table as read_table
+from .times import column_of as column_of
 from .times import time_name as time_name
 from .transforms import concordia as concordia
 from .transforms import park as park

@@ -18,6 +18,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import Outcome, Result, optima_table
 from fmuid.files import file_name, write_json, write_table
 from fmuid.reports.origin import Origin
+from fmuid.reports.preparations import Prepared
 from fmuid.reports.words.diagnosis import verdict
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 # Tables that a run may write: those of an earlier run would be taken for this one's.
 _TABLES = (
     *("trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "correlations.csv", "reading.csv", "optima.csv"),
-    *("profiles.csv", "posterior.csv", "map-*.csv"),
+    *("preparation.csv", "profiles.csv", "posterior.csv", "map-*.csv"),
 )
 
 
@@ -104,6 +105,8 @@ class Findings(Plotted):
         By which study the result was made (`fmuid.studies.origin_of`), for ``result.json``.
     origin : Origin or None
         Of the study, where it is one of a file.
+    prepared : tuple of Prepared
+        What was done with tables first, where something was.
 
     Examples
     --------
@@ -121,6 +124,7 @@ class Findings(Plotted):
     files: tuple[Path, ...] = ()
     study: Mapping[str, Any] | None = None
     origin: Origin | None = None
+    prepared: tuple[Prepared, ...] = ()
 
     def __repr__(self) -> str:
         return f"Findings({self.result!r})"
@@ -158,7 +162,7 @@ class Findings(Plotted):
     def to_json_dict(self) -> dict[str, Any]:
         """Return the content of ``result.json``."""
         content = {"words": [ending(self.result), *remarks(self.result)], **self.result.to_json_dict()}
-        content |= {"level": self.level, "experiments": [_experiment(fit) for fit in self.fits]}
+        content |= {"level": self.level, "experiments": self._experiments()}
         content |= {} if self.origin is None else self.origin.to_json_dict()
         content |= {
             "diagnostics": {"words": list(residual_words(self.diagnostics)), **self.diagnostics.to_json_dict()},
@@ -178,6 +182,10 @@ class Findings(Plotted):
         if self.study is not None:
             content["study"] = {**self.study, **({} if self.origin is None else self.origin.study)}
         return content
+
+    def _experiments(self) -> list[dict[str, Any]]:
+        done = {each.experiment: {"preparation": each.words, "columns": each.units} for each in self.prepared}
+        return [_experiment(fit) | done.get(fit.experiment, {}) for fit in self.fits]
 
     def maps(self) -> dict[str, CriterionMap]:
         """Return the maps of the criterion by the names of their files."""
@@ -201,6 +209,8 @@ class Findings(Plotted):
             found["reading"] = self.reading.table
         if result.optima:
             found["optima"] = self.optima
+        if changed := [each.table for each in self.prepared if len(each.table)]:
+            found["preparation"] = pd.concat(changed, ignore_index=True)
         if self.uncertainty is not None:
             found |= {name: chart.table for name, chart in self.maps().items()}
             found |= {"profiles": self.uncertainty.profile_table} if self.uncertainty.profiles else {}

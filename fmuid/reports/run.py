@@ -15,6 +15,7 @@ from fmuid.reports.apply import write_estimates
 from fmuid.reports.drawn import REPORT_FILE, check_format, clear_figures
 from fmuid.reports.findings import Findings, at_minimum, result_fits, resumed_start, write_point
 from fmuid.reports.origin import Origin
+from fmuid.reports.preparations import Prepared, prepared
 from fmuid.studies import Study, origin_of
 
 # A search that took longer than this, s, is not repeated with the data alone without a word.
@@ -116,12 +117,14 @@ class _Run:
     ) -> None:
         self.study, self.folder, self.progress, self.figures, self.report = study, folder, progress, figures, report
         self.files: list[Path] = []
+        self.prepared: tuple[Prepared, ...] = ()
 
     def run(self, *, resume: bool) -> Findings:
         problem, start = self.study.problem(), None
         if self.folder is not None:
             start = resumed_start(self.folder / "result.json", problem.parameters) if resume else None
             files.make_folder(self.folder)
+            self.prepared = prepared(self.study)
         try:
             result = self.study.search(problem, self.progress, start)
         except KeyboardInterrupt:
@@ -160,6 +163,7 @@ class _Run:
             study.uncertainty_settings.level,
             study=None if self.folder is None else origin_of(study, self.folder),
             origin=Origin.of(study),
+            prepared=self.prepared,
         )
 
     def _tell(self, event: Event) -> None:

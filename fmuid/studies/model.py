@@ -338,12 +338,21 @@ class ExperimentSettings(Words):
 
     def read_experiment(self, table: Path, source: str | None = None, *, measured: bool = True) -> Experiment:
         """Read a table and return the experiment that it is; arguments and errors as those of `experiment`."""
+        source = source or str(table)
+        return self.experiment(self.read_frame(table, source), source, measured=measured)
+
+    def read_frame(self, table: Path, source: str | None = None) -> pd.DataFrame:
+        """Read a table as it is before ``[experiments.prepare]``; messages call it `source`.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read.
+        """
         from fmuid.data import read_table
 
-        source = source or str(table)
         how = {key: getattr(self, key) for key in ("time_unit", "sample_rate", "sheet")}
-        frame = read_table(table, self.time, **how, source=source)
-        return self.experiment(frame, source, measured=measured)
+        return read_table(table, self.time, **how, source=source or str(table))
 
     def experiment(self, frame: pd.DataFrame, source: str, *, measured: bool = True) -> Experiment:
         """Return the experiment that a table is with these words; messages call the table `source`.

@@ -28,5 +28,5 @@ def _live(found: Any) -> Any:
 
 
 batch, comparison, diagnosis = (_Live(name) for name in ("batch", "comparison", "diagnosis"))
-estimates, fit = (_Live(name) for name in ("estimates", "fit"))
+estimates, fit, preparation = (_Live(name) for name in ("estimates", "fit", "preparation"))
 residuals, search, uncertainty = (_Live(name) for name in ("residuals", "search", "uncertainty"))

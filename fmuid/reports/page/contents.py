@@ -18,7 +18,7 @@ from fmuid.estimation import Result
 from fmuid.simulation import Fit
 
 # Columns of texts, which pandas would take for numbers or missing values where they look like it.
-_TEXTS = ("parameter", "unit", "experiment", "output", "with", "moved_by", "profiled")
+_TEXTS = ("parameter", "unit", "experiment", "output", "with", "moved_by", "profiled", "column")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,10 @@ class Identification:
         return float(self.content.get("level", 0.95))
 
 
-_MINE = ("estimates", "trace", "rounds", "fit", "correlations", "reading", "optima", "profiles", "posterior")
+_MINE = (
+    *("estimates", "trace", "rounds", "fit", "correlations", "reading", "optima", "profiles", "posterior"),
+    "preparation",
+)
 
 
 def _is_mine(name: str) -> bool:

@@ -12,6 +12,7 @@ from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.estimation import Result
 from fmuid.reports.interactive import estimates, fit, residuals, search, uncertainty
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS, MAX_OUTPUTS, MAX_PARAMETERS, Units, named
+from fmuid.reports.page import preparation
 from fmuid.reports.page.contents import Identification
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
@@ -55,6 +56,7 @@ def part(folder: Path) -> Part:
     said = identification_words(found.content, result, found.fits)
     sections = [
         *_fits(found),
+        *preparation.sections(found),
         *_residuals(found),
         *_search(found),
         *_belief(found),

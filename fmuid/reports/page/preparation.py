@@ -1,0 +1,59 @@
+"""The part of a page that shows what was done with tables before they were experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from fmuid.reports.interactive.preparation import preparation
+from fmuid.reports.interactive.style import MAX_EXPERIMENTS
+from fmuid.reports.page.contents import Identification
+from fmuid.reports.page.document import Section
+from fmuid.text import listed
+
+CAPTION = (
+    "Grey is what was recorded, blue what the model is driven by and compared with. Columns that stay as they were "
+    "are not drawn."
+)
+"""How to read it."""
+
+
+def sections(found: Identification) -> list[Section]:
+    """Return a section for each experiment whose table was prepared; of more than are drawn, of the first."""
+    if "preparation" not in found.tables:
+        return []
+    table, several = found.tables["preparation"], len(found.content["experiments"]) > 1
+    shown: list[Section] = []
+    for each in found.content["experiments"]:
+        rows, words = table[table["experiment"] == each["name"]], each.get("preparation")
+        if not words or not len(rows) or len(shown) == MAX_EXPERIMENTS:
+            continue
+        heading = "What was done with the table first" + (f": {each['name']}" if several else "")
+        caption = f"{preparation_words(words)}." + ("" if shown else f" {CAPTION}")
+        name = "preparation" if not shown else f"preparation-{len(shown) + 1}"
+        shown.append(Section(name, heading, caption, [preparation(rows, each.get("columns"))], 1))
+    return shown
+
+
+def preparation_words(words: Mapping[str, Any]) -> str:
+    """Say what was done with a table, by the words of ``[experiments.prepare]`` that are not their defaults."""
+    done = list(_done(words))
+    return f"The table was {listed(done)}" if done else "The table was left as it is"
+
+
+def _done(words: Mapping[str, Any]) -> Iterator[str]:
+    if words.get("columns"):
+        yield f"given the columns {', '.join(f'{name} = {text}' for name, text in words['columns'].items())}"
+    for each in words.get("axes", ()):
+        yield f"turned from {', '.join(each['from'])} to {', '.join(each['to'])}"
+    if "low_pass" in words:
+        yield f"low-passed at {words['low_pass']:g} Hz, without a shift in time"
+    if "from" in words or "to" in words:
+        ends = [f"{key} {words[key]:g} s" for key in ("from", "to") if key in words]
+        yield f"cut {' '.join(ends)}"
+    if "resample" in words:
+        yield f"resampled in steps of {words['resample']:g} s"
+    if "detrend" in words:
+        given = words["detrend"]
+        each = ", ".join(f"{name}: {how}" for name, how in given.items()) if isinstance(given, dict) else given
+        yield f"detrended ({each})"

@@ -1,0 +1,147 @@
+"""What was done with a table first is written beside the results and drawn in the report, by its data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid.reports.page.contents import Identification
+from fmuid.reports.page.preparation import preparation_words, sections
+from fmuid.reports.preparations import prepared
+from fmuid.reports.run import run_study
+from fmuid.studies import ExperimentSettings, Study
+from tests.support.coil_study import COIL, coil_table
+from tests.support.live_figures import preparation
+
+STUDY = """
+[model]
+fmu = "{fmu}"
+[[experiments]]
+name = "cut"
+table = "run.csv"
+inputs = ["u"]
+outputs = {{ i = "current" }}
+interpolation = "hold"
+[experiments.prepare]
+columns = {{ current = "shunt / 50" }}
+from = 0.1
+to = 0.4
+[[experiments]]
+name = "whole"
+table = "run.csv"
+inputs = ["u"]
+outputs = ["i"]
+interpolation = "hold"
+[[experiments]]
+name = "mean"
+table = "run.csv"
+inputs = ["u"]
+outputs = ["i"]
+interpolation = "hold"
+[experiments.prepare]
+detrend = {{ i = "mean" }}
+[parameters]
+R = {{ start = 4.0, min = 0.0 }}
+L = {{ start = 0.1, min = 1e-4 }}
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    folder = tmp_path_factory.mktemp("prepared")
+    coil_table(folder / "run.csv", 0.0, seed=1)
+    frame = pd.read_csv(folder / "run.csv")
+    frame.assign(shunt=frame["i"] * 50.0).to_csv(folder / "run.csv", index=False)
+    (folder / "study.toml").write_text(STUDY.format(fmu=COIL.as_posix()))
+    return Study.read(folder / "study.toml")
+
+
+@pytest.fixture(scope="module")
+def raw(study: Study) -> pd.DataFrame:
+    return pd.read_csv(study.path.parent / "run.csv")
+
+
+def rows(table: pd.DataFrame, column: str, stage: str) -> pd.DataFrame:
+    return table[(table["column"] == column) & (table["stage"] == stage)]
+
+
+def test_only_what_was_changed_or_made_is_kept(study: Study, raw: pd.DataFrame) -> None:
+    cut, mean = prepared(study)
+    assert (cut.experiment, mean.experiment) == ("cut", "mean")
+    assert cut.words == {"columns": {"current": "shunt / 50"}, "from": 0.1, "to": 0.4}
+    assert set(cut.table["column"]) == {"u", "current"}
+    assert set(mean.table["column"]) == {"i"}  # the input is as it was
+    assert not len(rows(cut.table, "current", "before"))  # it was made
+    kept = raw[(raw["time"] > 0.0995) & (raw["time"] < 0.4005)]
+    np.testing.assert_array_equal(rows(cut.table, "current", "after")["time"], kept["time"])
+    np.testing.assert_allclose(rows(cut.table, "current", "after")["value"], kept["i"], rtol=1e-12)
+    np.testing.assert_array_equal(rows(cut.table, "u", "before")["value"], raw["u"])
+    np.testing.assert_array_equal(rows(cut.table, "u", "after")["value"], kept["u"])
+    np.testing.assert_array_equal(rows(mean.table, "i", "before")["value"], raw["i"])
+    np.testing.assert_allclose(rows(mean.table, "i", "after")["value"], raw["i"] - raw["i"].mean(), atol=1e-12)
+
+
+def test_pieces_of_a_long_record_are_thinned_and_the_record_is_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = np.arange(50_000) * 1e-3
+    spike = np.where(np.arange(times.size) == 20_011, 7.0, 0.0)
+    pd.DataFrame({"time": times, "u": spike, "i": np.sin(times)}).to_csv(tmp_path / "run.csv", index=False)
+    text = STUDY.format(fmu=COIL.as_posix()).split("[[experiments]]\n")
+    one = text[2].replace('name = "whole"', "") + "[experiments.prepare]\npieces = [[0.0, 10.0], [10.0, 40.0]]\n"
+    (tmp_path / "study.toml").write_text(f"{text[0]}[[experiments]]\n{one}{text[3][text[3].index('[param') :]}")
+    read = Study.read(tmp_path / "study.toml")
+    assert len(read.tables) == 2
+    times_read: list[Path] = []
+    original = ExperimentSettings.read_frame
+
+    def read_frame(given: ExperimentSettings, table: Path) -> pd.DataFrame:
+        times_read.append(table)
+        return original(given, table)
+
+    monkeypatch.setattr(ExperimentSettings, "read_frame", read_frame)
+    _, second = prepared(read)
+    assert len(times_read) == 1
+    before = rows(second.table, "u", "before")
+    assert len(before) < 5000
+    assert before["value"].max() == 7.0  # what is least and greatest stays
+
+
+def test_the_report_draws_it_and_says_what_was_done(study: Study, tmp_path: Path) -> None:
+    found = run_study(study, tmp_path, report=True)
+    assert tmp_path / "preparation.csv" in found.files
+    cut, mean = sections(Identification.read(tmp_path))
+    assert (cut.heading, cut.name) == ("What was done with the table first: cut", "preparation")
+    assert (mean.heading, mean.name) == ("What was done with the table first: mean", "preparation-2")
+    said = "The table was given the columns current = shunt / 50 and cut from 0.1 s to 0.4 s."
+    assert cut.caption.startswith(said)
+    assert mean.caption == "The table was detrended (i: mean)."
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert said in page
+    assert 'id="preparation-2"' in page
+
+
+def test_the_figure_shows_before_in_grey_and_after(study: Study, raw: pd.DataFrame) -> None:
+    cut, _ = prepared(study)
+    grid = preparation.preparation(cut.table, {"u": "V"})
+    u, current = [plot for plot, *_ in sorted(grid.children, key=lambda child: child[1:])]
+    assert u.yaxis.axis_label == "u (V)"
+    assert [len(plot.renderers) for plot in (u, current)] == [2, 1]
+    before, after = u.renderers
+    np.testing.assert_array_equal(before.data_source.data["t"], raw["time"])
+    assert (after.data_source.data["t"][0], after.data_source.data["t"][-1]) == pytest.approx((0.1, 0.4))
+    assert before.glyph.line_color == "#6e7781"
+    assert u.x_range is current.x_range
+    assert (u.xaxis.visible, current.xaxis.visible) == (False, True)
+
+
+def test_every_word_is_said() -> None:
+    axes = [{"from": ["a", "b", "c"], "to": ["d", "q"], "angle": "t"}]
+    words = {"axes": axes, "low_pass": 60.0, "to": 2.0, "resample": 0.01, "detrend": "linear"}
+    assert preparation_words(words) == (
+        "The table was turned from a, b, c to d, q, low-passed at 60 Hz, without a shift in time, cut to 2 s, "
+        "resampled in steps of 0.01 s and detrended (linear)"
+    )
