@@ -35,13 +35,18 @@ def design(
     folder = folder_of(output, study)
     with opened(study, set_, in_process, folder) as read:
         from fmuid import files
-        from fmuid.reports import report_of
+        from fmuid.reports import healthy_record_words, report_of
         from fmuid.reports.console import layout as console
-        from fmuid.studies import ranked_excitations
+        from fmuid.studies import healthy_record_cost, ranked_excitations
 
         files.make_folder(folder)
         ranked = ranked_excitations(read, tables, by=by, fault=fault)
         console.show_frame("Excitations, the best first", ranked)
+        if fault is not None:
+            best = str(ranked["excitation"].iloc[0])
+            cost = healthy_record_cost(read, tables, fault, best)
+            console.show_frame(f"Healthy records, in lengths of {best}: the smallest size found", cost)
+            console.show_remarks(healthy_record_words(cost))
         written = files.write_table(folder / "design.csv", ranked)
         console.show_files([written, *report_of(folder, wanted=not no_report)])
         return DONE

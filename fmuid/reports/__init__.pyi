@@ -23,3 +23,4 @@ from .run import Identified as Identified
 from .run import SearchInterruptedError as SearchInterruptedError
 from .run import run_study as run_study
 from .words.describe import describe as describe
+from .words.diagnosis import healthy_record_words as healthy_record_words

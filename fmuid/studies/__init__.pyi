@@ -21,6 +21,7 @@ from .monitoring import records_of as records_of
 from .monitoring import rule_of as rule_of
 from .parameters import SourceDoubt as SourceDoubt
 from .parameters import SourceNote as SourceNote
+from .predicting.excitations import healthy_record_cost as healthy_record_cost
 from .predicting.excitations import ranked_excitations as ranked_excitations
 from .predicting.excitations import sensitivities_of as sensitivities_of
 from .predicting.origin import RESULT_FILE as RESULT_FILE

@@ -8,7 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import fmuid
+from experiments.coil import study as coil
 from fmuid.cli.options import DONE, WRONG_INPUT
+from fmuid.reports import healthy_record_words
+from fmuid.studies.monitoring import design_of
 from tests.support.coil_study import STUDY, coil_table, fmuid_
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
@@ -33,6 +37,26 @@ def test_design(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert found["worst"].is_monotonic_increasing
     assert "square" in capsys.readouterr().out
     assert "square is the best of 2 excitations" in (folder / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_what_healthy_records_cost_the_best_excitation(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, tables = coil.HERE / "test.toml", [folder / "constant.csv", folder / "square.csv"]
+    words = ("--fault", "turns", "-o", folder / "out", "--in-process", "--no-report")
+    assert fmuid_("design", study, *tables, *words) == DONE
+    said = " ".join(capsys.readouterr().out.split())
+    square = fmuid.trial(pd.read_csv(folder / "square.csv"), ["u"], ["i"])
+    cost = design_of(fmuid.Study.read(study), "turns").cost(square, [1.0])
+    (size,), (times,) = cost["turns.dR"], cost["turns.dR.times"]
+    assert "in lengths of square" in said
+    assert f"as long as the test the smallest size found is {times:.3g} times that with an endless one" in said
+    assert f"{size:.4g}" in said and f"{times:.4g}" in said
+
+
+def test_the_length_of_a_healthy_record_that_is_enough_is_said() -> None:
+    cost = pd.DataFrame({"healthy": [1.0, 3.0, 10.0], "a": 1.0, "a.times": [1.4, 1.2, 1.05], "b": np.inf})
+    found = healthy_record_words(cost.assign(**{"b.times": np.nan}))
+    assert found[0].endswith("is 1.4 times that with an endless one; with one 10 times as long, 1.05 times")
+    assert found[1] == "b: this excitation does not show it, however long the healthy record is"
 
 
 @pytest.mark.parametrize(

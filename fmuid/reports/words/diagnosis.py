@@ -11,7 +11,12 @@ from fmuid.reports.words.directions import direction_words
 from fmuid.text import has_unit, listed, with_std
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from fmuid.diagnosis import Change, Diagnosis, Evidence, Explanation, Hypothesis, Size, Strain
+
+# A healthy record is long enough where a longer one lowers the smallest size found by no more than this.
+ENOUGH = 1.1
 
 
 def diagnosis_words(found: Diagnosis) -> tuple[str, ...]:
@@ -193,3 +198,25 @@ def strain_words(strain: Strain | None) -> list[str]:
 def chance(probability: float) -> str:
     """Return a probability to two digits."""
     return f"{probability:.2g}" if probability > 1e-300 else "below 1e-300"
+
+
+def healthy_record_words(cost: pd.DataFrame) -> list[str]:
+    """Return what the length of the healthy record costs, a sentence for each size.
+
+    Parameters
+    ----------
+    cost : pandas.DataFrame
+        Of `fmuid.Design.cost`, the first length being that of the test.
+    """
+    said, lengths = [], cost["healthy"]
+    for column in [str(each) for each in cost if str(each).endswith(".times")]:
+        name, times = column.removesuffix(".times"), cost[column]
+        if not times.notna().all():
+            said.append(f"{name}: this excitation does not show it, however long the healthy record is")
+            continue
+        enough = next((k for k in range(1, len(times)) if times.iloc[k] <= ENOUGH), len(times) - 1)
+        said.append(
+            f"{name}: with a healthy record as long as the test the smallest size found is {times.iloc[0]:.3g} times "
+            f"that with an endless one; with one {lengths.iloc[enough]:g} times as long, {times.iloc[enough]:.3g} times"
+        )
+    return said

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from fmuid.data import Experiment
 from fmuid.errors import InputError
 from fmuid.model_problem import SensitivityFunctions, expected_accuracy, rank_excitations, sensitivity_functions
 from fmuid.studies.monitoring import design_of, record_files
@@ -38,10 +39,7 @@ def ranked_excitations(
         If a simulation fails.
     """
     words = study.experiments[0]
-    candidates = {
-        path.stem: words.model_copy(update={"name": path.stem}).read_experiment(path, measured=False)
-        for path in record_files(tables)
-    }
+    candidates = {path.stem: _excitation(study, path) for path in record_files(tables)}
     if fault is not None:
         return design_of(study, fault).rank(candidates)
     _check_parameters(study)
@@ -55,6 +53,35 @@ def ranked_excitations(
     values = study.model.values
     found = [expected_accuracy(study.system, each, parameters, variance, values) for each in candidates.values()]
     return rank_excitations(found, by=by)
+
+
+def healthy_record_cost(study: Study, tables: Sequence[Path], fault: str, excitation: str) -> pd.DataFrame:
+    """Return what healthy records of several lengths cost a test for a fault (`fmuid.Design.cost`).
+
+    Parameters
+    ----------
+    study : Study
+    tables : sequence of Path
+        Tables of inputs, and folders of them.
+    fault : str
+    excitation : str
+        The name of one of the tables, that of the test.
+
+    Raises
+    ------
+    InputError
+        If the study has no such fault, or the table does not fit.
+    SimulationError
+        If a simulation fails.
+    """
+    (path,) = (each for each in record_files(tables) if each.stem == excitation)
+    return design_of(study, fault).cost(_excitation(study, path))
+
+
+def _excitation(study: Study, path: Path) -> Experiment:
+    """Read a table of inputs with the words of the study's first experiment."""
+    words = study.experiments[0].model_copy(update={"name": path.stem})
+    return words.read_experiment(path, measured=False)
 
 
 def sensitivities_of(study: Study) -> tuple[SensitivityFunctions, ...]:
