@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, Tag
@@ -12,7 +13,7 @@ from fmuid.assessment import CONFIDENCE_LEVEL, UncertaintySettings
 from fmuid.data import LOSSES, Noise
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
-from fmuid.model_problem import ACCURACIES
+from fmuid.model_problem import ACCURACIES, Problem, observed
 from fmuid.models import (
     Isolation,
 )
@@ -151,6 +152,13 @@ class EstimatorWords(Words):
         "other starts are tried where a search cannot begin or end, or its residual is more than three times the noise "
         "that the data show; batches search from the starts that they are given",
     )
+    observer: Positive | None = word(
+        None,
+        "samples (its poles) in which an observer of all states forgets, that corrects them at each sample: for one "
+        "FMU that integrates, with model exchange and one output; a fit of predictions then, without check of the "
+        "simulation and remedies",
+        3.0,
+    )
     max_iterations: Count = word(SEARCH.max_iterations, "steps tried, accepted or not")
     tolerance: Positive = word(SEARCH.tolerance, "the largest change left for any parameter, relative")
     first_radius: Positive = word(SEARCH.first_radius, "length of the first step, relative; smaller is more careful")
@@ -199,6 +207,42 @@ class EstimatorWords(Words):
                     f'has both loss = "{self.loss}" and {other}, which compares plain sums of squares in this version: '
                     "keep one of the two"
                 )
+
+    def check_observer(self, tables: Mapping[str, bool], top: Place) -> None:
+        """Check that all the rest goes with an observer; `tables` says which others of the study file there are.
+
+        Raises
+        ------
+        InputError
+            If something does not.
+        """
+        if self.observer is None:
+            return
+        if self.sensitivity != "finite-difference":
+            raise self.error(
+                f'has both observer and sensitivity = "{self.sensitivity}", and derivatives with an observer are '
+                "finite differences: remove one of the two"
+            )
+        for name in (name for name, there in tables.items() if there):
+            raise top.error(
+                f"has both observer in [estimator] and [{name}], which is by output error: remove one of the two"
+            )
+
+
+def observed_by(problem: Problem, samples: float | None, path: Path) -> Problem:
+    """Return a problem with the observer that a study file asks for, the problem itself where it asks for none.
+
+    Raises
+    ------
+    InputError
+        If the problem cannot be observed.
+    """
+    if samples is None:
+        return problem
+    try:
+        return observed(problem, samples)
+    except InputError as error:
+        raise InputError(f"{path}: [estimator] has observer = {samples:g}, but {error}: remove observer") from None
 
 
 # --- [uncertainty] ----------------------------------------------------------------------

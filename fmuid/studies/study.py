@@ -26,6 +26,7 @@ from fmuid.studies.diagnosis import FaultSearch, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelSettings, named
 from fmuid.studies.overrides import override
 from fmuid.studies.parameters import Reader, Source, SourceNote
+from fmuid.studies.settings import observed_by
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import read_toml
 from fmuid.studies.words import Place
@@ -70,6 +71,8 @@ class Study(Displayed):
         What is done about the error of the simulation (`fmuid.identify`).
     remedies : bool
         Whether other starts are tried where the search fails or fits badly.
+    observer : float or None
+        Samples in which an observer forgets that keeps the simulation with the record (`fmuid.model_problem.observed`).
     diagnosis : FaultSearch or None
         The faults to look for, and what is known of the healthy machine.
     monitoring : MonitoringWords
@@ -100,6 +103,7 @@ class Study(Displayed):
     sensitivity: str = "finite-difference"
     accuracy: str = "switch"
     remedies: bool = True
+    observer: float | None = None
     diagnosis: FaultSearch | None = None
     monitoring: MonitoringWords = field(default_factory=MonitoringWords)
     batch: BatchSettings | None = None
@@ -165,6 +169,7 @@ class Study(Displayed):
         estimator, search, asked = words.estimator, words.estimator.settings(), words.uncertainty.settings(known.names)
         noise = words.noise.settings({given.name: given.noise for given in experiments})
         estimator.check_loss(search, asked, top)
+        estimator.check_observer({key: getattr(words, key) is not None for key in ("diagnosis", "batch")}, top)
         return cls(
             path,
             words.title,
@@ -180,6 +185,7 @@ class Study(Displayed):
             estimator.sensitivity,
             estimator.accuracy,
             estimator.remedies,
+            estimator.observer,
             None if words.diagnosis is None else words.diagnosis.settings(model, estimator.loss, known),
             words.monitoring,
             None if words.batch is None else words.batch.of(known.parameters, experiments, noise),
@@ -248,7 +254,7 @@ class Study(Displayed):
             )
         self.check_sources()
         tables = self.tables if experiments is None else experiments
-        return Problem(
+        problem = Problem(
             self.system,
             tables,
             self.parameters,
@@ -259,6 +265,7 @@ class Study(Displayed):
             sensitivity=self.sensitivity,
             choices=self.model.choices,
         )
+        return observed_by(problem, self.observer, self.path)
 
     @cached_property
     def notes(self) -> tuple[SourceNote, ...]:

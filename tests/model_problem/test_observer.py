@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -38,8 +40,9 @@ def cart(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export_text(tmp_path_factory.mktemp("cart"), CART)
 
 
-def problem(cart: Path, stiction: float) -> fmuid.Problem:
-    """A cart, driven by bits, with a force of Stribeck's kind that the model has not."""
+@cache
+def record(stiction: float) -> pd.DataFrame:
+    """Return that of a cart, driven by bits, with a force of Stribeck's kind that the model has not."""
     force = np.random.default_rng(1).choice([-4.0, 4.0], 61)[np.minimum((TIMES / 0.1).astype(int), 60)]
     x, places = np.zeros(2), [0.0]
     for k in range(600):
@@ -49,8 +52,11 @@ def problem(cart: Path, stiction: float) -> fmuid.Problem:
 
         x = solve_ivp(slope, (0.0, 0.01), x, rtol=1e-8, atol=1e-10).y[:, -1]
         places.append(float(x[0]))
-    frame = pd.DataFrame({"time": TIMES, "u": force, "q": places})
-    given = fmuid.Experiment(frame, ["u"], ["q"], interpolation="hold")
+    return pd.DataFrame({"time": TIMES, "u": force, "q": places})
+
+
+def problem(cart: Path, stiction: float) -> fmuid.Problem:
+    given = fmuid.Experiment(record(stiction), ["u"], ["q"], interpolation="hold")
     return fmuid.Problem(cart, given, {"m": fmuid.Parameter(1.0, min=0.1), "d": fmuid.Parameter(1.0, min=0.0)})
 
 
@@ -112,3 +118,74 @@ def test_an_observer_is_for_one_output_of_one_model(cart: Path) -> None:
         observed(fmuid.Problem(cart, two, {"m": fmuid.Parameter(1.0)}))
     with pytest.raises(fmuid.InputError, match="positive number of samples"):
         observed(whole, 0.0)
+
+
+STUDY = """
+[model]
+fmu = "{fmu}"
+{model}
+[[experiments]]
+table = "table.csv"
+inputs = ["u"]
+outputs = {outputs}
+interpolation = "hold"
+
+[parameters]
+m = {{ start = 1.0, min = 0.1 }}
+d = {{ start = 1.0, min = 0.0 }}
+
+[estimator]
+observer = 5
+{more}
+"""
+
+
+def study(folder: Path, fmu: Path, *, outputs: str = '["q"]', more: str = "", model: str = "") -> fmuid.Study:
+    text = STUDY.format(fmu=fmu.as_posix(), outputs=outputs, more=more, model=model)
+    return fmuid.Study.of(tomllib.loads(text), folder / "study.toml")
+
+
+def test_a_study_asks_for_an_observer(cart: Path, tmp_path: Path) -> None:
+    record(0.3).to_csv(tmp_path / "table.csv", index=False)
+    asked = study(tmp_path, cart)
+    found = fmuid.run_study(asked, tmp_path / "out")
+    by_hand = fmuid.identify(observed(problem(cart, 0.3), 5.0))
+    assert found.result.observer == 5.0
+    assert found.result.values == pytest.approx(by_hand.values, rel=1e-6)
+    assert fmuid.Result.from_json(tmp_path / "out" / "result.json").observer == 5.0
+
+
+def test_a_study_is_told_what_an_observer_cannot(cart: Path, tmp_path: Path) -> None:
+    frame = record(0.0)
+    frame.assign(w=0.0).to_csv(tmp_path / "table.csv", index=False)
+    with pytest.raises(fmuid.InputError) as refused:
+        study(tmp_path, cart, outputs='{ q = "q", v = "w" }').problem()
+    assert str(refused.value) == (
+        f"{tmp_path / 'study.toml'}: [estimator] has observer = 5, but an observer is for one output, and "
+        f"{tmp_path / 'table.csv'} has 2: remove observer"
+    )
+    with pytest.raises(fmuid.InputError, match=r'both observer and sensitivity = "forward"'):
+        study(tmp_path, cart, more='sensitivity = "forward"')
+    with pytest.raises(fmuid.InputError, match=r"both observer in \[estimator\] and \[batch\]"):
+        study(tmp_path, cart, more='[batch]\ntables = "*.csv"')
+
+
+def test_a_system_of_several_fmus_is_not_observed(cart: Path, tmp_path: Path) -> None:
+    record(0.0).to_csv(tmp_path / "table.csv", index=False)
+    text = f"""
+[model]
+components = [{{ name = "a", fmu = "{cart.as_posix()}" }}, {{ name = "b", fmu = "{cart.as_posix()}" }}]
+[[experiments]]
+table = "table.csv"
+inputs = {{ "a.u" = "u" }}
+outputs = {{ "a.q" = "q" }}
+[parameters]
+"a.m" = {{ start = 1.0 }}
+[estimator]
+observer = 3
+"""
+    several = fmuid.Study.of(tomllib.loads(text), tmp_path / "study.toml")
+    with pytest.raises(
+        fmuid.InputError, match=r"observer = 3, but an observer needs a single FMU that offers model exch"
+    ):
+        several.problem()
