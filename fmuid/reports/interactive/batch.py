@@ -12,6 +12,7 @@ from scipy import special
 
 from fmuid.arrays import Floats
 from fmuid.batches import INTERVAL_STDS, Columns
+from fmuid.reports.interactive.rows import rows_of
 from fmuid.reports.interactive.sketch import ColumnDataSource, FactorRange
 from fmuid.reports.interactive.style import (
     AMBER,
@@ -171,22 +172,19 @@ def spread(summary: pd.DataFrame) -> Any:
     summary : DataFrame
         As in ``summary.csv``.
     """
-    rows = summary[np.isfinite(summary["ratio"].astype(float))].iloc[:MAX_PARAMETERS]
-    names = [str(name) for name in rows["parameter"]]
-    plot = panel(
-        x="spread over the cases / stated std", height=90 + 26 * len(rows), y_range=FactorRange(factors=names[::-1])
-    )
-    freedom = rows["cases"].to_numpy(np.float64) - 1.0
+    known = summary[np.isfinite(summary["ratio"].astype(float))].iloc[:MAX_PARAMETERS]
+    names = [str(name) for name in known["parameter"]]
+    plot, bar = rows_of(names, "spread over the cases / stated std")
+    freedom = known["cases"].to_numpy(np.float64) - 1.0
     low, high = (np.sqrt(special.chdtri(freedom, beyond) / freedom) for beyond in (0.975, 0.025))
-    ratio = rows["ratio"].to_numpy(np.float64)
+    ratio = known["ratio"].to_numpy(np.float64)
     source = ColumnDataSource({"name": names, "ratio": ratio, "low": low, "high": high})
-    chance = plot.hbar("name", 0.5, "high", "low", source=source, fill_color=BLUE, fill_alpha=0.16, line_color=None)
+    chance = plot.hbar("name", bar, "high", "low", source=source, fill_color=BLUE, fill_alpha=0.16, line_color=None)
     dots = plot.scatter("ratio", "name", source=source, size=9, fill_color=RED, line_color=None)
     hover(plot, dots, ("parameter", "@name"), ("spread / stated std", "@ratio{0.000}"))
     level(plot, 1.0, vertical=True)
     legend(plot, [("spread / stated std", [dots]), ("95 % of chance, where the std is right", [chance])])
     reach(plot, x=(0.0, 1.1 * float(max(ratio.max(initial=1.0), high.max(initial=1.0)))))
-    plot.yaxis.major_label_text_color = INK
     return plot
 
 
@@ -232,16 +230,14 @@ def failures(table: pd.DataFrame) -> Any:
     table : DataFrame
         As in ``failures.csv``, the most frequent first.
     """
-    rows = table.iloc[:MAX_FAILURES]
-    texts = [f"{k + 1}. {str(each)[:LONGEST]}" for k, each in enumerate(rows["message"])]
-    plot = panel(x="cases", height=80 + 30 * len(rows), y_range=FactorRange(factors=texts[::-1]))
-    plot.min_border_left = 20
+    most = table.iloc[:MAX_FAILURES]
+    texts = [f"{k + 1}. {str(each)[:LONGEST]}" for k, each in enumerate(most["message"])]
+    plot, bar = rows_of(texts, "cases")
     for status, color in (("failed", RED), ("not converged", AMBER)):
-        where = rows["status"].astype(str).to_numpy() == status
+        where = most["status"].astype(str).to_numpy() == status
         if where.any():
-            data = {"text": np.array(texts)[where], "count": rows["cases"].to_numpy()[where]}
-            bars = plot.hbar("text", 0.6, "count", source=ColumnDataSource(data), fill_color=color, line_color=None)
+            data = {"text": np.array(texts)[where], "count": most["cases"].to_numpy()[where]}
+            bars = plot.hbar("text", bar, "count", source=ColumnDataSource(data), fill_color=color, line_color=None)
             hover(plot, bars, ("cases", "@count"))
     plot.x_range.start = 0
-    plot.yaxis.major_label_text_color = INK
     return plot

@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 
 from fmuid.arrays import Floats
-from fmuid.reports.interactive.sketch import ColumnDataSource, FactorRange, Range1d
+from fmuid.reports.interactive.rows import rows_of
+from fmuid.reports.interactive.sketch import ColumnDataSource, Range1d
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,
     GREY,
-    INK,
     MAX_OUTPUTS,
     MAX_PARAMETERS,
     MAX_ROWS,
@@ -48,15 +48,14 @@ def bars(names: list[str], values: Floats, text: str) -> Any:
         What they are.
     """
     names, values = names[:MAX_BARS], values[:MAX_BARS]
-    plot = panel(x=text, height=80 + 28 * len(names), y_range=FactorRange(factors=names[::-1]))
+    plot, bar = rows_of(names, text)
     best = np.arange(len(names)) == 0
-    for rows, color in ((best, RED), (~best, BLUE)):
-        if rows.any():
-            source = ColumnDataSource({"name": list(np.array(names)[rows]), "v": values[rows]})
-            drawn = plot.hbar("name", 0.55, "v", source=source, fill_color=color, line_color=None)
+    for mine, color in ((best, RED), (~best, BLUE)):
+        if mine.any():
+            source = ColumnDataSource({"name": list(np.array(names)[mine]), "v": values[mine]})
+            drawn = plot.hbar("name", bar, "v", source=source, fill_color=color, line_color=None)
             hover(plot, drawn, ("", "@name"), ("value", "@v{0.0000}"))
     plot.x_range.start = 0
-    plot.yaxis.major_label_text_color = INK
     return plot
 
 
@@ -74,14 +73,13 @@ def estimates(table: pd.DataFrame) -> list[Any]:
             continue
         factors = [str(each) for each in rows["result"]]
         text = label(str(name), rows["unit"].iloc[0])
-        plot = panel(x=text, height=90 + 26 * len(rows), y_range=FactorRange(factors=factors[::-1]))
+        plot, _ = rows_of(factors, text, head=90)
         data = {key: rows[key].to_numpy(np.float64) for key in ("value", "lower", "upper")}
         data = {key: np.where(np.isfinite(each), each, np.nan) for key, each in data.items()}
         source = ColumnDataSource({"name": factors, **data})
         plot.segment("lower", "name", "upper", "name", source=source, line_color=BLUE, line_width=3)
         dots = plot.scatter("value", "name", source=source, size=9, fill_color=BLUE, line_color=None)
         hover(plot, dots, ("value", "@value{0.000000}"), ("interval", "@lower{0.000000} to @upper{0.000000}"))
-        plot.yaxis.major_label_text_color = INK
         plots.append(plot)
     return plots
 

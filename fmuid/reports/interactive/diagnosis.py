@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.reports.interactive.sketch import BoxAnnotation, ColumnDataSource, FactorRange
+from fmuid.reports.interactive.rows import rows_of
+from fmuid.reports.interactive.sketch import BoxAnnotation, ColumnDataSource
 from fmuid.reports.interactive.style import (
     BLUE,
     GREY,
@@ -56,24 +57,19 @@ def evidence(found: Diagnosis) -> Any:
     kept = shown(found)
     names = [each.name for each in kept]
     most = max(max(each.statistic, each.threshold) for each in kept)
-    plot = panel(
-        x="D, by how much the fault lowers the criterion",
-        height=110 + 30 * len(kept),
-        y_range=FactorRange(factors=names[::-1]),
-        x_axis_type="log",
-    )
+    plot, bar = rows_of(names, "D, by how much the fault lowers the criterion", head=110, x_axis_type="log")
     entries = []
-    for text, color, rows in _kinds(found, kept):
+    for text, color, mine in _kinds(found, kept):
         source = ColumnDataSource(
             {
-                "name": [each.name for each in rows],
-                "d": [max(each.statistic, LEAST_STATISTIC) for each in rows],
-                "told": [each.statistic for each in rows],
-                "threshold": [each.threshold for each in rows],
-                "p": [each.adjusted for each in rows],
+                "name": [each.name for each in mine],
+                "d": [max(each.statistic, LEAST_STATISTIC) for each in mine],
+                "told": [each.statistic for each in mine],
+                "threshold": [each.threshold for each in mine],
+                "p": [each.adjusted for each in mine],
             }
         )
-        bars = plot.hbar("name", 0.55, "d", LEAST_STATISTIC, source=source, fill_color=color, line_color=None)
+        bars = plot.hbar("name", bar, "d", LEAST_STATISTIC, source=source, fill_color=color, line_color=None)
         hover(plot, bars, ("D", "@told{0.000}"), ("threshold", "@threshold{0.000}"), ("probability", "@p{0.0e}"))
         entries.append((text, [bars]))
     limits = ColumnDataSource({"name": names, "x": [each.threshold for each in kept]})
@@ -82,7 +78,6 @@ def evidence(found: Diagnosis) -> Any:
     entries.append((f"threshold at a false-alarm level of {100 * found.level:g} %", [marks]))
     legend(plot, entries)
     reach(plot, x=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
-    plot.yaxis.major_label_text_color = INK
     return plot
 
 
@@ -114,8 +109,7 @@ def sizes(found: Diagnosis) -> list[Any]:
 
 def _intervals(text: str, names: list[str], values: list[float], ends: list[tuple[float, float]], color: str) -> Any:
     """Draw values with their intervals beside zero, a row a name."""
-    factors = list(dict.fromkeys(names))[::-1]
-    plot = panel(x=text, height=100 + 26 * len(names), y_range=FactorRange(factors=factors))
+    plot, _ = rows_of(list(dict.fromkeys(names)), text)
     columns = {"low": [low for low, _ in ends], "high": [high for _, high in ends]}
     source = ColumnDataSource({"name": names, "value": values, **columns})
     plot.segment("low", "name", "high", "name", source=source, line_color=color, line_width=3)
@@ -124,7 +118,6 @@ def _intervals(text: str, names: list[str], values: list[float], ends: list[tupl
     level(plot, 0.0, vertical=True)
     low, high = min(0.0, *columns["low"]), max(0.0, *columns["high"])
     reach(plot, x=(low - 0.05 * (high - low), high + 0.05 * (high - low)))
-    plot.yaxis.major_label_text_color = INK
     return plot
 
 
@@ -140,33 +133,27 @@ def causes(found: Evidence) -> Any:
     kept = sorted(found.suspects, key=lambda each: each.probability)[:MAX_FAULTS]
     names = [change_name(each.change) for each in kept]
     named = {change_name(change) for each in found.explanations for change in each.changes}
-    plot = panel(
-        x="D, by how much the cause alone lowers the criterion",
-        height=110 + 28 * len(kept),
-        y_range=FactorRange(factors=names[::-1]),
-        x_axis_type="log",
-    )
+    plot, bar = rows_of(names, "D, by how much the cause alone lowers the criterion", head=110, x_axis_type="log")
     entries = []
     for text, color, mine in (("explains the record", RED, True), ("other causes", GREY, False)):
-        rows = [(name, each) for name, each in zip(names, kept, strict=True) if (name in named) is mine]
+        here = [(name, each) for name, each in zip(names, kept, strict=True) if (name in named) is mine]
         columns = {
-            "name": [name for name, _ in rows],
-            "d": [max(each.statistic, LEAST_STATISTIC) for _, each in rows],
-            "told": [each.statistic for _, each in rows],
-            "p": [each.probability for _, each in rows],
-            "size": [change_size(each.change) for _, each in rows],
-            "near": [f"{each.rival}, {math.degrees(each.rival_angle):.0f}°" if each.rival else "" for _, each in rows],
+            "name": [name for name, _ in here],
+            "d": [max(each.statistic, LEAST_STATISTIC) for _, each in here],
+            "told": [each.statistic for _, each in here],
+            "p": [each.probability for _, each in here],
+            "size": [change_size(each.change) for _, each in here],
+            "near": [f"{each.rival}, {math.degrees(each.rival_angle):.0f}°" if each.rival else "" for _, each in here],
         }
-        if rows:
+        if here:
             source = ColumnDataSource(columns)
-            bars = plot.hbar("name", 0.55, "d", LEAST_STATISTIC, source=source, fill_color=color, line_color=None)
+            bars = plot.hbar("name", bar, "d", LEAST_STATISTIC, source=source, fill_color=color, line_color=None)
             numbers = (("D", "@told{0.000}"), ("probability by chance", "@p{0.0e}"))
             hover(plot, bars, *numbers, ("size", "@size"), ("nearest signature", "@near"))
             entries.append((text, [bars]))
     legend(plot, entries)
     most = max((each.statistic for each in kept), default=1.0)
     reach(plot, x=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
-    plot.yaxis.major_label_text_color = INK
     return plot
 
 

@@ -12,6 +12,7 @@ from fmuid.arrays import Floats
 from fmuid.assessment import both_known, region_rise
 from fmuid.assessment import parabolas as parabolas_of
 from fmuid.estimation import SHIFT_LIMIT
+from fmuid.reports.interactive.rows import rows_of
 from fmuid.reports.interactive.sketch import (
     BoxAnnotation,
     ColumnDataSource,
@@ -250,21 +251,17 @@ def accuracy(estimates: pd.DataFrame) -> Any:
     """
     known = estimates[np.isfinite(estimates["numerical_shift"].astype(float))].iloc[:MAX_PARAMETERS]
     names, shifts = [str(name) for name in known["parameter"]], known["numerical_shift"].to_numpy(np.float64)
-    plot = panel(
-        x="shift under the finer simulation (std of the estimate)",
-        height=90 + 26 * len(names),
-        y_range=FactorRange(factors=names[::-1]),
-    )
+    plot, _ = rows_of(names, "shift under the finer simulation (std of the estimate)", head=90)
     plot.add_layout(
         BoxAnnotation(left=-SHIFT_LIMIT, right=SHIFT_LIMIT, fill_color=BLUE, fill_alpha=0.14, line_color=None)
     )
     level(plot, 0.0, vertical=True)
     large, entries = np.abs(shifts) > SHIFT_LIMIT, []
     columns = {"name": np.array(names), "shift": shifts, "zero": np.zeros(len(names))}
-    for rows, color, text in ((~large, BLUE, "harmless"), (large, RED, "larger than a tenth")):
-        if not rows.any():
+    for mine, color, text in ((~large, BLUE, "harmless"), (large, RED, "larger than a tenth")):
+        if not mine.any():
             continue
-        part = ColumnDataSource({key: values[rows] for key, values in columns.items()})
+        part = ColumnDataSource({key: values[mine] for key, values in columns.items()})
         plot.segment("zero", "name", "shift", "name", source=part, line_color=color, line_width=2)
         dots = plot.scatter("shift", "name", source=part, size=8, fill_color=color, line_color=None)
         hover(plot, dots, ("parameter", "@name"), ("shift", "@shift{0.000000} std"))
@@ -272,5 +269,4 @@ def accuracy(estimates: pd.DataFrame) -> Any:
     legend(plot, entries)
     most = max(1.5 * SHIFT_LIMIT, 1.15 * float(np.abs(shifts).max(initial=0.0)))
     reach(plot, x=(-most, most))
-    plot.yaxis.major_label_text_color = INK
     return plot

@@ -7,6 +7,7 @@ a column's name or of HTML.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -52,6 +53,11 @@ MAX_OUTPUTS, MAX_EXPERIMENTS, MAX_PARAMETERS = 8, 6, 24
 NARROW, WIDE = 260, 420
 # What begins mathematics in a text of Bokeh, for which it would ask a host.
 _TEX = ("$$", "\\(", "\\[")
+# So many characters of a text fit into a figure on a telephone; so many pixels has its legend there.
+LONGEST_LINE, LEGEND_ROOM = 44, 230
+# Pixels of a character, of what else belongs to an entry of a legend, and of a line of it.
+CHARACTER, ENTRY, LEGEND_LINE = 5.8, 33, 18
+NAME_SIZE = "11px"
 
 Units = Mapping[str, str | None]
 
@@ -92,7 +98,7 @@ def panel(
     plot.background_fill_color = plot.border_fill_color = None  # that of the page
     plot.ygrid.grid_line_color, plot.xgrid.grid_line_color = FAINT, None
     for axis, text in ((plot.xaxis, x), (plot.yaxis, y)):
-        axis.axis_label = plain(text)
+        axis.axis_label = plain(wrapped(text) if axis is plot.xaxis else text)
         axis.axis_line_color = axis.major_tick_line_color = LINE
         axis.minor_tick_line_color = None
         axis.major_tick_in, axis.major_tick_out = 0, 4
@@ -112,18 +118,25 @@ def plain(text: str) -> str | Sketch:
     return PlainText(text=text) if any(mark in text for mark in _TEX) else text
 
 
+def wrapped(text: str) -> str:
+    """Return a text in lines that a telephone has room for."""
+    return "\n".join(textwrap.wrap(text, LONGEST_LINE))
+
+
 def named(name: str, units: Units | None) -> str:
     """Return the label of a parameter or an output."""
     return label(name, (units or {}).get(name))
 
 
 def legend(plot: Any, entries: Sequence[tuple[str, Sequence[Any]]]) -> None:
-    """Put a legend above a figure: a click hides what an entry stands for."""
+    """Put a legend above a figure, in lines where one has no room: a click hides what an entry stands for."""
     items = [LegendItem(label=Value(text), renderers=list(drawn)) for text, drawn in entries if drawn]
     if items:
+        long = sum(CHARACTER * len(item.label.value) + ENTRY for item in items) > LEGEND_ROOM
+        plot.height += LEGEND_LINE * (len(items) - 1) * long
         found = Legend(
             items=items,
-            orientation="horizontal",
+            orientation="vertical" if long else "horizontal",
             label_text_font=FONT,
             label_text_font_size="11px",
             label_text_color=INK,
@@ -132,7 +145,7 @@ def legend(plot: Any, entries: Sequence[tuple[str, Sequence[Any]]]) -> None:
             click_policy="hide",
             padding=0,
             margin=2,
-            spacing=12,
+            spacing=2 if long else 12,
             glyph_width=16,
             glyph_height=12,
             inactive_fill_color=WHITE,
