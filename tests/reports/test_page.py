@@ -19,6 +19,7 @@ import fmuid
 from fmuid.cli.options import DONE, WRONG_INPUT
 from fmuid.reports import Findings, write_report
 from fmuid.reports.page.contents import Identification
+from fmuid.reports.page.identification import part
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 
 EVIL = '</script><script>alert(1)</script><img src=x onerror=alert(2)> & "quoted" $$x$$'
@@ -117,6 +118,18 @@ def test_it_says_the_verdict_first_and_links_to_what_proves_it(page: Page) -> No
     assert set(links) <= {f"#{anchor}" for anchor in anchors}
     assert {"#fit", "#residuals", "#belief", "#search", "#accuracy"} <= set(links)
     assert {"fit", "fit-2", "correlation", "uncertainty"} <= set(anchors)
+
+
+def test_the_parabolas_of_prior_data_and_both_are_of_parameters_with_a_prior(results: Path, tmp_path: Path) -> None:
+    drawn = {each.name: each.figures for each in part(results).sections}
+    (figure,) = drawn["parabolas"]
+    assert figure.xaxis.axis_label == "R (Ohm)"  # L has none
+    for path in results.iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    reading = pd.read_csv(results / "reading.csv")
+    reading.assign(prior=np.nan, prior_std=np.nan).to_csv(tmp_path / "reading.csv", index=False)
+    assert "parabolas" not in {each.name for each in part(tmp_path).sections}
 
 
 def test_the_table_has_value_interval_prior_and_shift(results: Path, page: Page) -> None:

@@ -30,6 +30,9 @@ CAPTIONS = {
     "amber, the circle is the start. The criterion falls with each accepted step; rejected trials are crosses.",
     "belief": "What the prior said, what the data say alone, and both. Prior and data should overlap; where the data's "
     "curve is wide or missing, the estimate rests on the prior.",
+    "parabolas": "The criterion of what the prior says, of what the data say, and of both, over each parameter with a "
+    "prior: the narrower parabola decides where the estimate lies. Where both stands high above zero at its least, "
+    "prior and data contradict each other.",
     "correlation": "Near ±1 two estimates are hardly told apart: their intervals (dashed) do not hold one by one, the "
     "ellipse does. Shown are the pairs that are correlated most.",
     "accuracy": "Each estimate's shift if the finer simulation took the place of the one used, in its standard "
@@ -150,7 +153,11 @@ def _search(found: Identification) -> list[Section]:
 def _belief(found: Identification) -> list[Section]:
     reading = found.tables.get("reading", pd.DataFrame())
     figures = estimates.belief(reading, found.units) if len(reading) else []
-    return [Section("belief", "Prior, data, and both", CAPTIONS["belief"], figures)]
+    parts = estimates.parabolas(reading, units=found.units) if len(reading) else []
+    return [
+        Section("belief", "Prior, data, and both", CAPTIONS["belief"], figures),
+        Section("parabolas", "The criterion of prior, data, and both", CAPTIONS["parabolas"], parts),
+    ]
 
 
 def _correlation(found: Identification) -> list[Section]:
