@@ -23,6 +23,7 @@ from .predictors import FunctionPredictor as FunctionPredictor
 from .predictors import Measurements as Measurements
 from .predictors import Predictor as Predictor
 from .predictors import Table as Table
+from .preparation.prepare import FILLS as FILLS
 from .preparation.prepare import TRENDS as TRENDS
 from .preparation.prepare import Axes as Axes
 from .preparation.prepare import Preparation as Preparation

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -335,7 +336,8 @@ def _values(
         if bad.size:
             row = bad[0]
             found = "has no value" if np.isnan(values[row, k]) else f"is {values[row, k]}"
-            remedy = "fill the gap or cut the table there" if role == "input" else "leave cells without a sample empty"
+            fill = f'fill the gap, prepare = {{ fill = {{ {json.dumps(column)} = "linear" }} }}, or cut the table there'
+            remedy = fill if role == "input" else "leave cells without a sample empty"
             raise InputError(
                 f"{source}: the {role} column {column!r} {found} in row {row + 1} (t = {times[row]:.9g} s): {remedy}"
             )

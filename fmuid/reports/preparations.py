@@ -72,7 +72,12 @@ def _changes(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFram
     """Yield the columns before and after, where the one is not the other."""
     time = time_name(given.time)
     words, after = given.prepare, experiment.frame
-    names = [*experiment.columns.values(), *words.columns, *(name for each in words.axes for name in each.target)]
+    names = [
+        *experiment.columns.values(),
+        *words.columns,
+        *words.fill,
+        *(name for each in words.axes for name in each.target),
+    ]
     names += list(words.detrend) if isinstance(words.detrend, dict) else []
     there = [[str(each) for each in frame.columns] for frame in (raw, after)]
     for name in dict.fromkeys(names):

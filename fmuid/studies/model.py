@@ -388,6 +388,7 @@ def named(experiments: Sequence[ExperimentSettings], top: Place) -> tuple[Experi
         name = each.name or each.table.stem
         if not each.outputs:
             raise each.error('has no outputs: name those that are measured, outputs = ["..."]')
+        each.prepare.check_fill(each.outputs)
         pieces = each.prepare.cut_up()
         for k, piece in enumerate(pieces, start=1):
             called = f"{name} {k}" if len(pieces) > 1 else name

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 from pydantic import AfterValidator, Field, Tag
 
-from fmuid.data import TRENDS, Axes, Preparation
+from fmuid.data import FILLS, TRENDS, Axes, Preparation
 from fmuid.studies.words import (
     BY_SHAPE,
     TABLE_TAG,
@@ -38,6 +39,7 @@ Pieces = Annotated[
     list[Annotated[list[Finite], Field(min_length=2, max_length=2)]], Kind(PIECES), AfterValidator(_forwards)
 ]
 Trend = Annotated[str, one_of(tuple(TRENDS))]
+Fills = Annotated[dict[str, Annotated[str, one_of(FILLS)]], Entries('a table { column = "linear" or "hold" }')]
 Trends = Annotated[dict[str, Trend], Entries("a table { column = trend }")]
 
 
@@ -75,6 +77,8 @@ class PrepareWords(Words):
     columns: Texts = word(
         {}, 'columns computed from others, { x = "pulses * 35.1 + vir" }, also in place of what is there'
     )
+    fill: Fills = word({}, 'inputs whose missing samples are filled, { u = "linear" }, or "hold", the sample before')
+    longest_gap: Positive | None = word(None, "s: a longer gap is not filled but refused; default: any is filled")
     axes: list[AxesWords] = word([], "phases transformed to turning axes, or back")
     low_pass: Positive | None = word(None, "Hz: inputs and outputs without what is faster, nothing shifted in time")
     start: Finite | None = word(None, "s: the table is kept from there", alias="from")
@@ -95,8 +99,21 @@ class PrepareWords(Words):
         """
         if self.start is not None and self.end is not None and self.end <= self.start:
             raise self.error(f"has from = {self.start:g} and to = {self.end:g}: give the earlier time first")
+        if self.longest_gap is not None and not self.fill:
+            raise self.error('has longest_gap and nothing to fill: name the columns, fill = { u = "linear" }')
         axes = tuple(each.settings() for each in self.axes)
-        return Preparation(self.columns, axes, self.low_pass, self.start, self.end, self.resample, self.detrend)
+        gap = math.inf if self.longest_gap is None else self.longest_gap
+        how = self.low_pass, self.start, self.end, self.resample, self.detrend, self.fill, gap
+        return Preparation(self.columns, axes, *how)
+
+    def check_fill(self, outputs: Mapping[str, str]) -> None:
+        """Check that no measurements are made up: an `InputError` where a column of an output is filled."""
+        for name, column in outputs.items():
+            if column in self.fill:
+                raise self.error(
+                    f"fills {column!r}, what was measured of the output {name!r}: leave it out of fill, missing "
+                    "samples of an output do not count"
+                )
 
     def cut_up(self) -> Sequence[PrepareWords]:
         """Return the words of each piece.

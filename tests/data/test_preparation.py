@@ -226,3 +226,54 @@ def test_axes_are_refused() -> None:
     del table.attrs["units"]
     with pytest.raises(InputError, match="column 'ix' is missing"):
         reduce(table, axes=[Axes(("ia", "ib", "ix"), ("id", "iq"), angle="n")])
+
+
+# --- fill ---------------------------------------------------------------------------------
+
+
+def gappy() -> pd.DataFrame:
+    """Return a line 2 t with gaps of 2, 12 and 3 ms, the last at the end."""
+    u = 2 * T
+    for gap in (slice(100, 101), slice(500, 511), slice(1997, 2000)):
+        u[gap] = np.nan
+    return frame(u=u, i=np.sin(T))
+
+
+def test_gaps_are_filled_on_lines_or_by_the_sample_before() -> None:
+    straight = fmuid.reduce(gappy(), fill={"u": "linear"}, end=1.9)
+    np.testing.assert_allclose(straight["u"], 2 * T[:1901], atol=1e-12)
+    held = fmuid.reduce(gappy(), fill={"u": "hold"})["u"].to_numpy()
+    steps = np.arange(2000)
+    steps[100], steps[500:511], steps[1997:] = 99, 499, 1996
+    np.testing.assert_array_equal(held, 2 * T[steps])
+
+
+def test_filling_comes_between_columns_and_axes() -> None:
+    table = gappy().assign(ia=3.0, ib=-1.5, ic=-1.5)
+    axes = Axes(("ia", "ib", "ic"), ("id", "iq"), speed="w")
+    found = fmuid.reduce(table, columns={"w": "5 * u"}, fill={"w": "hold"}, axes=[axes])
+    assert np.isfinite(found[["w", "id"]]).all(axis=None)
+    assert found["u"].isna().sum() == 15  # what is not named stays
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"longest_gap": 0.003}, "at t = 0.5 s, in a gap of 0.012 s, more than longest_gap = 0.003 s: make"),
+        ({}, "the frame: the column 'u' has no value at t = 1.997 s and none after it to fill it from: cut"),
+        ({"fill": {"none": "linear"}}, "the column 'none' has no value at t = 0 s and none before it"),
+        ({"fill": {"u": "cubic"}}, "fill = 'cubic' is not known: write \"linear\" or \"hold\""),
+        ({"fill": {"v": "hold"}}, "the prepared column 'v' is missing"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_filled_is_refused(how: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        fmuid.reduce(gappy().assign(none=np.nan), **({"fill": {"u": "linear"}} | how))
+    assert said in str(caught.value)
+
+
+def test_gaps_outside_what_is_kept_do_not_matter() -> None:
+    found = fmuid.reduce(gappy(), fill={"u": "linear"}, longest_gap=0.002, end=0.4)
+    np.testing.assert_allclose(found["u"], 2 * T[:401], atol=1e-12)
+    with pytest.raises(InputError, match=r"at t = 0\.5 s"):  # the last time that is kept is in the gap
+        fmuid.reduce(gappy(), fill={"u": "linear"}, longest_gap=0.002, end=0.5)

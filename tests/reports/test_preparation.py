@@ -140,8 +140,17 @@ def test_the_figure_shows_before_in_grey_and_after(study: Study, raw: pd.DataFra
 
 def test_every_word_is_said() -> None:
     axes = [{"from": ["a", "b", "c"], "to": ["d", "q"], "angle": "t"}]
-    words = {"axes": axes, "low_pass": 60.0, "to": 2.0, "resample": 0.01, "detrend": "linear"}
+    words = {
+        "fill": {"u": "hold"},
+        "longest_gap": 0.05,
+        "axes": axes,
+        "low_pass": 60.0,
+        "to": 2.0,
+        "resample": 0.01,
+        "detrend": "linear",
+    }
     assert preparation_words(words) == (
-        "The table was turned from a, b, c to d, q, low-passed at 60 Hz, without a shift in time, cut to 2 s, "
+        "The table was filled over gaps of at most 0.05 s (u: hold), "
+        "turned from a, b, c to d, q, low-passed at 60 Hz, without a shift in time, cut to 2 s, "
         "resampled in steps of 0.01 s and detrended (linear)"
     )

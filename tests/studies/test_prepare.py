@@ -87,6 +87,10 @@ def test_filtered_and_resampled(folder: Path) -> None:
         ("pieces = [[0.0, 0.2, 0.3]]", "pieces must be a list of pairs of times"),
         ("pieces = [[0.0, 0.2]]\nto = 3.0", "has both pieces and to: keep one of the two"),
         ("resample = 0", "resample must be a number above 0, not 0"),
+        ('fill = { u = "cubic" }', 'a table of which each entry is "linear" or "hold"'),
+        ('fill = { current = "hold" }', "fills 'current', what was measured of the output 'i': leave it out of fill"),
+        ("longest_gap = 0.1", "has longest_gap and nothing to fill: name the columns"),
+        ('longest_gap = 0\nfill = { u = "hold" }', "longest_gap must be a number above 0, not 0"),
         ('detrend = "cubic"', 'detrend must be "mean" or "linear"'),
         ("lowpass = 3.0", r"has no key 'lowpass' \(did you mean 'low_pass'"),
         ('axes = [{ from = ["u", "i"], to = ["a", "b"], angle = "t" }]', "has from and to of other lengths"),
@@ -98,3 +102,18 @@ def test_what_is_wrong_is_said(folder: Path, prepare: str, said: str, capsys: py
         _ = study(folder, prepare).tables
     assert fmuid_("simulate", folder / "study.toml") == WRONG_INPUT
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_an_input_with_a_gap_names_the_remedy_which_fills_it(folder: Path) -> None:
+    whole = study(folder, "").identify()
+    table = pd.read_csv(folder / "run.csv")
+    row = int(np.flatnonzero(np.diff(table["u"]) == 0)[20]) + 1  # where holding changes nothing
+    table.loc[row, "u"] = np.nan
+    table.to_csv(folder / "run.csv", index=False)
+    with pytest.raises(InputError) as caught:
+        _ = study(folder, "").tables
+    remedy = 'fill = { "u" = "linear" }'
+    assert f"fill the gap, prepare = {{ {remedy} }}, or cut the table there" in str(caught.value)
+    assert np.isfinite(study(folder, remedy).tables[0].input_values).all()
+    filled = study(folder, 'fill = { u = "hold" }\nlongest_gap = 0.01').identify()
+    np.testing.assert_array_equal(filled.values, whole.values)

@@ -14,7 +14,7 @@ from fmuid.arrays import Floats
 from fmuid.data.experiment import Experiment
 from fmuid.data.interpolation import HELD, interpolation_words
 from fmuid.data.preparation.expressions import evaluate
-from fmuid.data.preparation.sampling import detrended, low_passed, resampled
+from fmuid.data.preparation.sampling import detrended, filled, low_passed, resampled
 from fmuid.data.tables import UNITS, numeric_column
 from fmuid.data.times import column_of, missing_column
 from fmuid.data.transforms import inverse_park, park
@@ -24,6 +24,8 @@ from fmuid.units import parse_unit
 Table = TypeVar("Table", pd.DataFrame, Experiment)
 TRENDS = {"mean": 0, "linear": 1}
 """What `detrend` takes away, by the degree of the polynomial."""
+FILLS = ("linear", "hold")
+"""How `fill` goes over a gap: on a straight line, or by the sample before it."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,10 @@ class Preparation:
         Step of time, s.
     detrend : "mean", "linear", mapping of str to these, or None
         What is taken from signals, or from some.
+    fill : mapping of str to "linear" or "hold"
+        Columns whose missing samples are filled, after `columns` and before `axes`.
+    longest_gap : float
+        s: a longer one is not filled (`fmuid.data.preparation.sampling.filled`).
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -89,6 +95,8 @@ class Preparation:
     end: float | None = None
     resample: float | None = None
     detrend: str | Mapping[str, str] | None = None
+    fill: Mapping[str, str] = field(default_factory=dict)
+    longest_gap: float = math.inf
 
     def applied(
         self,
@@ -121,6 +129,7 @@ class Preparation:
             return frame
         work, between = _Work(frame, time, source), interpolation or {}
         work.derive(self.columns)
+        work.fill(self)
         for each in self.axes:
             work.turn(each)
         names = work.signals(signals)
@@ -202,6 +211,15 @@ class _Work:
                 raise InputError(f"{self.source}: column {name!r}: {why}") from None
             self.put([name], np.where(np.isfinite(values), values, np.nan)[:, None])
 
+    def fill(self, asked: Preparation) -> None:
+        within = _kept(self.times, asked.start, asked.end)
+        for name, how in asked.fill.items():
+            if how not in FILLS:
+                raise InputError(f'{self.source}: fill = {how!r} is not known: write "linear" or "hold"')
+            values, called = self.column(name), f"{self.source}: the column {name!r}"
+            found = column_of([str(column) for column in self.frame.columns], name) or name
+            self.put([found], filled(self.times, values, how, asked.longest_gap, within, called)[:, None])
+
     def turn(self, axes: Axes) -> None:
         unit = {self.unit(name) for name in axes.columns}
         if len(unit) > 1:
@@ -241,11 +259,11 @@ class _Work:
 
     def cut(self, start: float | None, end: float | None) -> None:
         times = self.times
-        tolerance = 1e-9 * (times[-1] - times[0])
-        lower, upper = (-math.inf if start is None else start), (math.inf if end is None else end)
-        kept = (times >= lower - tolerance) & (times <= upper + tolerance)
+        lower, upper = _kept(times, start, end)
+        kept = (times >= lower) & (times <= upper)
         if kept.sum() < 2:
-            asked = f"from {lower:g}" * (start is not None) + f" to {upper:g}" * (end is not None)
+            asked = "" if start is None else f"from {start:g}"
+            asked += "" if end is None else f" to {end:g}"
             raise InputError(
                 f"{self.source}: {asked.strip()} s leaves {kept.sum()} samples: the record goes from {times[0]:.6g} to "
                 f"{times[-1]:.6g} s"
@@ -265,6 +283,12 @@ class _Work:
             self.put([found], detrended(self.times, self.column(name)[:, None], TRENDS[how]))
 
 
+def _kept(times: Floats, start: float | None, end: float | None) -> tuple[float, float]:
+    """Return the times between which samples are kept; theirs are rounded decimals."""
+    tolerance = 1e-9 * float(times[-1] - times[0])
+    return (-math.inf if start is None else start - tolerance), (math.inf if end is None else end + tolerance)
+
+
 def reduce(
     given: Table,
     *,
@@ -275,6 +299,8 @@ def reduce(
     end: float | None = None,
     resample: float | None = None,
     detrend: str | Mapping[str, str] | None = None,
+    fill: Mapping[str, str] | None = None,
+    longest_gap: float = math.inf,
     time: str = "time",
 ) -> Table:
     """Do with a table, or with that of an experiment, what ``[experiments.prepare]`` of a study does, in this order.
@@ -294,6 +320,11 @@ def reduce(
     resample : float
         Step of time, s.
     detrend : "mean", "linear" or mapping of column to these
+    fill : mapping of column to "linear" or "hold"
+        Columns whose missing samples are filled, on straight lines or by the sample before; after `columns`, before
+        all else. Those of outputs do not count and need no filling.
+    longest_gap : float
+        s: a longer gap is refused; default: any is filled.
     time : str
         The column of time of a frame, s.
 
@@ -314,7 +345,7 @@ def reduce(
     >>> fmuid.reduce(frame, columns={"x": "pulses / 2 + 1"}, start=0.1, resample=0.2)["x"].tolist()
     [2.0, 4.0]
     """
-    how = Preparation(columns or {}, axes, low_pass, start, end, resample, detrend)
+    how = Preparation(columns or {}, axes, low_pass, start, end, resample, detrend, fill or {}, longest_gap)
     if not isinstance(given, Experiment):
         return how.applied(given, time, "the frame")
     driven = {name: given.columns[name] for name in given.input_names}

@@ -87,6 +87,44 @@ def _stretches(there: NDArray[np.bool_], breaks: NDArray[np.bool_]) -> list[NDAr
     return [each for each in np.split(rows, cuts) if each.size]
 
 
+def filled(times: Floats, values: Floats, how: str, longest: float, within: tuple[float, float], called: str) -> Floats:
+    """Return a column (K,) with its gaps filled, on straight lines ("linear") or by the sample before ("hold").
+
+    A gap is as long as the time from the sample before it to the one after, or to the end of the record. One that
+    cannot be filled stays where it lies outside the times `within`, which are those that are kept.
+
+    Raises
+    ------
+    InputError
+        If a gap is longer than `longest`, s, or there is no sample to fill it from; the sentence names its time.
+    """
+    there, gone = np.flatnonzero(np.isfinite(values)), np.flatnonzero(~np.isfinite(values))
+    if not gone.size:
+        return values
+    place = np.searchsorted(there, gone)
+    first, last = place == 0, place == there.size
+    rows = np.append(there, times.size - 1)  # of a column without a sample all are first
+    before, after = rows[np.maximum(place - 1, 0)], rows[place]
+    length = times[after] - times[before]
+    alone = first | (last if how == "linear" else False)
+    needed = (times[gone] >= within[0]) & (times[gone] <= within[1])
+    long = ~alone & (length > longest * (1 + SAME))
+    for bad in np.flatnonzero((alone | long) & needed)[:1]:
+        said = f"{called} has no value at t = {times[gone[bad]]:.9g} s"
+        if alone[bad]:
+            side = "before" if first[bad] else "after"
+            raise InputError(f"{said} and none {side} it to fill it from: cut the table there")
+        raise InputError(
+            f"{said}, in a gap of {length[bad]:.6g} s, more than longest_gap = {longest:g} s: make that longer, or cut "
+            "the table there"
+        )
+    share = np.where(length > 0, (times[gone] - times[before]) / np.where(length > 0, length, 1.0), 0.0)
+    found, slope = values.copy(), values[after] - values[before] if how == "linear" else 0.0
+    kept = ~(alone | long)
+    found[gone[kept]] = (values[before] + share * slope)[kept]
+    return found
+
+
 def resampled(
     times: Floats, values: Floats, interpolation: Sequence[str], step: float, source: str
 ) -> tuple[Floats, Floats]:

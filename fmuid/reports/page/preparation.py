@@ -44,6 +44,9 @@ def preparation_words(words: Mapping[str, Any]) -> str:
 def _done(words: Mapping[str, Any]) -> Iterator[str]:
     if words.get("columns"):
         yield f"given the columns {', '.join(f'{name} = {text}' for name, text in words['columns'].items())}"
+    if words.get("fill"):
+        gap = f" of at most {words['longest_gap']:g} s" if words.get("longest_gap") else ""
+        yield f"filled over gaps{gap} ({', '.join(f'{name}: {how}' for name, how in words['fill'].items())})"
     for each in words.get("axes", ()):
         yield f"turned from {', '.join(each['from'])} to {', '.join(each['to'])}"
     if "low_pass" in words:
