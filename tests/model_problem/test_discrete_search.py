@@ -16,6 +16,7 @@ from fmuid.batches.run_case import CaseRunner
 from fmuid.estimation import Outcome
 from fmuid.model_problem.choices import MOST_COMBINATIONS, choices_of
 from fmuid.model_problem.discrete_search import identify_each
+from tests.support.choices import choices_fmu
 from tests.support.fmu_texts import FMI2, write_fmu
 from tests.support.probe_fmu import ProbeMaker
 from tests.support.stepping import LAG, stepping_fmu
@@ -63,6 +64,17 @@ def test_the_true_combination_is_found(fmu: Path, experiment: fmuid.Experiment, 
     assert behind == sorted(behind)
     assert result.combinations[0].estimates == {"gain": result["gain"]}
     # the problem is left at the best one, where what is asked of it later goes on
+    left = given.measured - given.predict(result.values[None])[0]
+    assert np.std(left) == pytest.approx(NOISE, rel=0.2)
+
+
+def test_an_int32_and_a_boolean_of_fmi_3_are_found(tmp_path: Path, experiment: fmuid.Experiment) -> None:
+    given = problem(choices_fmu(tmp_path), experiment, {"n": "all", "b": "all"})
+    result = fmuid.identify(given)
+    assert [type(each) for each in result.chosen.values()] == [int, bool]
+    assert result.chosen == {"n": N, "b": B}
+    assert len(result.combinations) == 8  # n from its bounds
+    assert abs(result["gain"] - GAIN) < 4 * result["gain"].std
     left = given.measured - given.predict(result.values[None])[0]
     assert np.std(left) == pytest.approx(NOISE, rel=0.2)
 
