@@ -80,7 +80,7 @@ def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) 
 
         summary, frame = found.summary()
         show_batch(summary)
-        written = [*write_summary(summary, job.folder), write_overview(summary, found, job.study.title)]
+        written = [*write_summary(summary, job.folder), write_overview(summary, found, job.study)]
         clear_figures(job.folder / "figures")
         (job.folder / REPORT_FILE).unlink(missing_ok=True)
         if figures is not None:

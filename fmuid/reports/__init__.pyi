@@ -5,6 +5,7 @@ from .batch_words import summary_words as summary_words
 from .batch_words import write_overview as write_overview
 from .batch_words import write_summary as write_summary
 from .comparisons import ComparisonFindings as ComparisonFindings
+from .comparisons import estimate_rows as estimate_rows
 from .comparisons import run_comparison as run_comparison
 from .drawn import REPORT_FILE as REPORT_FILE
 from .drawn import clear_figures as clear_figures

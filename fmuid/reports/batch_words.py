@@ -12,8 +12,10 @@ import pandas as pd
 from fmuid.batches import BatchResult, Dependence, EstimateDoubt, Summary
 from fmuid.estimation import AccuracyOutcome
 from fmuid.files import write_json, write_table
+from fmuid.reports.origin import Origin
 from fmuid.reports.words.directions import open_words
 from fmuid.reports.words.result import ENDS
+from fmuid.studies import Study
 from fmuid.text import has_unit, rounded
 from fmuid.version import __version__
 
@@ -59,15 +61,15 @@ def write_summary(summary: Summary, folder: Path) -> list[Path]:
     return [write_table(folder / f"{name}.csv", table) for name, table in tables.items()]
 
 
-def write_overview(summary: Summary, found: BatchResult, title: str) -> Path:
+def write_overview(summary: Summary, found: BatchResult, study: Study) -> Path:
     """Write ``summary.json``, which has what the tables of a batch do not say, and return its path.
 
     Parameters
     ----------
     summary : Summary
     found : BatchResult
-    title : str
-        Of the study.
+    study : Study
+        Of the batch.
 
     Raises
     ------
@@ -75,7 +77,7 @@ def write_overview(summary: Summary, found: BatchResult, title: str) -> Path:
         If the folder of the batch cannot be written to.
     """
     content = {
-        "title": title,
+        **Origin.of(study).with_study(study),
         "words": summary_words(summary),
         "statuses": {str(row["status"]): row["cases"] for row in summary.statuses.to_dict("records")},
         "truth": found.truth,

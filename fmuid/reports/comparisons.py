@@ -137,15 +137,19 @@ def run_comparison(
     for each, path in zip(candidates, paths if tables else (), strict=bool(tables)):
         study = study_of(path, isolated=isolated, in_place=Path(tables[0]))
         predictions[each.name] = run_prediction(path, tables, study=study, free=free).predictions
-    return ComparisonFindings(comparison, predictions, apart, tuple(row for each in candidates for row in _rows(each)))
+    return ComparisonFindings(
+        comparison,
+        predictions,
+        apart,
+        tuple(row for each in candidates for row in estimate_rows(each.name, each.result)),
+    )
 
 
-def _rows(given: Compared) -> list[dict[str, Any]]:
-    """Return a row for each estimate of a result."""
-    found = given.result
+def estimate_rows(result: str, found: Result) -> list[dict[str, Any]]:
+    """Return a row for each estimate of a result of that name, as in `ComparisonFindings.estimates`."""
     ends = found.intervals(CONFIDENCE_LEVEL).itertuples(index=False)
     return [
-        {"result": given.name, "parameter": name, "unit": found.units.get(name, ""), "value": value}
+        {"result": result, "parameter": name, "unit": found.units.get(name, ""), "value": value}
         | {"lower": end.lower, "upper": end.upper}
         for name, value, end in zip(found.names, found.values.tolist(), ends, strict=True)
     ]

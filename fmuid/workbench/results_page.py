@@ -10,14 +10,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from bokeh.layouts import column, row
 from bokeh.models import Button, Div, FileInput, Select
 
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import file_name, is_file, replacing
+from fmuid.reports import estimate_rows
+from fmuid.reports.interactive import comparison
 from fmuid.reports.interactive.live import in_scheme
-from fmuid.reports.interactive.several import side_by_side
 from fmuid.reports.page.document import Part, Section, pieces, table
 from fmuid.reports.page.write import contents
 from fmuid.text import with_std
@@ -69,7 +71,8 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
     for key, result in results.items():
         known = dict(zip(result.names, zip(result.values.tolist(), result.std.tolist(), strict=True), strict=True))
         columns[key] = [_estimate(known.get(name)) for name in names]
-    sections = [Section("estimates", "Estimates and their 95 % intervals", "", side_by_side(results), 2)]
+    rows = pd.DataFrame([each for key, result in results.items() for each in estimate_rows(key, result)])
+    sections = [Section("estimates", "Estimates and their 95 % intervals", "", comparison.estimates(rows), 2)]
     part = Part("Side by side", f"{len(results)} results", True, [], table(columns, numbers=list(results)), sections)
     words = command_text(["compare", *(str(place) for place in places)])
     note = f"<h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre>"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import inspect
 import json
 import math
@@ -273,6 +274,10 @@ def test_full_disk(folder: Path, here: Any, monkeypatch: pytest.MonkeyPatch, cap
     out, error = capsys.readouterr()
     assert error == ""
     assert "30 cases: 30 converged" in " ".join(out.split())
+    told = json.loads((folder / "out" / "summary.json").read_text())
+    digests = [hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in ("study.toml", "first.csv")]
+    assert [told["study"]["digest"], told["tables"]["first.csv"]] == digests
+    assert told["date"].startswith("20")
 
 
 def test_a_lost_scheduler_keeps_what_there_is(folder: Path, here: Any, capsys: Any) -> None:

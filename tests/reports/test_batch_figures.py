@@ -88,6 +88,9 @@ def test_over_a_setting() -> None:
     assert words.x_range.factors == ["a", "b"]
 
 
+FROM = ("2026-01-02T03:04", "draws.toml, SHA-256 abc", "SHA-256 def")
+
+
 def test_the_page_of_a_batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fmuid.reports.page.document.drawn", lambda figures: ("", "", ["<i>"] * len(figures)))
     (tmp_path / "cases").mkdir()
@@ -98,9 +101,10 @@ def test_the_page_of_a_batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     pd.DataFrame([failed]).to_csv(tmp_path / "failures.csv", index=False)
     content = {"title": "Draws", "words": ["R: it is <biased>"], "statuses": {"converged": 39, "failed": 1}}
     told = content | {"truth": {"R": 4.0}, "units": {"R": "Ohm"}, "given_noise": False}
+    told |= {"date": "2026-01-02T03:04", "study": {"file": "draws.toml", "digest": "abc"}, "tables": {"a.csv": "def"}}
     (tmp_path / "summary.json").write_text(json.dumps(told))
     text = write_report(tmp_path).read_text(encoding="utf-8")
-    for words in ("39 of 40 cases converged", "R: it is &lt;biased&gt;", "Draws", "Without an estimate", "1.1"):
+    for words in ("39 of 40 cases converged", "R: it is &lt;biased&gt;", "Draws", "Without an estimate", "1.1", *FROM):
         assert words in text, words
     assert "held" not in text
     assert text.count("<i>") == 2 + 2 + 1 + 1
