@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bokeh.document import Document
+from bokeh.document.events import SessionCallbackAdded
 
 from fmuid.data import Normal, Parameter
 from fmuid.estimation import Result
@@ -38,9 +39,15 @@ class Page:
 
     def __init__(self, path: Path) -> None:
         self.doc: Any = Document()
+        self.due: list[Any] = []  # in the order in which a server would call them
+        self.doc.on_change(self._note)
         self.page = StudyPage(self.doc, Bench(Folder(path.parent)), path, Study.read(path), "light")
         self.rows = {each.name: each for each in self.page.rows}
         self.settle()
+
+    def _note(self, event: Any) -> None:
+        if isinstance(event, SessionCallbackAdded):
+            self.due.append(event.callback)
 
     def settle(self) -> None:
         """Wait for the simulation of what the sliders show now."""
@@ -48,9 +55,8 @@ class Page:
         self.page._newest.ask(theta)  # what was asked for before comes before
         while self.page.shown is not theta:
             assert time.monotonic() < end
-            for each in list(self.doc.session_callbacks):
-                self.doc.remove_next_tick_callback(each)
-                each.callback()
+            while self.due:
+                self.due.pop(0).callback()
             time.sleep(0.001)
 
     def shown(self) -> np.ndarray[Any, Any]:
