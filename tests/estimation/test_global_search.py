@@ -74,6 +74,7 @@ def frequencies(found: Result) -> Floats:
 # --- what is found ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "seed"), [("evolution", 0), ("evolution", 1), ("multistart", 0)])
 def test_finds_the_best_of_many_optima(method: Strategy, seed: int) -> None:
     """Marquardt's search alone ends in the nearest secondary optimum."""

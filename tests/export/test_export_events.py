@@ -17,6 +17,7 @@ from tests.support.modelica import FRICTION, friction, model
 solve_ivp: Any = scipy.integrate.solve_ivp  # its types do not allow for what events take
 
 
+@pytest.mark.slow
 @both_versions
 @pytest.mark.parametrize("step", [0.0037, 0.01, 0.1, 0.35])
 def test_coulomb_friction_against_its_closed_form(tmp_path: Path, fmi: str, step: float) -> None:

@@ -39,6 +39,7 @@ end Values;
                 assert test.get("y1", "y2", "y3", "y4", "y5") == pytest.approx(expected, rel=1e-15, abs=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("equation", "expected"),
     [

@@ -76,12 +76,14 @@ def test_a_reset_that_fails_is_not_charged_to_the_next(folder: Path, mode: Mode,
     assert np.array_equal(simulator(some), expected(folder, some))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", HANGS)
 def test_a_hang_costs_one_simulation(folder: Path, mode: Mode) -> None:
     words = "did not end within 1 s and was stopped"
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), words, Isolation(time_limit=1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mode", "amount"), [(Mode.RUNAWAY, 0), (Mode.LEAK, 60)])
 def test_runaway_memory_costs_one_simulation(folder: Path, mode: Mode, amount: float) -> None:
     words = "its process took more than 300 MB and was stopped"

@@ -66,6 +66,7 @@ def test_nothing_is_left_of_closed_systems(folder: Path) -> None:
     assert psutil.Process().num_fds() == files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whom", ["leaves", "all"])
 def test_a_process_killed_from_outside_costs_nothing(folder: Path, whom: str) -> None:
     some = thetas(Mode.SOUND) * [1, 1, 0] + [0, 0, Mode.SLOW]
@@ -219,6 +220,7 @@ def test_garbage_that_is_collected_in_the_middle_of_a_question_asks_nothing(monk
     host.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["file", "stdin"])
 def test_a_script_needs_no_guard_and_warns_of_nothing(folder: Path, tmp_path: Path, how: str) -> None:
     """A user's script without ``if __name__ == "__main__"``, warnings as errors, threads running; and from stdin."""
