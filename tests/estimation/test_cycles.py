@@ -13,7 +13,7 @@ import pytest
 
 from fmuid.arrays import Floats
 from fmuid.data import Experiment, FunctionPredictor, Parameter
-from fmuid.estimation.colour.cycles import FoldedRows, period_of
+from fmuid.estimation.colour.cycles import Fold, period_of
 from fmuid.estimation.colour.series import series_of
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
@@ -77,7 +77,7 @@ def test_what_does_not_repeat_has_no_period(kind: str) -> None:
 
 def test_folded_rows_are_rows_turned() -> None:
     problem = cyclic(0, 1.0)
-    fold = FoldedRows.of(series_of(problem.experiments, ("y",)), problem.experiments, problem.measured.size)
+    fold = Fold.of(series_of(problem.experiments, ("y",)), problem.experiments, problem.measured.size)
     columns = np.random.default_rng(1).standard_normal((problem.measured.size, 3))
     folded = fold.columns(columns)
     np.testing.assert_allclose(folded.T @ folded, columns.T @ columns)

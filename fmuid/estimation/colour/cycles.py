@@ -85,7 +85,7 @@ class Cycle:
 
 
 @dataclass(frozen=True, eq=False)
-class FoldedRows:
+class Fold:
     """How the rows of data are turned into mean cycles and what differs from them.
 
     Attributes
@@ -99,7 +99,7 @@ class FoldedRows:
     cycles: tuple[Cycle, ...]
 
     @classmethod
-    def of(cls, series: Sequence[Series], experiments: Sequence[Measurements], rows: int) -> FoldedRows:
+    def of(cls, series: Sequence[Series], experiments: Sequence[Measurements], rows: int) -> Fold:
         """Return how the series of some experiments, of so many rows, are folded by the periods of their inputs."""
         periods = {each.name: period_of(each) for each in experiments}
         found, cycles = list(series), list[Cycle]()

@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.estimation.colour.autoregression import Autoregression, fit, most_orders
-from fmuid.estimation.colour.cycles import FoldedRows
+from fmuid.estimation.colour.cycles import Fold
 from fmuid.estimation.colour.grid import Grid, Rows, Spectra
 from fmuid.estimation.colour.series import Series, series_of
 from fmuid.estimation.least_squares import LeastSquares
@@ -74,14 +74,14 @@ class ColouredNoise:
         The noise of each of them.
     innovations : tuple of (m, m) arrays
         The covariance S of the innovations of the series of each grid, in the order of the series.
-    fold : FoldedRows or None
+    fold : Fold or None
         How the rows are turned into those of the series, where that is not what they are.
     """
 
     series: tuple[Series, ...]
     models: tuple[Autoregression, ...]
     innovations: tuple[Floats, ...]
-    fold: FoldedRows | None = None
+    fold: Fold | None = None
 
     def gram(self, columns: Floats) -> Floats:
         """Return XᵀΓX (k, k) of columns X (n, k) over the rows, Γ the covariance of their whitened noise."""
@@ -130,7 +130,7 @@ def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: NDArray[np.b
     if len(own):
         basis = local.data_basis
         residual = residual - basis @ (basis.T @ residual)
-    fold = FoldedRows.of(series_of(problem.experiments, problem.output_names), problem.experiments, residual.size)
+    fold = Fold.of(series_of(problem.experiments, problem.output_names), problem.experiments, residual.size)
     folded = fold.columns(columns)
     basis = folded if basis is columns else fold.columns(basis)
     found = sandwich(Rows(fold.residual(residual), basis, folded, root, own.T @ own, given, rounding), fold.series)
