@@ -45,7 +45,6 @@ from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
 from fmuid.estimation.colour.autoregression import Autoregression, fit, most_orders
-from fmuid.estimation.colour.cycles import Fold
 from fmuid.estimation.colour.grid import Grid, Rows, Spectra
 from fmuid.estimation.colour.series import Series, series_of
 from fmuid.estimation.least_squares import LeastSquares
@@ -74,18 +73,14 @@ class ColouredNoise:
         The noise of each of them.
     innovations : tuple of (m, m) arrays
         The covariance S of the innovations of the series of each grid, in the order of the series.
-    fold : Fold or None
-        How the rows are turned into those of the series, where that is not what they are.
     """
 
     series: tuple[Series, ...]
     models: tuple[Autoregression, ...]
     innovations: tuple[Floats, ...]
-    fold: Fold | None = None
 
     def gram(self, columns: Floats) -> Floats:
         """Return XᵀΓX (k, k) of columns X (n, k) over the rows, Γ the covariance of their whitened noise."""
-        columns = columns if self.fold is None else self.fold.columns(columns)
         total = np.zeros((columns.shape[1], columns.shape[1]))
         for members, common in zip(_members([each.grid for each in self.series]), self.innovations, strict=True):
             spectra = Spectra.of(columns, [self.series[i] for i in members], [self.models[i] for i in members])
@@ -130,12 +125,8 @@ def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: NDArray[np.b
     if len(own):
         basis = local.data_basis
         residual = residual - basis @ (basis.T @ residual)
-    fold = Fold.of(series_of(problem.experiments, problem.output_names), problem.experiments, residual.size)
-    folded = fold.columns(columns)
-    basis = folded if basis is columns else fold.columns(basis)
-    found = sandwich(Rows(fold.residual(residual), basis, folded, root, own.T @ own, given, rounding), fold.series)
-    if fold.cycles:
-        found = replace(found, noise=replace(found.noise, fold=fold))
+    rows = Rows(residual, basis, columns, root, own.T @ own, given, rounding)
+    found = sandwich(rows, series_of(problem.experiments, problem.output_names))
     lost = ~np.isfinite(np.diag(local.combined.covariance))
     covariance = found.covariance.copy()
     covariance[lost, :] = covariance[:, lost] = np.nan
