@@ -162,7 +162,7 @@ def run_monitoring(
     >>> _ = fmuid.run_study(fmuid.Study.of(coil.study, "coil.toml"), "healthy")
     >>> faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
     >>> known = {"healthy": "healthy/result.json", "faults": faults}
-    >>> rule = {"needed": 1, "among": 1}
+    >>> rule = {"level": 0.01}
     >>> words = coil.study | {"parameters": {}, "diagnosis": known, "monitoring": rule}
     >>> fmuid.run_monitoring(fmuid.Study.of(words, "test.toml"), [test.path]).healthy
     False
