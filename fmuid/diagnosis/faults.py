@@ -163,6 +163,14 @@ class Fault:
         """The angle of each size that has one."""
         return {angle.size: name for name in self.angles if (angle := self.angle(name)) is not None}
 
+    def direction(self, size: str, vector: Sequence[float]) -> tuple[str, float]:
+        """Return the angle of a size, its name and value, from the fault's vector (x, y) in the plane."""
+        name = self.located[size]
+        angle = self.angle(name)
+        assert angle is not None  # `located` has only angles
+        x, y = vector
+        return name, math.atan2(y, x) % (2.0 * math.pi) * angle.period / (2.0 * math.pi)
+
     @property
     def constrained(self) -> tuple[str, ...]:
         """The sizes that have one sign only, those with an angle left out: their vector may point anywhere."""

@@ -219,7 +219,7 @@ def changes(
                 coordinate,
                 length,
                 math.sqrt(float(along @ covariance @ along)),
-                *_located(faults[coordinate.fault], coordinate.variable, size.tolist()),
+                *faults[coordinate.fault].direction(coordinate.variable, size.tolist()),
             )
         )
     return tuple(said)
@@ -227,14 +227,6 @@ def changes(
 
 def _plain(of: Coordinate, value: float, std: float, angle_name: str = "", angle_value: float = math.nan) -> Change:
     return Change(of.kind, of.variable, of.fault, value, std, of.unit, angle_name, angle_value)
-
-
-def _located(fault: Fault, size: str, vector: Sequence[float]) -> tuple[str, float]:
-    """Return the name of the angle of a size, and its value."""
-    name = fault.located[size]
-    located = fault.angle(name)
-    period = located.period if located is not None else 2.0 * math.pi
-    return name, math.atan2(vector[1], vector[0]) % (2.0 * math.pi) * period / (2.0 * math.pi)
 
 
 def _suspect(found: Examination, cause: Cause, faults: Mapping[str, Fault]) -> Suspect:

@@ -17,6 +17,7 @@ from fmuid.arrays import Floats
 from fmuid.data import Experiment, Parameter
 from fmuid.diagnosis.coordinates import CauseKind, Coordinates
 from fmuid.diagnosis.faults import Fault
+from fmuid.estimation import parabola_slope
 from fmuid.models import System
 from fmuid.simulation import AS_ASKED, Refinement, Simulator, refined
 
@@ -157,8 +158,7 @@ class _Model:
             found.outputs += weight * outputs[0]
         for k, (i, (low, high)) in enumerate(zip(wanted, steps, strict=True)):
             below, above = outputs[1 + 2 * k] - outputs[0], outputs[2 + 2 * k] - outputs[0]
-            # the slope of the parabola through three points
-            slope = (below * (high / low) - above * (low / high)) / (high - low)
+            slope = parabola_slope(below, above, low, high)
             found.columns[:, :, i] += slope * (1.0 if i in self.own else weight)
         for i in self.gains if weight and slopes else []:
             self._add_gain(found, i, weight)
@@ -212,11 +212,7 @@ class _Model:
         for i in self.own:
             own.setdefault(self.coordinates.each[i].variable, []).append(float(point[i]))
         values = {name: math.hypot(*each) if len(each) > 1 else each[0] for name, each in own.items()}
-        for size, name in self.fault.located.items():
-            angle = self.fault.angle(name)
-            period = angle.period if angle is not None else 2.0 * math.pi
-            x, y = own[size]
-            values[name] = math.atan2(y, x) % (2.0 * math.pi) * period / (2.0 * math.pi)
+        values |= dict(self.fault.direction(size, own[size]) for size in self.fault.located)
         return theta + [values[name] for name in self.fault.parameters]
 
 

@@ -27,6 +27,7 @@ from .covariance import local_covariance as local_covariance
 from .criterion import Criterion as Criterion
 from .criterion import prepare as prepare
 from .finite_differences import SensitivityError as SensitivityError
+from .finite_differences import parabola_slope as parabola_slope
 from .global_search.box import Box as Box
 from .global_search.box import spans_decades as spans_decades
 from .global_search.optima import merged as merged

@@ -52,6 +52,11 @@ FORWARD = tuple((side * h,) for h in CLOSER_STEPS for side in (1.0, -1.0))
 CENTRAL = tuple((a * h, b * h) for h in CLOSER_STEPS for a, b in ((1.0, -1.0), (1.0, 2.0), (-1.0, -2.0)))
 
 
+def parabola_slope(low: Floats, high: Floats, a: float | Floats, b: float | Floats) -> Floats:
+    """Return the slope at 0 of the parabola through (a, low), (0, 0) and (b, high)."""
+    return np.asarray((low * (b / a) - high * (a / b)) / (b - a), dtype=np.float64)
+
+
 class SensitivityError(FmuidError):
     """No simulation near a point succeeds, so that there is no derivative.
 

@@ -17,7 +17,7 @@ from fmuid.arrays import Floats
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimation import ChoiceTried, Outcome, Result
 from fmuid.model_problem.choices import combinations
-from fmuid.model_problem.problem import Problem, refinement_of
+from fmuid.model_problem.problem import Problem
 from fmuid.models import Value
 
 
@@ -67,19 +67,19 @@ def identify_each(problem: Problem, search: Callable[[], Result]) -> Result:
         raise first
     tried.sort(key=lambda each: each.deviance if math.isfinite(each.deviance) else math.inf)
     best = tried[0]
-    problem.choose(best.values)
-    problem.simulate_by(refinement_of(best.result))
     told = [
         ChoiceTried(each.values, each.result.outcome, each.deviance - best.deviance, _estimates(each.result))
         for each in tried
     ]
-    return replace(
+    result = replace(
         best.result,
         outcome=Outcome.INTERRUPTED if any(c.outcome is Outcome.INTERRUPTED for c in told) else best.result.outcome,
         combinations=(*told, *(ChoiceTried(values, None, math.inf, {}) for values in failed)),
         simulations=problem.simulations - before,
         elapsed_s=time.perf_counter() - clock,
     )
+    problem.become(result)
+    return result
 
 
 def _estimates(result: Result) -> dict[str, float]:

@@ -23,6 +23,7 @@ import pandas as pd
 from fmuid.arrays import Floats
 from fmuid.data import Experiment, Parameter, ParameterSet
 from fmuid.errors import InputError
+from fmuid.estimation import parabola_slope
 from fmuid.models import System, Value
 from fmuid.simulation import Simulator
 
@@ -132,7 +133,7 @@ def sensitivity_functions(
     outputs = simulator(points)
     a, b = STEP * offsets[:, 0, None, None], STEP * offsets[:, 1, None, None]
     low, high = outputs[1::2] - outputs[0], outputs[2::2] - outputs[0]
-    slopes = (low * (b / a) - high * (a / b)) / (b - a)  # of the parabola through three points
+    slopes = parabola_slope(low, high, a, b)
     units = tuple(experiment.units.get(name) or model.unit(name) or "" for name in experiment.output_names)
     return SensitivityFunctions(
         experiment.name,
