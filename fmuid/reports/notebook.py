@@ -150,7 +150,7 @@ class Drawing:
 def _cell() -> str:
     """Return the number of the cell that is run, "" outside of notebooks."""
     try:
-        from IPython import get_ipython  # type: ignore[import-not-found]
+        from IPython import get_ipython
     except ImportError:
         return ""
     shell = get_ipython()
