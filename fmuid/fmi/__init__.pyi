@@ -25,6 +25,7 @@ from .files.start_values import with_starts as with_starts
 from .files.unpacking import file_digest as file_digest
 from .files.unpacking import unpacked as unpacked
 from .fmu import FMU as FMU
+from .fmu import PLATFORMS as PLATFORMS
 from .instance import Instance as Instance
 from .instance import warn as warn
 from .layout import MOST_STEPS as MOST_STEPS

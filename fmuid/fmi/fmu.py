@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import platform
+import sys
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
@@ -12,6 +14,11 @@ from fmuid.fmi.files.archive import Zipped
 from fmuid.fmi.files.description import Description
 from fmuid.fmi.files.reading import read_description
 from fmuid.fmi.files.unpacking import file_digest, unpacked
+
+_MACHINE = "aarch64" if platform.machine().lower() in ("arm64", "aarch64") else "x86_64"
+_SYSTEM, BINARY_ENDING = {"win32": ("win", ".dll"), "darwin": ("darwin", ".dylib")}.get(sys.platform, ("linux", ".so"))
+PLATFORMS = {2: _SYSTEM + "64", 3: f"{_MACHINE}-{'windows' if _SYSTEM == 'win' else _SYSTEM}"}
+"""What the versions of FMI call the folder with binaries of this machine (FMI 2.0.4, 2.3; FMI 3.0.2, 2.5.1.4.1)."""
 
 
 class FMU(Displayed):
@@ -95,16 +102,13 @@ class FMU(Displayed):
         InputError
             If the FMU has no binary for this platform; the sentence says which it has.
         """
-        import fmpy
-
-        name = identifier + fmpy.sharedLibraryExtension
-        for folder in (fmpy.platform, fmpy.platform_tuple):
+        name = identifier + BINARY_ENDING
+        for folder in PLATFORMS.values():
             path: Path = self.directory / "binaries" / folder / name
             if is_file(path):
                 return path
+        here = PLATFORMS[2]
         there = f"it has binaries for {', '.join(self.platforms)}" if self.platforms else "it has no binaries at all"
-        if fmpy.platform in self.platforms:
-            there = f"its folder binaries/{fmpy.platform} has no {name if len(name) < 200 else name[:200] + '…'}"
-        raise InputError(
-            f"{self.path} has no binary for this platform ({fmpy.platform}): {there}; export it for this platform"
-        )
+        if here in self.platforms:
+            there = f"its folder binaries/{here} has no {name if len(name) < 200 else name[:200] + '…'}"
+        raise InputError(f"{self.path} has no binary for this platform ({here}): {there}; export it for this platform")

@@ -1,7 +1,8 @@
-"""The life of one instance of an FMU: loaded, instantiated, its messages collected, freed (FMPy underneath)."""
+"""The life of one instance of an FMU: loaded, instantiated, its messages collected, freed."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import logging
 import os
@@ -9,111 +10,31 @@ import re
 import sys
 import threading
 import weakref
-from collections.abc import Callable
-from pathlib import Path
+from ctypes import byref, c_char_p, c_int, c_size_t, c_uint8, c_void_p
 from typing import Any
 
-from fmpy import calloc, free
-from fmpy.fmi1 import _FMU
-from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions
-from fmpy.fmi3 import _FMU3, FMU3Model, FMU3Slave
-
 from fmuid.errors import InputError
-from fmuid.fmi.failures import STATUS_WORDS
 from fmuid.fmi.float_environment import kept
 from fmuid.fmi.fmu import FMU
 from fmuid.fmi.native import LogStruct, core
 from fmuid.fmi.sharing import Residents, residents
-
-MESSAGES_KEPT = 20  # of one simulation: the first say what went wrong, the rest repeat it
 
 _log = logging.getLogger("fmuid.fmu")
 _loading = threading.Lock()  # loading changes the working directory of the whole process
 _spent: set[str] = set()  # digests of the FMUs instantiated so far in this process
 _abandoned: list[LogStruct] = []  # of instances that failed fatally
 
-
-def _callbacks(log: LogStruct) -> fmi2CallbackFunctions:
-    """Return callbacks whose logger formats the FMU's variadic messages and keeps them in a log.
-
-    Memory comes from the C library. No callback enters Python: an FMU may call them while it steps.
-    """
-    callbacks = fmi2CallbackFunctions()
-    types = dict(fmi2CallbackFunctions._fields_)
-    callbacks.logger = ctypes.cast(core().log_message, types["logger"])
-    callbacks.allocateMemory = ctypes.cast(calloc, types["allocateMemory"])
-    callbacks.freeMemory = ctypes.cast(free, types["freeMemory"])
-    callbacks.componentEnvironment = ctypes.addressof(log)
-    return callbacks
-
-
-def _receiver(messages: list[tuple[int, str]]) -> Callable[..., None]:
-    """Return a logger of FMI 3.0 that appends to a list."""
-
-    def receive(_environment: Any, status: int, _category: bytes, message: bytes) -> None:
-        text = (message or b"").decode("utf-8", errors="replace").strip()
-        if text and len(messages) < MESSAGES_KEPT:
-            messages.append((status, text))
-
-    return receive
-
-
-class _Lenient:
-    """FMPy's FMU without its refusal of binaries that lack functions nobody here calls.
-
-    (FMPy tells the FMI version from the first letters of the class's name.)
-    """
-
-    dll: Any
-    component: Any
-
-    def _loadFunctions(self) -> None:
-        library = self.dll
-        self.dll = _Stubbed(library)
-        super()._loadFunctions()  # type: ignore[misc]
-        self.dll = library
-
-
-class FMU2LenientSlave(_Lenient, FMU2Slave):  # type: ignore[misc]
-    """A co-simulation FMU of FMI 2.0."""
-
-
-class FMU2LenientModel(_Lenient, FMU2Model):  # type: ignore[misc]
-    """A model-exchange FMU of FMI 2.0."""
-
-
-class _Lenient3(_Lenient):
-    def __init__(self, **words: Any) -> None:
-        _FMU.__init__(self, **words)  # FMPy would look for the binary in one folder only
-
-
-class FMU3LenientSlave(_Lenient3, FMU3Slave):  # type: ignore[misc]
-    """A co-simulation FMU of FMI 3.0."""
-
-
-class FMU3LenientModel(_Lenient3, FMU3Model):  # type: ignore[misc]
-    """A model-exchange FMU of FMI 3.0."""
-
-
-_CLASSES = {
-    (2, "co-simulation"): FMU2LenientSlave,
-    (2, "model-exchange"): FMU2LenientModel,
-    (3, "co-simulation"): FMU3LenientSlave,
-    (3, "model-exchange"): FMU3LenientModel,
+LIFE_CYCLE = {
+    2: ("Reset", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode"),
+    3: ("Reset", "EnterInitializationMode", "ExitInitializationMode"),
 }
-
-
-class _Stubbed:
-    """A library in which every missing function is one that reports an error."""
-
-    def __init__(self, library: Any) -> None:
-        self._library = library
-
-    def __getattr__(self, name: str) -> Any:
-        try:
-            return getattr(self._library, name)
-        except AttributeError:
-            return ctypes.CFUNCTYPE(ctypes.c_int)(lambda: STATUS_WORDS.index("Error"))
+"""Functions that every simulation calls."""
+# What the functions take that instantiate (FMI 2.0.4, section 2.1.5; FMI 3.0.2, section 2.3.1).
+_TAKEN_2 = (c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int)
+_TAKEN_3 = {
+    "ModelExchange": (c_char_p, c_char_p, c_char_p, c_uint8, c_uint8, c_void_p, c_void_p),
+    "CoSimulation": (*(c_char_p,) * 3, *(c_uint8,) * 4, c_void_p, c_size_t, c_void_p, c_void_p, c_void_p),
+}
 
 
 class Instance:
@@ -156,76 +77,72 @@ class Instance:
         self.fmu, self.kind, self.name = fmu, kind, name
         self.version = fmu.description.major_version
         self.event_mode = self.version == 3 and kind == "co-simulation" and interface.event_mode
-        self._log, self._said = LogStruct(), list[tuple[int, str]]()  # of FMI 2.0 and 3.0
+        self._log = LogStruct()
         library = fmu.library(interface.identifier)
         self._residents = residents(fmu, kind)
         if self._residents:
             self._residents.arrive()
         try:
             with _loading, kept():
-                self._load(interface.identifier, library)
+                with contextlib.chdir(library.parent):  # where some look for what else they need
+                    self.library = ctypes.CDLL(str(library))
+                for function in ("FreeInstance", *LIFE_CYCLE[self.version], *["DoStep"] * (kind == "co-simulation")):
+                    self.required(function)
+                self.handle = self._instantiate()
         except Exception as error:
             if self._residents:
                 self._residents.leave()
-            said = "; ".join(text for _, text in self.messages)
+            if isinstance(error, InputError):
+                raise
             raise InputError(
-                _missing_library(fmu, str(error))
-                or f"{fmu.path} cannot be instantiated: {error}" + (f' (the FMU says: "{said}")' if said else "")
+                _missing_library(fmu, str(error)) or f"{fmu.path} cannot be instantiated: {error}"
             ) from error
         _spent.add(fmu.digest)
-        living = self._native, self._log
+        living = self._function("FreeInstance", c_void_p), self.handle, self._log
         self._finalizer = weakref.finalize(self, _free, *living, self._residents, threading.get_ident())
-        self.handle = int(self._native.component)
-        for function in LIFE_CYCLE[self.version] + ("DoStep",) * (kind == "co-simulation"):
-            self.required(function)
 
-    def _load(self, identifier: str, library: Path) -> None:
-        folder = os.getcwd()  # noqa: PTH109  # FMPy changes the working directory and, on failure, leaves it so
-        try:
-            self._native: Any = _CLASSES[self.version, self.kind](
-                guid=self.fmu.description.guid,
-                modelIdentifier=identifier,
-                unzipDirectory=str(self.fmu.directory),
-                instanceName=self.name,
-                libraryPath=str(library),
-                requireFunctions=False,
-            )
-            self._instantiate()
-        finally:
-            os.chdir(folder)
-
-    def _instantiate(self) -> None:
-        if self.version == 3:
-            log = {"loggingOn": False, "logMessage": _receiver(self._said)}
+    def _instantiate(self) -> int:
+        """Return the handle; no callback enters Python: an FMU may call them while it steps."""
+        name, token, log = self.name.encode(), self.fmu.description.guid.encode(), byref(self._log)
+        resources = self.fmu.directory / "resources"
+        handle = None
+        if self.version == 2:
+            made = self._function("Instantiate", *_TAKEN_2, result=c_void_p)
+            is_stepped = self.kind == "co-simulation"
+            handle = made(name, is_stepped, token, resources.as_uri().encode(), core().log_open(log), 0, 0)
+        else:
+            words = name, token, f"{resources}{os.sep}".encode(), 0, 0
+            interface = "CoSimulation" if self.kind == "co-simulation" else "ModelExchange"
+            made = self._function(f"Instantiate{interface}", *_TAKEN_3[interface], result=c_void_p)
+            logger = ctypes.cast(core().log_message_3, c_void_p)
+            if self.kind == "model-exchange":
+                return self._there(made(*words, log, logger))
             if self.event_mode:
-                try:
-                    self._native.instantiate(**log, eventModeUsed=True, earlyReturnAllowed=True)
-                except Exception:  # there are binaries that do not have the event mode that their description promises
-                    self.event_mode = False
-                    self._said.clear()
-            if not self.event_mode:
-                self._native.instantiate(**log)
-            return
-        self._native.instantiate(callbacks=_callbacks(self._log), loggingOn=False)
+                handle = made(*words, 1, 1, None, 0, log, logger, None)
+            if not handle:  # there are binaries that do not have the event mode that their description promises
+                self.event_mode, self._log.count = False, 0
+                handle = made(*words, 0, 0, None, 0, log, logger, None)
+        return self._there(handle)
+
+    def _there(self, handle: int | None) -> int:
+        if handle:
+            return handle
+        told = "; ".join(text for _, text in self.messages)
+        raise OSError("it gives no instance" + (f' (the FMU says: "{told}")' if told else ""))
+
+    def _function(self, name: str, *takes: Any, result: Any = None) -> Any:
+        return ctypes.CFUNCTYPE(result, *takes)(self.required(name))
 
     @property
     def messages(self) -> list[tuple[int, str]]:
         """Status and text of what the FMU logged since it was last to forget."""
-        if not self._log.count:  # looked at after every simulation
-            return list(self._said)
-        kept = self._log.messages[: min(self._log.count, MESSAGES_KEPT)]
-        said = [(message.status, message.text.decode("utf-8", errors="replace").strip()) for message in kept]
-        return [*self._said, *((status, text) for status, text in said if text)]
+        there = self._log.messages[: min(self._log.count, len(self._log.messages))] if self._log.count else ()
+        said = ((message.status, message.text.decode("utf-8", errors="replace").strip()) for message in there)
+        return [(status, text) for status, text in said if text]
 
     def forget_messages(self) -> None:
         """Forget what the FMU logged."""
-        self._said.clear()
         self._log.count = 0
-
-    @property
-    def library(self) -> Any:
-        """The loaded shared library, as ctypes has it."""
-        return self._native.dll
 
     def address(self, name: str) -> int:
         """Return the address of an FMI function by its name without prefix, such as ``DoStep``; 0 if there is none."""
@@ -248,9 +165,13 @@ class Instance:
         return found
 
     def set_logging(self, on: bool) -> None:
-        """Switch the FMU's debug log (fmi2SetDebugLogging, fmi3SetDebugLogging with all categories)."""
-        with kept():
-            self._native.setDebugLogging(on, [])
+        """Switch the FMU's debug log, of all categories, if it has one (fmi2SetDebugLogging, fmi3SetDebugLogging)."""
+        if self.address("SetDebugLogging"):
+            boolean = c_int if self.version == 2 else c_uint8
+            with kept():
+                self._function("SetDebugLogging", c_void_p, boolean, c_size_t, c_void_p, result=c_int)(
+                    self.handle, on, 0, None
+                )
 
     def close(self, fatal: bool = False) -> None:
         """Free the instance; after a fatal error it must not be touched any more (FMI 2.0.4, section 2.1.3)."""
@@ -262,11 +183,10 @@ class Instance:
                 self._residents.leave()
 
 
-def _free(native: Any, log: LogStruct, those_there: Residents | None, thread: int) -> None:
+def _free(free: Any, handle: int, log: LogStruct, those_there: Residents | None, thread: int) -> None:
     def free_now() -> None:
-        free_instance = native.fmi3FreeInstance if isinstance(native, _FMU3) else native.fmi2FreeInstance
         with kept():
-            free_instance(native.component)
+            free(handle)
         log.count = 0  # it must be there for as long as the FMU may speak
 
     if those_there:
@@ -284,13 +204,6 @@ def _missing_library(fmu: FMU, error: str) -> str | None:
         f"{fmu.path} cannot be loaded: its binary needs the shared library {found[1]}, which is not on this machine; "
         f"install what provides it, or export the FMU with its libraries inside"
     )
-
-
-LIFE_CYCLE = {
-    2: ("Reset", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode"),
-    3: ("Reset", "EnterInitializationMode", "ExitInitializationMode"),
-}
-"""Functions that every simulation calls."""
 
 
 def warn(instance: Instance, told: set[str]) -> None:

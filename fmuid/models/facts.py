@@ -10,7 +10,7 @@ from math import prod
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
-from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Variable, read_text, started_elements
+from fmuid.fmi import DESCRIPTION_FILE, FMU, PLATFORMS, Description, Variable, read_text, started_elements
 from fmuid.models.component import Component, HowRun
 
 # Most elements of an array that are listed one by one; more of them share a line.
@@ -85,8 +85,6 @@ def facts(fmu: FMU) -> Facts:
     fmu : FMU
         Of FMI 2.0 or 3.0, for any platform.
     """
-    import fmpy
-
     described = fmu.description
     variables = tuple(described.variables.values())
     sorted_: dict[str | None, list[Variable]] = {}
@@ -98,8 +96,8 @@ def facts(fmu: FMU) -> Facts:
     return Facts(
         fmu=fmu,
         capabilities=_capabilities(fmu),
-        here=next((name for name in (fmpy.platform, fmpy.platform_tuple) if name in fmu.platforms), None),
-        machine=fmpy.platform if described.major_version == 2 else fmpy.platform_tuple,
+        here=next((name for name in PLATFORMS.values() if name in fmu.platforms), None),
+        machine=PLATFORMS[described.major_version],
         run_as=Component(fmu).how_run(),
         states=tuple(v for v in variables if v.is_state),
         direct={v.name: _direct(described, v.name, inputs) for v in groups["outputs"]},

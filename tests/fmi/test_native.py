@@ -324,8 +324,9 @@ def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, tuple[Simula
 
 def test_messages_are_formatted_and_bounded() -> None:
     log, text = native.LogStruct(), ctypes.c_char_p
-    say = native.core()["log_message"]  # a handle of our own
-    say.restype, say.argtypes = None, [ctypes.c_void_p, text, ctypes.c_int32, text, text]
+    told = ctypes.cast(native.core().log_open(ctypes.byref(log)), ctypes.POINTER(ctypes.c_void_p))
+    say = ctypes.CFUNCTYPE(None, ctypes.c_void_p, text, ctypes.c_int32, text, text)(told[0])
+    assert told[4] == ctypes.addressof(log)
     say(ctypes.byref(log), b"name", 1, b"category", b"%s of %d", text(b"seven"), ctypes.c_int(9))
     say(ctypes.byref(log), b"name", 3, b"category", b"%s", text(b"x" * 10_000))
     say(ctypes.byref(log), b"name", 0, None, None)

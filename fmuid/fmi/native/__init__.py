@@ -215,7 +215,9 @@ class MessageStruct(Mirror):
 class LogStruct(Mirror):
     """All that an instance has said since the count was set to 0, and a bounded number of messages."""
 
-    _fields_: ClassVar[list[tuple[str, Any]]] = [("count", c_int32), ("messages", MessageStruct * 20)]
+    _fields_: ClassVar[list[tuple[str, Any]]] = [
+        *(("count", c_int32), ("messages", MessageStruct * 20), ("callbacks", c_void_p * 5)),
+    ]
 
 
 class _Place(Structure):
@@ -274,7 +276,7 @@ def _declare(library: Any) -> None:
         ("code_names", POINTER(c_char_p), []),
         ("simulate", None, [c_void_p, c_void_p, c_size_t, c_void_p, c_void_p, c_void_p, c_void_p]),
         *(("environment_size", c_size_t, []), ("environment_keep", None, [c_void_p])),
-        ("environment_restore", None, [c_void_p]),
+        *(("environment_restore", None, [c_void_p]), ("log_open", c_void_p, [c_void_p])),
         ("integrator_create", integrator, [c_void_p]),
         ("integrator_free", None, [integrator]),
         *(

@@ -84,7 +84,7 @@ static const Place places[] = {
 
     WHOLE(Message) FIELD(Message, status) FIELD(Message, text)
 
-    WHOLE(Log) FIELD(Log, count) FIELD(Log, messages)
+    WHOLE(Log) FIELD(Log, count) FIELD(Log, messages) FIELD(Log, callbacks)
 
     WHOLE(Fmi3) FIELD(Fmi3, Reset) FIELD(Fmi3, EnterInitializationMode) FIELD(Fmi3, ExitInitializationMode)
     FMI3_TYPES(SET_OF_3) FIELD(Fmi3, SetString) FMI3_TYPES(GET_OF_3)

@@ -1,8 +1,8 @@
 #include "log.h"
 
 #include <stdarg.h>
-#include <stddef.h>
 #include <stdio.h>
+#include <stdlib.h>
 
 /* The next free place in a log; NULL if there is none. An FMU may speak from threads of its own. */
 static Message *next(Log *log) {
@@ -11,8 +11,8 @@ static Message *next(Log *log) {
   return place < MOST_MESSAGES ? &log->messages[place] : NULL;
 }
 
-void log_message(void *environment, const char *instance, int32_t status, const char *category, const char *format,
-                 ...) {
+static void log_message(void *environment, const char *instance, int32_t status, const char *category,
+                        const char *format, ...) {
   (void)instance, (void)category;
   Message *message = next(environment);
   if (!message || !format) return;
@@ -21,4 +21,13 @@ void log_message(void *environment, const char *instance, int32_t status, const 
   va_start(values, format);
   if (vsnprintf(message->text, LONGEST_TEXT, format, values) < 0) message->text[0] = '\0';
   va_end(values);
+}
+
+void log_message_3(void *environment, int32_t status, const char *category, const char *message) {
+  log_message(environment, "", status, category, "%s", message ? message : "");
+}
+
+const Callbacks *log_open(Log *log) {
+  log->callbacks = (Callbacks){log_message, calloc, free, NULL, log};
+  return &log->callbacks;
 }
