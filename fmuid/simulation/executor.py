@@ -36,6 +36,6 @@ def _made_for(system: System) -> Executor:
                 return SpreadExecutor(system.components, processes, system.isolation, system.told)
             return IsolatedExecutor(system.components, limit, system.isolation, system.told)
         _log.warning("FMUs run inside fmuid's own process: processes of their own need Linux or macOS")
-    from fmuid.simulation.in_process import InProcessExecutor  # and with it FMPy
+    from fmuid.simulation.in_process import InProcessExecutor  # and with it the core
 
     return InProcessExecutor(system.components, limit, told=system.told)
