@@ -9,6 +9,7 @@ import errno
 import json
 import os
 import re
+import socket
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -70,18 +71,75 @@ def make_folder(folder: Path) -> None:
         raise InputError(f"{folder} cannot be written to; choose another folder with --output")
 
 
+LOCK = ".lock"
+"""The lock of who writes to a folder."""
+
+
+@contextmanager
+def locked(folder: Path, what: str) -> Iterator[None]:
+    """Keep other processes from writing to a folder, which is made where needed; messages call them `what`.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to, or another process has it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = (folder / LOCK).open("a+", encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            f"{folder} cannot be written to: {error.strerror}; choose another folder with --output"
+        ) from None
+    with file:
+        if not _lock(file.fileno()):
+            file.seek(0)
+            raise InputError(
+                f"{folder} is written to by another {what} ({file.read().strip() or 'just begun'}): wait until "
+                "it has ended, or choose another folder with --output"
+            )
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {socket.gethostname()}")
+        file.flush()
+        yield
+
+
+def _lock(handle: int) -> bool:
+    """Lock an open file until it is closed, also by the end of the process; return whether nobody else has it."""
+    try:
+        if os.name == "nt":
+            import msvcrt
+
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined, unused-ignore]
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError:  # a file system without locks is used at one's own risk, not refused
+        return True
+    return True
+
+
 _noted: list[Path] | None = None
 
 
 @contextmanager
 def noted() -> Iterator[list[Path]]:
-    """Provide a list that receives the files written by `replacing`, in their order."""
+    """Provide a list that receives the files written by `replacing` and told by `note`, in their order."""
     global _noted
     before, _noted = _noted, []
     try:
         yield _noted
     finally:
         _noted = before
+
+
+def note(path: Path) -> None:
+    """Tell `noted` of a file that was written."""
+    if _noted is not None:
+        _noted.append(path)
 
 
 @contextmanager
@@ -99,8 +157,7 @@ def replacing(path: Path) -> Iterator[Path]:
         try:
             yield draft
             draft.replace(path)
-            if _noted is not None:
-                _noted.append(path)
+            note(path)
         finally:
             draft.unlink(missing_ok=True)
     except OSError as error:
@@ -171,9 +228,18 @@ def content_of(path: Path, kind: str, remedy: str) -> Iterator[Content]:
         If the file cannot be read, is something else, or an error in the block tells that its content does not fit.
     """
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
+    with read_content(text, path, kind, remedy) as content:
+        yield content
+
+
+@contextmanager
+def read_content(text: bytes, path: Path, kind: str, remedy: str) -> Iterator[Content]:
+    """Provide the same of a text that comes from a file; arguments and errors as those of `content_of`."""
+    try:
+        found = json.loads(text.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not JSON: {error}; give {kind}, or {remedy}") from None
     content = Content(found if isinstance(found, dict) else {})

@@ -12,7 +12,6 @@ import hashlib
 import os
 import re
 import shutil
-import socket
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,8 +23,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fmuid.errors import FmuidError, InputError
+from fmuid.files import locked
 
-CASES, LOGS, MANIFEST, LOCK = "cases", "logs", "batch.json", ".lock"
+CASES, LOGS, MANIFEST = "cases", "logs", "batch.json"
 """What a batch's folder has: folders of parts and of logs, what the batch is, and the lock of who writes."""
 # Rows of a full part: some 10 MB in memory, read at once by whatever reads Parquet.
 PART_ROWS = 100_000
@@ -56,30 +56,9 @@ class Dataset:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other processes from writing to the folder; it is made where needed.
-
-        Raises
-        ------
-        InputError
-            If the folder cannot be written to, or another process has it.
-        """
-        try:
-            self.cases.mkdir(parents=True, exist_ok=True)
-            file = (self.folder / LOCK).open("a+", encoding="utf-8")
-        except OSError as error:
-            raise InputError(
-                f"{self.folder} cannot be written to: {error.strerror}; choose another folder with --output"
-            ) from None
-        with file:
-            if not _lock(file.fileno()):
-                file.seek(0)
-                raise InputError(
-                    f"{self.folder} is written to by another batch ({file.read().strip() or 'just begun'}): wait until "
-                    "it has ended, or choose another folder with --output"
-                )
-            file.truncate(0)
-            file.write(f"process {os.getpid()} on {socket.gethostname()}")
-            file.flush()
+        """Keep other processes from writing to the folder; it is made where needed (`fmuid.files.locked`)."""
+        with locked(self.folder, "batch"):
+            self.cases.mkdir(exist_ok=True)
             yield
 
     # --- reading
@@ -289,24 +268,6 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _lock(handle: int) -> bool:
-    """Lock an open file until it is closed, also by the end of the process; return whether nobody else has it."""
-    try:
-        if os.name == "nt":
-            import msvcrt
-
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined, unused-ignore]
-        else:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
-        return False
-    except OSError:  # a file system without locks is used at one's own risk, not refused
-        return True
-    return True
 
 
 def bounded(text: str) -> str:

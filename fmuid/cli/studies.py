@@ -217,6 +217,10 @@ def monitor(
     append: Annotated[
         bool, typer.Option("--append", help="Go on with the run in the output folder; records of it are left out.")
     ] = False,
+    follow: Annotated[
+        bool,
+        typer.Option("--follow", help="Wait for what a logger writes into the folder or file; a restart goes on."),
+    ] = False,
     figures: Figures = None,
     no_report: NoReport = False,
 ) -> int:
@@ -229,6 +233,8 @@ def monitor(
 
         if read.diagnosis is not None:
             console.note_sources(read)
+        if follow:
+            return _follow(read, tables, folder, append=append, figures=figures, report=not no_report)
         saving = "saving the records examined so far, with which --append goes on"
         with answering(saving), Display() as display:
             shown = partial(_show_judged, display)
@@ -237,6 +243,25 @@ def monitor(
             )
         console.show_files(found.files)
         return DONE if found.healthy else NOT_SUCCEEDED
+
+
+def _follow(
+    study: Study, tables: list[Path], folder: Path, *, append: bool, figures: FigureFormat | None, report: bool
+) -> int:
+    """Monitor what a logger writes until it is interrupted."""
+    from fmuid.reports import run_following
+    from fmuid.reports.console.following import FollowingDisplay
+    from fmuid.reports.console.layout import show_files
+
+    for word, given in (("several folders", len(tables) > 1), ("--append", append), ("--figures", bool(figures))):
+        if given:
+            raise InputError(
+                f"--follow and {word} do not go together: it follows one folder or file, and goes on by itself"
+            )
+    with answering("saving where it is; the same command goes on"), FollowingDisplay() as display:
+        found = run_following(study, tables[0], folder, report=report, show=display)
+    show_files(found.files)
+    return DONE if found.healthy else NOT_SUCCEEDED
 
 
 def _show_judged(display: Display, event: Event, /) -> None:

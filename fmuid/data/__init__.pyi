@@ -3,6 +3,8 @@ from .excitation import prbs as prbs
 from .excitation import steps as steps
 from .experiment import Experiment as Experiment
 from .formats import TABLE_SUFFIXES as TABLE_SUFFIXES
+from .formats import TEXT as TEXT
+from .formats.text import head_length as head_length
 from .interpolation import INTERPOLATIONS as INTERPOLATIONS
 from .losses import LOSSES as LOSSES
 from .losses import Loss as Loss

@@ -23,8 +23,9 @@ from .monitoring.alarms import Moment as Moment
 from .monitoring.alarms import Onset as Onset
 from .monitoring.alarms import Rule as Rule
 from .monitoring.alarms import Trend as Trend
-from .monitoring.monitor import Gap as Gap
 from .monitoring.monitor import Monitor as Monitor
+from .monitoring.state import STATE_FILE as STATE_FILE
+from .monitoring.windows import Gap as Gap
 from .procedure import DiagnosisSettings as DiagnosisSettings
 from .procedure import diagnose as diagnose
 from .verdict import Diagnosis as Diagnosis

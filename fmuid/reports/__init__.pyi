@@ -16,6 +16,8 @@ from .fault_runs import run_diagnosis as run_diagnosis
 from .fault_runs import run_monitoring as run_monitoring
 from .findings import Findings as Findings
 from .findings import write_diagnosis as write_diagnosis
+from .following import Watching as Watching
+from .following import run_following as run_following
 from .page.write import report_of as report_of
 from .page.write import write_report as write_report
 from .predictions import PredictionFindings as PredictionFindings

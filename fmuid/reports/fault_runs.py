@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
@@ -180,10 +180,7 @@ def run_monitoring(
             monitor.add(record, progress)
     finally:  # what was found before a record that is wrong is kept, and can be appended to
         if target is not None and monitor.records:
-            told = {
-                key: value for key, value in Origin.of(study).with_study(study).items() if key in ("title", "study")
-            }
-            written += monitor.write(target, told | {"words": [monitoring_words(monitor)]})
+            written += monitor.write(target, told_of(study) | {"words": [monitoring_words(monitor)]})
     found = MonitoringFindings(monitor, tuple(written))
     _tell(progress, found)
     if target is not None and figures:
@@ -192,6 +189,11 @@ def run_monitoring(
         found = replace(found, files=(*found.files, *_drawn(monitoring.draw(monitor), target, figures)))
     there = [] if target is None else report_of(target, wanted=report and bool(written))
     return replace(found, files=(*found.files, *there))
+
+
+def told_of(study: Study) -> dict[str, Any]:
+    """Return what the files of a monitoring say of its study."""
+    return {key: value for key, value in Origin.of(study).with_study(study).items() if key in ("title", "study")}
 
 
 def _prepared(study: Study | str | Path, folder: str | Path | None, needed: bool) -> tuple[Study, Path | None]:

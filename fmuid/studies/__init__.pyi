@@ -15,6 +15,8 @@ from .drafting.record import Record as Record
 from .drafting.survey import SHOWN_CHANGE as SHOWN_CHANGE
 from .drafting.survey import Candidate as Candidate
 from .drafting.survey import proposal as proposal
+from .following.follower import Follower as Follower
+from .following.follower import Piece as Piece
 from .model import ExperimentSettings as ExperimentSettings
 from .monitoring import monitor_of as monitor_of
 from .monitoring import records_of as records_of

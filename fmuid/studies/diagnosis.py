@@ -54,6 +54,7 @@ def _factor(value: float) -> float:
 FACTOR = "a number above 0, inf for no prior"
 Factor = Annotated[float, AfterValidator(_factor), Kind(FACTOR)]
 Factors = Annotated[dict[str, Factor], Entries("a table { parameter = number }")]
+Command = Annotated[list[Text], Kind('a list of a program and its arguments, ["python", "tell.py"]')]
 Limits = Annotated[dict[str, Number], Entries("a table { fault.size = number }")]
 
 
@@ -140,6 +141,9 @@ class MonitoringWords(Words):
         None, "probability of a false alarm in a record, or in the horizon; default: that of [diagnosis]"
     )
     horizon: Positive | None = word(None, "in which the level holds, s; default: each record")
+    command: Command = word(
+        [], 'a program and its arguments, run for each line of alarms.jsonl with --follow: ["python", "tell.py"]', []
+    )
     limits: Limits = word({}, 'sizes that must not be reached, as in { "turns.dR" = 0.5 }')
 
     def rule(self, discard: float, level: float) -> Rule:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import shutil
@@ -24,41 +25,13 @@ from fmuid.diagnosis.monitoring.monitor import Monitor
 from fmuid.diagnosis.monitoring.seeing import Seen
 from fmuid.reports.words.monitoring import gap_words, monitoring_words
 from fmuid.studies.monitoring import design_of, monitor_of, rule_of
+from tests.support.coil_records import warming
 from tests.support.exported import export_text
 from tests.support.interrupting import SIGNALS, command, killing
 from tests.support.plate import COLUMNS, PHASES, PLATE, STD, TRUTH, identified
 from tests.support.plate import record as plate_record
 
 RULE = Rule(window=1.0, transient=0.2)
-
-
-def warming(
-    seconds: int,
-    to: float,
-    fails: float = math.inf,
-    size: float = 0.5,
-    seed: int = 0,
-    noise: float = 1.0,
-    grows: float = 0.0,
-) -> pd.DataFrame:
-    """Return a record of the coil whose R rises from 4 Ω second by second, with ΔR = size from a time on; exact.
-
-    ΔR grows by `grows` Ω in a second, in steps of 0.1 s.
-    """
-    rng = np.random.default_rng(seed)
-    samples = 1000 * seconds
-    voltage = np.repeat(rng.choice([-1.0, 1.0], samples // coil.BIT + 1), coil.BIT)[:samples]
-    current, state = np.empty(samples), 0.02
-    for k in range(10 * seconds):
-        fault = size + grows * (k / 10 - fails) if k / 10 >= fails else 0.0
-        resistance = coil.R + (to - coil.R) * (k // 10) / seconds + fault
-        decay = math.exp(-resistance / (coil.L + 2 * coil.TAU * fault) * coil.STEP)
-        part = slice(100 * k, 100 * (k + 1))
-        driven = lfilter([0.0, (1.0 - decay) / resistance], [1.0, -decay], voltage[part])
-        current[part] = driven + state * decay ** np.arange(100)
-        state = current[part][-1] * decay + (1.0 - decay) / resistance * voltage[part][-1]
-    current += noise * math.sqrt(coil.NOISE_VARIANCE) * rng.standard_normal(samples)
-    return pd.DataFrame({"time": coil.STEP * np.arange(samples), "u": voltage, "i": current})
 
 
 @pytest.fixture(scope="module")
@@ -364,24 +337,35 @@ def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.Capture
     capsys.readouterr()
     assert run(["monitor", study, str(records), *other]) == 2
     assert "another rule" in capsys.readouterr().err
-    table, state = folder / "grown" / "monitoring.csv", folder / "grown" / "monitoring.json"
-    whole = {path: path.read_text(encoding="utf-8") for path in (table, state)}
-    later = json.loads(whole[state])
+    table, state = folder / "grown" / "monitoring.csv", folder / "grown" / "monitoring.npz"
+    whole = {path: path.read_bytes() for path in (table, state)}
+    with np.load(state) as file:
+        arrays = dict(file)
+    later = json.loads(arrays.pop("text").tobytes())
+
+    def saying(content: object) -> bytes:
+        made = io.BytesIO()
+        np.savez(made, text=np.frombuffer(json.dumps(content).encode(), np.uint8), **arrays)
+        return made.getvalue()
+
     for path, spoilt, said in (
         (table, whole[table][:-400], "is no table of fmuid monitor, or not whole"),
-        (table, "\n".join(whole[table].split("\n")[:4]), "it has not the 12 windows"),
-        (table, "time,u\n0,1\n", "is no table of fmuid monitor"),
-        (table, "", "is no table of fmuid monitor"),
-        (state, whole[state][:-400], "is not JSON"),
-        (state, "{}", "give the monitoring.json of fmuid monitor"),
-        (state, json.dumps({k: v for k, v in later.items() if k != "windows"}), "has no 'windows'"),
-        (state, json.dumps(later | {"records": [1]}), "has something in 'records'"),
+        (table, b"\n".join(whole[table].split(b"\n")[:4]), "it has not the 12 windows"),
+        (table, b"time,u\n0,1\n", "is no table of fmuid monitor"),
+        (table, b"", "is no table of fmuid monitor"),
+        (state, whole[state][:-400], "is not of fmuid monitor, or not whole"),
+        (state, saying({}), "give the monitoring.npz of fmuid monitor"),
+        (state, saying({k: v for k, v in later.items() if k != "windows"}), "has no 'windows'"),
+        (state, saying(later | {"records": [1]}), "has something in 'records'"),
     ):
-        path.write_text(spoilt, encoding="utf-8")
+        path.write_bytes(spoilt)
         assert run(["monitor", study, str(records), *words, *grown, "--append"]) == 2
         error = capsys.readouterr().err
         assert said in error and str(path) in error and "monitor without appending" in error and error.count("\n") == 1
-        path.write_text(whole[path], encoding="utf-8")
+        path.write_bytes(whole[path])
+    table.write_bytes(whole[table] + b"rows of a run that was killed before it had written its state")
+    assert run(["monitor", study, str(records), *words, *grown, "--append"]) == 1
+    assert table.read_bytes() == whole[table]
 
 
 def test_from_python_it_is_what_the_command_does(folder: Path) -> None:

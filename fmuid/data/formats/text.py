@@ -81,6 +81,31 @@ def _read(opened: Callable[[], IO[bytes]], source: str, encoding: str | None) ->
     return RawTable(_samples(opened, source, layout, encoding, names), said)
 
 
+def head_length(start: bytes, source: str) -> int:
+    """Return how many bytes of a text come before its first row of samples.
+
+    Parameters
+    ----------
+    start : bytes
+        The begin of the text, whole lines; not UTF-16.
+    source : str
+
+    Raises
+    ------
+    InputError
+        If it is no table, or has no row of samples yet.
+    """
+    try:
+        text = start.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = start.decode("cp1252", errors="replace")
+    layout = _layout(source, text)
+    if not layout.samples:
+        raise InputError(f"{source}: the table has a header but no rows: give measured samples")
+    lines = layout.lines[layout.head.first - 1]
+    return len(b"".join(start.splitlines(keepends=True)[:lines]))
+
+
 def _ends_with_separators(layout: _Layout) -> bool:
     """Return whether a separator ends every row, so that a last column is neither named nor filled."""
     count = len(layout.head.names)

@@ -98,6 +98,12 @@ class Preparation:
     fill: Mapping[str, str] = field(default_factory=dict)
     longest_gap: float = math.inf
 
+    @property
+    def by_rows(self) -> bool:
+        """Whether each row is made of itself alone, so that a table can be prepared piece by piece."""
+        alone = Preparation(self.columns, self.axes)
+        return self == alone and all(each.angle is not None for each in self.axes)
+
     def applied(
         self,
         frame: pd.DataFrame,

@@ -130,6 +130,10 @@ class Watch:
         if not kept.all():
             self._of = {name: value[kept] for name, value in self._of.items()}
 
+    def clocks(self) -> Floats:
+        """Return when the onsets that are kept begin (T,), s of all that was seen."""
+        return np.asarray(self._of["clock"])
+
     # --- what the onsets explain
 
     def _posterior(self) -> Known:

@@ -12,9 +12,8 @@ forgotten and no sample is lost (docs/method.md section 5).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +29,13 @@ from fmuid.diagnosis.evidence.naming import MODEL_ERROR
 from fmuid.diagnosis.evidence.watch import Watch
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.linearisation import Machine
-from fmuid.diagnosis.monitoring import state
-from fmuid.diagnosis.monitoring.alarms import Alarm, Rule, Trend
+from fmuid.diagnosis.monitoring.alarms import Alarm, Moment, Rule
 from fmuid.diagnosis.monitoring.judging import judged
 from fmuid.diagnosis.monitoring.seeing import Against, Now, Seen
+from fmuid.diagnosis.monitoring.state import Journal, restored
 from fmuid.diagnosis.monitoring.sums import WindowSums, summed
-from fmuid.diagnosis.monitoring.windows import Window, cut, part_of
+from fmuid.diagnosis.monitoring.trends import with_trend
+from fmuid.diagnosis.monitoring.windows import Begun, Gap, Window, cut, part_of
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
 from fmuid.fmi import FMU
@@ -48,22 +48,6 @@ TRANSIENT_SHARE = 0.2
 BATCH_SAMPLES = 32_768
 # A window is linearised again, where it was estimated, at most so often.
 MOST_STEPS = 4
-
-
-@dataclass(frozen=True)
-class Gap:
-    """A window of a record in which no sample of some output counts.
-
-    Attributes
-    ----------
-    source : str
-        Of the record.
-    time : float
-        Where the window begins, s.
-    """
-
-    source: str
-    time: float
 
 
 class Monitor:
@@ -118,50 +102,76 @@ class Monitor:
         self.baseline, self.faults, self.system = Baseline.of(baseline), dict(hypotheses), System.of(nominal_model)
         self.rule, self.causes, self.model_error = rule or Rule(), causes or Causes(), model_error
         self.gaps: tuple[Gap, ...] = ()
+        self._journal: Journal | None = None
         self._made: Juxtaposition | None = None
         self._machine: Machine | None = None
         self._resumed: Mapping[str, Any] = {}
         self._now = Now(Watch(Known(np.zeros(0), np.zeros((0, 0))), np.zeros(0)), np.zeros(0))
 
-    def add(self, record: Experiment, progress: Progress | None = None) -> pd.DataFrame:
+    def add(self, record: Experiment, progress: Progress | None = None, *, grows: bool = False) -> pd.DataFrame:
         """Examine the windows of a record and return their rows; what goes wrong leaves everything as it was.
 
         Parameters
         ----------
         record : Experiment
-            With the healthy machine's names; what it discards is left out at its beginning.
+            With the healthy machine's names; what it discards is left out at its beginning. Of a record that grows
+            the rows from `needed` on, or more of them, which are under the same name and discard nothing.
         progress : callable, optional
             Called with a `fmuid.progress.WindowStep` before windows are linearised.
+        grows : bool
+            Whether more of it may come: then only windows that are whole by now are examined.
 
         Raises
         ------
         InputError
             If a record of this name is there already, it is shorter than a window, has other inputs or outputs than
-            the model, or its transient lasts longer than the rule says.
+            the model, or its transient lasts longer than the rule says; if it grows and the rule has no windows or no
+            horizon.
         SimulationError
             If the simulation fails at the healthy estimate.
         """
-        if record.name in self.records:
+        goes_on = self.goes_on(record.name)
+        if record.name in self.records and not goes_on:
             raise InputError(
                 f"{record.source}: a record named {record.name!r} has been monitored already: leave it out or rename it"
             )
+        if grows and (self.rule.window is None or self.rule.horizon is None):
+            raise InputError(
+                f"{record.source} grows, and nobody knows how long it gets: say in [monitoring] how long a window is "
+                "and in which time the level of false alarms holds, as in window = 1.0 and horizon = 86400.0"
+            )
         made = self._comparison(record)
-        before = self._now
-        self._now = before.beginning(record)
+        before, gaps = self._now, self.gaps
+        self._now = before if goes_on else before.beginning(record, self.rule.transient)
         try:
-            rows = self._examined(made, record, progress)
+            rows = self._examined(made, record, progress, grows=grows)
         except BaseException:
-            self._now = before
+            self._now, self.gaps = before, gaps
             raise
-        self._now = replace(self._now, tables=(*before.tables, pd.DataFrame(rows)))
-        return self._now.tables[-1]
+        self._now = replace(self._now, tables=(*before.tables, pd.DataFrame(rows)) if rows else before.tables)
+        return pd.DataFrame(rows)
+
+    def goes_on(self, name: str) -> bool:
+        """Return whether a record of this name has begun and grows."""
+        last = self._now.records[-1:]
+        return bool(last) and last[0].name == name and last[0].grows
+
+    @property
+    def needed(self) -> float:
+        """The time of the last record from which on its rows are needed when it goes on, s."""
+        last = self._now.records[-1]
+        return last.begin + (self.rule.window or 0.0) * last.windows - self.rule.transient
+
+    def forget(self, rows: int, alarms: int) -> None:
+        """Keep so many rows and alarms, the latest, and of records those in which an onset may lie."""
+        self._now = self._now.without(rows, alarms)
 
     def _comparison(self, record: Experiment) -> Juxtaposition:
         if self._made is None:
             made = Juxtaposition.of(self.system, self.baseline, self.faults, self.causes, [record])
             watch = Watch(made.healthy.known, made.healthy.drift)
             if self._resumed:
-                watch = state.restored(watch, self._resumed)
+                watch = restored(watch, self._resumed)
             point = self._resumed.get("point", made.coordinates.healthy)
             self._made, self._now = made, replace(self._now, watch=watch, point=point)
             self._against = Against(made, self.rule, self.model_error)
@@ -169,25 +179,36 @@ class Monitor:
 
     # --- the windows of a record
 
-    def _examined(self, made: Juxtaposition, record: Experiment, progress: Progress | None) -> list[dict[str, Any]]:
+    def _examined(
+        self, made: Juxtaposition, record: Experiment, progress: Progress | None, *, grows: bool
+    ) -> list[dict[str, Any]]:
         """Return the rows of a record, linearising as many windows at once as are near each other."""
-        every = cut(record, self.rule.window, self.rule.transient)
+        begun = self._now.records[-1]
+        own = Begun(begun.begin, begun.counts, begun.windows, grows)
+        every = cut(record, self.rule.window, self.rule.transient, own)
         windows = [each for each in every if each.there]
-        if not windows:
+        missing = [each for each in every if not each.there]
+        if not windows and not grows and not begun.windows:
             raise InputError(
                 f"{record.source} leaves no window in which every output has a sample that counts: make the transient "
                 "or what the study discards shorter, or leave the record out"
             )
+        self.gaps += tuple(Gap(record.source, float(record.times[each.start])) for each in missing)
+        self._now = self._now.cut(len(every), grows=grows)
+        if not windows:
+            if not grows:
+                self._finish(made, self.rule.window_level(1, self.rule.window or 1.0))
+            return []
         most = max(1, BATCH_SAMPLES * len(windows) // sum(each.stop - each.start for each in windows))
         level = self.rule.window_level(len(every), windows[0].end - windows[0].begin)
         rows: list[dict[str, Any]] = []
         at, length, tries = 0, 1, 0
-        if len(windows) > 1:
+        if len(windows) > 1 and not begun.windows:
             self._check_transient(made, record, windows)
         while at < len(windows):
             batch = windows[at : at + length]
             if progress is not None:
-                progress(WindowStep(record=record.name, number=batch[0].number, total=len(every)))
+                progress(WindowStep(record=record.name, number=batch[0].number, total=begun.windows + len(every)))
             taken, point, targets = 0, self._now.point, []
             for each in self._summed(made, record, batch):
                 seen = Seen(self._against, self._now, each, level)
@@ -201,9 +222,8 @@ class Monitor:
             # the next ones where these were on the whole, or where the one was that lies elsewhere
             self._now = replace(self._now, point=np.mean(targets, axis=0) if taken == len(batch) else point)
             at, length = at + taken, min(2 * length, most) if taken == len(batch) else 1
-        missing = [each for each in every if not each.there]
-        self.gaps += tuple(Gap(record.source, float(record.times[each.start])) for each in missing)
-        self._finish(made, level)
+        if not grows:
+            self._finish(made, level)
         return rows
 
     def _summed(self, made: Juxtaposition, record: Experiment, windows: Sequence[Window]) -> list[WindowSums]:
@@ -251,7 +271,7 @@ class Monitor:
         "" without. For each cause its size in this window alone, what was known before as prior, with ``.std``:
         ``turns.dR``, ``gain(i)``; and the healthy parameters with theirs.
         """
-        return pd.concat(self._now.tables, ignore_index=True) if self._now.tables else pd.DataFrame()
+        return self._now.table()
 
     @property
     def records(self) -> tuple[str, ...]:
@@ -261,20 +281,17 @@ class Monitor:
     @property
     def alarms(self) -> tuple[Alarm, ...]:
         """The alarms, in their order."""
-        return tuple(self._with_trend(each) for each in self._now.alarms)
+        table = self.table
+        return tuple(with_trend(each, self._now, table, self.rule.limits) for each in self._now.alarms)
 
-    def _with_trend(self, alarm: Alarm) -> Alarm:
-        if not alarm.explanations or alarm.onset is None:
-            return alarm
-        column = alarm.explanations[0].changes[0].label
-        rows = self.table.iloc[: alarm.last + 1]
-        since = self._now.clock(alarm.onset.last)
-        begin = rows["clock"] - (rows["end"] - rows["start"])
-        rows = rows[(begin >= since - 1e-6 * abs(since)).to_numpy(bool)]
-        if rows.empty:
-            return alarm
-        values, stds, clock = (rows[name].to_numpy(np.float64) for name in (column, f"{column}.std", "clock"))
-        return replace(alarm, trend=Trend.of(column, clock, values, stds, self.rule.limits.get(column, math.nan)))
+    @property
+    def windows(self) -> int:
+        """How many were examined."""
+        return self._now.row
+
+    def moment(self, record: str, time: float) -> Moment:
+        """Return a time of one of the records that are held, with its date."""
+        return next(each for each in self._now.records if each.name == record).moment_at(time)
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -306,25 +323,40 @@ class Monitor:
 
     # --- files
 
-    def write(self, folder: str | Path, also: Mapping[str, Any] | None = None) -> list[Path]:
+    def write(
+        self,
+        folder: str | Path,
+        also: Mapping[str, Any] | None = None,
+        lines: Sequence[str] = (),
+        beside: Mapping[str, Any] | None = None,
+    ) -> list[Path]:
         """Write ``monitoring.csv``, ``monitoring.json`` and ``monitoring.npz``, which `resume` needs.
+
+        What was written into the same folder before is added to; a break leaves what was written last.
 
         Parameters
         ----------
         folder : path
         also : mapping, optional
             What else the JSON file is to say.
+        lines : sequence of str
+            That ``alarms.jsonl`` gets.
+        beside : mapping, optional
+            What `resume` is to return.
         """
+        if self._journal is None or self._journal.folder != Path(folder):
+            self._journal = Journal(Path(folder))
         content = {
             "alarms": self.alarms,
             **self._same,
+            "rule": self.rule,
             "sizes": {name: [f"{name}.{size}" for size in fault.sizes] for name, fault in self.faults.items()},
             "common": list(self.baseline.common),
             "beside": self.beside,
             "units": self.units,
             **(also or {}),
         }
-        return state.write(Path(folder), self._now, self.table, content)
+        return self._journal.write(self._now, content, lines, {"same": self._same, "beside": beside or {}})
 
     @property
     def _same(self) -> dict[str, Any]:
@@ -339,14 +371,22 @@ class Monitor:
             "records": [each.name for each in self.baseline.records],
             "causes": self.causes,
         }
-        return {"rule": self.rule, "healthy": healthy}
+        return {"rule": replace(self.rule, limits={}), "healthy": healthy}
 
-    def resume(self, folder: str | Path) -> None:
-        """Go on where an earlier run ended, whose files are in a folder.
+    def resume(self, folder: str | Path, rows: int | None = None) -> dict[str, Any]:
+        """Go on where an earlier run ended, whose files are in a folder; return what was written beside.
+
+        Parameters
+        ----------
+        folder : path
+        rows : int, optional
+            Of the table, that are read again, the last ones; default: all.
 
         Raises
         ------
         InputError
             If there is none, or it had another rule, other faults or another healthy machine.
         """
-        self._now, self._resumed = state.read(Path(folder), self._now, self._same)
+        self._journal = Journal(Path(folder))
+        self._now, self._resumed, beside = self._journal.read(self._now, self._same, rows)
+        return beside

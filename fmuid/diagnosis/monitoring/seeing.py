@@ -50,16 +50,28 @@ class WatchedRecord:
         The same by the clock of all records, s.
     date : str
         Of time zero, "" where the table has no dates.
+    counts : float
+        From when on its samples count, s.
+    windows : int
+        Which it was cut into so far.
+    grows : bool
+        Whether more of it may come.
     """
 
     name: str
     begin: float
     clock: float
     date: str = ""
+    counts: float = 0.0
+    windows: int = 0
+    grows: bool = False
 
     def moment(self, clock: float) -> Moment:
         """Return a time of the record by the clock of all."""
-        time = clock - self.clock + self.begin
+        return self.moment_at(clock - self.clock + self.begin)
+
+    def moment_at(self, time: float) -> Moment:
+        """Return a time of the record with its date."""
         date = (pd.Timestamp(self.date) + pd.Timedelta(seconds=time)).isoformat() if self.date else ""
         return Moment(self.name, time, date)
 
@@ -79,6 +91,8 @@ class Now:
     alarms : tuple of Alarm
     row : int
         Of the next window.
+    forgotten : int
+        Rows before those of the tables.
     judgement : Judgement or None
         Of the alarm that there is.
     statistic : float
@@ -91,14 +105,41 @@ class Now:
     tables: tuple[pd.DataFrame, ...] = ()
     alarms: tuple[Alarm, ...] = ()
     row: int = 0
+    forgotten: int = 0
     judgement: Judgement | None = None
     statistic: float = 0.0
 
-    def beginning(self, record: Experiment) -> Now:
+    def beginning(self, record: Experiment, transient: float) -> Now:
         """Return how far it is where a record begins: an alarm that lasts is judged anew."""
-        date = record.frame.attrs.get(BEGIN)
-        made = WatchedRecord(record.name, float(record.times[0]), self.watch.end, "" if date is None else str(date))
+        date, begin = record.frame.attrs.get(BEGIN), float(record.times[0])
+        counts = begin + max(record.discard, transient)
+        made = WatchedRecord(record.name, begin, self.watch.end, "" if date is None else str(date), counts)
         return replace(self, records=(*self.records, made), judgement=None, statistic=0.0)
+
+    def cut(self, windows: int, *, grows: bool) -> Now:
+        """Return it with so many more windows of the last record."""
+        last = self.records[-1]
+        last = replace(last, windows=last.windows + windows, grows=grows)
+        return replace(self, records=(*self.records[:-1], last))
+
+    def table(self) -> pd.DataFrame:
+        """Return the rows that are held, with their numbers as index."""
+        found = pd.concat(self.tables, ignore_index=True) if self.tables else pd.DataFrame()
+        found.index = found.index + self.forgotten
+        return found
+
+    def without(self, rows: int, alarms: int) -> Now:
+        """Return it with so many of the latest rows and alarms, and the records that onsets may lie in."""
+        table = self.table().tail(rows)
+        needed, kept = self.watch.clocks(), []
+        for each, later in zip(self.records, (*self.records[1:], None), strict=True):
+            until = math.inf if later is None else later.clock
+            low = int(np.searchsorted(needed, each.clock))
+            if later is None or (low < needed.size and needed[low] < until):
+                kept.append(each)
+        return replace(
+            self, tables=(table,), forgotten=self.row - len(table), alarms=self.alarms[-alarms:], records=tuple(kept)
+        )
 
     def moment(self, clock: float) -> Moment:
         """Return the record and its time at a time by the clock of all."""

@@ -16,6 +16,28 @@ STEP_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
+class Begun:
+    """A record that is cut piece by piece, as it grows.
+
+    Attributes
+    ----------
+    begin : float
+        Of its time, s.
+    counts : float
+        From when on samples count, s.
+    windows : int
+        Which it was cut into so far.
+    grows : bool
+        Whether more of it may come.
+    """
+
+    begin: float
+    counts: float
+    windows: int = 0
+    grows: bool = False
+
+
+@dataclass(frozen=True)
 class Window:
     """A window of a record.
 
@@ -43,8 +65,24 @@ class Window:
     there: bool
 
 
-def cut(record: Experiment, window: float | None, transient: float) -> list[Window]:
-    """Return the windows of a record.
+@dataclass(frozen=True)
+class Gap:
+    """A window of a record in which no sample of some output counts.
+
+    Attributes
+    ----------
+    source : str
+        Of the record.
+    time : float
+        Where the window begins, s.
+    """
+
+    source: str
+    time: float
+
+
+def cut(record: Experiment, window: float | None, transient: float, begun: Begun) -> list[Window]:
+    """Return the windows of a record, or the next ones of a piece of it.
 
     What is left at the end of the record and shorter than a window is in none.
 
@@ -54,7 +92,8 @@ def cut(record: Experiment, window: float | None, transient: float) -> list[Wind
     window : float or None
         Their length, s; None for the whole record.
     transient : float
-        What is simulated before them, s; left out at the beginning of the record, if what it discards is not longer.
+        What is simulated before them, s.
+    begun : Begun
 
     Raises
     ------
@@ -64,7 +103,7 @@ def cut(record: Experiment, window: float | None, transient: float) -> list[Wind
     times = record.times
     step = float(np.median(np.diff(times)))
     slack, last = STEP_TOLERANCE * step, float(times[-1]) + step
-    counted = record.counted & (times >= times[0] + max(record.discard, transient))[:, None]
+    counted = record.counted & (times >= begun.counts)[:, None]
     before = np.vstack([np.zeros(counted.shape[1]), np.cumsum(counted, axis=0)])
 
     def made(number: int, lead: int, start: int, stop: int) -> Window:
@@ -74,16 +113,19 @@ def cut(record: Experiment, window: float | None, transient: float) -> list[Wind
 
     if window is None:
         return [made(0, 0, 0, times.size)]
-    count = math.floor((last - times[0] + slack) / window)
-    if count == 0:
+    count = math.floor((last - begun.begin + slack) / window) - begun.windows
+    if count <= 0 and (begun.grows or begun.windows):
+        return []
+    if count <= 0:
         raise InputError(
             f"{record.source} lasts {times[-1] - times[0]:g} s, which is shorter than a window of {window:g} s: "
             "make the windows shorter, or the record longer"
         )
-    edges = times[0] + window * np.arange(count + 1)
+    edges = begun.begin + window * np.arange(begun.windows, begun.windows + count + 1)
     borders = np.searchsorted(times, edges - slack)
     leads = np.searchsorted(times, edges - transient - slack)
-    return [made(k, int(leads[k]), int(borders[k]), int(borders[k + 1])) for k in range(count)]
+    rows = zip(leads.tolist(), borders.tolist(), borders[1:].tolist(), strict=False)
+    return [made(begun.windows + k, lead, start, stop) for k, (lead, start, stop) in enumerate(rows)]
 
 
 def part_of(whole: Experiment, windows: Sequence[Window], transient: float) -> Experiment:

@@ -32,9 +32,10 @@ def show_monitoring(found: Monitor) -> None:
 def _show_alarms(found: Monitor) -> None:
     numbers = ("alarm (s)", "to (s)", "windows")
     table = table_of("Alarms", ["what", "since", "size", "record", *numbers], right=numbers)
-    ends, records = found.table["end"].tolist(), found.table["record"].tolist()
+    rows = found.table
     for alarm in found.alarms[:TERMINAL_ROWS]:
-        until = f"{ends[alarm.last]:g}" + ("" if records[alarm.last] == alarm.record else f" of {records[alarm.last]}")
+        last = rows.loc[alarm.last]
+        until = f"{last['end']:g}" + ("" if last["record"] == alarm.record else f" of {last['record']}")
         count = str(alarm.last - alarm.first + 1)
         cells = (alarm.fault, *alarm_words(alarm), alarm.record, f"{alarm.time:g}", until, count)
         table.add_row(*(escape(cell) for cell in cells))

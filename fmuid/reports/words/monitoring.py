@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from fmuid.diagnosis import SOMETHING_ELSE, Shape
@@ -24,14 +25,18 @@ def monitoring_words(found: Monitor) -> str:
             return f"Whether there is a fault stays open: no window determines {listed(found.undetermined)}."
         held = "in a record" if rule.horizon is None else f"in {rule.horizon:g} s"
         return f"No alarm in {counted}, at a level of {100 * rule.level:g} % for a false one {held}."
-    first = alarms[0]
-    raised = f"alarm at {first.time:.6g} s of {first.record}"
-    if first.fault == SOMETHING_ELSE:
+    return alarm_sentence(alarms[0], found.units)
+
+
+def alarm_sentence(alarm: Alarm, units: Mapping[str, str]) -> str:
+    """Return what an alarm says: what it is, since when, how large, where it goes; with the units of the columns."""
+    raised = f"alarm at {alarm.time:.6g} s of {alarm.record}"
+    if alarm.fault == SOMETHING_ELSE:
         return f"Something else is wrong: the residual is larger than the noise and no cause explains it; {raised}."
-    head = "Fault" if all(each.faults for each in first.explanations) else "Something has changed"
-    said = f"{head}: {first.fault}{'' if first.onset is None else onset_words(first.onset)}; {raised}"
-    sizes = "; or ".join(map(explanation_words, first.explanations))
-    trend = "" if first.trend is None else trend_words(first.trend, found.units.get(first.trend.column, ""))
+    head = "Fault" if all(each.faults for each in alarm.explanations) else "Something has changed"
+    said = f"{head}: {alarm.fault}{'' if alarm.onset is None else onset_words(alarm.onset)}; {raised}"
+    sizes = "; or ".join(map(explanation_words, alarm.explanations))
+    trend = "" if alarm.trend is None else trend_words(alarm.trend, units.get(alarm.trend.column, ""))
     return f"{said}; since then {sizes}{trend}."
 
 

@@ -1,0 +1,82 @@
+"""What `fmuid monitor --follow` shows: where it stands, live on a terminal, and a line for each alarm and remark."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Group
+from rich.live import Live
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from fmuid.reports.console.layout import console, show_remarks, unit_text
+from fmuid.text import with_std
+
+if TYPE_CHECKING:
+    from fmuid.diagnosis import Monitor
+    from fmuid.reports import Watching
+
+COLOURS = {"raised": "bold red", "changed": "red", "ended": "green"}
+
+
+class FollowingDisplay:
+    """Shows how far a monitoring in operation is; used as a context and called after each look."""
+
+    def __init__(self) -> None:
+        self._console = console()
+        self._live: Live | None = None
+
+    def __enter__(self) -> Self:
+        if sys.stdout.isatty():
+            self._live = Live(console=self._console, refresh_per_second=4, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, watching: Watching) -> None:
+        """Print what is new, and show where it stands."""
+        for line in watching.lines:
+            said = json.loads(line)
+            when = said["date"][:19].replace("T", " ") or f"{said['time']:.6g} s of {said['record']}"
+            text = f"{when}: alarm {said['id']} {said['event']}: {said['words']}"
+            self._console.print(f"[{COLOURS[said['event']]}]{escape(text)}[/]", soft_wrap=True)
+        show_remarks(watching.remarks)
+        if self._live is None:
+            sys.stdout.flush()
+        else:
+            self._live.update(Group(_state(watching), Text("Ctrl-C ends it; the same command goes on", style="dim")))
+
+
+def _state(watching: Watching) -> Table:
+    """Return where it stands: the last window, what it shows, and whether there is an alarm."""
+    found = watching.monitor
+    table = Table.grid(padding=(0, 3))
+    if not found.windows:
+        table.add_row("waiting for records")
+        return table
+    row = found.table.iloc[-1]
+    at = found.moment(str(row["record"]), float(row["end"]))
+    when = f"{row['record']}, {row['end']:.6g} s" + (f", {at.date[:19].replace('T', ' ')}" if at.date else "")
+    table.add_row("examined", f"{found.windows} windows, up to {escape(when)}{'' if watching.idle else ' ...'}")
+    alarm = f"[bold red]ALARM: {escape(row['alarm'])}[/]" if row["alarm"] else "[green]no alarm[/]"
+    table.add_row("now", alarm)
+    for name in _columns(found):
+        std = float(row[f"{name}.std"])
+        size = with_std(float(row[name]), std) if math.isfinite(std) else "not determined"
+        table.add_row(escape(name), f"{size} {escape(unit_text(found.units.get(name)))}")
+    return table
+
+
+def _columns(found: Monitor) -> list[str]:
+    sizes = [f"{name}.{size}" for name, fault in found.faults.items() for size in fault.sizes]
+    return [*sizes, *found.baseline.common]

@@ -1,0 +1,213 @@
+"""Monitoring in operation: what one run finds, whatever breaks it; alarms as lines, told to a command once each."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+import fmuid
+from experiments.coil import study as coil
+from fmuid.cli.app import run
+from fmuid.files import locked
+from fmuid.reports import following, run_following
+from fmuid.reports.following import Watching
+from fmuid.studies.following import follower
+from tests.support.coil_records import warming
+
+TELL = """
+import json, os, sys
+line = json.loads(sys.stdin.read())
+assert os.environ["FMUID_FAULT"] == line["fault"]
+with open("told.txt", "a") as file:
+    file.write(f"{os.environ['FMUID_ID']} {os.environ['FMUID_EVENT']} {line['fault']}\\n")
+"""
+
+
+@pytest.fixture
+def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with a study of a coil, and records/ for a logger."""
+    monkeypatch.setattr(follower, "SETTLED", 0.0)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "records").mkdir()
+    (tmp_path / "tell.py").write_text(TELL)
+    shutil.copytree(coil.HERE / "healthy", tmp_path / "healthy")
+    warming(1, to=4.0).to_csv(tmp_path / "test1.csv", index=False)
+    text = (coil.HERE / "test.toml").read_text(encoding="utf-8").replace("../../fmus", coil.FMUS.as_posix())
+    command = json.dumps([sys.executable, "tell.py"])
+    rule = f"[monitoring]\nwindow = 1.0\ntransient = 0.2\nhorizon = 3600.0\ncommand = {command}\n"
+    (tmp_path / "study.toml").write_text(text + rule, encoding="utf-8")
+    return tmp_path
+
+
+def idle(watching: Watching) -> bool:
+    return watching.idle
+
+
+def alarms(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "alarms.jsonl").read_text(encoding="utf-8").splitlines()]
+
+
+def dated(table: pd.DataFrame) -> pd.DataFrame:
+    return table.assign(time=pd.Timestamp("2026-03-01 12:00") + pd.to_timedelta(table["time"], unit="s"))
+
+
+def test_a_growing_file_and_restarts_find_what_one_run_finds(plant: Path) -> None:
+    table = dated(warming(24, to=4.3, fails=15.4, seed=3))
+    table.to_csv(plant / "records" / "log.csv", index=False)
+    text = (plant / "records" / "log.csv").read_text()
+    found = run_following("study.toml", "records", "whole", until=idle)
+    assert not found.healthy
+    (whole,) = alarms(plant / "whole")
+    for share in (0.1, 0.25, 0.27, 0.6, 0.61, 0.7, 0.9, 1.0):
+        (plant / "records" / "log.csv").write_text(text[: int(share * len(text))])
+        run_following("study.toml", "records", "grown", until=idle)
+    (raised, *_) = grown = alarms(plant / "grown")
+    assert [each["event"] for each in grown] == ["raised"]
+    for each in (whole, raised):
+        assert (each["id"], each["fault"], each["record"], each["time"]) == (1, "turns", "log", 16.0)
+        assert each["date"] == "2026-03-01T12:00:16"
+        (change,) = each["explanations"][0]["changes"]
+        low, high = change["interval"]
+        assert low < 0.5 < high and change["unit"] == "Ohm" and change["name"] == "turns.dR"
+        first, last = (each["onset"][end]["date"] for end in ("first", "last"))
+        assert first <= "2026-03-01T12:00:15.4" <= last
+        assert each["words"].startswith("Fault: turns, since 15.")
+    rows = [pd.read_csv(plant / name / "monitoring.csv") for name in ("whole", "grown")]
+    assert rows[0]["window"].tolist() == rows[1]["window"].tolist() == list(range(24))
+    assert rows[0]["turns.dR"].to_numpy() == pytest.approx(rows[1]["turns.dR"].to_numpy(), abs=0.01)
+    assert rows[0]["end"].to_numpy() == pytest.approx(rows[1]["end"].to_numpy())
+    assert (plant / "told.txt").read_text() == "1 raised turns\n" * 2  # by either
+
+
+def test_records_in_files_and_an_alarm_that_ends(plant: Path) -> None:
+    for k in range(3):
+        table = warming(3, to=4.0, fails=0.0 if k == 1 else math.inf, size=1.0, seed=k)
+        table.to_parquet(plant / "records" / f"r{k}.parquet")
+    run_following("study.toml", "records", "out", until=idle)
+    said = [(each["event"], each["record"], each["id"]) for each in alarms(plant / "out")]
+    assert said[0] == ("raised", "r1", 1)
+    state = json.loads((plant / "out" / "monitoring.json").read_text())
+    assert state["windows"] == 9 and state["words"][0].startswith("Fault: turns")
+    bad = plant / "records" / "s.csv"
+    bad.write_text("time,v,i\n0,1,1\n1,1,1\n2,1,1\n3,1,1\n")
+    remarks: list[str] = []
+    run_following("study.toml", "records", "out", show=lambda watching: remarks.extend(watching.remarks), until=idle)
+    assert remarks == [
+        f"{Path('records', 's.csv')}: the input column 'u' is missing (there is time, v, i): "
+        "name the column that holds it"
+    ]
+
+
+def test_a_command_is_told_again_after_a_break_in_it(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    warming(6, to=4.0, fails=0.0, size=1.0).to_csv(plant / "records" / "a.csv", index=False)
+
+    def broken(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as breaking:
+        breaking.setattr(following, "run_program", broken)
+        run_following("study.toml", "records", "out", until=idle)
+    assert not (plant / "told.txt").exists()
+    run_following("study.toml", "records", "out", until=idle)
+    assert (plant / "told.txt").read_text() == "1 raised turns\n"
+    assert len(alarms(plant / "out")) == 1
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (["no-such-program"], "[monitoring] command: 'no-such-program' cannot be run: No such file or directory"),
+        (
+            [sys.executable, "-c", "raise SystemExit('mail is down')"],
+            "failed at alarm 1 (exit code 1): mail is down",
+        ),
+        ([sys.executable, "-c", "import time; time.sleep(60)"], "took more than 0.5 s at alarm 1 and was ended"),
+    ],
+)
+def test_a_command_that_fails_is_said(
+    plant: Path, monkeypatch: pytest.MonkeyPatch, command: list[str], said: str
+) -> None:
+    monkeypatch.setattr(following, "COMMAND_SECONDS", 0.5)
+    warming(3, to=4.0, fails=0.0, size=1.0).to_csv(plant / "records" / "a.csv", index=False)
+    remarks: list[str] = []
+
+    study = fmuid.Study.read("study.toml", [f"monitoring.command={json.dumps(command)}"])
+    run_following(study, "records", "out", show=lambda watching: remarks.extend(watching.remarks), until=idle)
+    (remark,) = remarks
+    assert said in remark
+
+
+def test_memory_is_of_the_latest_windows(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(following, "KEPT_ROWS", 5)
+    for k in range(4):
+        warming(4, to=4.0, seed=k).to_csv(plant / "records" / f"r{k}.csv", index=False)
+        found = run_following("study.toml", "records", "out", until=idle)
+    assert len(found.monitor.table) == 5
+    assert found.monitor.table.index[-1] == 15
+    assert len(pd.read_csv(plant / "out" / "monitoring.csv")) == 16
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["records", "records"], "--follow and several folders do not go together"),
+        (["records", "--append"], "--follow and --append do not go together"),
+        (["records", "--figures", "png"], "--follow and --figures do not go together"),
+        (["nowhere"], "nowhere: there is no such folder or file"),
+        (["records", "--set", "monitoring.command=3"], "[monitoring] command must be a list of a program"),
+        (["records", "--set", "diagnosis.faults.turns.values.tau=0.02"], "of a run with another study or other models"),
+        (["records", "--set", "diagnosis.level=0.2"], "another rule, other faults or another healthy machine"),
+    ],
+)
+def test_what_is_refused(plant: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
+    if "another" in said:
+        warming(3, to=4.0).to_csv(plant / "records" / "a.csv", index=False)
+        run_following("study.toml", "records", "results", until=idle)
+    assert run(["monitor", "study.toml", *words, "--follow"]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+
+
+def test_one_at_a_time(plant: Path) -> None:
+    refused = pytest.raises(fmuid.InputError, match="is written to by another monitoring")
+    with locked(plant / "out", "monitoring"), refused:
+        run_following("study.toml", "records", "out", until=idle)
+
+
+@pytest.mark.slow
+def test_killed_again_and_again(plant: Path) -> None:
+    """A logger writes half lines; the monitoring is killed at any moment. Every window is there once, and the alarm."""
+    text = dated(warming(30, to=4.0, fails=20.0, size=1.0, seed=5)).to_csv(index=False)
+    log = plant / "records" / "log.csv"
+    words = [sys.executable, "-m", "fmuid", "monitor", "study.toml", "records", "--follow", "-o", "out", "--no-report"]
+    for k in range(1, 9):
+        log.write_text(text[: k * len(text) // 8])
+        with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as killed:
+            time.sleep(2.0 + 0.45 * k)
+            os.kill(killed.pid, signal.SIGKILL)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline:
+            time.sleep(0.5)
+            path = plant / "out" / "monitoring.csv"
+            if (plant / "told.txt").exists() and len(pd.read_csv(path)) >= 30:
+                break
+        process.send_signal(signal.SIGINT)
+        said = process.communicate()[0]
+    assert process.returncode == 1
+    table = pd.read_csv(plant / "out" / "monitoring.csv")
+    assert table["window"].tolist() == list(range(30))
+    assert [each["event"] for each in alarms(plant / "out")] == ["raised"]
+    assert (plant / "told.txt").read_text().startswith("1 raised turns\n")
+    assert "Written to" in said
