@@ -7,7 +7,6 @@ import os
 import re
 import stat
 import struct
-import sys
 import warnings
 import zipfile
 import zlib
@@ -18,52 +17,20 @@ import pytest
 
 from fmuid.errors import InputError
 from fmuid.fmi.files import archive as zipped
-from fmuid.fmi.files import safe_xml
 from fmuid.fmi.files.archive import Zipped
-from fmuid.fmi.files.start_values import with_starts
 from fmuid.fmi.files.unpacking import file_digest, unpacked
 from fmuid.fmi.fmu import FMU
 from fmuid.models.ssp import parameter_values
-from fmuid.models.ssp.package import read_ssp
 from fmuid.models.ssp.parameter_values import read_ssv
 from fmuid.reports.apply import apply_result
-from fmuid.simulation.validation import _description
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
+from tests.support.packing import pack, refusal
 from tests.support.paths import FMUS
 from tests.support.results import result
 
+pytestmark = pytest.mark.usefixtures("cache")
+
 COIL = FMUS / "Coil" / "Coil.fmu"
-posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such permissions")
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    folder = tmp_path / "cache"
-    monkeypatch.setattr("platformdirs.user_cache_dir", lambda name: str(folder / name))
-    return folder
-
-
-def pack(path: Path, *entries: tuple[str | zipfile.ZipInfo, bytes], method: int = zipfile.ZIP_DEFLATED) -> Path:
-    """Write an archive with entries whose names are taken as they are."""
-    with zipfile.ZipFile(path, "w", method) as archive:
-        for name, content in entries:
-            info = name if isinstance(name, zipfile.ZipInfo) else zipfile.ZipInfo("x")
-            if isinstance(name, str):
-                info.filename = info.orig_filename = name
-            archive.writestr(info, content, method)
-    return path
-
-
-def refusal(path: Path) -> str:
-    """Unpack an archive that must be refused in one sentence, without a trace of it being left."""
-    with pytest.raises(InputError) as caught:
-        unpacked(path, "digest")
-    sentence = str(caught.value)
-    assert sentence.startswith(str(path))
-    assert "\n" not in sentence
-    folder = Path(__import__("platformdirs").user_cache_dir("fmuid")) / "unpacked"
-    assert not folder.exists() or not list(folder.iterdir())
-    return sentence
 
 
 def changed(path: Path, change: Callable[[bytearray], object]) -> Path:
@@ -309,191 +276,6 @@ def test_zlib_errors_are_sentences(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     path = pack(tmp_path / "a.fmu", ("a", b"x"))
     monkeypatch.setattr(zipfile.ZipExtFile, "read", broken)
     assert "Error -3" in refusal(path)
-
-
-# --- the cache --------------------------------------------------------------------------
-
-
-@posix
-def test_unpacked_files_are_the_users_alone(tmp_path: Path, cache: Path) -> None:
-    old = os.umask(0)
-    try:
-        folder = unpacked(pack(tmp_path / "a.fmu", ("binaries/linux64/a.so", b"x"), ("empty/", b"")), "digest")
-    finally:
-        os.umask(old)
-    found = [cache / "fmuid", cache / "fmuid" / "unpacked", folder, *folder.rglob("*")]
-    assert len(found) == 7
-    for path in found:
-        assert stat.S_IMODE(path.stat().st_mode) == (0o700 if path.is_dir() else 0o600), path
-
-
-@posix
-def test_a_cache_that_others_may_write_is_closed(tmp_path: Path, cache: Path) -> None:
-    (cache / "fmuid" / "unpacked").mkdir(parents=True)
-    for folder in (cache / "fmuid", cache / "fmuid" / "unpacked"):
-        folder.chmod(0o777)
-    unpacked(pack(tmp_path / "a.fmu", ("a", b"x")), "digest")
-    for folder in (cache / "fmuid", cache / "fmuid" / "unpacked"):
-        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-
-
-@posix
-@pytest.mark.parametrize("place", ["fmuid", "fmuid/unpacked", "fmuid/unpacked/digest"])
-def test_a_cache_that_leads_elsewhere_is_refused(tmp_path: Path, cache: Path, place: str) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    (cache / place).parent.mkdir(parents=True)
-    (cache / place).symlink_to(elsewhere)
-    with pytest.raises(InputError, match=r"is a symbolic link.*XDG_CACHE_HOME"):
-        unpacked(pack(tmp_path / "a.fmu", ("a", b"x")), "digest")
-    assert not list(elsewhere.iterdir())
-
-
-@posix
-def test_a_cache_of_somebody_else_is_refused(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (cache / "fmuid").mkdir(parents=True)
-    monkeypatch.setattr("os.geteuid", lambda: os.getuid() + 1)
-    with pytest.raises(InputError, match=r"belongs to somebody else.*XDG_CACHE_HOME"):
-        unpacked(pack(tmp_path / "a.fmu", ("a", b"x")), "digest")
-
-
-def test_what_is_missing_in_the_cache_is_unpacked_again(tmp_path: Path) -> None:
-    names = ["binaries/linux64/a.so", "modelDescription.xml", "resources/table.csv", "resources/log.txt"]
-    path = pack(tmp_path / "a.fmu", *((name, b"content") for name in names), ("resources/empty/", b""))
-    folder = unpacked(path, "digest")
-    (folder / names[0]).write_bytes(b"cut")
-    (folder / names[1]).unlink()
-    (folder / names[2]).unlink()
-    (folder / names[3]).write_bytes(b"written by the FMU")
-    (folder / "resources" / "empty").rmdir()
-    assert unpacked(path, "digest") == folder
-    assert [(folder / name).read_bytes() for name in names] == [b"content"] * 3 + [b"written by the FMU"]
-    assert (folder / "resources" / "empty").is_dir()
-    assert list(folder.parent.iterdir()) == [folder]
-
-
-def test_a_full_disk_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr("os.fdopen", full)
-        assert "No space left on device" in refusal(pack(tmp_path / "a.fmu", ("a", b"x")))
-
-
-# --- XML --------------------------------------------------------------------------------
-
-BOMB = """<!DOCTYPE lolz [<!ENTITY a "lol"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>"""
-FETCH = """<!DOCTYPE r [<!ENTITY b SYSTEM "file:///etc/passwd">]>"""
-REMOTE = """<!DOCTYPE fmiModelDescription SYSTEM "http://example.com/a.dtd">"""
-
-
-@pytest.mark.parametrize("kind", [BOMB, FETCH, REMOTE])
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
-def test_document_types_are_refused(tmp_path: Path, kind: str, encoding: str) -> None:
-    value = "&b;" if "ENTITY" in kind else "b"
-    for text in (FMI2, FMI3):
-        described = text.partition("?>")[2].replace("a tool", value).replace('"linear"', f'"{value}"', 1)
-        whole = f'<?xml version="1.0" encoding="{encoding}"?>{kind}{described}'.encode(encoding)
-        with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
-            archive.writestr("modelDescription.xml", whole)
-        with pytest.raises(InputError, match=r"modelDescription\.xml has a DOCTYPE"):
-            FMU(tmp_path / "a.fmu")
-        with pytest.raises(InputError, match="has a DOCTYPE"):
-            with_starts(whole, {})
-    (tmp_path / "a.ssv").write_bytes(f"{kind}<ParameterSet version='1.0'>{value}</ParameterSet>".encode(encoding))
-    with pytest.raises(InputError, match=r"a\.ssv has a DOCTYPE"):
-        read_ssv(tmp_path / "a.ssv")
-    pack(tmp_path / "a.ssp", ("SystemStructure.ssd", f"{kind}<SystemStructureDescription/>".encode(encoding)))
-    with pytest.raises(InputError, match=r"SystemStructure\.ssd has a DOCTYPE"):
-        read_ssp(tmp_path / "a.ssp")
-
-
-def test_document_type_of_a_build_description(tmp_path: Path) -> None:
-    """FMPy reads this file, too."""
-    text = f'{FETCH}<fmiBuildDescription fmiVersion="3.0">&b;</fmiBuildDescription>'
-    with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", FMI3)
-        archive.writestr("sources/buildDescription.xml", text)
-    fmu = FMU(tmp_path / "a.fmu")
-    with pytest.raises(InputError, match=r"buildDescription\.xml has a DOCTYPE"):
-        _description(fmu)
-
-
-def test_deep_nesting(tmp_path: Path) -> None:
-    for depth, fits in ((safe_xml.DEEPEST_NESTING, True), (safe_xml.DEEPEST_NESTING + 1, False), (100_000, False)):
-        text = b"<a>" * depth + b"</a>" * depth
-        if fits:
-            assert safe_xml.parse_xml(text, "it").tag == "a"
-        else:
-            with pytest.raises(InputError, match="it has more than 200 elements inside each other"):
-                safe_xml.parse_xml(text, "it")
-    system = "<System name='s'><Elements>" * 5000 + "</Elements></System>" * 5000
-    text = f"<SystemStructureDescription version='1.0'>{system}</SystemStructureDescription>".encode()
-    with pytest.raises(InputError, match="inside each other"):
-        read_ssp(pack(tmp_path / "a.ssp", ("SystemStructure.ssd", text)))
-
-
-def test_xml_and_archives_are_read_in_one_place() -> None:
-    """So that no reader is left open; archives are written and asked whether they are archives elsewhere.
-
-    Tables are their user's own and read as they stream: the last of the files is theirs.
-    """
-    package, readers = Path(safe_xml.__file__).parents[2], set[str]()
-    reads = re.compile(r"ElementTree\.(parse|fromstring|iterparse|XML)|ParserCreate|etree\.parse|ZipFile\([^\"]*\)")
-    for path in package.rglob("*.py"):
-        if reads.search(path.read_text(encoding="utf-8")):
-            readers.add(path.name)
-    assert readers == {"safe_xml.py", "archive.py", "text.py"}
-
-
-# --- what a description may declare -----------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ('<Dimension start="5"/>', '<Dimension start="1000000000"/>', "declares 1000000013 variables and elements"),
-        ('<Dimension start="5"/>', '<Dimension start="5"/>' * 20, "and at most 1000000 are read"),
-        ('valueReference="3" causality', 'valueReference="4294967296" causality', "no unsigned 32-bit integer"),
-        ('valueReference="3" causality', 'valueReference="-1" causality', "no unsigned 32-bit integer"),
-        ('valueReference="5" causality', 'valueReference="7" causality', "refers to 5, which it does not declare"),
-        ('modelIdentifier="linear" has', 'modelIdentifier="../../evil" has', "no name of a binary"),
-        ('modelIdentifier="linear" has', 'modelIdentifier="..\\evil" has', "no name of a binary"),
-        ('modelIdentifier="linear" has', "has", "no name of a binary"),
-        ('start="0.5"', 'start="half"', "gives 'length' a value that is none: could not convert"),
-        (' instantiationToken="linear"', "", "has no guid or instantiationToken"),
-        (' modelName="Linear"', "", "has a fmiModelDescription without its name"),
-        (
-            '<Float64 name="length"',
-            '<Float65 name="length"',
-            "'length' as Float65, which is no type of FMI 3.0",
-        ),
-        (' dependencies="4"', ' dependencies="4 u"', "has what refers to a variable = u"),
-        ('<Dimension start="5"/>', "<Dimension/>", "has what refers to a variable = None"),
-        ('<Dimension start="5"/>', '<Dimension start="-5"/>', "the size of an array = -5"),
-        ('causality="input"', 'causality="input" declaredType="V"', "'u' of type 'V', which it does not define"),
-        ('causality="input" variability="continuous"', 'causality="input" variability="fixed"', "FMI does not allow"),
-    ],
-)
-def test_descriptions_that_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
-    assert old in FMI3
-    with pytest.raises(InputError, match=re.escape(said)):
-        FMU(write_fmu(tmp_path / "a.fmu", FMI3.replace(old, new)))
-
-
-@pytest.mark.parametrize("factor", ["0", "nan", "INF"])
-def test_units_that_do_not_convert(tmp_path: Path, factor: str) -> None:
-    for old in ('factor="1000"', 'factor="9.549296585513721"'):
-        with pytest.raises(InputError, match="which no calculation can use"):
-            FMU(write_fmu(tmp_path / "a.fmu", FMI2.replace(old, f'factor="{factor}"')))
-
-
-def test_a_large_array_is_read_in_time_proportional_to_it(tmp_path: Path) -> None:
-    """Of 200 000 elements; each would have listed all the others."""
-    text = FMI3.replace('<Dimension start="5"/>', '<Dimension start="200000"/>')
-    variables = FMU(write_fmu(tmp_path / "a.fmu", text)).description.variables
-    assert variables["y[200000]"].array is variables["y[1]"].array
 
 
 def test_content_is_what_zipfile_reads() -> None:
