@@ -18,6 +18,13 @@ _INVISIBLE = re.compile(
     "\ud800-\udfff\U000e0000-\U000e007f]"
 )
 
+_ELEMENT = re.compile(r".+\[\d+(,\d+)*\]")
+
+
+def of_one_experiment(name: str) -> bool:
+    """Return whether a parameter's name is that of a single experiment, ``R[cold]``, and no element's, ``A[1,2]``."""
+    return name.endswith("]") and _ELEMENT.fullmatch(name) is None
+
 
 def visible(text: str) -> str:
     """Return a text without control characters and invisible characters."""

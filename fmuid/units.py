@@ -29,6 +29,8 @@ _SPELLINGS = {
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _POWER_OF_A_NUMBER = re.compile(r"[\d)]\s*(\^|\*\*)")
 """In no unit, and may take for ever."""
+_IN_NAMES = re.compile(r".+[_ ](rpm|[mkuµ]A|[mkuµ]V|[mk]W|[mk]?Nm|[kM]Pa|mbar|degC|deg|mOhm|kOhm|[mc]m|kHz)")
+"""Names of columns that end in a unit which is hardly a word of the name: ``R_s``, ``i_d`` and ``p_bar`` are names."""
 _ROUNDING = 1e-9
 _LONGEST = 40
 """Characters that a unit may have: longer texts are descriptions."""
@@ -82,3 +84,9 @@ def _registry() -> Any:
     registry: Any = pint.UnitRegistry(on_redefinition="ignore")
     registry.define("radian = [angle] = rad")
     return registry
+
+
+def unit_in_name(column: str, variable: str = "") -> str | None:
+    """Return the unit in which a column's name ends, ``w_rpm``; None where that of its variable ends so too."""
+    found = _IN_NAMES.fullmatch(column)
+    return found[1] if found and not variable.endswith(found[1]) else None

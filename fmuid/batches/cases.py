@@ -132,7 +132,7 @@ class Cases:
         for name, path in cases._records:
             if not is_file(path):
                 raise cases.settings.error(f"tables: there is no file {full(path)}, the record {name!r}")
-        study.check_sources()
+        _ = study.notes  # checks that results which priors are taken from are of this model
         subsets = [cases._subset(entry) for entry in range(len(cases.settings.subsets))] or [cases._free]
         check_model(study, cases.settings, subsets, cases[0].held)
         return cases

@@ -20,6 +20,7 @@ from fmuid.data.times import column_of, missing_column
 from fmuid.displays import Displayed
 from fmuid.errors import InputError
 from fmuid.text import nearest
+from fmuid.units import unit_in_name
 
 _TIME_TOLERANCE = 1e-9
 """Share of the table's duration by which a sample may come before the end of `discard`: times are rounded decimals."""
@@ -381,4 +382,5 @@ def _units(
             )
         if not isinstance(unit, str):
             raise InputError(f'{source}: the unit of {variable!r} is {unit!r}: write it as a text, such as "rad/s"')
-    return {variable: said[column] for variable, column in columns.items() if column in said} | dict(given)
+    found = {variable: said.get(column) or unit_in_name(column, variable) for variable, column in columns.items()}
+    return {variable: unit for variable, unit in found.items() if unit} | dict(given)

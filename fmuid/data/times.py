@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,10 @@ from fmuid.units import SECONDS, TIME_UNITS
 _LISTED_NAMES = 12
 """Names listed in a message: enough to recognise the table, short enough for one sentence."""
 _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
+_ORDERS = ("%d{0}%m{0}%Y", "%m{0}%d{0}%Y", "%Y{0}%m{0}%d", "%d{0}%b{0}%Y")
+_CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
+_CENTURY = (946_684_800.0, 4_102_444_800.0)
+"""Seconds from 1970 to the years 2000 and 2100."""
 _CLOCK = re.compile(r"\d{1,3}:\d{2}(:\d{2}([.,]\d+)?)?")
 
 
@@ -63,7 +68,9 @@ def with_time(
     if unit is not None and unit not in SECONDS:
         raise InputError(f"{source}: the unit of time {unit!r} is not known: write one of {', '.join(TIME_UNITS)}")
     values, begin = _as_numbers(raw.frame[column], column, source)
-    factor = 1.0 if begin is not None else SECONDS[unit or _unit_said(raw, column)]
+    if begin is None and (said := _since_1970(values, unit or _unit_said(raw, column))):
+        values, begin = _seconds(pd.to_datetime(values, unit=said))
+    factor = 1.0 if begin is not None else SECONDS[unit or _unit_said(raw, column) or "s"]
     frame = raw.frame.assign(**{column: values if factor == 1.0 else _scaled(values, factor)})
     return frame.rename(columns={column: name}), begin
 
@@ -93,7 +100,7 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
                 return near[0]
         if "T" in timely:  # which is a temperature where there is another time
             return "T"
-    raise InputError(f"{source}: {missing_column('time', time, names)}")
+    raise InputError(f"{source}: {missing_column('time', time, names)}, or give the sample_rate")
 
 
 def column_of(names: Sequence[str], wanted: str) -> str | None:
@@ -118,13 +125,24 @@ def _bare(name: str) -> str:
     return found[1] if found else name
 
 
-def _unit_said(raw: RawTable, column: str) -> str:
-    """Return the unit of time that the table says, s where it says none."""
+def _unit_said(raw: RawTable, column: str) -> str | None:
+    """Return the unit of time that the table says, None where it says none."""
     said = raw.units.get(column)
     if said in SECONDS:
         return str(said)
     suffix = _WITH_SUFFIX.fullmatch(column)
-    return suffix[2].lower() if suffix and said is None else "s"
+    return suffix[2].lower() if suffix and said is None else None
+
+
+def _since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"] | None:
+    """Return the unit of times that are dates of this century, counted from 1970 on; None where they are none.
+
+    A thousand times more than such a date in one unit is one in the next.
+    """
+    first = values.iloc[0] if pd.api.types.is_numeric_dtype(values.dtype) and len(values) else 0
+    units: tuple[Literal["s", "ms", "us", "ns"], ...] = ("s", "ms", "us", "ns")
+    possible = [each for each in units if unit is None or SECONDS[unit] == SECONDS[each]]
+    return next((each for each in possible if _CENTURY[0] <= first * SECONDS[each] < _CENTURY[1]), None)
 
 
 def _as_numbers(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.Timestamp | None]:
@@ -157,14 +175,17 @@ def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | 
         return pd.to_datetime(texts, format="ISO8601")
     except (ValueError, TypeError):
         pass
-    if not texts.str.contains(r"\d+[./-]\d+[./-]\d+.*:", regex=True).all():
+    if not texts.str.contains(r"\d+[./-]\w+[./-]\d+.*:", regex=True).all():
         return None
     readings = []
-    for order in ("%d{0}%m{0}%Y", "%m{0}%d{0}%Y", "%Y{0}%m{0}%d"):
-        for form in (order.format(mark) + clock for mark in "./-" for clock in (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M")):
-            read = pd.to_datetime(texts.str.replace(",", "."), format=form, errors="coerce")
-            if not read.isna().any():
-                readings.append(read)
+    points = texts.str.replace(",", ".")
+    for order, mark, clock in itertools.product(_ORDERS, "./-", _CLOCKS):
+        form = order.format(mark) + clock
+        if pd.isna(pd.to_datetime(points.iloc[0], format=form, errors="coerce")):
+            continue
+        read = pd.to_datetime(points, format=form, errors="coerce")
+        if not read.isna().any():
+            readings.append(read)
     if not readings:
         return None
     if any(not (read == readings[0]).all() for read in readings[1:]):

@@ -18,7 +18,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.fmi import FMU
 from fmuid.models import System
-from fmuid.text import nearest
+from fmuid.text import nearest, of_one_experiment
 
 # The search begins at so many angles, evenly spread over the period: two are enough where the criterion has one
 # minimum a period, more guard against weak ones.
@@ -278,7 +278,7 @@ def common_mode(
         has a second prior.
     """
     given, held = dict(parameters or {}), set(held)
-    known = [name for name in healthy.names if not name.endswith("]") and name not in held]
+    known = [name for name in healthy.names if not of_one_experiment(name) and name not in held]
     if not known:
         raise InputError(
             f"the healthy result knows nothing of this machine: its parameters are {', '.join(healthy.names)}, none of "

@@ -42,7 +42,7 @@ from fmuid.fmi import FMU
 from fmuid.model_problem import Problem, identify
 from fmuid.models import System
 from fmuid.progress import FaultStep, Progress
-from fmuid.text import nearest
+from fmuid.text import nearest, of_one_experiment
 from fmuid.version import __version__
 
 
@@ -290,7 +290,7 @@ def _started(problem: Problem, nominal: Result, names: Mapping[str, str]) -> np.
 
 def _renamed(name: str, names: Mapping[str, str]) -> str:
     """Return the other model's name of a parameter, also of one that is there once an experiment."""
-    variable, bracket, experiment = name.partition("[")
+    variable, bracket, experiment = name.rpartition("[") if of_one_experiment(name) else (name, "", "")
     return names.get(variable, variable) + bracket + experiment
 
 

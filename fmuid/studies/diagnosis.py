@@ -6,15 +6,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, Tag
+from pydantic import AfterValidator, BeforeValidator, Tag
 
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis import MODEL_ERROR, Causes, Range, Rule
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt, Result
 from fmuid.models import System
+from fmuid.studies.arrays import by_element, check_shapes
 from fmuid.studies.model import ModelSettings, ModelWords
 from fmuid.studies.parameters import Knowns, Source
 from fmuid.studies.words import (
@@ -37,6 +38,7 @@ from fmuid.studies.words import (
     must_be,
     word,
 )
+from fmuid.text import of_one_experiment
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Angle, Baseline, DiagnosisSettings, Fault
@@ -90,7 +92,9 @@ class FaultParameterWords(Words):
 class FaultWords(ModelWords):
     """A fault to look for: a model of it, or parameters of the study's own model."""
 
-    parameters: dict[str, FaultParameterWords] = word({}, "those of the fault, zero where it is not there")
+    parameters: Annotated[dict[str, FaultParameterWords], BeforeValidator(by_element)] = word(
+        {}, "those of the fault, zero where it is not there"
+    )
     angle: Annotated[Annotated[Names, Tag(VALUE_TAG)] | Annotated[dict[str, AngleWords], Tag(TABLE_TAG)], BY_SHAPE] = (
         word([], 'the parameters that are angles, ["theta0"]; or each with the size that it belongs to')
     )
@@ -248,7 +252,7 @@ class DiagnosisWords(Words):
             raise self.error(f"healthy: {error}") from None
         if not self.faults:
             raise self.error("has no faults: describe at least one as [diagnosis.faults.<name>]")
-        names = tuple(name for name in result.names if not name.endswith("]") and name not in model.values)
+        names = tuple(name for name in result.names if not of_one_experiment(name) and name not in model.values)
         return FaultSearch(
             Source(str(self.place), self.healthy, result, names),
             self.inflate,
@@ -345,15 +349,18 @@ class FaultSearch:
     causes: Causes = CAUSES
     model_error: float = MODEL_ERROR
 
-    def hypotheses(self, system: System, model: ModelSettings) -> dict[str, Fault]:
-        """Return the faults; `system` and `model` are the study's own.
+    def hypotheses(self, system: System, model: ModelSettings, data: Mapping[str, Any]) -> dict[str, Fault]:
+        """Return the faults; `system` and `model` are the study's own, `data` the content of its file.
 
         Raises
         ------
         InputError
-            If an FMU of theirs cannot be read or their parameters are no fault's.
+            If an FMU of theirs cannot be read, their parameters are no fault's, or an array is of another shape.
         """
-        return {name: each.fault(system, model) for name, each in self.faults.items()}
+        found = {name: each.fault(system, model) for name, each in self.faults.items()}
+        for name, fault in found.items():
+            check_shapes(System.of(fault.model), data["diagnosis"]["faults"][name], self.faults[name].where)
+        return found
 
     def how(self, search: Marquardt, sensitivity: str, accuracy: str) -> DiagnosisSettings:
         """Return the settings of the diagnosis, with those of the study's estimator."""

@@ -24,7 +24,8 @@ from fmuid.models import (
     System,
     Value,
 )
-from fmuid.studies.parameters import Source
+from fmuid.studies.arrays import by_element
+from fmuid.studies.parameters import Estimate, Source
 from fmuid.studies.prepare import PrepareWords
 from fmuid.studies.settings import NoiseForms
 from fmuid.studies.words import (
@@ -52,7 +53,6 @@ from fmuid.studies.words import (
     one_of,
     word,
 )
-from fmuid.text import nearest
 from fmuid.units import TIME_UNITS
 
 if TYPE_CHECKING:
@@ -198,33 +198,9 @@ class ConnectionWords(Words):
 OneOrMore = Annotated[Names, BeforeValidator(as_list, json_schema_input_type=str | list[str])]
 
 
-class Estimate(Words):
-    """A value that is an estimate of an earlier identification."""
-
-    result: File = word(..., "the result.json of an earlier identification", "drive/result.json")
-    name: Text | None = word(
-        None, "the parameter of that result; default: that of the same name, with or without its component", "M"
-    )
-
-    def value(self, variable: str, result: Result) -> float:
-        """Return the value of a variable.
-
-        Raises
-        ------
-        InputError
-            If the result has no such parameter.
-        """
-        wanted = [self.name] if self.name is not None else [variable, variable.partition(".")[2]]
-        found = next((name for name in wanted if name in result.names), None)
-        if found is None:
-            raise self.error(
-                f"takes {wanted[0]!r} from {self.result}, which has no such parameter"
-                f"{nearest(wanted[0], result.names)}; it has {', '.join(result.names)}"
-            )
-        return result[found]
-
-
 ScalarOrEstimate = Annotated[Annotated[Scalar, Tag(VALUE_TAG)] | Annotated[Estimate, Tag(TABLE_TAG)], BY_SHAPE]
+Values = Annotated[Scalars, BeforeValidator(by_element)]
+Held = Annotated[dict[str, ScalarOrEstimate], Entries("a table { name = value }"), BeforeValidator(by_element)]
 
 
 class ModelWords(NumericsWords):
@@ -232,8 +208,8 @@ class ModelWords(NumericsWords):
 
     fmu: File | None = word(None, "the path of the FMU, or of a system, .ssp")
     master: Annotated[str, one_of(MASTERS)] = word("jacobi", "in which order several FMUs step")
-    values: Annotated[dict[str, ScalarOrEstimate], Entries("a table { name = value }")] = word(
-        {}, 'FMU variables held at a value, or at an estimate, { result = "drive/result.json" }'
+    values: Held = word(
+        {}, 'FMU variables held at a value, or at rows of them, or at an estimate, { result = "drive/result.json" }'
     )
     components: list[ComponentWords] = word([], "several FMUs in place of fmu; their variables are component.variable")
     connections: list[ConnectionWords] = word([], "what feeds what")
@@ -271,7 +247,6 @@ class ModelWords(NumericsWords):
         results: dict[Path, Result] = {}
         values: dict[str, Value] = {}
         taken: dict[Path, list[str]] = {}
-
         for name, given in self.values.items():
             if isinstance(given, Estimate):
                 path = given.result
@@ -296,13 +271,13 @@ class ModelWords(NumericsWords):
             raise self.error(
                 "needs the key 'fmu', the path of the FMU, or [[model.components]] where there are several"
             )
+        if not self.components:
+            raise self.error("has no components: name them with [[model.components]]")
         found: dict[str, tuple[Path, Numerics]] = {}
         for each in self.components:
             if each.name in found:
                 raise each.error(f"has the name {each.name!r} of an earlier component: give each its own")
             found[each.name] = each.fmu, each.numerics
-        if not found:
-            raise self.error("has no components: name them with [[model.components]]")
         return found
 
 
@@ -329,7 +304,9 @@ class ExperimentSettings(Words):
         Annotated[Interpolation, Tag(VALUE_TAG)] | Annotated[Interpolations, Tag(TABLE_TAG)], BY_SHAPE
     ] = word("linear", 'between samples; "hold" for commands of a digital controller', "linear")
     discard: NotNegative = word(0.0, "s of transient at the beginning, simulated but not counted", 0.0)
-    values: Scalars = word({}, "FMU variables held at a value in this experiment")
+    values: Annotated[Scalars, BeforeValidator(by_element)] = word(
+        {}, "FMU variables held at a value, or at rows of them, in this experiment"
+    )
     noise: NoiseForms = word({}, "of this experiment, where it is not as [noise] says", validate_default=True)
     prepare: PrepareWords = word({}, "what is done with the table first", validate_default=True)
     units: Texts = word(

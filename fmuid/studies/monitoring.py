@@ -33,7 +33,7 @@ def monitor_of(study: Study, rule: Rule) -> Monitor:
         If the study has none, or models and healthy result do not fit together.
     """
     settings = _settings(study)
-    hypotheses = settings.hypotheses(study.system, study.model)
+    hypotheses = settings.hypotheses(study.system, study.model, study.data)
     try:
         return Monitor(
             _healthy(study),

@@ -9,8 +9,7 @@ from typing import Any
 
 from fmuid.errors import InputError
 from fmuid.studies.study_file import StudyFile
-from fmuid.studies.toml import show
-from fmuid.studies.toml_text import UnreadableError, parsed
+from fmuid.studies.toml import UnreadableError, parsed, show
 from fmuid.studies.words import entries_of, only_tables, table_of
 from fmuid.text import nearest
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BeforeValidator, Tag
 
@@ -33,9 +33,9 @@ from fmuid.studies.words import (
     Place,
     Positive,
     Scalar,
+    Text,
     Words,
     as_list,
-    said_of_table,
     word,
 )
 from fmuid.text import nearest
@@ -113,48 +113,30 @@ class ParameterWords(Words):
     prior: PriorWords | None = word(None, "what is known of it")
 
 
-MOST_DIMENSIONS = 8
-"""Of an array: what is nested more deeply is none."""
+class Estimate(Words):
+    """A value that is an estimate of an earlier identification."""
 
+    result: File = word(..., "the result.json of an earlier identification", "drive/result.json")
+    name: Text | None = word(
+        None, "the parameter of that result; default: that of the same name, with or without its component", "M"
+    )
 
-def by_element(parameters: Any) -> Any:
-    """Return the table of parameters with those that are vectors or matrices element by element, ``A[1,2]``.
+    def value(self, variable: str, result: Result) -> float:
+        """Return the value of a variable.
 
-    Bounds and nominals that are rows too belong to their elements, single ones to all.
-    """
-    if not isinstance(parameters, dict):
-        return parameters
-    found: dict[str, Any] = {}
-    for name, words in parameters.items():
-        whole = isinstance(words, dict) and isinstance(words.get("start"), list)
-        if whole and "prior" in words:
-            raise said_of_table(f"{name!r}: a prior must be of single elements: give each its own, or use [prior]")
-        for place in _places(name, words["start"]) if whole else [()]:
-            element = f"{name}[{','.join(str(k + 1) for k in place)}]" if whole else name
-            if element in found:
-                raise said_of_table(f"has {element!r} by itself and in the whole array: keep one of the two")
-            found[element] = {key: _at(name, key, given, place) for key, given in words.items()} if whole else words
-    return found
-
-
-def _places(name: str, rows: list[Any], depth: int = 1) -> list[tuple[int, ...]]:
-    """Return the indices, from 0, of the elements of an array."""
-    deep = depth > MOST_DIMENSIONS
-    below = [_places(name, row, depth + 1) if isinstance(row, list) else [()] for row in rows if not deep]
-    if not below or any(each != below[0] for each in below):
-        raise said_of_table(f"{name!r}: start must be a number, a vector or a matrix with rows of one length")
-    return [(k, *rest) for k, each in enumerate(below) for rest in each]
-
-
-def _at(name: str, key: str, given: Any, place: Sequence[int]) -> Any:
-    """Return what a key says of one element; a single value is for all."""
-    if not isinstance(given, list):
-        return given
-    for k in place:
-        if not isinstance(given, list) or k >= len(given):
-            raise said_of_table(f"{name!r}: {key} must be a single one, or have as many rows and columns as start")
-        given = given[k]
-    return given
+        Raises
+        ------
+        InputError
+            If the result has no such parameter.
+        """
+        wanted = [self.name] if self.name is not None else [variable, variable.partition(".")[2]]
+        found = next((name for name in wanted if name in result.names), None)
+        if found is None:
+            raise self.error(
+                f"takes {wanted[0]!r} from {self.result}, which has no such parameter"
+                f"{nearest(wanted[0], result.names)}; it has {', '.join(result.names)}"
+            )
+        return result[found]
 
 
 class SourceDoubt(Enum):

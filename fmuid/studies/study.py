@@ -22,6 +22,7 @@ from fmuid.model_problem import Problem, identify
 from fmuid.models import System
 from fmuid.progress import Progress
 from fmuid.simulation import Fit, Simulator, fit_of
+from fmuid.studies.arrays import check_shapes
 from fmuid.studies.diagnosis import FaultSearch, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelSettings, named
 from fmuid.studies.overrides import override
@@ -218,9 +219,11 @@ class Study(Displayed):
         Raises
         ------
         InputError
-            If an FMU cannot be read, or a connection is wrong.
+            If an FMU cannot be read, a connection is wrong, or an array has another shape.
         """
-        return self.model.system()
+        system = self.model.system()
+        check_shapes(system, self.data, str(self.path))
+        return system
 
     @cached_property
     def tables(self) -> tuple[Experiment, ...]:
@@ -252,7 +255,7 @@ class Study(Displayed):
                 f"{self.path}: no parameters: name at least one to identify under [parameters], "
                 "such as R = { start = 4.0 }"
             )
-        self.check_sources()
+        _ = self.notes  # checks that the results which priors are taken from are of this model
         tables = self.tables if experiments is None else experiments
         problem = Problem(
             self.system,
@@ -277,10 +280,6 @@ class Study(Displayed):
             If one of them is a result of another model.
         """
         return tuple(dict.fromkeys(note for source in self._all_sources for note in source.compare(self.system)))
-
-    def check_sources(self) -> None:
-        """Check that the results which priors are taken from are of this model: an `InputError` where one is not."""
-        _ = self.notes
 
     @property
     def known_variance(self) -> dict[str, float]:
@@ -344,7 +343,7 @@ class Study(Displayed):
             )
         from fmuid.diagnosis import diagnose  # and all that decides
 
-        hypotheses = settings.hypotheses(self.system, self.model)
+        hypotheses = settings.hypotheses(self.system, self.model, self.data)
         how = settings.how(self.estimator.marquardt, self.sensitivity, self.accuracy)
         try:
             records = [self.experiments[0].read_experiment(path) for path in settings.records]

@@ -6,10 +6,11 @@ from typing import Annotated
 
 from pydantic import BeforeValidator
 
+from fmuid.studies.arrays import by_element
 from fmuid.studies.batch import BatchSettings
 from fmuid.studies.diagnosis import DiagnosisWords, MonitoringWords
 from fmuid.studies.model import ExperimentSettings, ModelWords
-from fmuid.studies.parameters import JointPriorWords, ParameterWords, by_element
+from fmuid.studies.parameters import JointPriorWords, ParameterWords
 from fmuid.studies.settings import EstimatorWords, IsolationWords, NoiseWords, UncertaintyWords
 from fmuid.studies.words import Text, Words, word
 

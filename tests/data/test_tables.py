@@ -1,6 +1,5 @@
 """Reading tables: every format against what was written, every broken file with its one sentence."""
 
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from scipy.io import savemat
 
 from fmuid.data.tables import numeric_column, read_table
 from fmuid.errors import InputError
+from tests.support.mat4 import characters, write_mat4
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.25, 0.4])
 SPEED = np.array([1.0, 2.0, 4.0, -4.0, 8.0])
@@ -166,26 +166,6 @@ def test_mat_that_is_none(tmp_path: Path) -> None:
 
 
 # --- MAT of OpenModelica and Dymola ---
-
-
-def characters(texts: list[str], padding: str) -> np.ndarray[Any, Any]:
-    """Return UTF-8 bytes as the tools write them: one row a text, filled up to the longest."""
-    raw = [text.encode() for text in texts]
-    width = max(map(len, raw))
-    if padding == "space":  # Dymola ends a name by a NUL where there is room, and fills up with spaces
-        raw = [text + b"\0" if len(text) < width else text for text in raw]
-    return np.array([list(text.ljust(width, b" " if padding == "space" else b"\0")) for text in raw], dtype=np.uint8)
-
-
-def write_mat4(path: Path, matrices: dict[str, np.ndarray[Any, Any]]) -> None:
-    """Write MAT-file level 4 by its specification: type, rows, columns, imaginary flag, length of the name; column by
-    column. The digits of the type are machine, 0, precision (0 double, 2 int32, 5 uint8) and text or not.
-    """
-    kinds = {np.dtype(np.uint8): 51, np.dtype(np.int32): 20, np.dtype(np.float64): 0}
-    with path.open("wb") as file:
-        for name, matrix in matrices.items():
-            file.write(struct.pack("<5i", kinds[matrix.dtype], *matrix.shape, 0, len(name) + 1))
-            file.write(name.encode() + b"\0" + matrix.tobytes(order="F"))
 
 
 def result_file(path: Path, transposed: bool, padding: str = "nul", time: str = "time") -> None:

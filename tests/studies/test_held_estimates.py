@@ -55,7 +55,7 @@ def test_what_is_wrong_with_it(folder: Path) -> None:
         Study.read(folder / "study.toml")
     result(folder, {"L": (0.1, 0.01)}, models={"": {"name": "Motor", "digest": "0", "run": {}}})
     with pytest.raises(InputError, match="is a result of another model, Motor"):
-        Study.read(folder / "study.toml").check_sources()
+        _ = Study.read(folder / "study.toml").notes
 
 
 def test_of_a_component_that_was_identified_alone(tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_of_a_component_that_was_identified_alone(tmp_path: Path) -> None:
     data["experiments"][0]["table"] = "table.csv"
     study = Study.of(data, tmp_path / "study.toml")
     assert study.model.values["drive.M"] == 93.0
-    study.check_sources()
+    _ = study.notes
 
 
 @pytest.mark.usefixtures("blank_figures")

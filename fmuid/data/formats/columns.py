@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
 from typing import Any
@@ -25,12 +25,14 @@ MISSING = ("", "-", "--", "---", "nan", "na", "n/a", "#n/a", "null", "none", "in
 TIME_NAMES = ("time", "t", "zeit", "timestamp", "timestamps", "datetime", "date", "date/time", "datum", "temps")
 """What tables call their time, in small letters, in the order of preference."""
 
-_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
-_COMMA_NUMBER = re.compile(r"\s*[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?\s*", re.ASCII)
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?\s*", re.ASCII)
+_COMMA_NUMBER = re.compile(r"\s*[+-]?(\d+,?\d*|,\d+)([eEdD][+-]?\d+)?\s*", re.ASCII)
 _WITH_UNIT = re.compile(
     r"(?P<name>.*?\S)(?P<gap>\s*)(\((?P<round>[^()]*(\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\])"
 )
 _INDEX = re.compile(r"[\d\s,:]*")
+_SPACES = " \u00a0\u202f'’"
+_GROUPED = re.compile(rf"\s*[+-]?\d{{1,3}}(?:([.,{_SPACES}])\d{{3}})(?:\1\d{{3}})*(?:([.,])\d+)?\s*", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,30 @@ def is_number(cell: Cell, decimal: str = ".") -> bool:
         pattern = _NUMBER if decimal == "." else _COMMA_NUMBER
         return pattern.fullmatch(cell) is not None or cell.strip().lower() in ("true", "false")
     return isinstance(cell, bool | int | float) and not (isinstance(cell, float) and math.isnan(cell))
+
+
+def numbers_of(cells: Iterable[str], decimal: str) -> list[float] | None:
+    """Return texts as numbers, also with D in exponents and with marks between thousands; None where one is none.
+
+    Marks that could be decimal ones count only where another cell of the column shows which they are: 1,069.9.
+    """
+    found, marks = [], set()
+    clear = False
+    for cell in cells:
+        if not is_number(cell, decimal):
+            grouped = _GROUPED.fullmatch(cell)
+            if grouped is None or grouped[1] == decimal or grouped[2] not in (None, decimal):
+                return None
+            marks.add(grouped[1])
+            clear = clear or grouped[1] in _SPACES or grouped[2] is not None or cell.count(grouped[1]) > 1
+            cell = cell.replace(grouped[1], "")
+        found.append(_number(cell.replace(decimal, ".")))
+    return found if len(marks) <= clear else None
+
+
+def _number(cell: str) -> float:
+    text = cell.strip().lower()
+    return float(text == "true") if text in ("true", "false") else float(text.replace("d", "e"))
 
 
 def is_missing(cell: Cell) -> bool:

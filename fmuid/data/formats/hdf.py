@@ -15,6 +15,7 @@ from fmuid.data.formats.columns import RawTable, named, table_of_vectors
 from fmuid.data.formats.libraries import library
 from fmuid.errors import InputError
 
+_NAME_ATTRIBUTES = ("columns", "column_names", "names")
 _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
 
 
@@ -51,7 +52,7 @@ def _vectors(path: Path, source: str) -> tuple[dict[str, npt.NDArray[Any]], dict
 
 
 def _datasets(group: Any, prefix: str = "") -> Iterator[tuple[str, npt.NDArray[Any], str]]:
-    """Yield name, values and unit of each numeric vector; the fields of a compound vector are vectors too."""
+    """Yield name, values and unit of each numeric vector; also of compound ones and of matrices with names."""
     for name, item in group.items():
         if hasattr(item, "items"):
             yield from _datasets(item, f"{prefix}{name}/")
@@ -61,6 +62,11 @@ def _datasets(group: Any, prefix: str = "") -> Iterator[tuple[str, npt.NDArray[A
             yield from ((prefix + field, values[field], "") for field in item.dtype.names if values[field].ndim == 1)
         elif item.dtype.kind in "biufS" and item.ndim and item.size == max(item.shape):
             yield prefix + name, _decoded(item[()].ravel()), _unit(item)
+        elif item.dtype.kind in "biuf" and item.ndim == 2:
+            named = next((item.attrs[each] for each in _NAME_ATTRIBUTES if each in item.attrs), ())
+            if len(named) == item.shape[1]:
+                texts = [each.decode() if isinstance(each, bytes) else str(each) for each in named]
+                yield from ((prefix + each, item[:, k], "") for k, each in enumerate(texts))
 
 
 def _decoded(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -8,6 +8,7 @@ import gzip
 import io
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,14 +17,27 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
 import pandas as pd
 
-from fmuid.data.formats.columns import MISSING, Head, RawTable, check_once, find_head, is_missing, is_number, named
+from fmuid.data.formats.columns import (
+    MISSING,
+    Head,
+    RawTable,
+    check_once,
+    find_head,
+    is_missing,
+    is_number,
+    named,
+    numbers_of,
+)
 from fmuid.errors import InputError
 
 _LOOKED_AT = 1 << 18
 """Bytes that are looked at to find separator and head."""
 _ROWS_LOOKED_AT = 200
+_END = 1 << 14
+"""Bytes in which lines after the samples are looked for."""
 _SPACES = r"\s+"
 _DIALECTS = [(separator, decimal) for separator in (",", ";", "\t", "|", _SPACES) for decimal in (".", ",")]
 _COMMENT = ("#", "%", "//")
@@ -31,18 +45,13 @@ _COMMENT = ("#", "%", "//")
 
 @dataclass(frozen=True)
 class _Layout:
-    """How a text is a table: what separates cells and decimals, its first rows with their last lines, and the head."""
+    """How a text is a table: what separates cells and decimals, the head and its last line, and the cells of a row."""
 
     separator: str
     decimal: str
-    lines: list[int]
-    rows: list[list[str]]
     head: Head
-
-    @property
-    def samples(self) -> list[list[str]]:
-        """The first rows of samples."""
-        return self.rows[self.head.first :]
+    line: int
+    width: int
 
 
 def read_text(path: Path, source: str) -> RawTable:
@@ -73,12 +82,9 @@ def _read(opened: Callable[[], IO[bytes]], source: str, encoding: str | None) ->
     if len(start) == _LOOKED_AT:
         text = text[: text.rfind("\n") + 1] or text
     layout = _layout(source, text)
-    header, units = list(layout.head.names), list(layout.head.units)
-    if _ends_with_separators(layout):
-        header, units = header[:-1], units[:-1]
-    names, said = named(header, units)
+    names, said = named(layout.head.names, layout.head.units)
     check_once(source, names)
-    return RawTable(_samples(opened, source, layout, encoding, names), said)
+    return RawTable(_samples(_without_end(opened, encoding, layout), source, layout, encoding, names), said)
 
 
 def head_length(start: bytes, source: str) -> int:
@@ -100,16 +106,34 @@ def head_length(start: bytes, source: str) -> int:
     except UnicodeDecodeError:
         text = start.decode("cp1252", errors="replace")
     layout = _layout(source, text)
-    if not layout.samples:
+    lines = start.splitlines(keepends=True)
+    if not b"".join(lines[layout.line :]).strip():
         raise InputError(f"{source}: the table has a header but no rows: give measured samples")
-    lines = layout.lines[layout.head.first - 1]
-    return len(b"".join(start.splitlines(keepends=True)[:lines]))
+    return len(b"".join(lines[: layout.line]))
 
 
-def _ends_with_separators(layout: _Layout) -> bool:
-    """Return whether a separator ends every row, so that a last column is neither named nor filled."""
-    count = len(layout.head.names)
-    return layout.head.names[-1] == "" and all(not "".join(row[count - 1 :]).strip() for row in layout.samples)
+def _without_end(opened: Callable[[], IO[bytes]], encoding: str, layout: _Layout) -> Callable[[], IO[bytes]]:
+    """Return what opens a text without the lines after its samples: words, comments and rows of separators."""
+    with opened() as file:
+        size = file.seek(0, io.SEEK_END)
+        file.seek(max(size - _END, 0))
+        lines = file.read().splitlines(keepends=True)[1:]
+    end = size
+    while lines and encoding != "utf-16" and _says_nothing(lines[-1].decode(encoding, "replace"), layout):
+        end -= len(lines.pop())
+    if end == size:
+        return opened
+    with opened() as file:
+        return partial(io.BytesIO, file.read(end))
+
+
+def _says_nothing(line: str, layout: _Layout) -> bool:
+    """Return whether a line has no sample, and is no row that was cut off."""
+    row = next((row for _, row in _rows(iter([line]), layout.separator)), [""])
+    if all(map(is_missing, row)):
+        return True
+    numeric = any(is_number(cell, layout.decimal) for cell in row)
+    return len(row) < layout.width and not numeric and not line.lstrip("\"'+- ")[:1].isdigit()
 
 
 def _encoding(start: bytes) -> str:
@@ -160,14 +184,23 @@ def _layout(source: str, text: str) -> _Layout:
             read = list(islice(_rows(io.StringIO(text), separator), _ROWS_LOOKED_AT))
         except csv.Error:
             continue
-        rows = [_plain(row, separator) for _, row in read]
+        rows, blank = _without_blank_ends([_plain(row, separator) for _, row in read])
         head = find_head(rows, decimal)
         if head is not None and len(head.names) == 1 and decimal == ",":
             continue  # "0,1" alone may as well be two cells
         columns = _numeric_columns(rows[head.first :], len(head.names), decimal) if head else 0
         if head is not None and columns > most:
-            most, best = columns, _Layout(separator, decimal, [line for line, _ in read], rows, head)
+            width = len(head.names) + blank
+            most, best = columns, _Layout(separator, decimal, head, read[head.first - 1][0], width)
     return best or _as_it_is(source, text)
+
+
+def _without_blank_ends(rows: list[list[str]]) -> tuple[list[list[str]], int]:
+    """Return the rows without a last cell that is empty in all of the most common length, and how many it is."""
+    usual = Counter(map(len, rows)).most_common(1)
+    length = usual[0][0] if usual else 0
+    ends = length > 1 and not any(row[-1].strip() for row in rows if len(row) == length)
+    return [row[: length - 1] if len(row) == length else row for row in rows] if ends else rows, int(ends)
 
 
 def _plain(row: list[str], separator: str) -> list[str]:
@@ -208,21 +241,20 @@ def _as_it_is(source: str, text: str) -> _Layout:
             f"{source}: the header has {len(header)} names but row 1 has {_cells(len(rows[1]))}: give every row as "
             'many cells as the header, names with commas in quotes, such as "x[1,2]"'
         )
-    return _Layout(",", ".", [line for line, _ in read], rows, Head(header, (), 1))
+    return _Layout(",", ".", Head(header, (), 1), read[0][0], len(header))
 
 
 def _samples(
     opened: Callable[[], IO[bytes]], source: str, layout: _Layout, encoding: str, names: list[str]
 ) -> pd.DataFrame:
     """Return the rows of samples under their names."""
-    width = len(layout.head.names)
     try:
         with opened() as file:
             frame: pd.DataFrame = pd.read_csv(
                 file,
                 header=None,
-                names=[*names, *["\0"] * (width - len(names))],
-                skiprows=layout.lines[layout.head.first - 1],
+                names=[*names, *["\0"] * (layout.width - len(names))],
+                skiprows=layout.line,
                 index_col=False,
                 sep=layout.separator,
                 decimal=layout.decimal,
@@ -230,26 +262,32 @@ def _samples(
                 na_values=[mark for mark in MISSING if "inf" not in mark],
                 skipinitialspace=True,
                 low_memory=False,
-            )[names].apply(_without_marks)
+            )[names]
     except pd.errors.EmptyDataError:
         return pd.DataFrame({name: [] for name in names})
     except (csv.Error, pd.errors.ParserError) as error:
         raise _no_table(source, str(error).strip()) from None
+    if not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):  # parts put together, each with the header
+        frame = frame[~(frame == list(layout.head.names)).all(axis="columns")].reset_index(drop=True)
+    frame = frame.apply(_as_numbers, decimal=layout.decimal)
     if frame[names[-1]].hasnans:  # as it is, too, where a row ends early
         with io.TextIOWrapper(opened(), encoding, newline="") as text:
-            _check_rows((row for _, row in _rows(text, layout.separator)), source, width, layout.head.first)
+            _check_rows((row for _, row in _rows(text, layout.separator)), source, layout.width, layout.head.first)
     return frame
 
 
-def _without_marks(column: pd.Series[Any]) -> pd.Series[Any]:
-    """Return a column with missing samples where it has marks with spaces around them, and numbers if that is all."""
-    if pd.api.types.is_numeric_dtype(column.dtype):
+def _as_numbers(column: pd.Series[Any], decimal: str) -> pd.Series[Any]:
+    """Return a column as numbers where all its cells are some, with missing samples where it has marks of them."""
+    if pd.api.types.is_numeric_dtype(column.dtype) or not all(isinstance(cell, str) for cell in column.dropna()):
         return column
     marked = column.where(~column.map(lambda cell: isinstance(cell, str) and is_missing(cell)))
-    if marked.hasnans and not column.equals(marked):
-        texts = marked.dropna().map(lambda cell: is_number(cell) if isinstance(cell, str) else True)
-        return pd.to_numeric(marked) if texts.all() else marked
-    return column
+    texts = marked.dropna()
+    numbers = numbers_of(texts, decimal)
+    if numbers is not None:
+        return pd.Series(numbers, texts.index, dtype=np.float64).reindex(column.index)
+    if decimal == ".":
+        return marked
+    return marked.map(lambda cell: cell.replace(",", ".") if isinstance(cell, str) and is_number(cell, ",") else cell)
 
 
 def _no_table(source: str, why: str) -> InputError:

@@ -19,7 +19,7 @@ from fmuid.data.tables import UNITS, numeric_column
 from fmuid.data.times import column_of, missing_column
 from fmuid.data.transforms import inverse_park, park
 from fmuid.errors import InputError
-from fmuid.units import parse_unit
+from fmuid.units import parse_unit, unit_in_name
 
 Table = TypeVar("Table", pd.DataFrame, Experiment)
 TRENDS = {"mean": 0, "linear": 1}
@@ -178,7 +178,8 @@ class _Work:
         return numeric_column(self.frame, found, self.source)
 
     def unit(self, name: str) -> str | None:
-        return self.units.get(column_of([str(each) for each in self.frame.columns], name) or "")
+        column = column_of([str(each) for each in self.frame.columns], name) or ""
+        return self.units.get(column) or unit_in_name(column)
 
     def values(self, names: Sequence[str]) -> Floats:
         return np.column_stack([self.column(name) for name in names]) if names else np.empty((len(self.frame), 0))

@@ -54,10 +54,11 @@ def remarks(record: Record) -> list[str]:
     said = [record.refusal] if record.refusal else []
     for role in ("input", "output"):
         lacking = record.lacking(role)
-        if lacking and (role == "input" or not record.roles(role)):
+        if lacking and (role == "input" or not record.roles(role) or record.unused):
+            left = "" if role == "input" or not record.roles(role) else ", or nothing is compared with it"
             said.append(
                 f"{record.path}: no column is the {role} {', '.join(lacking)}: "
-                f"say which is by --map {lacking[0]}=COLUMN"
+                f"say which is by --map {lacking[0]}=COLUMN{left}"
             )
     if not record.roles("output") and not record.lacking("output"):
         said.append(
@@ -68,6 +69,11 @@ def remarks(record: Record) -> list[str]:
     said += [
         f"{record.path}: {count} of {rows} samples of {column!r} are missing; they do not count"
         for column, count in record.missing.items()
+    ]
+    said += [
+        f"{record.path}: {count} samples of {column!r} are {value:g}, far from all others: if that stands for missing "
+        "ones, leave those cells empty"
+        for column, (value, count) in record.marks.items()
     ]
     return said
 

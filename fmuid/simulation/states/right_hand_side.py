@@ -65,6 +65,8 @@ class RightHandSide:
         # nothing varies between points
         self._plan = plan_of(replace(task, modes=dict.fromkeys(task.modes, codes.HELD)))
         self._names = task.experiment.output_names
+        # a derivative that was measured is there once
+        self._columns = [self._names.index(name) for name in (*wanted, *outputs)]
         self._start = initial_simulation(simulator.by(system, 1, None))
 
     @classmethod
@@ -93,6 +95,7 @@ class RightHandSide:
         with executor.lock:
             executor.run(simulation, self._simulator.target_values(thetas), found, reports)
         found[reports[:, 0] >= 0] = np.nan
+        found = found[:, :, self._columns]
         return found[:, :, :count], self._simulator.in_table_units(found[:, :, count:])
 
     def output_slopes(self, theta: Floats) -> tuple[Floats, Floats, Floats]:

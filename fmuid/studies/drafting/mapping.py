@@ -110,6 +110,7 @@ def guess(
     for variable, column in given.items():
         _check_given(variable, column, [*roles, *local], columns)
         roles.setdefault(variable, "output")
+    local = [name for name in local if name not in description.derivatives]  # simulators write them, nobody measures
     found = {name: (column, Reason.GIVEN) for name, column in given.items() if column}
     exact = set(columns) - {column for column, _ in found.values()}
     found |= {name: (name, Reason.NAME) for name in [*roles, *local] if name in exact and name not in given}

@@ -13,6 +13,7 @@ import numpy as np
 from fmuid.data import Experiment, read_table, time_name
 from fmuid.errors import InputError
 from fmuid.studies.drafting.mapping import ColumnLink, guess
+from fmuid.units import unit_in_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 
 HELD_SHARE = 0.5
 """An input that is the same as before in more than this share of the samples is a command that is held."""
+
+FAR = 10.0
+"""A value that is so many times the range of all others away from them is no sample, but a mark."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,9 @@ class Record:
         InputError
             If a variable or column that is given is not there.
         """
-        return guess(self.description, self.columns, self.frame.attrs.get("units", {}), self.asked.columns)
+        in_names = {column: unit for column in self.columns if (unit := unit_in_name(column))}
+        units = in_names | self.frame.attrs.get("units", {})
+        return guess(self.description, self.columns, units, self.asked.columns)
 
     def roles(self, role: str) -> dict[str, str]:
         """Return variables and their columns of one role."""
@@ -166,3 +172,18 @@ class Record:
         values = self.experiment.output_values
         counts = zip(self.roles("output").values(), np.isnan(values).sum(axis=0).tolist(), strict=True)
         return {column: count for column, count in counts if count}
+
+    @property
+    def marks(self) -> dict[str, tuple[float, int]]:
+        """A value far from all others that is there more than once, and how often, of the outputs that have one."""
+        found: dict[str, tuple[float, int]] = {}
+        if self.experiment is None:
+            return found
+        for name, column in zip(self.experiment.output_names, self.experiment.output_values.T, strict=True):
+            values = column[np.isfinite(column)]
+            for odd in (values.min(), values.max()):
+                rest = values[values != odd]
+                far = rest.size > 1 and min(abs(odd - rest.min()), abs(odd - rest.max())) > FAR * np.ptp(rest) > 0
+                if far and values.size - rest.size > 1:
+                    found[self.experiment.columns[name]] = float(odd), int(values.size - rest.size)
+        return found
