@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from scipy.linalg import expm
 
+from fmuid.arrays import Floats
 from fmuid.cli.options import DONE
 from fmuid.errors import InputError
 from fmuid.studies import Study
@@ -113,7 +114,7 @@ def linear(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def write_record(path: Path, b: np.ndarray) -> None:  # type: ignore[type-arg]
+def write_record(path: Path, b: Floats) -> None:
     """Write what the system does, exactly from sample to sample, under a held input."""
     step, rows = expm(0.05 * np.block([[A, b[:, None]], [np.zeros((1, 3))]])), 200
     u = np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], rows // 10), 10)
