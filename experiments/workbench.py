@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+import fmuid
 from experiments.batches import campaign
 
 HERE = Path(__file__).parent
@@ -123,18 +124,11 @@ def measure(driver: Any, address: str) -> None:
 def pictures(driver: Any, address: str, folder: Path) -> None:
     """Take pictures of all pages."""
     base = address.split("?")[0]
-    pages = {
-        "studies": "",
-        "what-if": "study?file=study_prior.toml",
-        "results": "results?file=results",
-        "side-by-side": "results?file=results&file=free",
-        "batch": "batch?file=fleet/out",
-    }
     folder.mkdir(parents=True, exist_ok=True)
     driver.get(address)
-    for name, page in pages.items():
+    for name, (page, script) in PAGES.items():
         for kind, width, scheme in (("", 1300, "light"), ("-narrow", 360, "dark")):
-            if kind and name != "what-if":
+            if kind and name not in NARROW:
                 continue
             size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
             driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
@@ -144,20 +138,76 @@ def pictures(driver: Any, address: str, folder: Path) -> None:
             wait(driver, f"document.documentElement.dataset.scheme === '{scheme}'")
             driver.get(base + page)
             wait(driver, DRAWN if page else "document.readyState === 'complete'")
-            time.sleep(2.0)
+            if script:
+                driver.execute_script(f"const model = (name) => Bokeh.documents[0].get_model_by_name(name); {script}")
+            time.sleep(SETTLED)
             driver.save_screenshot(str(folder / f"{name}{kind}.png"))
 
 
+SETTLED = 8.0
+"""Seconds after which a page shows what it was asked for, also on a busy machine."""
+# What stands in the pictures: the address of each page, and what is done there first.
+PAGES = {
+    "studies": ("", ""),
+    "what-if": ("study?file=study_prior.toml", ""),
+    "identified": ("study?file=study_prior.toml", "model('main').active = 2"),
+    "results": ("results?file=results", ""),
+    "side-by-side": ("results?file=results&file=free", ""),
+    "faults": ("faults?file=coil/faults.toml", "model('records').value = 'coil/'"),
+    "batch": ("batch?file=fleet/out", ""),
+    "new": (
+        "new",
+        "model('fmu').value = 'coil/coil.fmu'; model('chosen').value = ['coil/bench.csv']; "
+        "model('detrend').value = 'mean'",
+    ),
+}
+NARROW = ("what-if",)
+FAULTS = """\
+title = "Coil on the bench"
+[model]
+fmu = "coil.fmu"
+[[experiments]]
+table = "faulty_coil.csv"
+inputs = ["u"]
+outputs = ["i"]
+[diagnosis]
+healthy = "healthy/result.json"
+[diagnosis.faults.turns]
+fmu = "turns.fmu"
+parameters = { dR = { nominal = 1.0 } }
+[monitoring]
+level = 0.01
+"""
+
+
+def coil(folder: Path) -> None:
+    """Write a study of faults, and a table whose columns have other names than the model's."""
+    healthy, faulty = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
+    folder.mkdir()
+    for source, name in ((healthy.fmu, "coil.fmu"), (faulty.fmu, "turns.fmu"), (faulty.path, faulty.path.name)):
+        shutil.copy(source, folder / name)
+    fmuid.run_study(fmuid.Study.of(healthy.study, folder / "coil.toml"), folder / "healthy")
+    (folder / "faults.toml").write_text(FAULTS)
+    table = healthy.table.rename(columns={"u": "U_set (V)", "i": "I_meas (A)"})
+    table.assign(time=1e3 * table["time"]).rename(columns={"time": "Time (ms)"}).to_csv(
+        folder / "bench.csv", index=False, sep=";", decimal=","
+    )
+
+
 def results(folder: Path) -> None:
-    """Run what the pictures show: an identification, the same from another start, a batch."""
+    """Run what the pictures show: an identification, the same from another start, faults, a batch."""
     (folder / "fleet").mkdir()
     fleet = campaign.write_study(folder / "fleet", 40)
+    coil(folder / "coil")
     for words in (
-        ("identify", "study_prior.toml"),
+        ("identify", "study_prior.toml", "--set", 'uncertainty.map=[["Rs", "Lm"]]'),
         ("identify", "study_prior.toml", "--output", "free", "--set", "parameters.Rs.prior.std=1.0"),
         ("batch", str(fleet), "--output", "fleet/out"),
+        ("diagnose", "coil/faults.toml"),
+        ("monitor", "coil/faults.toml", "coil/faulty_coil.csv"),
     ):
-        subprocess.run([sys.executable, "-m", "fmuid", *words], cwd=folder, check=True, capture_output=True)
+        done = subprocess.run([sys.executable, "-m", "fmuid", *words], cwd=folder, capture_output=True, text=True)
+        assert done.returncode < 2, done.stderr
 
 
 def study(folder: Path) -> Path:

@@ -61,14 +61,25 @@ def init(
         float | None, typer.Option(metavar="HZ", help="Samples per second, of a table without times.")
     ] = None,
     sheet: Annotated[str | None, typer.Option(metavar="SHEET", help="Of a spreadsheet, or its place from 1.")] = None,
+    prepare: Annotated[
+        list[str] | None,
+        typer.Option(metavar="WORD=VALUE", help="Done with the tables first, such as low_pass=100; repeatable."),
+    ] = None,
 ) -> int:
     """Write a commented study file for an FMU and tables, to start from; in a terminal it asks what is in doubt."""
     from fmuid.reports.console.draft import asked_about, show_draft
-    from fmuid.studies import Asked, begin, check_output, draft, write_draft
+    from fmuid.studies import Asked, begin, check_output, draft, value_of, write_draft
 
     check_output(output)
+    columns = _pairs(map_ or (), "--map", "variable=column", "ids=Id_meas")
+    words = _pairs(prepare or (), "--prepare", "word=value", "low_pass=100")
     asked = Asked(
-        _placed(time), time_unit, sample_rate, None if sheet is None else _placed(sheet), _columns(map_ or ())
+        _placed(time),
+        time_unit,
+        sample_rate,
+        None if sheet is None else _placed(sheet),
+        columns,
+        {word: value_of(text) for word, text in words.items()},
     )
     records = [asked_about(record) for record in begin(fmu, tables, asked)]
     made = draft(fmu, records, output)
@@ -82,16 +93,16 @@ def _placed(name: str) -> str | int:
     return int(name) if name.isdecimal() and int(name) > 0 else name
 
 
-def _columns(given: Sequence[str]) -> dict[str, str]:
-    """Return the columns that ``--map`` gives."""
+def _pairs(given: Sequence[str], option: str, form: str, example: str) -> dict[str, str]:
+    """Return what an option that may be repeated gives."""
     from fmuid.errors import InputError
 
     found = {}
     for each in given:
-        variable, equals, column = (part.strip() for part in each.partition("="))
-        if not equals or not variable:
-            raise InputError(f"--map {each}: write --map variable=column, such as --map ids=Id_meas")
-        found[variable] = column
+        name, equals, text = (part.strip() for part in each.partition("="))
+        if not equals or not name:
+            raise InputError(f"{option} {each}: write {option} {form}, such as {option} {example}")
+        found[name] = text
     return found
 
 

@@ -22,6 +22,7 @@ from .page.write import report_of as report_of
 from .page.write import write_report as write_report
 from .predictions import PredictionFindings as PredictionFindings
 from .predictions import run_prediction as run_prediction
+from .preparations import prepared_columns as prepared_columns
 from .run import Identified as Identified
 from .run import SearchInterruptedError as SearchInterruptedError
 from .run import run_study as run_study

@@ -62,14 +62,22 @@ def prepared(study: Study) -> tuple[Prepared, ...]:
         if read is None or read[0] != key:  # pieces of a record follow each other
             read = None  # two records at once may be more than there is room for
             read = key, given.read_frame(given.table)
-        parts = list(_changes(given, experiment, read[1]))
-        table = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
-        found.append(Prepared(given.name, words, dict(experiment.frame.attrs.get(UNITS, {})), table))
+        units = dict(experiment.frame.attrs.get(UNITS, {}))
+        found.append(Prepared(given.name, words, units, prepared_columns(given, experiment, read[1])))
     return tuple(found)
 
 
-def _changes(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame) -> Iterator[pd.DataFrame]:
-    """Yield the columns before and after, where the one is not the other."""
+def prepared_columns(
+    given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame, *, whole: bool = False
+) -> pd.DataFrame:
+    """Return the columns of a table before and after, where the one is not the other; all of them, if it is `whole`."""
+    parts = list(_changes(given, experiment, raw, whole=whole))
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+
+def _changes(
+    given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame, *, whole: bool
+) -> Iterator[pd.DataFrame]:
     time = time_name(given.time)
     words, after = given.prepare, experiment.frame
     names = [
@@ -87,7 +95,7 @@ def _changes(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFram
         later = _line(after, time, new, experiment.source)
         known = old is not None and pd.api.types.is_numeric_dtype(raw[old].dtype)
         earlier = _line(raw, time, str(old), experiment.source) if known else None
-        if earlier is not None and np.array_equal(earlier, later, equal_nan=True):
+        if earlier is not None and np.array_equal(earlier, later, equal_nan=True) and not whole:
             continue
         for stage, line in ((BEFORE, earlier), (AFTER, later)):
             if line is not None:

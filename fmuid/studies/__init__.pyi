@@ -21,6 +21,7 @@ from .model import ExperimentSettings as ExperimentSettings
 from .monitoring import monitor_of as monitor_of
 from .monitoring import records_of as records_of
 from .monitoring import rule_of as rule_of
+from .overrides import value_of as value_of
 from .parameters import SourceDoubt as SourceDoubt
 from .parameters import SourceNote as SourceNote
 from .predicting.excitations import healthy_record_cost as healthy_record_cost

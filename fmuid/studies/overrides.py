@@ -39,7 +39,7 @@ def override(data: dict[str, Any], setting: str, file: str) -> None:
     segments = _segments(path)
     if not equals or not segments:
         raise InputError(f"--set {setting}: expected path=value, as in --set parameters.Rs.start=9")
-    value, name = _value(text.strip()), ".".join(segments[1:])
+    value, name = value_of(text.strip()), ".".join(segments[1:])
     known = data.get("parameters")
     one = isinstance(known, dict) and name in known and not (len(segments) > 2 and segments[1] in known)
     if segments[0] == "parameters" and one and type(value) in (int, float):
@@ -60,7 +60,8 @@ def _segments(path: str) -> list[str]:
     return found if not path.rstrip().endswith(".") else []
 
 
-def _value(text: str) -> Any:
+def value_of(text: str) -> Any:
+    """Return the value that a text is in TOML, or else the text."""
     try:
         found = parsed(f"value = {text}")
     except (UnreadableError, tomllib.TOMLDecodeError):

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -129,7 +130,7 @@ class Folder:
     def look(self) -> tuple[list[FoundStudy], list[FoundResult]]:
         """Return the studies and the results there are, each in the order of their names."""
         studies, results = [], []
-        for path in self._files():
+        for path in self.files((".toml", ".json")):
             if path.suffix == ".toml":
                 found = read_study(path)
                 studies += [found] if found is not None else []
@@ -137,7 +138,8 @@ class Folder:
                 results += [_result(path)]
         return studies, results
 
-    def _files(self) -> Iterator[Path]:
+    def files(self, kinds: tuple[str, ...]) -> Iterator[Path]:
+        """Yield the files whose names end so, in the order of their names."""
         seen, depth = 0, len(self.root.parts)
         for place, folders, files in os.walk(self.root):
             here = Path(place)
@@ -146,9 +148,30 @@ class Folder:
             seen += len(files) + len(folders)
             if seen > MOST_ENTRIES:
                 return
-            yield from (here / name for name in sorted(files) if name.endswith((".toml", ".json")))
+            yield from (here / name for name in sorted(files) if name.lower().endswith(kinds))
 
 
+TABLES = (".csv", ".parquet", ".mat", ".xlsx", ".ods", ".h5", ".tdms", ".mf4")
+"""Tables that can be chosen; others are dropped."""
+MOST_CHOICES = 200
+
+
+def tables(folder: Folder) -> list[Path]:
+    """Return the tables in the folder that are no results."""
+    return [path for path in choices(folder, TABLES) if not any((path.parent / mark).exists() for mark in _MARKS)]
+
+
+def beside(path: Path, study: Path) -> str:
+    """Return the name of a file or folder as a command takes it that is given in a study's folder."""
+    return Path(os.path.relpath(path, study.parent)).as_posix()
+
+
+def choices(folder: Folder, kinds: tuple[str, ...]) -> list[Path]:
+    """Return the files of some kinds in the folder, at most so many as can be chosen from."""
+    return list(islice((path for path in folder.files(kinds) if folder.has(path)), MOST_CHOICES))
+
+
+_MARKS = (*RESULTS, "simulated.csv", "design.csv", "report.html")
 _NOT_OURS = ("cases", "logs", "figures", "node_modules", "__pycache__")
 
 

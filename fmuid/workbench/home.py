@@ -37,7 +37,7 @@ class HomeHandler(RequestHandler):
         pieces = [(_studies(folder, studies, results, running), ""), (_results(folder, results), "")]
         title = folder.root.name or str(folder.root)
         scheme = self.get_argument(SCHEME, "light")
-        self.write(template().render(variables(title, pieces, [], scheme)))
+        self.write(template().render(variables(title, pieces, scheme)))
 
 
 def escaped(text: object) -> str:
@@ -65,11 +65,12 @@ def badge(word: str, *, good: bool | None = None) -> str:
 def _studies(folder: Folder, studies: Sequence[FoundStudy], results: Sequence[FoundResult], running: set[Path]) -> str:
     if not studies:
         return (
-            "<section><h2>Studies</h2><p>There is no study here yet. <code>fmuid init MODEL.fmu TABLE.csv</code> "
-            "writes one.</p></section>"
+            "<section><h2>Studies</h2><p>There is no study here yet.</p>"
+            "<a class=go href=/new>Begin one from an FMU and tables</a></section>"
         )
     cards = "".join(_study(folder, each, results, running=each.path.resolve() in running) for each in studies)
-    return f'<h2 id="studies">Studies</h2><div class="grid">{cards}</div>'
+    new = "<section><h2>Another one</h2><a class=go href=/new>New study from an FMU and tables</a></section>"
+    return f'<h2 id="studies">Studies</h2><div class="grid">{cards}{new}</div>'
 
 
 def _study(folder: Folder, study: FoundStudy, results: Sequence[FoundResult], *, running: bool) -> str:
@@ -82,7 +83,10 @@ def _study(folder: Folder, study: FoundStudy, results: Sequence[FoundResult], *,
     state = badge("running") if running else badge("not run yet") if last is None else _state(last, study)
     what = f"{len(study.parameters)} parameters, {len(study.tables)} table{'' if len(study.tables) == 1 else 's'}"
     more = f"; also asks for {listed(study.asks)}" if study.asks else ""
-    links = f'<a class=go href="{address("study", folder, study.path)}">What-if and identify</a>'
+    study_page = f'<a class=go href="{address("study", folder, study.path)}">What-if and identify</a>'
+    links = study_page if study.parameters else ""
+    if "diagnosis" in study.asks:
+        links += f'<a class=go href="{address("faults", folder, study.path)}">Faults</a>'
     if last is not None:
         links += f'<a class=go href="{address("results", folder, last.folder)}">Last result</a>'
     values = "" if last is None else _values(last.content)

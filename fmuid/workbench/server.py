@@ -19,17 +19,20 @@ from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
 
-from fmuid.errors import InputError
+from fmuid.errors import FmuidError, InputError
 from fmuid.workbench.access import LARGEST_MESSAGE, Guard
 from fmuid.workbench.folder import Folder
-from fmuid.workbench.home import FileHandler, HomeHandler, OwnHandler
+from fmuid.workbench.home import FileHandler, HomeHandler, OwnHandler, escaped
 from fmuid.workbench.jobs import Jobs
+from fmuid.workbench.shell import argument, dress
 
 # Pages with figures: the address, and the module that has the page.
 _PAGES = {
-    "/study": "fmuid.workbench.study_page",
-    "/results": "fmuid.workbench.results_page",
-    "/batch": "fmuid.workbench.batch_page",
+    "/study": "fmuid.workbench.pages.study",
+    "/results": "fmuid.workbench.pages.results",
+    "/batch": "fmuid.workbench.pages.batch",
+    "/faults": "fmuid.workbench.pages.faults",
+    "/new": "fmuid.workbench.pages.new",
 }
 LOCAL = "127.0.0.1"
 
@@ -167,7 +170,12 @@ def _application(module: str, workbench: Workbench) -> Application:
 
 
 def _build(module: str, workbench: Workbench, doc: Any) -> None:
-    import_module(module).build(doc, workbench)
+    doc.template_variables["home"] = workbench.folder.root.name or "folder"
+    try:
+        import_module(module).build(doc, workbench)
+    except FmuidError as error:
+        doc.clear()
+        dress(doc, argument(doc, "file") or "fmuid", [(f"<section><p class=error>{escaped(error)}</p></section>", "")])
 
 
 def _preload() -> None:

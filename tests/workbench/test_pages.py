@@ -21,10 +21,10 @@ from fmuid.reports import run_study
 from fmuid.reports.console.progress import Display
 from fmuid.reports.page.write import contents
 from fmuid.workbench import Folder
-from fmuid.workbench.batch_page import BatchPage
 from fmuid.workbench.home import _results, _studies
 from fmuid.workbench.jobs import Jobs
-from fmuid.workbench.results_page import Predicting, _compared, build
+from fmuid.workbench.pages.batch import BatchPage
+from fmuid.workbench.pages.results import Predicting, _compared, build
 from tests.support.coil_study import STUDY, coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
@@ -168,18 +168,19 @@ def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
     page = Predicting(doc, Folder(tmp_path), Jobs(), tmp_path / "results")
     assert page.chosen.options == ["", "first.csv", "second.csv"]
     page.begin()
-    assert "choose a table" in page.said.text
+    assert "choose a table" in page.run.state.text
     page.dropped = dropped("../../evil.exe", b"no")
     page.begin()
-    assert "evil.exe is no table" in page.said.text
+    assert "evil.exe is no table" in page.run.state.text
     page.dropped = dropped("../third.csv", (tmp_path / "second.csv").read_bytes())
     page.begin()
-    assert page._job is not None
-    page._job.close(PATIENCE)
-    page.look()
-    assert page._job.code == DONE
+    assert page.run.job is not None
+    page.run.job.close(PATIENCE)
+    page.run.look()
+    assert page.run.job.code == DONE
     assert (tmp_path / "results/prediction/dropped/third.csv").is_file()
-    assert "Done" in page.said.text
+    assert "Done" in page.run.state.text
+    assert "The prediction" in page.said.text
     _, (part,) = contents(tmp_path / "results/prediction")
     assert "third" in part.table
     assert len(part.sections) == 1

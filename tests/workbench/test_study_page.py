@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 from bokeh.document.events import SessionCallbackAdded
+from bokeh.events import ButtonClick
+from bokeh.models import Button
 
 from fmuid.data import Normal, Parameter
 from fmuid.estimation import Result
@@ -20,10 +22,11 @@ from fmuid.simulation import Simulator
 from fmuid.studies import Study
 from fmuid.workbench import Folder
 from fmuid.workbench.jobs import Jobs
-from fmuid.workbench.newest import Newest
-from fmuid.workbench.sliders import PLACES, reach_of
-from fmuid.workbench.study_page import StudyPage
+from fmuid.workbench.pages.newest import Newest
+from fmuid.workbench.pages.sliders import PLACES, reach_of
+from fmuid.workbench.pages.study import StudyPage
 from tests.support.coil_study import STUDY, coil_table
+from tests.support.results import result
 
 PATIENCE = 60.0
 
@@ -151,18 +154,60 @@ def test_the_command_says_what_the_page_shows(page: Page, path: Path) -> None:
     assert study.model.values["R"] == page.rows["R"].value
 
 
+def test_what_is_asked_for_besides_is_what_a_study_says(page: Page, path: Path) -> None:
+    identifying = page.page.identifying
+    identifying.how.value, identifying.starts.value = "whole bounds, many starts", 7
+    identifying.also.value = ["profiles", "posterior", "map of R, L"]
+    assert "simulate study.toml<br>" in page.page.command.text  # is for the search alone
+    _, _, *words = page.page.words("identify")
+    study = Study.read(path, [word for word in words if word != "--set"])
+    assert getattr(study.estimator, "starts", None) == 7
+    asked = study.uncertainty_settings
+    assert asked.profile
+    assert asked.posterior is not None
+    assert [tuple(pair) for pair in asked.maps] == [("R", "L")]
+    identifying.how.value, identifying.also.value = "from here", []
+    assert page.page.words("identify") == ["identify", "study.toml"]
+
+
+def test_from_not_determined_to_the_remedy(page: Page, path: Path, tmp_path: Path) -> None:
+    remedies = page.page.identifying.remedies
+    result(tmp_path, {"R": (4.0, 0.1), "L": (0.1, None)})
+    remedies.tell(tmp_path)
+    offered = {each.name: each for each in remedies.layout.select({"type": Button})}
+    assert {"hold l", "give l a prior", "compare excitations"} <= set(offered)
+    assert "hold r" not in offered
+    offered["hold l"]._trigger_event(ButtonClick(offered["hold l"]))
+    assert page.page.words("identify")[2:] == ["--set", "parameters.L=0.05"]
+    page.rows["L"].hold.active = False
+    offered["give l a prior"]._trigger_event(ButtonClick(offered["give l a prior"]))
+    _, _, *words = page.page.words("identify")
+    prior = Study.read(path, [word for word in words if word != "--set"]).parameters["L"].prior
+    assert prior == Normal(0.05, 0.025)
+    page.rows["L"].std.value = "0.01"
+    assert "std = 0.01" in " ".join(page.page.words("identify"))
+    page.rows["L"].std.value = "none"
+    assert page.page.words("identify")[2:] == []
+    page.rows["L"]._take_prior()
+    remedies.compare()
+    assert "choose tables" in remedies.run.state.text
+    result(tmp_path, {"R": (4.0, 0.1), "L": (0.1, 0.1)})
+    remedies.tell(tmp_path)
+    assert remedies.layout.children == []
+
+
 @pytest.mark.slow
 def test_the_last_result_is_shown_behind(path: Path, tmp_path: Path) -> None:
     (tmp_path / "first.csv").write_bytes((path.parent / "first.csv").read_bytes())
     (tmp_path / "study.toml").write_text(path.read_text())
-    result = run_study(tmp_path / "study.toml", tmp_path / "results").result
-    assert result.converged
+    found = run_study(tmp_path / "study.toml", tmp_path / "results").result
+    assert found.converged
     page = Page(tmp_path / "study.toml")
-    values = dict(zip(result.names, result.values.tolist(), strict=True))
+    values = dict(zip(found.names, found.values.tolist(), strict=True))
     ghost = page.page.live.ghosts.data["g0"]
     np.testing.assert_allclose(ghost, simulated(path, values["R"], values["L"])[: len(ghost)], rtol=1e-5, atol=1e-6)
     assert "from the optimum" in page.page.misfit.text
-    page.page.put({"R": values["R"] + 3 * result.std[result.names.index("R")]})
+    page.page.put({"R": values["R"] + 3 * found.std[found.names.index("R")]})
     assert "+3 std off" in page.rows["R"].title.text
     page.page.put(values)
     page.settle()

@@ -23,6 +23,7 @@ REASONS: Mapping[Reason, str] = {
     Reason.BEGINNING: "same beginning, and the units convert",
     Reason.QUANTITY: "the only one of its quantity",
 }
+LINK_HEADS = ("variable", "unit", "is the", "column", "unit of the column", "because")
 QUESTION = "Is this right? Enter to go on, or variable=column to change it (variable= for none)"
 
 
@@ -30,9 +31,9 @@ def show_record(record: Record) -> None:
     """Print which columns are which variables, and what is wrong with the table."""
     span = record.frame[record.time]
     title = f"{record.path}: {len(record.frame)} samples, {span.min():.6g} to {span.max():.6g} s"
-    table = table_of(escape(title), ["variable", "unit", "is the", "column", "unit of the column", "because"])
+    table = table_of(escape(title), LINK_HEADS)
     for link in record.links:
-        table.add_row(*(escape(cell) for cell in _cells(link)))
+        table.add_row(*(escape(cell) for cell in link_cells(link)))
     out = console()
     out.print(table)
     if record.unused:
@@ -40,7 +41,8 @@ def show_record(record: Record) -> None:
     show_remarks(remarks(record))
 
 
-def _cells(link: ColumnLink) -> tuple[str, ...]:
+def link_cells(link: ColumnLink) -> tuple[str, ...]:
+    """Return what is said of a variable, under `LINK_HEADS`."""
     unit = link.unit if link.unit is not None and has_unit(link.unit) else ""
     if link.column is None or link.reason is None:
         why = f"undecided between {', '.join(link.choices)}" if link.choices else "no such column"

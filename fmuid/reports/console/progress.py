@@ -108,11 +108,11 @@ class Display:
             return Group(Text(_head(event)), self._values())
         bar = Table.grid(padding=(0, 2))
         if isinstance(event, BatchStep):
-            bar.add_row(ProgressBar(event.total, event.done, width=30), _text(event))
+            bar.add_row(ProgressBar(event.total, event.done, width=30), event_words(event))
             return Group(bar, Text(f"{KEEPS}; the same command goes on", style="dim"))
         if math.isnan(event.share) or isinstance(event, FaultStep | WindowStep):
-            return Spinner("dots", escape(_text(event)))
-        bar.add_row(event.task, ProgressBar(1.0, event.share, width=30), escape(_text(event)))
+            return Spinner("dots", escape(event_words(event)))
+        bar.add_row(event.task, ProgressBar(1.0, event.share, width=30), escape(event_words(event)))
         return Group(bar, Text(KEEPS, style="dim"))
 
     def _values(self) -> Table:
@@ -132,8 +132,8 @@ def _line(event: Event) -> str:
         more = "  ..." if len(event.values) > LINE_VALUES else ""
         return f"{_head(event)}  {_listed(event.values)}{more}"
     if isinstance(event, BatchStep):
-        return _text(event)
-    return f"{event.task:<10} {100 * event.share:3.0f} %  {_text(event)}"
+        return event_words(event)
+    return f"{event.task:<10} {100 * event.share:3.0f} %  {event_words(event)}"
 
 
 def _head(step: SearchStep) -> str:
@@ -148,7 +148,7 @@ def _listed(values: Mapping[str, float]) -> str:
     return "  ".join(f"{name} {value:.5g}" for name, value in list(values.items())[:LINE_VALUES])
 
 
-def _text(event: Event) -> str:
+def event_words(event: Event) -> str:
     """Return in words where a task stands."""
     match event:
         case GlobalStep():

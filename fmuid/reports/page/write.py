@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,8 +47,8 @@ def write_report(folder: str | Path) -> Path:
     return path
 
 
-def contents(folder: Path) -> tuple[str, list[Part]]:
-    """Return the title of a report on a folder of results, and its parts.
+def contents(folder: Path, files: Sequence[str] = FILES) -> tuple[str, list[Part]]:
+    """Return the title of a report on a folder of results, and its parts: of those of these files that are there.
 
     Raises
     ------
@@ -56,7 +57,7 @@ def contents(folder: Path) -> tuple[str, list[Part]]:
     """
     if not is_folder(folder):
         raise InputError(f"{folder} is no folder of results")
-    there = [name for name in FILES if is_file(folder / name)]
+    there = [name for name in files if is_file(folder / name)]
     if not there:
         raise InputError(f"{folder} has no {listed(FILES)}: give the folder that a command has written into")
     from fmuid.reports.page.contents import read_json

@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
 from fmuid.files import exists
-from fmuid.studies.drafting.lines import free, listed, numerics, parameter, parameter_line, relative, rest, role, text
+from fmuid.studies.drafting.lines import (
+    free,
+    inline,
+    listed,
+    numerics,
+    parameter,
+    parameter_line,
+    relative,
+    rest,
+    role,
+    text,
+)
 from fmuid.studies.drafting.record import Asked, Record
 from fmuid.studies.drafting.survey import (
     FREE,
@@ -64,7 +75,7 @@ def begin(fmu: Path, tables: Sequence[Path], asked: Asked | None = None) -> tupl
     description = read_description(fmu)
     records = tuple(Record.read(table, description, asked or Asked()) for table in tables)
     for record in records:
-        _ = record.links  # checks what is given
+        _ = record.links, record.settings  # checks what is given
     return records
 
 
@@ -155,6 +166,7 @@ def _experiment(record: Record, output: Path, name: str, *, first: bool) -> list
         *_role(record, "input"),
         *_role(record, "output"),
         *([f"# columns that are no input or output of the FMU: {listed(record.unused)}"] if record.unused else []),
+        *([f"prepare = {inline(asked.prepare)}"] if asked.prepare else []),
         *(['# where a column has another name: outputs = { fmu_variable = "column" }'] if first else []),
         _interpolation(record),
         ExperimentSettings.example_line("discard"),

@@ -21,6 +21,7 @@ OBSERVED = ("output", "local")
 # How many names a comment lists, and how many parameters a skeleton: what can be read at a glance.
 NAMES_LISTED, PARAMETERS_LISTED = 20, 12
 LINE_LENGTH, REMARK_LENGTH = 110, 80
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
 # Modelica tools write their largest numbers for bounds that are none.
 NO_BOUND = 1e60
 
@@ -52,6 +53,16 @@ def skeleton(fmu: FMU) -> str:
     if len(freed) > PARAMETERS_LISTED:
         lines.append(f"# and {len(freed) - PARAMETERS_LISTED} more, all of which `fmuid init` writes")
     return "\n".join(lines) + "\n"
+
+
+def inline(value: object) -> str:
+    """Return a value as it stands in a line of a study file."""
+    if isinstance(value, Mapping):
+        pairs = (f"{key if _BARE.fullmatch(key) else text(key)} = {inline(each)}" for key, each in value.items())
+        return f"{{ {', '.join(pairs)} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(inline, value))}]"
+    return text(value) if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def numerics(description: Description) -> list[str]:

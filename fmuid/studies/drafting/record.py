@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.data import Experiment, read_table, time_name
+from fmuid.data import read_table, time_name
 from fmuid.errors import InputError
 from fmuid.studies.drafting.mapping import ColumnLink, guess
 from fmuid.units import unit_in_name
@@ -18,7 +18,9 @@ from fmuid.units import unit_in_name
 if TYPE_CHECKING:
     import pandas as pd
 
+    from fmuid.data import Experiment
     from fmuid.fmi import Description
+    from fmuid.studies.model import ExperimentSettings
 
 
 HELD_SHARE = 0.5
@@ -41,6 +43,8 @@ class Asked:
     sheet : str, int or None
     columns : mapping of str to str
         Variables of the FMU whose columns are known; an empty text for none.
+    prepare : mapping
+        What is done with the tables first, the words of ``[experiments.prepare]``.
     """
 
     time: str | int = "time"
@@ -48,6 +52,7 @@ class Asked:
     sample_rate: float | None = None
     sheet: str | int | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
+    prepare: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,16 +158,29 @@ class Record:
 
     @cached_property
     def _made(self) -> tuple[Experiment | None, str]:
-        inputs, outputs = self.roles("input"), self.roles("output")
-        if not outputs:
+        if not self.roles("output"):
             return None, ""
         try:
-            made = Experiment(
-                self.frame, inputs, outputs, self.time, self.interpolation, name=self.path.stem, source=str(self.path)
-            )
-            return made, ""
+            return self.settings.experiment(self.frame, str(self.path)), ""
         except InputError as error:
             return None, str(error)
+
+    @property
+    def settings(self) -> ExperimentSettings:
+        """The words of ``[[experiments]]`` that the table is an experiment by.
+
+        Raises
+        ------
+        InputError
+            If `Asked.prepare` has others than ``[experiments.prepare]``.
+        """
+        from fmuid.studies.model import ExperimentSettings
+        from fmuid.studies.words import Place
+
+        words: dict[str, Any] = {"table": str(self.path.absolute()), "name": self.path.stem, "time": self.asked.time}
+        words |= {"inputs": self.roles("input"), "outputs": self.roles("output")}
+        words |= {"interpolation": self.interpolation, "prepare": dict(self.asked.prepare)}
+        return ExperimentSettings.read(words, Place(str(self.path), Path()))
 
     @property
     def missing(self) -> dict[str, int]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 from bokeh.layouts import column, row
-from bokeh.models import ColumnDataSource, DataTable, Div, NumberFormatter, Select, TableColumn, TextInput
+from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, Select, TableColumn, TextInput
 
 from fmuid.batches import Columns
 from fmuid.errors import InputError
@@ -22,12 +22,9 @@ from fmuid.reports.interactive.live import in_scheme
 from fmuid.workbench.access import SCHEME
 from fmuid.workbench.folder import Folder
 from fmuid.workbench.home import address, escaped
-from fmuid.workbench.identifying import BAR, TABLE
-from fmuid.workbench.shell import argument, dress
-from fmuid.workbench.sliders import SHEET
+from fmuid.workbench.pages.shown import EVERY, side_by_side
+from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, dress, words
 
-EVERY = 1000
-"""Milliseconds between two looks at the folder."""
 # More rows make a table slow; a filter finds the others.
 MOST_ROWS = 5000
 # A batch writes at least so often, s, while cases end; after a longer silence it is said since when.
@@ -42,11 +39,7 @@ _GRID = """
 def build(doc: Any, bench: Any) -> None:
     """Fill a document with the page of the batch in the folder that its address names."""
     folder: Folder = bench.folder
-    crumbs = [(folder.root.name or "folder", "/")]
-    try:
-        BatchPage(doc, folder, folder.path(argument(doc, "file")), argument(doc, SCHEME))
-    except InputError as error:
-        dress(doc, "batch", [(f"<section><p class=error>{escaped(error)}</p></section>", "")], crumbs)
+    BatchPage(doc, folder, folder.path(argument(doc, "file")), argument(doc, SCHEME))
 
 
 class BatchPage:
@@ -58,23 +51,21 @@ class BatchPage:
         self.doc, self.folder, self.place, self.scheme = doc, folder, place, scheme
         self.manifest: Mapping[str, Any] = json.loads((place / "batch.json").read_text(encoding="utf-8"))
         self.frame, self._seen, self._counts = pd.DataFrame(), object(), list[tuple[float, int]]()
-        wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
-        self.state = Div(text="", name="state", stylesheets=[SHEET, BAR], **wide)
+        self.state = words("state")
         self.status = Select(title="cases", options=["all"], value="all", name="status", stylesheets=[SHEET])
         self.text = TextInput(title="with the text", value="", name="filter", stylesheets=[SHEET])
         self.source = ColumnDataSource({"case": []}, name="cases")
-        self.table = DataTable(
-            source=self.source, height=420, index_position=None, reorderable=False, stylesheets=[_GRID], **wide
-        )
-        self.case = Div(text="<p>Choose a case in the table.</p>", name="case", stylesheets=[SHEET, TABLE], **wide)
-        self.drawn = column([], name="drawn", stylesheets=[SHEET], **wide)
+        self.table = DataTable(source=self.source, height=420, index_position=None, reorderable=False, **WIDE)
+        self.table.stylesheets = [_GRID]
+        self.case = words("case", "<p>Choose a case in the table.</p>")
+        self.drawn = column([], name="drawn", **WIDE)
         for each in (self.status, self.text):
             each.on_change("value", lambda _attr, _old, _new: self._filter())
         self.source.selected.on_change("indices", lambda _attr, _old, new: self._choose(new))
-        filters = row(self.status, self.text, stylesheets=[":host{flex-wrap:wrap}"], **wide)
+        filters = row(self.status, self.text, stylesheets=[LINE], sizing_mode="stretch_width")
         self.look()
         doc.add_periodic_callback(self.look, EVERY)
-        cases = column(filters, self.table, name="table", stylesheets=[SHEET], **wide)
+        cases = column(filters, self.table, name="table", **WIDE)
         for root in (self.state, cases, self.case, self.drawn):
             doc.add_root(root)
         self._dress(cases)
@@ -90,8 +81,7 @@ class BatchPage:
             ("</section><section><h3>The case</h3>", "case"),
             ("</section>", ""),
         ]
-        crumbs = [(self.folder.root.name or "folder", "/")]
-        dress(self.doc, title, pieces, crumbs, "bokeh-widgets", "bokeh-tables")
+        dress(self.doc, title, pieces, "bokeh-widgets", "bokeh-tables")
 
     # --- what the folder has
 
@@ -141,8 +131,7 @@ class BatchPage:
         if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
             truth, units = self.manifest.get("truth") or {}, dict[str, str]()
             plots = [in_scheme(plot, self.scheme) for plot in figures.over_cases(self.frame, truth, units)]
-            pairs = [plots[k : k + 2] for k in range(0, len(plots), 2)]
-            self.drawn.children = [row(*pair, sizing_mode="stretch_width") for pair in pairs]
+            self.drawn.children = [side_by_side(plots)]
 
     # --- the table
 

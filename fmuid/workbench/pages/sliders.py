@@ -11,8 +11,9 @@ from typing import Any
 from bokeh.layouts import column, row
 from bokeh.models import Div, InlineStyleSheet, Slider, TextInput, Toggle
 
-from fmuid.data import Parameter
+from fmuid.data import Normal, Parameter
 from fmuid.text import label
+from fmuid.workbench.shell import LINE, SHEET, WIDE, button
 
 PLACES = 1000
 """Steps of a slider."""
@@ -23,32 +24,9 @@ LOG_RATIO = 20.0
 ESTIMATE_STDS, PRIOR_STDS, START_RATIO = 8.0, 4.0, 5.0
 # What is shaded: two standard deviations of a prior, and the interval of 95 % of an estimate.
 SHADED_STDS = 1.96
+# A prior that is asked for is proposed with this share of the start as its standard deviation.
+PRIOR_SHARE = 0.5
 
-SHEET = """
-:host{font:14px Inter,system-ui,sans-serif;color:var(--ink);min-width:0;max-width:100%}
-small{color:var(--soft)}.bk-clearfix{display:block;width:100%}
-.noUi-target{background:var(--faint);border:0!important;box-shadow:none!important;height:10px!important}
-.noUi-connect{background:none!important}
-.noUi-handle{border-radius:50%!important;width:18px!important;height:18px!important;right:-9px!important;top:-5px!important;
-border:2px solid var(--link)!important;background:var(--card)!important;box-shadow:none!important}
-.noUi-handle:before,.noUi-handle:after{display:none}
-.noUi-handle:focus-visible{outline:3px solid var(--link);outline-offset:2px}
-.bk-input{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important;font:inherit;
-font-variant-numeric:tabular-nums}
-.bk-input:focus-visible,.bk-btn:focus-visible{outline:2px solid var(--link)!important;outline-offset:1px}
-.bk-btn{border-radius:8px!important;font:inherit!important}
-.bk-btn-default{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important}
-.bk-btn-default.bk-active{background:var(--ink)!important;color:var(--card)!important}
-.bk-btn-primary{background:#0b61d0!important;border-color:#0b61d0!important;font-weight:600!important}
-.bk-btn[disabled]{opacity:.5}
-.bk-tab{border:0!important;border-bottom:2px solid transparent!important;padding:8px 12px!important;color:var(--soft)}
-.bk-tab.bk-active{color:var(--link)!important;border-bottom-color:var(--link)!important;background:none!important}
-.bk-tab:focus-visible{outline:2px solid var(--link)}
-:host(.bk-Tabs){grid-template-columns:minmax(0,1fr)!important}
-.bk-headers{border-bottom:1px solid var(--faint)!important}
-label{color:var(--soft);font-size:12.5px}
-"""
-"""Style of widgets, into which the page's own does not reach but for its variables."""
 _CENTRED = ":host{align-items:center}"
 
 
@@ -137,8 +115,7 @@ class ParameterRow:
         self.estimate: tuple[float, float] | None = None
         self.reach, self._quiet = reach_of(parameter), False
         self._shades = InlineStyleSheet(css="")
-        wide = {"sizing_mode": "stretch_width", "stylesheets": [SHEET]}
-        self.slider = Slider(start=0, end=PLACES, step=1, value=0, show_value=False, tooltips=False, name=name, **wide)
+        self.slider = Slider(start=0, end=PLACES, step=1, value=0, show_value=False, tooltips=False, name=name, **WIDE)
         self.typed = TextInput(value="", name=f"typed {name}", stylesheets=[SHEET], width=104)
         self.hold = Toggle(label="hold", name=f"hold {name}", stylesheets=[SHEET], width=56)
         self.slider.stylesheets = [SHEET, self._shades]
@@ -146,15 +123,46 @@ class ParameterRow:
         self.slider.on_change("value_throttled", lambda _attr, _old, _new: self._told(ended=True))
         self.typed.on_change("value", lambda _attr, _old, new: self._entered(new))
         self.hold.on_change("active", lambda _attr, _old, _new: self._told(ended=True))
-        self.title = Div(text="", name=f"title {name}", **wide)
+        self.title = Div(text="", name=f"title {name}", **WIDE)
         head = row(self.title, self.typed, self.hold, sizing_mode="stretch_width", stylesheets=[_CENTRED])
-        self.layout = column(head, self.slider, sizing_mode="stretch_width")
+        self.mean, self.std = (
+            TextInput(title=f"prior {word} of {name}", value="", name=f"{word} {name}", width=120, stylesheets=[SHEET])
+            for word in ("mean", "std")
+        )
+        for each in (self.mean, self.std):
+            each.on_change("value", lambda _attr, _old, _new: self._told(ended=True))
+        leave = button("no prior", self._take_prior, name=f"no prior {name}")
+        self._given = row(self.mean, self.std, leave, visible=False, stylesheets=[LINE], sizing_mode="stretch_width")
+        self.layout = column(head, self.slider, self._given, sizing_mode="stretch_width")
         self.know(None)
 
     @property
     def held(self) -> bool:
         """Whether an identification leaves it alone."""
         return bool(self.hold.active)
+
+    @property
+    def prior(self) -> Normal | None:
+        """What was typed as its prior, or else that of the study."""
+        mean, std = _number(self.mean.value), _number(self.std.value)
+        if self._given.visible and math.isfinite(mean) and std > 0:
+            return Normal(mean, std)
+        return self.parameter.prior
+
+    def give_prior(self) -> None:
+        """Show where to type what is known of it; until then it is the start, to within a half."""
+        size = abs(self.parameter.start) or self.parameter.nominal or 1.0
+        self._quiet = True
+        try:
+            self.mean.value, self.std.value = f"{self.parameter.start:.6g}", f"{PRIOR_SHARE * size:.3g}"
+        finally:
+            self._quiet = False
+        self._given.visible = True
+        self._told(ended=True)
+
+    def _take_prior(self) -> None:
+        self._given.visible = False
+        self._told(ended=True)
 
     def know(self, estimate: tuple[float, float] | None) -> None:
         """Take the value and standard deviation of the last result: range and shades follow."""
@@ -192,10 +200,7 @@ class ParameterRow:
         """Take what was typed where it is a number within the bounds; else what was there comes back."""
         if self._quiet:
             return
-        try:
-            value = float(text.replace(",", "."))
-        except ValueError:
-            value = math.nan
+        value = _number(text)
         good = math.isfinite(value) and self.parameter.min <= value <= self.parameter.max
         self.put(value if good else self.value)
         if good:
@@ -203,6 +208,8 @@ class ParameterRow:
 
     def _told(self, *, ended: bool) -> None:
         if not self._quiet:
+            if ended:
+                self._shade()
             self._changed(ended)
 
     # --- what is shown
@@ -225,8 +232,8 @@ class ParameterRow:
         bands = []
         if self.estimate is not None and math.isfinite(self.estimate[1]):
             bands.append((*self.estimate, "#0b61d0"))
-        if self.parameter.prior is not None:
-            bands.append((self.parameter.prior.mean, self.parameter.prior.std, "#d99a1c"))
+        if self.prior is not None:
+            bands.append((self.prior.mean, self.prior.std, "#d99a1c"))
         shades = [self._band(*each) for each in bands]
         css = f".noUi-base{{background:{','.join(shades)};border-radius:4px}}" if shades else ""
         self._shades.css = css
@@ -238,6 +245,14 @@ class ParameterRow:
             f"linear-gradient(90deg,transparent {first:.2f}%,{color}b0 {first:.2f}%,{color}b0 {last:.2f}%,"
             f"transparent {last:.2f}%)"
         )
+
+
+def _number(text: str) -> float:
+    """Return the number that was typed, NaN for none."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return math.nan
 
 
 def stacked(rows: list[ParameterRow]) -> Any:

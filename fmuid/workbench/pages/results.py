@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 from bokeh.layouts import column, row
-from bokeh.models import Button, Div, FileInput, Select
+from bokeh.models import FileInput, Select
 
 from fmuid.errors import InputError
 from fmuid.estimation import Result
@@ -24,30 +24,21 @@ from fmuid.reports.page.document import Part, Section, pieces, table
 from fmuid.reports.page.write import contents
 from fmuid.text import with_std
 from fmuid.workbench.access import SCHEME
-from fmuid.workbench.folder import Folder
+from fmuid.workbench.folder import TABLES, Folder, tables
 from fmuid.workbench.home import address, escaped, file_address
-from fmuid.workbench.identifying import BAR, EVERY
 from fmuid.workbench.jobs import Job, Jobs, command_text
-from fmuid.workbench.shell import argument, arguments, dress
-from fmuid.workbench.sliders import SHEET
-
-# Tables that can be chosen; others are dropped.
-_TABLES = (".csv", ".parquet", ".mat", ".xlsx", ".ods", ".h5", ".tdms", ".mf4")
-MOST_TABLES = 200
+from fmuid.workbench.pages.running import Run
+from fmuid.workbench.shell import LINE, SHEET, argument, arguments, dress, words
 
 
 def build(doc: Any, bench: Any) -> None:
     """Fill a document with the page of the folders that its address names."""
     folder: Folder = bench.folder
-    scheme, crumbs = argument(doc, SCHEME), [(folder.root.name or "folder", "/")]
-    try:
-        places = [folder.path(name) for name in dict.fromkeys(arguments(doc, "file"))]
-        if not places:
-            raise InputError("choose results on the first page")
-        title, parts = contents(places[0]) if len(places) == 1 else _compared(folder, places)
-    except InputError as error:
-        dress(doc, "results", [(f"<section><p class=error>{escaped(error)}</p></section>", "")], crumbs)
-        return
+    scheme = argument(doc, SCHEME)
+    places = [folder.path(name) for name in dict.fromkeys(arguments(doc, "file"))]
+    if not places:
+        raise InputError("choose results on the first page")
+    title, parts = contents(places[0]) if len(places) == 1 else _compared(folder, places)
     texts, figures = pieces(parts)
     for k, figure in enumerate(figures):
         model = in_scheme(figure, scheme)
@@ -60,7 +51,7 @@ def build(doc: Any, bench: Any) -> None:
     if len(places) == 1 and is_file(places[0] / "report.html"):
         link = file_address(folder, places[0] / "report.html")
         shown.insert(0, (f'<p><a href="{link}">The same as a page to be mailed</a></p>', ""))
-    dress(doc, title, shown, crumbs, "bokeh-widgets")
+    dress(doc, title, shown, "bokeh-widgets")
 
 
 def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
@@ -102,32 +93,25 @@ class Predicting:
     """
 
     def __init__(self, doc: Any, folder: Folder, jobs: Jobs, place: Path) -> None:
-        self.doc, self.folder, self.jobs, self.place = doc, folder, jobs, place
-        self._job: Job | None = None
-        self._callback: Any = None
-        known = [folder.name(path) for path in _tables(folder)]
+        self.folder, self.place = folder, place
+        self.run = Run(doc, jobs, place / "prediction", {"Predict": self.begin}, ended=self._end)
+        known = [folder.name(path) for path in tables(folder)]
         self.chosen = Select(title="a table of the folder", options=["", *known], value="", name="table")
-        self.dropped = FileInput(value="", filename="", title="or drop one here", accept=",".join(_TABLES), name="drop")
-        self.go = Button(label="Predict", button_type="primary", name="predict-go")
-        for each in (self.chosen, self.dropped, self.go):
+        self.dropped = FileInput(value="", filename="", title="or drop one here", accept=",".join(TABLES), name="drop")
+        for each in (self.chosen, self.dropped):
             each.stylesheets = [SHEET]
-        self.said = Div(text="", name="predicted", sizing_mode="stretch_width", stylesheets=[SHEET, BAR])
-        self.go.on_click(self.begin)
-        inputs = row(self.chosen, self.dropped, self.go, sizing_mode="stretch_width", stylesheets=[_LINE])
-        self.layout = column(inputs, self.said, name="predict", sizing_mode="stretch_width")
+        self.said = words("predicted")
+        inputs = row(self.chosen, self.dropped, sizing_mode="stretch_width", stylesheets=[LINE])
+        self.layout = column(inputs, self.run.layout, self.said, name="predict", sizing_mode="stretch_width")
 
     def begin(self) -> None:
         """Begin with what was chosen or dropped."""
         try:
             path = self._given()
         except InputError as error:
-            self.said.text = f"<p class=error>{escaped(error)}</p>"
+            self.run.refuse(error)
             return
-        output = self.place / "prediction"
-        self._job = self.jobs.begin(self.place / "result.json", output, ["predict", str(self.place), str(path)])
-        self.said.text = f"<progress></progress><pre>{escaped(command_text(self._job.words))}</pre>"
-        self.go.disabled = True
-        self._callback = self._callback or self.doc.add_periodic_callback(self.look, EVERY)
+        self.run.begin(self.place / "result.json", ["predict", str(self.place), str(path)])
 
     def _given(self) -> Path:
         """Return the table; one that was dropped is written beside the predictions.
@@ -139,8 +123,8 @@ class Predicting:
         """
         if self.dropped.value:
             name = file_name(Path(str(self.dropped.filename)).name)
-            if not name.lower().endswith(_TABLES):
-                raise InputError(f"{name} is no table: give a file of the kinds {', '.join(_TABLES)}")
+            if not name.lower().endswith(TABLES):
+                raise InputError(f"{name} is no table: give a file of the kinds {', '.join(TABLES)}")
             try:
                 content = base64.b64decode(self.dropped.value, validate=True)
             except binascii.Error:
@@ -153,31 +137,6 @@ class Predicting:
             raise InputError("choose a table, or drop one")
         return self.folder.path(self.chosen.value)
 
-    def look(self) -> None:
-        """Show what has come of it once it has ended."""
-        job = self._job
-        if job is None or job.running:
-            return
-        self.doc.remove_periodic_callback(self._callback)
-        self._callback, self.go.disabled = None, False
-        if job.code == 0:
-            link = address("results", self.folder, self.place / "prediction")
-            more = f'<p role=status>Done: <a href="{link}">the prediction</a></p>'
-        else:
-            more = ""
-        self.said.text = f"{more}<pre>{escaped(job.printed())}</pre>"
-
-
-_LINE = ":host{align-items:end;flex-wrap:wrap}"
-
-
-def _tables(folder: Folder) -> list[Path]:
-    """Return the tables in the folder that are no results."""
-    found = [path for path in sorted(folder.root.rglob("*")) if path.suffix.lower() in _TABLES and path.is_file()]
-    kept = [path for path in found if not _is_result(path) and folder.has(path)]
-    return kept[:MOST_TABLES]
-
-
-def _is_result(path: Path) -> bool:
-    marks = ("result.json", "prediction.json", "simulated.csv", "batch.json", "diagnosis.json", "monitoring.json")
-    return any((path.parent / mark).exists() for mark in marks) or any(p.startswith(".") for p in path.parts)
+    def _end(self, job: Job) -> None:
+        link = address("results", self.folder, self.place / "prediction")
+        self.said.text = f'<p><a href="{link}">The prediction</a></p>' if job.code == 0 else ""

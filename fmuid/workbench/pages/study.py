@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from bokeh.layouts import column, row
-from bokeh.models import Button, Div, Select, TabPanel, Tabs
+from bokeh.models import Select, TabPanel, Tabs
 
 from fmuid.arrays import Floats
 from fmuid.errors import FmuidError, InputError
@@ -21,12 +21,12 @@ from fmuid.simulation import AVAILABLE, Simulator, fit_of, parameter_units
 from fmuid.studies import Study
 from fmuid.workbench.access import SCHEME
 from fmuid.workbench.folder import Folder
-from fmuid.workbench.home import escaped
-from fmuid.workbench.identifying import Identifying
+from fmuid.workbench.home import address, escaped
 from fmuid.workbench.jobs import Jobs, command_text
-from fmuid.workbench.newest import Newest
-from fmuid.workbench.shell import argument, dress
-from fmuid.workbench.sliders import SHEET, ParameterRow, stacked
+from fmuid.workbench.pages.identifying import Identifying
+from fmuid.workbench.pages.newest import Newest
+from fmuid.workbench.pages.sliders import ParameterRow, stacked
+from fmuid.workbench.shell import SHEET, WIDE, argument, button, dress, words
 
 if TYPE_CHECKING:
     from fmuid.data import Parameter
@@ -44,13 +44,8 @@ class Bench(Protocol):
 
 def build(doc: Any, bench: Bench) -> None:
     """Fill a document with the page of the study that its address names."""
-    name = argument(doc, "file")
-    crumbs = [(bench.folder.root.name or "folder", "/")]
-    try:
-        path = bench.folder.path(name)
-        StudyPage(doc, bench, path, Study.read(path, isolated=AVAILABLE), argument(doc, SCHEME))
-    except FmuidError as error:
-        dress(doc, name or "study", [(f"<section><p class=error>{escaped(error)}</p></section>", "")], crumbs)
+    path = bench.folder.path(argument(doc, "file"))
+    StudyPage(doc, bench, path, Study.read(path, isolated=AVAILABLE), argument(doc, SCHEME))
 
 
 class StudyPage:
@@ -85,25 +80,17 @@ class StudyPage:
     # --- parts of the page
 
     def _make(self) -> None:
-        text = "".join(["<p class=soft>", "simulating …", "</p>"])
-        self.misfit = Div(text=text, name="misfit", sizing_mode="stretch_width", stylesheets=[SHEET, NUMBERS])
-        self.command = Div(text="", name="command", sizing_mode="stretch_width", stylesheets=[SHEET, NUMBERS])
-        self.undo = self._button("Undo", self.go_back, disabled=True)
-        self.to_starts = self._button("Starts", lambda: self.put({r.name: r.parameter.start for r in self.rows}))
-        self.to_optimum = self._button("Optimum", self._go_to_optimum, disabled=True)
+        self.misfit = words("misfit", "<p class=soft>simulating …</p>")
+        self.command = words("command")
+        self.undo = button("Undo", self.go_back, disabled=True)
+        self.to_starts = button("Starts", lambda: self.put({r.name: r.parameter.start for r in self.rows}))
+        self.to_optimum = button("Optimum", self._go_to_optimum, disabled=True)
         names = [each.experiment.name for each in self.simulators]
         self.experiment = Select(title="experiment", options=names, value=names[0], name="experiment")
         self.experiment.stylesheets = [SHEET]
         self.experiment.on_change("value", lambda _attr, _old, _new: self._choose(names.index(self.experiment.value)))
         self.live = self._drawing()
-        self.fit = column(
-            in_scheme(self.live.figure, self.scheme), sizing_mode="stretch_width", name="fit", stylesheets=[SHEET]
-        )
-
-    def _button(self, label: str, act: Any, **more: Any) -> Button:
-        found = Button(label=label, name=label.lower(), stylesheets=[SHEET], **more)
-        found.on_click(act)
-        return found
+        self.fit = column(in_scheme(self.live.figure, self.scheme), name="fit", **WIDE)
 
     def _drawing(self) -> LiveFit:
         nothing = np.full((len(self.simulator.experiment.times), len(self.simulator.output_names)), np.nan)
@@ -122,7 +109,7 @@ class StudyPage:
             TabPanel(child=self.identifying.search, title="Search"),
             TabPanel(child=self.identifying.found, title="Result"),
         ]
-        self.tabs = Tabs(tabs=panels, name="main", sizing_mode="stretch_width", stylesheets=[SHEET])
+        self.tabs = Tabs(tabs=panels, name="main", **WIDE)
         for root in (side, self.tabs, self.command):
             self.doc.add_root(root)
         pieces = [
@@ -131,8 +118,10 @@ class StudyPage:
             ("</section><section><h3>The same from a terminal</h3>", "command"),
             ("</section></div></div>", ""),
         ]
-        crumbs = [(self.bench.folder.root.name or "folder", "/")]
-        dress(self.doc, self.study.title or self.path.stem, pieces, crumbs, "bokeh-widgets")
+        if self.study.diagnosis is not None:
+            link = address("faults", self.bench.folder, self.path)
+            pieces.insert(0, (f'<p><a href="{link}">Look for faults</a></p>', ""))
+        dress(self.doc, self.study.title or self.path.stem, pieces, "bokeh-widgets")
 
     # --- what-if
 
@@ -151,19 +140,19 @@ class StudyPage:
             if each.name in values:
                 each.put(values[each.name])
         if note:
-            self._note()
+            self.note()
         self.ask()
 
     def _changed(self, ended: bool) -> None:
         self.ask()
         if ended:
-            self._note()
+            self.note()
 
     def _state(self) -> tuple[tuple[float, bool], ...]:
         return tuple((each.value, each.held) for each in self.rows)
 
-    def _note(self) -> None:
-        """Keep a state to which one can go back."""
+    def note(self) -> None:
+        """Keep a state to which one can go back, and say the commands anew."""
         if self._state() != self._undone[-1]:
             self._undone = [*self._undone, self._state()][-MOST_UNDONE:]
         self.undo.disabled = len(self._undone) < 2
@@ -299,8 +288,8 @@ class StudyPage:
 
     # --- the command
 
-    def settings(self) -> list[str]:
-        """Return what ``--set`` has to say for a study to begin where the sliders are."""
+    def settings(self, command: str = "") -> list[str]:
+        """Return what ``--set`` has to say for a command to begin where the sliders are."""
         found = []
         for each in self.rows:
             name = f'"{each.name}"' if any(mark in each.name for mark in " '") else each.name
@@ -308,27 +297,19 @@ class StudyPage:
                 found.append(f"parameters.{name}={each.value:.9g}")
             elif each.value != each.parameter.start:
                 found.append(f"parameters.{name}.start={each.value:.9g}")
+            if each.prior is not each.parameter.prior and each.prior is not None and not each.held:
+                prior = f"{{ mean = {each.prior.mean:.9g}, std = {each.prior.std:.9g} }}"
+                found.append(f"parameters.{name}.prior={prior}")
+        found += self.identifying.settings() if command == "identify" else []
         return [word for setting in found for word in ("--set", setting)]
 
     def words(self, command: str) -> list[str]:
         """Return a command that does what the page shows, to be given in the study's folder."""
-        return [command, self.path.name, *self.settings()]
+        return [command, self.path.name, *self.settings(command)]
 
     def _tell_command(self) -> None:
         lines = (command_text(self.words("simulate")), command_text(self.words("identify")))
         self.command.text = f"<pre>{escaped(lines[0])}<br>{escaped(lines[1])}</pre>"
-
-
-NUMBERS = """
-.numbers{display:grid;grid-template-columns:repeat(auto-fit,minmax(110px,1fr));gap:8px 14px;margin:8px 0}
-.numbers div{font-size:12.5px;color:var(--soft)}
-.numbers b{display:block;font-size:19px;color:var(--ink);font-variant-numeric:tabular-nums}
-.numbers small{color:var(--soft)}
-.error{border-left:3px solid var(--bad);padding-left:10px;overflow-wrap:anywhere}
-pre{white-space:pre-wrap;overflow-wrap:anywhere;font-size:13px;margin:0}
-.soft{color:var(--soft)}
-"""
-"""Style of texts in widgets."""
 
 
 def _cell(name: str, value: str, more: str = "") -> str:
