@@ -12,4 +12,4 @@ def build(doc: Any, _workbench: object) -> None:
     from fmuid.workbench.shell import dress
 
     doc.add_root(Div(text="plain", name="plain"))
-    dress(doc, "plain", [("<p>A page.</p>", "plain")], [("folder", "/")], "bokeh-widgets")
+    dress(doc, "plain", [("<p>A page.</p>", "plain")], "bokeh-widgets")
