@@ -156,7 +156,8 @@ def test_directional_derivatives(opened: Opener, model: str) -> None:
     instance = opened(model, fmpy.fmi2.FMU2Model)
     instance.start_model_exchange(reference.parameters)
     unknowns = [*(f"der({name})" for name in reference.states), *reference.outputs]
-    active = [name for name in reference.parameters if not name.endswith("_start")]
+    counts = ("bars", "p") if "bars" in reference.parameters else ()
+    active = [name for name in reference.parameters if not name.endswith("_start") and name not in counts]
     for x, u in points(reference):
         instance.set(dict(zip(reference.inputs, u, strict=True)))
         instance.derivatives(x)

@@ -117,3 +117,45 @@ def test_broken_bars_of_a_cage() -> None:
     fluxes = run(path("InductionMachineRotorFault"), frame, INPUTS, ["phidr", "phiqr"], values)
     currents = np.array([1.3, -0.6]) - np.array([0.4, 0.7]) / MACHINE["Lm"]
     np.testing.assert_allclose(np.diff(fluxes, axis=0)[0] / 1e-6, resistance @ currents, rtol=1e-3)
+
+
+def test_zero_fault_is_the_healthy_machine_of_the_exact_models(frame: pd.DataFrame) -> None:
+    coil = {"R": 3.3, "L": 0.08, "i_start": 0.4}
+    healthy = run(path("Coil"), frame, ["u"], ["i"], coil)
+    np.testing.assert_array_equal(run(path("CoilTurns"), frame, ["u"], ["i"], coil), healthy)
+    outputs = ["ids", "iqs", "phidr", "phiqr"]
+    sound = run(path("InductionMachine"), frame, INPUTS, outputs, MACHINE)
+    cage = run(path("InductionMachineBrokenBars"), frame, INPUTS, outputs, MACHINE | {"theta0": 1.1, "ring": 0.05})
+    np.testing.assert_allclose(cage, sound, rtol=0, atol=1e-11 * np.abs(sound).max())
+    stator = ["uds", "uqs", "theta"], ["ids", "iqs"]
+    np.testing.assert_array_equal(run(path("StatorShortCircuitContact"), frame, *stator, {"Rs": 8.5}), 0.0)
+
+
+def test_a_small_loss_of_turns_is_that_of_the_linear_coil(frame: pd.DataFrame) -> None:
+    """With ΔR = −ηR the linear one lacks η²L; the difference goes with the square."""
+    coil, off = {"R": 3.3, "L": 0.08, "i_start": 0.4}, []
+    for lost in (0.01, 0.02):
+        exact = run(path("CoilTurns"), frame, ["u"], ["i"], coil | {"lost": lost})
+        linear = {"dR": -lost * 3.3, "tau": 0.08 / 3.3}
+        off.append(np.abs(run(path("FaultyCoil"), frame, ["u"], ["i"], coil | linear) - exact).max())
+    assert 1e-6 < off[0] < off[1] / 3.5 < off[0] * 1.2
+
+
+def test_the_short_circuits_agree_where_contact_and_star_point_matter_little(frame: pd.DataFrame) -> None:
+    stator = ["uds", "uqs", "theta"], ["ids", "iqs"]
+    found = [
+        run(path(name), frame, *stator, {"Rs": 8.5, "eta_b": 1e-4} | more)
+        for name, more in (("StatorShortCircuit", {}), ("StatorShortCircuitContact", {"contact": 0.0}))
+    ]
+    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=2e-4 * np.abs(found[0]).max())
+
+
+def test_a_broken_bar_between_rings_of_no_resistance(frame: pd.DataFrame) -> None:
+    """α = 2/(n − 1), the existing model's with as many bars less one."""
+    outputs = ["ids", "iqs", "phidr", "phiqr"]
+    cage = run(
+        path("InductionMachineBrokenBars"), frame, INPUTS, outputs,
+        MACHINE | {"crack0": 1.0, "theta0": 0.7, "ring": 1e-6, "bars": 28.0},
+    )  # fmt: skip
+    rotor = run(path("InductionMachineRotorFault"), frame, INPUTS, outputs, MACHINE | {"eta0": 3 / 27, "theta0": 0.7})
+    np.testing.assert_allclose(cage, rotor, rtol=0, atol=1e-4 * np.abs(rotor).max())

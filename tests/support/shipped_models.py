@@ -13,6 +13,15 @@ from scipy.integrate import solve_ivp
 
 from fmuid.data.transforms import T23
 from tests.support.closed_forms import park_rates
+from tests.support.fault_equations import (
+    broken_bars,
+    coil_turns,
+    cracked_bars,
+    faulty_coil,
+    rotation,
+    short_circuit,
+    short_circuit_with_contact,
+)
 
 Array = npt.NDArray[Any]
 TOLERANCE = 1e-7  # of the largest value of each signal: an integration error is a parameter bias
@@ -70,39 +79,6 @@ def coil(x: Any, u: Any, p: Any) -> Any:
 def park_machine(x: Any, u: Any, p: Any) -> Any:
     """docs/method.md section 8, the state equations in Park axes linked to the rotor."""
     return np.array(park_rates(x, u, [p[name] for name in ("Rs", "Rr", "Lm", "Lf")]))
-
-
-def faulty_coil(x: Any, u: Any, p: Any) -> Any:
-    """R and L of the healthy coil, and dR (1 + 2 tau s) in series: resistance and inductance add up."""
-    resistance, inductance = p["R"] + p["dR"], p["L"] + 2 * p["tau"] * p["dR"]
-    return np.array([(u[0] - resistance * x[0]) / inductance])
-
-
-def towards(angle: Any) -> Any:
-    """Q of docs/method.md section 11."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c**2, c * s], [c * s, s**2]])
-
-
-def short_circuit(_: Any, u: Any, p: Any) -> Any:
-    """The sum over phases as it stands in docs/method.md section 11."""
-    there, back = rotation(u[2]), rotation(-u[2])
-    ratios = zip("abc", (0, 2 * np.pi / 3, 4 * np.pi / 3), strict=True)
-    return sum(2 / 3 * p[f"eta_{phase}"] / p["Rs"] * back @ towards(angle) @ there @ u[:2] for phase, angle in ratios)
-
-
-def broken_bars(x: Any, u: Any, p: Any) -> Any:
-    """u = Rs i + dψ/dt + w J ψ with ψ = Lf i + φ, dφ/dt = R_eq (i - φ/Lm)."""
-    alpha, turn = 2 / 3 * p["eta0"], np.array([[0, -1], [1, 0]])
-    resistance = p["Rr"] * (np.eye(2) + alpha / (1 - alpha) * towards(p["theta0"]))
-    currents, phi = x[:2], x[2:]
-    rates = resistance @ (currents - phi / p["Lm"])
-    whole = u[:2] - p["Rs"] * currents - u[2] * turn @ (p["Lf"] * currents + phi)
-    return np.concatenate([(whole - rates) / p["Lf"], rates])
-
-
-def rotation(theta: Any) -> Any:
-    return np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
 
 
 def phase_matrices(theta: Any, p: Any) -> tuple[Any, Any, Any, Any]:
@@ -230,6 +206,7 @@ def controller(_: Any, u: Any, p: Any) -> Any:
 
 MACHINE = {"Rs": 8.5, "Rr": 4.4, "Lm": 0.39, "Lf": 0.081}
 PHASES = {"p": 3.0, "ia_start": 1.1, "ib_start": 0.3, "ic_start": -0.8, "theta_start": 0.7}
+CAGE = {"bars": 22.0, "p": 2.0, "ring": 0.03, "crack0": 0.6, "crack1": 0.3, "theta0": 0.7}
 FLUXES = {"phidr_start": 0.6, "phiqr_start": -0.4}
 SPEED = {"K": 0.8, "Ti": 0.1, "Tr": 0.006, "torque_max": 60.0}
 SPEED_STARTS = {"halfway_start": 76.0, "smooth_start": 75.0, "integral_start": 3.0}
@@ -258,6 +235,9 @@ REFERENCES = {
         first,
         (1.0,),
         1e-3,
+    ),
+    "CoilTurns": Reference(
+        ("i",), ("u",), ("i",), {"R": 3.3, "L": 0.08, "lost": 0.2, "i_start": -0.4}, coil_turns, first, (1.0,), 1e-3
     ),
     "InductionMachine": Reference(
         ("ids", "iqs", "phidr", "phiqr"),
@@ -288,6 +268,27 @@ REFERENCES = {
         {"eta_a": 0.011, "eta_b": 0.024, "eta_c": 0.043, "Rs": 8.5},
         nothing,
         short_circuit,
+        (300.0, 300.0, 3.0),
+        7e-4,
+    ),
+    "InductionMachineBrokenBars": Reference(
+        ("ids", "iqs", "phidr", "phiqr"),
+        ("uds", "uqs", "w"),
+        ("ids", "iqs", "phidr", "phiqr"),
+        MACHINE | CAGE | {"ids_start": 1.2, "iqs_start": -0.7} | FLUXES,
+        cracked_bars,
+        first,
+        (300.0, 300.0, 10.0),
+        7e-4,
+        (0.0, 0.0, 157.0),
+    ),
+    "StatorShortCircuitContact": Reference(
+        (),
+        ("uds", "uqs", "theta"),
+        ("ids", "iqs"),
+        {"eta_a": 0.011, "eta_b": 0.024, "eta_c": 0.043, "contact": 0.4, "Rs": 8.5},
+        nothing,
+        short_circuit_with_contact,
         (300.0, 300.0, 3.0),
         7e-4,
     ),

@@ -1,0 +1,38 @@
+model StatorShortCircuitContact "Current that shorted turns with a contact resistance add to that of a healthy machine with isolated star point, in Park axes linked to the rotor"
+  constant Real third = 2.0943951023931953 "a third of a turn, rad";
+  constant Real k = sqrt(2/3) "factor of the Concordia transform";
+  parameter Real eta_a(unit="1", min=0, max=1, nominal=0.01) = 0 "shorted turns over turns, phase a";
+  parameter Real eta_b(unit="1", min=0, max=1, nominal=0.01) = 0 "shorted turns over turns, phase b";
+  parameter Real eta_c(unit="1", min=0, max=1, nominal=0.01) = 0 "shorted turns over turns, phase c";
+  parameter Real contact(unit="1", min=0) = 0.01 "resistance of the contact over that of the shorted turns";
+  parameter Real Rs(unit="Ohm", min=1e-9) = 9.81 "stator resistance of one phase";
+  input Real uds(unit="V") "stator voltage, direct axis";
+  input Real uqs(unit="V") "stator voltage, quadrature axis";
+  input Real theta(unit="rad") "electrical angle of the rotor";
+  output Real ids(unit="A") "current of the short circuits, direct axis";
+  output Real iqs(unit="A") "current of the short circuits, quadrature axis";
+  Real ga(unit="A/V") "conductance of the short circuit, phase a";
+  Real gb(unit="A/V") "conductance of the short circuit, phase b";
+  Real gc(unit="A/V") "conductance of the short circuit, phase c";
+  Real ua(unit="V") "voltage without that of the star point, phase a";
+  Real ub(unit="V") "voltage without that of the star point, phase b";
+  Real uc(unit="V") "voltage without that of the star point, phase c";
+  Real un(unit="V") "voltage of the star point";
+  Real ja(unit="A") "current of the short circuit, phase a";
+  Real jb(unit="A") "current of the short circuit, phase b";
+  Real jc(unit="A") "current of the short circuit, phase c";
+equation
+  ga = eta_a/(Rs*(1 - eta_a + contact));
+  gb = eta_b/(Rs*(1 - eta_b + contact));
+  gc = eta_c/(Rs*(1 - eta_c + contact));
+  ua = k*(cos(theta)*uds - sin(theta)*uqs);
+  ub = k*(cos(theta - third)*uds - sin(theta - third)*uqs);
+  uc = k*(cos(theta + third)*uds - sin(theta + third)*uqs);
+  un = Rs*(ga*ua + gb*ub + gc*uc)/(3 + Rs*(ga + gb + gc));
+  ja = ga*(ua - un);
+  jb = gb*(ub - un);
+  jc = gc*(uc - un);
+  ids = k*(cos(theta)*ja + cos(theta - third)*jb + cos(theta + third)*jc);
+  iqs = -k*(sin(theta)*ja + sin(theta - third)*jb + sin(theta + third)*jc);
+  annotation(experiment(StopTime=3, Interval=7e-4));
+end StatorShortCircuitContact;
