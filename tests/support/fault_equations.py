@@ -78,7 +78,7 @@ def mesh_resistance(p: Any) -> Any:
     gamma = 2 * np.pi * p["p"] / bars
     at = p["theta0"] - np.pi / 2 + gamma * (np.arange(bars) + 0.5)  # a bar acts across the loops beside it
     axes = np.array([np.cos(at), np.sin(at)])
-    extra = np.zeros(bars, dtype=axes.dtype)
+    extra = np.zeros(bars, dtype=np.array(list(p.values())).dtype)
     extra[0], extra[1] = (p[name] / (1 - p[name]) for name in ("crack0", "crack1"))
 
     def conductance(more: Any) -> Any:
