@@ -16,13 +16,13 @@ from typing import Any
 from fmuid.errors import InputError
 from fmuid.fmi.float_environment import kept
 from fmuid.fmi.fmu import FMU
-from fmuid.fmi.native import LogStruct, core
+from fmuid.fmi.native import core
 from fmuid.fmi.sharing import Residents, residents
 
 _log = logging.getLogger("fmuid.fmu")
 _loading = threading.Lock()  # loading changes the working directory of the whole process
 _spent: set[str] = set()  # digests of the FMUs instantiated so far in this process
-_abandoned: list[LogStruct] = []  # of instances that failed fatally
+_abandoned: list[Any] = []  # of instances that failed fatally
 
 LIFE_CYCLE = {
     2: ("Reset", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode"),
@@ -77,7 +77,7 @@ class Instance:
         self.fmu, self.kind, self.name = fmu, kind, name
         self.version = fmu.description.major_version
         self.event_mode = self.version == 3 and kind == "co-simulation" and interface.event_mode
-        self._log = LogStruct()
+        self._log: Any = core().Log()
         library = fmu.library(interface.identifier)
         self._residents = residents(fmu, kind)
         if self._residents:
@@ -183,7 +183,7 @@ class Instance:
                 self._residents.leave()
 
 
-def _free(free: Any, handle: int, log: LogStruct, those_there: Residents | None, thread: int) -> None:
+def _free(free: Any, handle: int, log: Any, those_there: Residents | None, thread: int) -> None:
     def free_now() -> None:
         with kept():
             free(handle)

@@ -31,15 +31,17 @@ NAMES = {
 """The functions that model exchange requires, by version."""
 
 
-def function_table(version: int, address_of: Callable[[str], int]) -> native.Fmi2Struct | native.Fmi3Struct:
+def function_table(version: int, address_of: Callable[[str], int]) -> ctypes.Structure:
     """Return the core's table of the functions of a binary, by `address_of` their names without prefix."""
-    kind = native.Fmi2Struct if version == 2 else native.Fmi3Struct
-    return kind(**{name: address_of(name) for name, _ in kind._fields_})
+    kind: type[ctypes.Structure] = getattr(native.core(), f"Fmi{version}")
+    return kind(**{name: address_of(name) for name, *_ in kind._fields_})
 
 
-def address(array: NDArray[Any] | None) -> int | None:
-    """Return where an array's numbers are; None for none."""
-    return None if array is None else int(array.ctypes.data)
+def address(memory: Any) -> int | None:
+    """Return where the numbers of an array, or structures, are; None for none."""
+    if memory is None:
+        return None
+    return int(memory.ctypes.data) if isinstance(memory, np.ndarray) else ctypes.addressof(memory)
 
 
 class Integrator:
@@ -51,7 +53,7 @@ class Integrator:
         Of the FMI standard: 2 or 3.
     handle : int
         Address of the instance.
-    table : native.Fmi2Struct or native.Fmi3Struct
+    table : Fmi2 or Fmi3 of the core
         Its functions; without the optional CompletedIntegratorStep and GetDirectionalDerivative where they are not
         to be called.
     n_states, n_indicators : int
@@ -87,7 +89,7 @@ class Integrator:
         Address of the memory.
     curves : (n_u, 4) array
         Input j at time t is the polynomial in t - state.origin with these coefficients, lowest power first.
-    state : native.IntegratorStruct
+    state : Integrator of the core
         How far it is, and what failed.
 
     Raises
@@ -100,7 +102,7 @@ class Integrator:
         self,
         version: int,
         handle: int,
-        table: native.Fmi2Struct | native.Fmi3Struct,
+        table: ctypes.Structure,
         n_states: int,
         n_indicators: int,
         *,
@@ -126,8 +128,10 @@ class Integrator:
         inputs, states, derivatives = (np.ascontiguousarray(values, np.uint32) for values in references)
         known = n_states > 0 and len(states) == len(derivatives) == n_states
         sundials = sundials_table() if integrator == "cvode" and n_states else None
-        self._kept: list[Any] = [inputs, states, derivatives, list(twins), sensitivities]
-        how = native.IntegrationStruct(
+        core = native.core()
+        extension = None if sensitivities is None else self._extension(sensitivities, states, n_states, twins)
+        self._kept: list[Any] = [inputs, states, derivatives, list(twins), sensitivities, table, extension, sundials]
+        how = core.Integration(
             instance=handle,
             n_states=n_states,
             n_indicators=n_indicators,
@@ -144,32 +148,28 @@ class Integrator:
             method=native.METHODS[integrator],
             straight=straight,
             follows=follows,
+            sensitivities=address(extension),
+            sundials=address(sundials),
+            **{f"fmi{version}": address(table)},
         )
-        setattr(how, f"fmi{version}", ctypes.pointer(table))
-        if sensitivities is not None:
-            how.sensitivities = ctypes.pointer(self._extension(sensitivities, states, n_states, twins))
-        if sundials is not None:
-            how.sundials = ctypes.pointer(sundials)
-        self._kept.append(how)  # and with it all that it points to
-        core = native.core()
         made = core.integrator_create(ctypes.byref(how))
         if not made:
             raise MemoryError("an integrator cannot allocate its memory")
         self.handle: int = made
         self._finalizer = weakref.finalize(self, core.integrator_free, made)
-        self.state = native.IntegratorStruct.from_address(made)
+        self.state = core.Integrator.from_address(made)
 
     def _extension(
         self, given: Sensitivities, states: NDArray[np.uint32], n: int, twins: Sequence[Integrator]
-    ) -> native.SensitivitiesStruct:
+    ) -> ctypes.Structure:
         count, handles = len(given.magnitudes), np.array([twin.handle for twin in twins], np.intp)
         if given.initial.shape != (count, n) or len(given.steps) != count or len(twins) not in (0, count):
             raise ValueError("the arrays of the sensitivities do not fit together")
         knowns = np.zeros((count, n + 1), np.uint32)
         if not twins:
             knowns[:, :n], knowns[:, n] = states, given.references
-        self._kept += [knowns, handles]
-        return native.SensitivitiesStruct(
+        self._arrays = knowns, handles
+        made: ctypes.Structure = native.core().Sensitivities(
             count=count,
             magnitudes=address(given.magnitudes),
             initial=address(given.initial),
@@ -177,6 +177,7 @@ class Integrator:
             knowns=address(knowns),
             twins=address(handles) if twins else None,
         )
+        return made
 
 
 def _check(integrator: str, tolerance: float, step_size: float | None) -> None:
@@ -188,7 +189,7 @@ def _check(integrator: str, tolerance: float, step_size: float | None) -> None:
         raise InputError(f"step_size = {step_size:g} must be a positive number of seconds")
 
 
-def sundials_table() -> native.SundialsStruct:
+def sundials_table() -> ctypes.Structure:
     """Return the functions of the SUNDIALS libraries that FMPy carries.
 
     Raises
@@ -207,13 +208,14 @@ def sundials_table() -> native.SundialsStruct:
 
 
 @cache
-def _table_of(libraries: Any) -> native.SundialsStruct:
+def _table_of(libraries: Any) -> ctypes.Structure:
     loaded = [
         getattr(libraries, f"sundials_{name}")
         for name in ("core", "nvecserial", "sunmatrixdense", "sunlinsoldense", "cvode")
     ]
     found = {}
-    for name, _ in native.SundialsStruct._fields_:
+    for name, _ in native.core().Sundials._fields_:
         library = next(each for each in loaded if hasattr(each, name))
         found[name] = ctypes.cast(library[name], ctypes.c_void_p).value
-    return native.SundialsStruct(**found)
+    made: ctypes.Structure = native.core().Sundials(**found)
+    return made

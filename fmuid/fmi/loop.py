@@ -50,17 +50,17 @@ class Loop:
         self._integrators: list[Integrator | None] = []
         for i in range(len(instances)):
             self._integrators.append(self._integrator(i, plan, grid))
-        self._components = (native.ComponentStruct * len(instances))(
+        self._components = (self._core.Component * len(instances))(
             *(self._component(i, plan, used) for i in range(len(instances)))
         )
         self._lay_out_signals(plan)
-        self._operations = (native.OperationStruct * len(plan.operations))(
+        self._operations = (self._core.Operation * len(plan.operations))(
             *(self._operation(operation) for operation in plan.operations)
         )
         self._plan = self._lay_out(plan, grid)
         strides = grid.strides if (grid.strides > 1).any() else None
         arrays = (grid.times, grid.inputs, grid.slopes, grid.substeps, strides, grid.states, grid.gain, grid.measured)
-        self._grid = native.GridStruct(len(grid.times), *map(address, arrays))
+        self._grid = self._core.Grid(len(grid.times), *map(address, arrays))
         self._bound = tuple(map(ctypes.byref, (self._plan, self._grid, self._cancel)))
 
     def run(self, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]) -> None:
@@ -76,9 +76,9 @@ class Loop:
 
     # --- what the core works on
 
-    def _keep(self, array: NDArray[Any]) -> int:
-        self._kept.append(array)
-        return int(array.ctypes.data)
+    def _keep(self, memory: Any) -> int | None:
+        self._kept.append(memory)
+        return address(memory)
 
     def _lay_out_signals(self, plan: Plan) -> None:
         n = len(plan.signals)
@@ -89,25 +89,24 @@ class Loop:
         self._strings = np.array([cast(text, c_void_p).value for text in texts], np.intp)
         self._kept.append(texts)
 
-    def _lay_out(self, plan: Plan, grid: TimeGrid) -> native.PlanStruct:
-        stages = [native.RangeStruct(*map(int, plan.stages[i : i + 2])) for i in range(len(plan.stages) - 1)]
+    def _lay_out(self, plan: Plan, grid: TimeGrid) -> Any:
+        stages = [self._core.Range(*map(int, plan.stages[i : i + 2])) for i in range(len(plan.stages) - 1)]
         n = len(self._instances)
-        after_step = (native.RangeStruct * n)(*stages[5:]) if plan.gauss_seidel else None
+        after_step = (self._core.Range * n)(*stages[5:]) if plan.gauss_seidel else None
         groups = self._groups(plan)
-        self._kept += [after_step, groups]
         by_midpoint = bool((plan.input_modes == k.BY_MIDPOINT).any())
-        return native.PlanStruct(
+        return self._core.Plan(
             n_components=n,
             n_signals=len(plan.signals),
             n_parameters=len(plan.parameter_signals),
             n_inputs=len(plan.input_signals),
             n_outputs=len(plan.output_terms) - 1,
             n_groups=0 if groups is None else len(groups),
-            components=self._components,
-            operations=self._operations,
+            components=address(self._components),
+            operations=address(self._operations),
             **dict(zip(("start_values", "inputs", "exchange", "outputs", "slopes"), stages, strict=False)),
-            after_step=after_step,
-            groups=groups,
+            after_step=self._keep(after_step),
+            groups=self._keep(groups),
             signals=address(self._signals),
             start_signals=address(plan.signals),
             parameter_signals=address(plan.parameter_signals),
@@ -126,20 +125,19 @@ class Loop:
             by_rows=self._goes_by_rows(plan, grid),
         )
 
-    def _component(self, number: int, plan: Plan, used: NDArray[np.intp]) -> native.ComponentStruct:
+    def _component(self, number: int, plan: Plan, used: NDArray[np.intp]) -> Any:
         instance, table, integrator = self._instances[number], self._tables[number], self._integrators[number]
         if instance.version == 3 and instance.event_mode:
             for name in ("EnterEventMode", "UpdateDiscreteStates", "EnterStepMode"):
                 instance.required(name)
-        found = native.ComponentStruct(
+        return self._core.Component(
             instance=instance.handle,
             integrator=integrator and integrator.handle,
             tolerance=plan.tolerances[number],
             used=used.ctypes.data + 8 * number,
             event_mode=instance.event_mode,
+            **{f"fmi{instance.version}": address(table)},
         )
-        setattr(found, f"fmi{instance.version}", ctypes.pointer(table))
-        return found
 
     def _integrator(self, number: int, plan: Plan, grid: TimeGrid) -> Integrator | None:
         instance, integration = self._instances[number], plan.integrations[number]
@@ -170,10 +168,10 @@ class Loop:
             twins=[twin for twin in (self._integrators[i] for i in wanted) if twin is not None],
         )
 
-    def _operation(self, given: Operation) -> native.OperationStruct:
+    def _operation(self, given: Operation) -> Any:
         if given.function == k.COPY:
             factor, offset = self._plan_given.conversions[given.n_references]
-            return native.OperationStruct(
+            return self._core.Operation(
                 kind=native.COPY_ONE, signal=given.signal, source=given.reference, factor=factor, offset=offset
             )
         instance = self._instances[given.component]
@@ -181,7 +179,7 @@ class Loop:
         if given.function != k.SENSITIVITIES and name is not None:
             instance.required(name)
         memory = self._signals if given.wire == k.FLOAT64 else self._strings if given.wire == k.STRING else self._words
-        made = native.OperationStruct(
+        return self._core.Operation(
             kind=_kind(given, instance.version),
             function=given.function,
             component=given.component,
@@ -194,35 +192,34 @@ class Loop:
             values=memory.ctypes.data + 8 * given.signal,
             last=self._last.ctypes.data + 8 * given.signal,
             instance=instance.handle,
+            fmi2=address(self._tables[given.component]) if instance.version == 2 else None,
         )
-        if instance.version == 2:
-            made.fmi2 = ctypes.pointer(self._tables[given.component])
-        return made
 
     def _groups(self, plan: Plan) -> Any:
         """Return the parts of the exchange; None where a single pass over it is all that there is to do."""
         eventful = any(each.kind == "model-exchange" or each.version == 3 for each in self._instances)
         if not eventful and not plan.loops:
             return None
-        loops = (native.LoopStruct * len(plan.loops))()
+        loops = (self._core.Loop * len(plan.loops))()
         for made, loop in zip(loops, plan.loops, strict=True):
             n = len(loop.signals)
             work = np.zeros(2 * n + n * n)
-            made.get = native.RangeStruct(loop.first, loop.setting)
-            made.set = native.RangeStruct(loop.setting, loop.last)
+            made.get = self._core.Range(loop.first, loop.setting)
+            made.set = self._core.Range(loop.setting, loop.last)
             made.n, made.signals = n, self._keep(np.array(loop.signals, np.int64))
-            made.unknowns = self._keep(work)
-            made.residual, made.matrix = made.unknowns + 8 * n, made.unknowns + 16 * n
-        groups = (native.GroupStruct * len(plan.groups))()
+            made.unknowns = at = work.ctypes.data
+            made.residual, made.matrix = at + 8 * n, at + 16 * n
+            self._kept.append(work)
+        groups = (self._core.Group * len(plan.groups))()
         for group, (first, last) in zip(groups, plan.groups.tolist(), strict=True):
             if first >= 0:
-                group.range = native.RangeStruct(first, last)
+                group.range = self._core.Range(first, last)
             else:
-                group.loop = ctypes.pointer(loops[last])
+                group.loop = address(loops[last])
         self._kept.append(loops)
         return groups
 
-    def _curves(self, plan: Plan) -> int:
+    def _curves(self, plan: Plan) -> int | None:
         """Return where the polynomial of each input is: with an integrator, or here."""
         own = np.zeros((len(plan.input_signals) + 1, 4))
         self._kept.append(own)
@@ -242,7 +239,7 @@ class Loop:
         in_order = not summed and np.array_equal(signals, given.signal + np.arange(given.n_values))
         if not in_order or given.function != function or given.when != k.ALWAYS:
             return None
-        return ctypes.pointer(self._operations[first])
+        return address(self._operations[first])
 
     def _goes_by_rows(self, plan: Plan, grid: TimeGrid) -> bool:
         """Return whether all that is done at and between samples is to pass whole rows to and from a single FMU."""

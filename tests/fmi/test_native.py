@@ -7,7 +7,7 @@ import shutil
 import sys
 import threading
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,6 +28,7 @@ from fmuid.models.system import System
 from fmuid.simulation.plan import simulation_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.task import task_of
+from fmuid.version import __version__
 from tests.support.exported import export_text
 from tests.support.hybrid import hybrid_fmu
 from tests.support.paths import FMUS
@@ -86,22 +87,36 @@ def test_a_missing_library_is_one_sentence(tmp_path: Path, monkeypatch: pytest.M
 def test_a_library_of_other_sources_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     library = native.core()
     assert native._difference(library) == ""
-
-    class Grid(ctypes.Structure):
-        whole: ClassVar[bool] = True
-        _fields_: ClassVar[list[tuple[str, Any]]] = [
-            ("n_times", ctypes.c_size_t),
-            *((name, ctypes.c_void_p) for name in ("times", "inputs", "slopes", "strides", "substeps")),
-        ]
-
     with monkeypatch.context() as patch:
-        patch.setitem(native.Mirror.kinds, "Grid", Grid)
-        assert native._difference(library) == "Grid"
-    with monkeypatch.context() as patch:
-        patch.delitem(native.Mirror.kinds, "Loop")
-        assert native._difference(library) == "Loop"
+        patch.setattr(native, "__version__", "0.0.9")
+        assert native._difference(library) == __version__
     monkeypatch.setattr(codes, "FAILURES", (*codes.FAILURES[:2], "MORE", *codes.FAILURES[2:]))
     assert native._difference(library) == "MORE"
+
+
+def test_structures_are_laid_out_as_the_compiler_did() -> None:
+    """Read back by C: what the first and the last field of a structure get arrives there."""
+    core = native.core()
+    assert ctypes.sizeof(core.Report) == 8 * codes.REPORT
+    assert ctypes.sizeof(core.Message) == 4 + 2048
+    assert core.Plan.slopes.size == ctypes.sizeof(core.Range) == 16
+    assert [type(getattr(core.Report(time=2.0), name)) for name in ("failure", "time")] == [int, float]
+    with pytest.raises(AttributeError):
+        core.Grid(n_tines=3)
+    with pytest.raises(AttributeError):
+        core.Grid().n_tines = 3
+
+
+@pytest.mark.parametrize(("field", "place"), [("offset", 8), ("size", 4)])
+def test_a_layout_that_ctypes_does_not_know_is_refused(field: str, place: int) -> None:
+    class Library:
+        def layout(self) -> Any:
+            told = (native._Place * 3)(native._Place(b"Made", b"n", b"c_double", 0, 8), native._Place(b"Made", size=8))
+            setattr(told[0 if field == "offset" else 1], field, place)
+            return told
+
+    with pytest.raises(InputError, match=r"lays Made out in a way that ctypes does not; install it anew"):
+        native._structures(Library())
 
 
 def test_every_compiler_is_told_its_target() -> None:
@@ -323,7 +338,7 @@ def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, tuple[Simula
 
 
 def test_messages_are_formatted_and_bounded() -> None:
-    log, text = native.LogStruct(), ctypes.c_char_p
+    log, text = native.core().Log(), ctypes.c_char_p
     told = ctypes.cast(native.core().log_open(ctypes.byref(log)), ctypes.POINTER(ctypes.c_void_p))
     say = ctypes.CFUNCTYPE(None, ctypes.c_void_p, text, ctypes.c_int32, text, text)(told[0])
     assert told[4] == ctypes.addressof(log)

@@ -17,6 +17,7 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).parent
+VERSION = (HERE.parents[1] / "version.py").read_text(encoding="utf-8").split('"')[-2]
 
 TARGETS = {
     "manylinux_2_17_x86_64": ("x86_64-linux-gnu.2.17", ".so"),
@@ -60,7 +61,7 @@ def sources() -> list[Path]:
 
 def library_name(ending: str | None = None) -> str:
     """Return the name of the library of these sources, which carries their digest; by default that of this platform."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(VERSION.encode())
     for path in (*sources(), *sorted(HERE.glob("*.h")), Path(__file__)):
         digest.update(path.read_bytes())
     here = _ENDINGS.get(_SYSTEMS.get(platform.system(), ""), ".so")
@@ -132,6 +133,7 @@ def build(output: Path, target: str | None, flags: tuple[str, ...] = FLAGS) -> P
             *compiler(target),
             *flags,
             *more,
+            f'-DFMUID_VERSION="{VERSION}"',
             *map(str, sources()),
             *([] if windows else ["-lm"]),
             "-o",

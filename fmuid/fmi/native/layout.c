@@ -1,5 +1,5 @@
-/* How the compiler has laid out what Python fills in, and what the numbers are called: Python checks its mirrors of all
- * this when it loads the library. */
+/* How the compiler has laid out what Python fills in, and what the numbers are called: from this Python makes its
+ * structures when it loads the library. */
 #include <stddef.h>
 
 #include "integrator.h"
@@ -7,102 +7,93 @@
 #include "plan.h"
 
 typedef struct {
-  const char *structure, *field; /* without a field: the whole */
+  const char *structure, *field; /* without a field: the whole, whose fields come before it */
+  const char *type; /* as Python's ctypes calls it, or a structure that comes before */
   size_t offset, size;
 } Place;
 
-#define WHOLE(type) {#type, NULL, 0, sizeof(type)},
-#define FIELD(type, field) {#type, #field, offsetof(type, field), sizeof(((type *)0)->field)},
+/* clang-format off */
+#define TYPE(x) _Generic((x), double: "c_double", int32_t: "c_int32", int64_t: "c_int64", size_t: "c_size_t", \
+                              char *: "c_char", default: "c_void_p")
+/* clang-format on */
+#define MEMBER(type, field) (((type *)0)->field)
+#define WHOLE(type) {#type, NULL, NULL, 0, sizeof(type)},
+#define PART(type, field, part) {#type, #field, part, offsetof(type, field), sizeof(MEMBER(type, field))},
+#define FIELD(type, field) PART(type, field, TYPE(MEMBER(type, field)))
 
 #define SET_OF_3(name, type) FIELD(Fmi3, Set##name)
 #define GET_OF_3(name, type) FIELD(Fmi3, Get##name)
 
 /* clang-format off */
 static const Place places[] = {
-    WHOLE(Fmi2) FIELD(Fmi2, Reset) FIELD(Fmi2, SetupExperiment) FIELD(Fmi2, EnterInitializationMode)
+    FIELD(Fmi2, Reset) FIELD(Fmi2, SetupExperiment) FIELD(Fmi2, EnterInitializationMode)
     FIELD(Fmi2, ExitInitializationMode) FIELD(Fmi2, SetReal) FIELD(Fmi2, SetInteger) FIELD(Fmi2, SetBoolean)
     FIELD(Fmi2, SetString) FIELD(Fmi2, GetReal) FIELD(Fmi2, GetInteger) FIELD(Fmi2, GetBoolean)
     FIELD(Fmi2, GetDirectionalDerivative) FIELD(Fmi2, SetRealInputDerivatives) FIELD(Fmi2, DoStep)
     FIELD(Fmi2, GetRealStatus) FIELD(Fmi2, GetBooleanStatus) FIELD(Fmi2, SetTime) FIELD(Fmi2, SetContinuousStates)
     FIELD(Fmi2, GetContinuousStates) FIELD(Fmi2, GetNominalsOfContinuousStates) FIELD(Fmi2, GetDerivatives)
     FIELD(Fmi2, GetEventIndicators) FIELD(Fmi2, EnterEventMode) FIELD(Fmi2, NewDiscreteStates)
-    FIELD(Fmi2, EnterContinuousTimeMode) FIELD(Fmi2, CompletedIntegratorStep)
-
-    WHOLE(Report) FIELD(Report, failure) FIELD(Report, component) FIELD(Report, status) FIELD(Report, sample)
-    FIELD(Report, state) FIELD(Report, time) FIELD(Report, step)
-
-    WHOLE(Curve) FIELD(Curve, a)
-
-    WHOLE(Component) FIELD(Component, instance) FIELD(Component, fmi2) FIELD(Component, fmi3)
-    FIELD(Component, integrator) FIELD(Component, tolerance) FIELD(Component, used) FIELD(Component, event_mode)
-    FIELD(Component, mode) FIELD(Component, time) FIELD(Component, begun)
-
-    WHOLE(Operation) FIELD(Operation, kind) FIELD(Operation, function) FIELD(Operation, component)
-    FIELD(Operation, wire) FIELD(Operation, when) FIELD(Operation, count) FIELD(Operation, references)
-    FIELD(Operation, signal) FIELD(Operation, n_values) FIELD(Operation, values) FIELD(Operation, last)
-    FIELD(Operation, instance) FIELD(Operation, fmi2) FIELD(Operation, source) FIELD(Operation, factor)
-    FIELD(Operation, offset)
-
-    WHOLE(Range) FIELD(Range, first) FIELD(Range, last)
-
-    WHOLE(Loop) FIELD(Loop, get) FIELD(Loop, set) FIELD(Loop, n) FIELD(Loop, signals) FIELD(Loop, unknowns)
-    FIELD(Loop, residual) FIELD(Loop, matrix)
-
-    WHOLE(Group) FIELD(Group, range) FIELD(Group, loop)
-
-    WHOLE(Plan) FIELD(Plan, n_components) FIELD(Plan, n_signals) FIELD(Plan, n_parameters) FIELD(Plan, n_inputs)
-    FIELD(Plan, n_outputs) FIELD(Plan, n_groups) FIELD(Plan, components) FIELD(Plan, operations)
-    FIELD(Plan, start_values) FIELD(Plan, inputs) FIELD(Plan, exchange) FIELD(Plan, outputs) FIELD(Plan, slopes)
-    FIELD(Plan, after_step) FIELD(Plan, groups) FIELD(Plan, signals) FIELD(Plan, start_signals)
-    FIELD(Plan, parameter_signals) FIELD(Plan, input_signals) FIELD(Plan, slope_signals) FIELD(Plan, output_signals)
-    FIELD(Plan, output_terms) FIELD(Plan, input_modes) FIELD(Plan, curves) FIELD(Plan, direct_inputs)
-    FIELD(Plan, direct_outputs) FIELD(Plan, ones) FIELD(Plan, curved) FIELD(Plan, midpoints)
-    FIELD(Plan, by_rows)
-
-    WHOLE(Grid) FIELD(Grid, n_times) FIELD(Grid, times) FIELD(Grid, inputs) FIELD(Grid, slopes) FIELD(Grid, substeps)
-    FIELD(Grid, strides) FIELD(Grid, states) FIELD(Grid, gain) FIELD(Grid, measured)
-
-    WHOLE(Sundials) FIELD(Sundials, SUNContext_Create) FIELD(Sundials, SUNContext_ClearErrHandlers)
-    FIELD(Sundials, SUNContext_Free) FIELD(Sundials, N_VMake_Serial) FIELD(Sundials, N_VGetArrayPointer)
-    FIELD(Sundials, N_VDestroy) FIELD(Sundials, SUNDenseMatrix) FIELD(Sundials, SUNDenseMatrix_Data)
-    FIELD(Sundials, SUNMatDestroy) FIELD(Sundials, SUNLinSol_Dense) FIELD(Sundials, SUNLinSolFree)
-    FIELD(Sundials, CVodeCreate) FIELD(Sundials, CVodeInit) FIELD(Sundials, CVodeReInit)
-    FIELD(Sundials, CVodeSetUserData) FIELD(Sundials, CVodeSVtolerances) FIELD(Sundials, CVodeSetLinearSolver)
-    FIELD(Sundials, CVodeSetJacFn) FIELD(Sundials, CVodeSetMaxHnilWarns) FIELD(Sundials, CVodeSetMaxStep)
-    FIELD(Sundials, CVodeSetStopTime) FIELD(Sundials, CVodeSetInitStep) FIELD(Sundials, CVode)
-    FIELD(Sundials, CVodeGetDky) FIELD(Sundials, CVodeFree)
-
-    WHOLE(Sensitivities) FIELD(Sensitivities, count) FIELD(Sensitivities, magnitudes) FIELD(Sensitivities, initial)
-    FIELD(Sensitivities, steps) FIELD(Sensitivities, knowns) FIELD(Sensitivities, twins)
-
-    WHOLE(Integration) FIELD(Integration, instance) FIELD(Integration, fmi2) FIELD(Integration, fmi3)
-    FIELD(Integration, n_states) FIELD(Integration, n_indicators) FIELD(Integration, n_inputs)
-    FIELD(Integration, n_input_references) FIELD(Integration, input_references) FIELD(Integration, curves)
-    FIELD(Integration, state_references) FIELD(Integration, derivative_references) FIELD(Integration, tolerance)
-    FIELD(Integration, largest_step) FIELD(Integration, limit) FIELD(Integration, most_steps) FIELD(Integration, method)
-    FIELD(Integration, straight) FIELD(Integration, follows) FIELD(Integration, sensitivities) FIELD(Integration, sundials)
-
-    WHOLE(Message) FIELD(Message, status) FIELD(Message, text)
-
-    WHOLE(Log) FIELD(Log, count) FIELD(Log, messages) FIELD(Log, callbacks)
-
-    WHOLE(Fmi3) FIELD(Fmi3, Reset) FIELD(Fmi3, EnterInitializationMode) FIELD(Fmi3, ExitInitializationMode)
-    FMI3_TYPES(SET_OF_3) FIELD(Fmi3, SetString) FMI3_TYPES(GET_OF_3)
-    FIELD(Fmi3, GetDirectionalDerivative) FIELD(Fmi3, EnterEventMode) FIELD(Fmi3, UpdateDiscreteStates)
-    FIELD(Fmi3, EnterStepMode) FIELD(Fmi3, DoStep) FIELD(Fmi3, SetTime) FIELD(Fmi3, SetContinuousStates)
-    FIELD(Fmi3, GetContinuousStates) FIELD(Fmi3, GetNominalsOfContinuousStates)
+    FIELD(Fmi2, EnterContinuousTimeMode) FIELD(Fmi2, CompletedIntegratorStep) WHOLE(Fmi2)
+    FIELD(Fmi3, Reset) FIELD(Fmi3, EnterInitializationMode) FIELD(Fmi3, ExitInitializationMode) FMI3_TYPES(SET_OF_3)
+    FIELD(Fmi3, SetString) FMI3_TYPES(GET_OF_3) FIELD(Fmi3, GetDirectionalDerivative) FIELD(Fmi3, EnterEventMode)
+    FIELD(Fmi3, UpdateDiscreteStates) FIELD(Fmi3, EnterStepMode) FIELD(Fmi3, DoStep) FIELD(Fmi3, SetTime)
+    FIELD(Fmi3, SetContinuousStates) FIELD(Fmi3, GetContinuousStates) FIELD(Fmi3, GetNominalsOfContinuousStates)
     FIELD(Fmi3, GetContinuousStateDerivatives) FIELD(Fmi3, GetEventIndicators) FIELD(Fmi3, EnterContinuousTimeMode)
-    FIELD(Fmi3, CompletedIntegratorStep)
-
-    FIELD(Integrator, how) FIELD(Integrator, origin) FIELD(Integrator, time) FIELD(Integrator, step_start)
-    FIELD(Integrator, step_end) FIELD(Integrator, step_length) FIELD(Integrator, next_step)
-    FIELD(Integrator, next_event) FIELD(Integrator, n_steps) FIELD(Integrator, n_events) FIELD(Integrator, report)
-    FIELD(Integrator, cancel)
-    {NULL, NULL, 0, 0},
+    FIELD(Fmi3, CompletedIntegratorStep) WHOLE(Fmi3)
+    FIELD(Report, failure) FIELD(Report, component) FIELD(Report, status) FIELD(Report, sample) FIELD(Report, state)
+    FIELD(Report, time) FIELD(Report, step) WHOLE(Report)
+    FIELD(Component, instance) FIELD(Component, fmi2) FIELD(Component, fmi3) FIELD(Component, integrator)
+    FIELD(Component, tolerance) FIELD(Component, used) FIELD(Component, event_mode) FIELD(Component, mode)
+    FIELD(Component, time) FIELD(Component, begun) WHOLE(Component)
+    FIELD(Operation, kind) FIELD(Operation, function) FIELD(Operation, component) FIELD(Operation, wire)
+    FIELD(Operation, when) FIELD(Operation, count) FIELD(Operation, references) FIELD(Operation, signal)
+    FIELD(Operation, n_values) FIELD(Operation, values) FIELD(Operation, last) FIELD(Operation, instance)
+    FIELD(Operation, fmi2) FIELD(Operation, source) FIELD(Operation, factor) FIELD(Operation, offset)
+    WHOLE(Operation)
+    FIELD(Range, first) FIELD(Range, last) WHOLE(Range)
+    PART(Loop, get, "Range") PART(Loop, set, "Range") FIELD(Loop, n) FIELD(Loop, signals) FIELD(Loop, unknowns)
+    FIELD(Loop, residual) FIELD(Loop, matrix) WHOLE(Loop)
+    PART(Group, range, "Range") FIELD(Group, loop) WHOLE(Group)
+    FIELD(Plan, n_components) FIELD(Plan, n_signals) FIELD(Plan, n_parameters) FIELD(Plan, n_inputs)
+    FIELD(Plan, n_outputs) FIELD(Plan, n_groups) FIELD(Plan, components) FIELD(Plan, operations)
+    PART(Plan, start_values, "Range") PART(Plan, inputs, "Range") PART(Plan, exchange, "Range")
+    PART(Plan, outputs, "Range") PART(Plan, slopes, "Range") FIELD(Plan, after_step) FIELD(Plan, groups)
+    FIELD(Plan, signals) FIELD(Plan, start_signals) FIELD(Plan, parameter_signals) FIELD(Plan, input_signals)
+    FIELD(Plan, slope_signals) FIELD(Plan, output_signals) FIELD(Plan, output_terms) FIELD(Plan, input_modes)
+    FIELD(Plan, curves) FIELD(Plan, direct_inputs) FIELD(Plan, direct_outputs) FIELD(Plan, ones) FIELD(Plan, curved)
+    FIELD(Plan, midpoints) FIELD(Plan, by_rows) WHOLE(Plan)
+    FIELD(Grid, n_times) FIELD(Grid, times) FIELD(Grid, inputs) FIELD(Grid, slopes) FIELD(Grid, substeps)
+    FIELD(Grid, strides) FIELD(Grid, states) FIELD(Grid, gain) FIELD(Grid, measured) WHOLE(Grid)
+    FIELD(Sundials, SUNContext_Create) FIELD(Sundials, SUNContext_ClearErrHandlers) FIELD(Sundials, SUNContext_Free)
+    FIELD(Sundials, N_VMake_Serial) FIELD(Sundials, N_VGetArrayPointer) FIELD(Sundials, N_VDestroy)
+    FIELD(Sundials, SUNDenseMatrix) FIELD(Sundials, SUNDenseMatrix_Data) FIELD(Sundials, SUNMatDestroy)
+    FIELD(Sundials, SUNLinSol_Dense) FIELD(Sundials, SUNLinSolFree) FIELD(Sundials, CVodeCreate)
+    FIELD(Sundials, CVodeInit) FIELD(Sundials, CVodeReInit) FIELD(Sundials, CVodeSetUserData)
+    FIELD(Sundials, CVodeSVtolerances) FIELD(Sundials, CVodeSetLinearSolver) FIELD(Sundials, CVodeSetJacFn)
+    FIELD(Sundials, CVodeSetMaxHnilWarns) FIELD(Sundials, CVodeSetMaxStep) FIELD(Sundials, CVodeSetStopTime)
+    FIELD(Sundials, CVodeSetInitStep) FIELD(Sundials, CVode) FIELD(Sundials, CVodeGetDky) FIELD(Sundials, CVodeFree)
+    WHOLE(Sundials)
+    FIELD(Sensitivities, count) FIELD(Sensitivities, magnitudes) FIELD(Sensitivities, initial)
+    FIELD(Sensitivities, steps) FIELD(Sensitivities, knowns) FIELD(Sensitivities, twins) WHOLE(Sensitivities)
+    FIELD(Integration, instance) FIELD(Integration, fmi2) FIELD(Integration, fmi3) FIELD(Integration, n_states)
+    FIELD(Integration, n_indicators) FIELD(Integration, n_inputs) FIELD(Integration, n_input_references)
+    FIELD(Integration, input_references) FIELD(Integration, curves) FIELD(Integration, state_references)
+    FIELD(Integration, derivative_references) FIELD(Integration, tolerance) FIELD(Integration, largest_step)
+    FIELD(Integration, limit) FIELD(Integration, most_steps) FIELD(Integration, method) FIELD(Integration, straight)
+    FIELD(Integration, follows) FIELD(Integration, sensitivities) FIELD(Integration, sundials) WHOLE(Integration)
+    PART(Integrator, how, "Integration") FIELD(Integrator, origin) FIELD(Integrator, time)
+    FIELD(Integrator, step_start) FIELD(Integrator, step_end) FIELD(Integrator, step_length)
+    FIELD(Integrator, next_step) FIELD(Integrator, next_event) FIELD(Integrator, n_steps) FIELD(Integrator, n_events)
+    PART(Integrator, report, "Report") FIELD(Integrator, cancel) WHOLE(Integrator)
+    FIELD(Message, status) FIELD(Message, text) WHOLE(Message)
+    FIELD(Log, count) PART(Log, messages, "Message") FIELD(Log, callbacks) WHOLE(Log)
+    {NULL, NULL, NULL, 0, 0},
 };
 /* clang-format on */
 
 const Place *layout(void) { return places; }
+
+const char *version(void) { return FMUID_VERSION; }
 
 #define QUOTED(name) #name,
 static const char *const names[] = {WIRES(QUOTED) WIRES(QUOTED) FAILURES(QUOTED) NULL};
