@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import inspect
 import os
 import sys
 from collections.abc import Sequence
@@ -31,6 +32,7 @@ app = typer.Typer(
     help="Identify the physical parameters of models packaged as FMUs from tables of measurements.",
     epilog="Exit code: 0 done, 1 ran but did not succeed (such as not converged), 2 wrong input.",
     add_completion=False,
+    rich_markup_mode=None,  # rich takes longer to import than all else that help needs
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -68,8 +70,8 @@ for command in (
     cli_models.apply,
     cli_models.export,
 ):
-    app.command()(command)
-app.command("open")(cli_workbench.open_)
+    app.command(short_help=inspect.getdoc(command))(command)  # whole, where typer would cut it
+app.command("open", short_help=inspect.getdoc(cli_workbench.open_))(cli_workbench.open_)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
