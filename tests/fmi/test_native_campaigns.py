@@ -29,7 +29,7 @@ TESTS = [
 @needs_sanitizers
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     library = tmp_path / "core.so"
-    flags = ["-std=c11", "-ffp-contract=off", *SANITIZE]
+    flags = ["-std=c11", "-ffp-contract=off", build.DEFINED, *SANITIZE]
     subprocess.run(["gcc", *flags, *map(str, build.sources()), "-o", str(library), "-lm"], check=True)
     assert_nothing_found("tests.support.sanitized_core", TESTS, SANITIZED_CORE=str(library))
 

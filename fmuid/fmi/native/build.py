@@ -17,7 +17,9 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).parent
-VERSION = (HERE.parents[1] / "version.py").read_text(encoding="utf-8").split('"')[-2]
+_VERSION = (HERE.parents[1] / "version.py").read_text(encoding="utf-8").split('"')[-2]
+DEFINED = f'-DFMUID_VERSION="{_VERSION}"'
+"""What the sources want defined."""
 
 TARGETS = {
     "manylinux_2_17_x86_64": ("x86_64-linux-gnu.2.17", ".so"),
@@ -61,9 +63,10 @@ def sources() -> list[Path]:
 
 def library_name(ending: str | None = None) -> str:
     """Return the name of the library of these sources, which carries their digest; by default that of this platform."""
-    digest = hashlib.sha256(VERSION.encode())
+    digest = hashlib.sha256()
     for path in (*sources(), *sorted(HERE.glob("*.h")), Path(__file__)):
         digest.update(path.read_bytes())
+    digest.update(DEFINED.encode())
     here = _ENDINGS.get(_SYSTEMS.get(platform.system(), ""), ".so")
     return f"core-{digest.hexdigest()[:12]}{ending or here}"
 
@@ -133,7 +136,7 @@ def build(output: Path, target: str | None, flags: tuple[str, ...] = FLAGS) -> P
             *compiler(target),
             *flags,
             *more,
-            f'-DFMUID_VERSION="{VERSION}"',
+            DEFINED,
             *map(str, sources()),
             *([] if windows else ["-lm"]),
             "-o",
