@@ -8,7 +8,7 @@
 
 typedef struct {
   const char *structure, *field; /* without a field: the whole, whose fields come before it */
-  const char *type; /* as Python's ctypes calls it, or a structure that comes before */
+  const char *type;              /* as Python's ctypes calls it, or a structure that comes before */
   size_t offset, size;
 } Place;
 
