@@ -6,6 +6,7 @@ Behind it may stand of how many draws profile and posterior are made too (one in
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -43,6 +44,11 @@ def oscillating(rng: np.random.Generator, count: int) -> Floats:
 
 def ar(share: float) -> Noise:
     return lambda rng, count: ar1(rng, share, count)
+
+
+def slow(rng: np.random.Generator, count: int) -> Floats:
+    """White noise with 8 % of the variance slow: weak at each sample, nine times the white noise at frequency 0."""
+    return math.sqrt(0.92) * rng.standard_normal(count) + math.sqrt(0.08) * ar1(rng, 0.98, count)
 
 
 @dataclass(frozen=True)
@@ -107,6 +113,7 @@ CASES: dict[str, Callable[[np.random.Generator, int], Draw]] = {
     "AR(1) 0.5": partial(decay, ar(0.5)),
     "AR(1) 0.8": partial(decay, ar(0.8)),
     "AR(2), oscillating": partial(decay, oscillating),
+    "white and slow": partial(decay, slow),
     "two outputs, crossed": crossed,
     "AR(1) 0.5, a third missing": partial(decay, ar(0.5), missing=1.0 / 3.0),
     "three outputs, unequal": unequal,
@@ -176,7 +183,13 @@ def count(case: str, samples: int, draws: int, every: int = 0) -> Count:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "samples"),
-    [("AR(1) 0.8", 200), ("AR(1) 0.5, a third missing", 200), ("AR(1) 0.5", 40), ("truth on a bound", 200)],
+    [
+        ("AR(1) 0.8", 200),
+        ("AR(1) 0.5, a third missing", 200),
+        ("AR(1) 0.5", 40),
+        ("truth on a bound", 200),
+        ("white and slow", 1500),
+    ],
 )
 def test_intervals_hold_where_those_of_white_noise_do_not(case: str, samples: int) -> None:
     """Of 150 draws: 89 % is four standard errors below 95 %."""

@@ -1,11 +1,12 @@
-"""Autoregressive models of a residual: Burg's recursion over unbroken runs, the order chosen by BIC.
+"""Autoregressive models of a residual: Burg's recursion over unbroken runs, the order chosen by BIC, and slow noise.
 
 A model x(t) = Σ φ_j x(t − j) + w(t) is fitted to second moments: of the residual itself and of what the fit has taken
 out of it (`fmuid.estimation.colour.sandwich`), columns that count by weights of either sign. Only pairs of samples with
 all samples between them there count, so that gaps may be anywhere (de Waele and Broersen). Order 1 is the least from 25
 samples on: chance hides a weak colour from any criterion, and leaving it out costs coverage. There Burg's estimate is
 too small by 2 φ/n on average (Kendall, for a known mean), which is put right. Fewer samples tell nothing of a colour,
-and are taken for white.
+and are taken for white. Slow noise that is too weak for any such order is looked for in what orders 0, 1 and BIC's leave
+(`fmuid.estimation.colour.slow`); where it is found beneath white noise, no order is needed.
 
 References
 ----------
@@ -26,8 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 from scipy.linalg import blas, lapack
+from scipy.signal import lfilter
 
 from fmuid.arrays import Complexes, Floats
+from fmuid.estimation.colour.slow import slow_noise
 
 # Orders up to 10 log₁₀ n are tried, but not more than a quarter of the samples.
 ORDERS_A_DECADE, ORDERS_SHARE = 10.0, 4
@@ -51,7 +54,7 @@ LEAST_VARIANCE = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
-    """An autoregressive process.
+    """An autoregressive process, with weak slow noise beneath or without.
 
     Attributes
     ----------
@@ -63,43 +66,77 @@ class Autoregression:
         That it was fitted to.
     memory : int
         After so many samples its impulse response is negligible.
+    pole, zero : float
+        φ and θ of the slow noise, 0 where there is none.
     """
 
     coefficients: Floats
     variance: float
     samples: int
     memory: int = 1
+    pole: float = 0.0
+    zero: float = 0.0
 
     def transfer(self, length: int) -> Complexes:
-        """Return 1/(1 − Σ φ_j e^(−iωj)) at the frequencies of a real transform of this length."""
-        padded = np.zeros(length)
-        padded[0] = 1.0
-        padded[1 : self.coefficients.size + 1] = -self.coefficients
-        return np.asarray(1.0 / fft.rfft(padded))
+        """Return (1 − θ e^(−iω))/((1 − φ e^(−iω)) (1 − Σ φ_j e^(−iωj))) at the frequencies of a real transform."""
+        found = 1.0 / _spectrum(self.coefficients, length)
+        if self.pole:
+            found *= _spectrum([self.zero], length) / _spectrum([self.pole], length)
+        return found
+
+    def along(self, spectra: Complexes, transfer: Complexes, length: int) -> Floats:
+        """Return 2 Σ_t of spectra (..., f) times the derivatives of log `transfer(length)` by all φ_j, φ and θ."""
+        order = self.coefficients.size
+        if not self.pole:
+            return np.asarray(2.0 * fft.irfft(spectra * np.conj(transfer), length)[..., 1 : order + 1])
+        found = []
+        for sign, own, lags in ((1.0, self.coefficients, order), (1.0, [self.pole], 1), (-1.0, [self.zero], 1)):
+            every = fft.irfft(spectra / np.conj(_spectrum(own, length)), length)
+            found.append(2.0 * sign * every[..., 1 : lags + 1])
+        return np.concatenate(found, axis=-1)
 
     @cached_property
-    def _response(self) -> Floats:
+    def _of_coefficients(self) -> Floats:
         return impulse_response(self.coefficients, self.memory)
 
     @property
     def gain(self) -> float:
         """The variance of the process against that of its innovation, Σ h²."""
-        return float(self._response @ self._response)
+        response = self._of_coefficients
+        if self.pole:
+            pulse = np.concatenate([response, np.zeros(self.memory)])
+            response = lfilter([1.0, -self.zero], [1.0, -self.pole], pulse)
+        return float(response @ response)
 
     def scatter(self) -> Floats:
-        """Return the covariance (1 + p, 1 + p) of log σ² and the coefficients, times the number of samples."""
+        """Return the covariance of log σ², all φ_j, and φ and θ where they are, times the number of samples."""
         order = self.coefficients.size
-        found = np.zeros((1 + order, 1 + order))
+        response = self._of_coefficients
+        padded = np.concatenate([response, np.zeros(order)])
+        correlation = np.array([response @ padded[k : k + response.size] for k in range(order)])
+        lags = np.arange(order)
+        information = np.zeros((order, order)) if not order else correlation[np.abs(lags[:, None] - lags)]
+        if self.pole:
+            roots, signs = np.array([self.pole, self.zero]), np.array([1.0, -1.0])
+            inverse = 1.0 - self.coefficients @ roots[None] ** (lags[:, None] + 1.0)
+            cross = signs * roots ** lags[:, None] / inverse
+            own = np.outer(signs, signs) / (1.0 - np.outer(roots, roots))
+            information = np.block([[information, cross], [cross.T, own]])
+        found = np.zeros((1 + len(information), 1 + len(information)))
         found[0, 0] = 2.0
-        if order:
-            response = self._response
-            padded = np.concatenate([response, np.zeros(order)])
-            correlation = np.array([response @ padded[k : k + response.size] for k in range(order)])
-            lags = np.arange(order)
-            values, vectors = np.linalg.eigh(correlation[np.abs(lags[:, None] - lags)])
+        if len(information):
+            values, vectors = np.linalg.eigh(information)
             good = values > order * np.finfo(float).eps * values[-1]
             found[1:, 1:] = (vectors[:, good] / values[good]) @ vectors[:, good].T
         return found
+
+
+def _spectrum(coefficients: Floats | Sequence[float], length: int) -> Complexes:
+    """Return 1 − Σ φ_j e^(−iωj) at the frequencies of a real transform of this length."""
+    padded = np.zeros(length)
+    padded[0] = 1.0
+    padded[1 : len(coefficients) + 1] = -np.asarray(coefficients)
+    return np.asarray(fft.rfft(padded))
 
 
 def most_orders(samples: int, length: int) -> int:
@@ -110,11 +147,11 @@ def most_orders(samples: int, length: int) -> int:
 
 
 def autoregression(values: Floats, there: NDArray[np.bool_]) -> Autoregression:
-    """Fit an autoregressive model to a series on a grid (n,), with False in `there` (n,) where a sample is missing."""
-    return fit(np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size))
+    """Fit an autoregression, without slow noise, to a series on a grid (n,), `there` (n,) False where one is missing."""
+    return fit(np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size), False)
 
 
-def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int) -> Autoregression:
+def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int, slow: bool = True) -> Autoregression:
     """Fit an autoregressive model to the second moments Σ weight_i x_i x_iᵀ of columns x_i.
 
     Parameters
@@ -127,27 +164,42 @@ def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int)
         Of either sign.
     orders : int
         The highest order.
+    slow : bool
+        Whether to look for slow noise beneath.
     """
     samples = int(there.sum())
     variance = max(float(weights @ np.einsum("it,it->i", columns, columns)) / samples, LEAST_VARIANCE)
     longest = max(LONGEST, RECORDS * there.size)
-    while True:
-        model, left = _burg(columns, weights, there, orders, variance)
-        if model.size == 1:
-            most = max(1.0 - 1.0 / samples, abs(float(model[0])))
-            model = np.clip(model * (1.0 + BIAS / samples), -most, most)
+    reflections, scores = _burg(columns, weights, there, orders)
+    order, model, response = len(scores), np.zeros(0), np.ones(1)
+    while order > 0:
+        order = 1 + int(np.argmin(scores[:order]))
+        model = _model(reflections[:order], samples)
         response = impulse_response(model, longest)
-        if model.size <= 1 or np.abs(response).max() < LOUDEST:
-            return Autoregression(model, left, samples, response.size)
-        orders = model.size - 1
+        if order == 1 or np.abs(response).max() < LOUDEST:
+            break
+        order -= 1
+    left = variance * math.prod(1.0 - each**2 for each in reflections[:order])
+    found = Autoregression(model, left, samples, response.size)
+    scores = [0.0, *scores]
+    best = scores[order]
+    # what a long autoregression does for slow noise is in the way of the factor that does it better
+    for own in {order, 1, 0} if order > 1 else {order}:
+        model = _model(reflections[:own], samples)
+        beneath = slow_noise(columns, weights, there, model) if slow and order else None
+        if beneath is not None and scores[own] - beneath.gain < best:
+            best = scores[own] - beneath.gain
+            memory = min(longest, math.ceil(math.log(NEGLIGIBLE) / math.log(beneath.pole)))
+            memory += impulse_response(model, longest).size
+            found = Autoregression(model, beneath.variance, samples, memory, beneath.pole, beneath.zero)
+    return found
 
 
-def _burg(
-    columns: Floats, weights: Floats, there: NDArray[np.bool_], orders: int, variance: float
-) -> tuple[Floats, float]:
-    """Return the coefficients that BIC chooses and the variance that they leave."""
+def _burg(columns: Floats, weights: Floats, there: NDArray[np.bool_], orders: int) -> tuple[list[float], list[float]]:
+    """Return the reflection coefficients, and Schwarz's criterion of the orders that they make."""
     reflections: list[float] = []
-    score, best, chosen = 0.0, math.inf, (0, variance)
+    scores: list[float] = []
+    score = 0.0
     # one after the other and in place, in the cache of the processor
     ahead, behind = [x[1:].copy() for x in columns], [x[:-1].copy() for x in columns]
     mask, gaps, shares = there[1:] & there[:-1], not there.all(), weights.tolist()
@@ -167,10 +219,8 @@ def _burg(
         found, most = 2.0 * cross / power, 1.0 - 1.0 / pairs
         reflection = min(max(found, -most), most)
         reflections.append(reflection)
-        variance *= 1.0 - reflection**2
         score += pairs * math.log(1.0 - reflection**2) + math.log(pairs)
-        if score < best:
-            best, chosen = score, (order, variance)
+        scores.append(score)
         if abs(found) > most:
             break
         for x, y in zip(ahead, behind, strict=True):
@@ -179,11 +229,14 @@ def _burg(
             blas.daxpy(before, y, a=-reflection)
         ahead, behind = [x[1:] for x in ahead], [y[:-1] for y in behind]
         mask = mask[1:] & mask[:-1] if gaps else mask[1:]
-    return _of_reflections(reflections[: chosen[0]]), chosen[1]
+    return reflections, scores
 
 
-def _of_reflections(reflections: Sequence[float]) -> Floats:
-    """Return the coefficients of a model by Levinson's recursion."""
+def _model(reflections: Sequence[float], samples: int) -> Floats:
+    """Return the coefficients of a model by Levinson's recursion, of order 1 without its bias."""
+    if len(reflections) == 1:
+        most = max(1.0 - 1.0 / samples, abs(reflections[0]))
+        return np.clip(np.array(reflections) * (1.0 + BIAS / samples), -most, most)
     model = np.zeros(0)
     for reflection in reflections:
         model = np.concatenate([model - reflection * model[::-1], [reflection]])

@@ -192,14 +192,14 @@ class Grid:
         for each, model, transfer, z, c in zip(
             self.series, self.models, self.spectra.transfers, self.spectra.filtered, self.coupled, strict=True
         ):
-            own, coupled, order = self.rows.root @ z, self.rows.root @ c, model.coefficients.size
+            own, coupled = self.rows.root @ z, self.rows.root @ c
             both = np.conj(coupled) * own
             share = both.real @ _lag_zero(size)[:, None]
             # ∂Z/∂φ_j is Z filtered once more, j samples later
-            slopes = 2.0 * fft.irfft(both * np.conj(transfer), size)[:, 1 : order + 1]
+            slopes = model.along(both, transfer, size)
             if self.rows.given[each.group]:  # as φ changes, the variance of the innovation keeps that of the process
                 power = np.abs(transfer) ** 2
-                gains = 2.0 * fft.irfft(power * np.conj(transfer), size)[1 : order + 1]
+                gains = model.along(power, transfer, size)
                 slopes = slopes - share * gains / fft.irfft(power, size)[0]
                 share = np.zeros_like(share)
             if self.rows.white[each.group]:
