@@ -5,8 +5,8 @@ out of it (`fmuid.estimation.colour.sandwich`), columns that count by weights of
 all samples between them there count, so that gaps may be anywhere (de Waele and Broersen). Order 1 is the least from 25
 samples on: chance hides a weak colour from any criterion, and leaving it out costs coverage. There Burg's estimate is
 too small by 2 φ/n on average (Kendall, for a known mean), which is put right. Fewer samples tell nothing of a colour,
-and are taken for white. Slow noise that is too weak for any such order is looked for in what orders 0, 1 and BIC's leave
-(`fmuid.estimation.colour.slow`); where it is found beneath white noise, no order is needed.
+and are taken for white. Slow noise that is too weak for any such order is looked for in what orders 0, 1 and BIC's
+leave (`fmuid.estimation.colour.slow`).
 
 References
 ----------
@@ -147,7 +147,7 @@ def most_orders(samples: int, length: int) -> int:
 
 
 def autoregression(values: Floats, there: NDArray[np.bool_]) -> Autoregression:
-    """Fit an autoregression, without slow noise, to a series on a grid (n,), `there` (n,) False where one is missing."""
+    """Fit an autoregression, without slow noise, to a series on a grid (n,), False in `there` (n,) where one misses."""
     return fit(np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size), False)
 
 
