@@ -81,28 +81,32 @@ def good_rows(path: Path, each: Followed, words: ExperimentSettings, most: int) 
         file.seek(each.position)
         content = file.read(most)
         more = len(content) == most
-    lines = content[: content.rfind(b"\n") + 1].splitlines(keepends=True)
-    if not any(map(bytes.strip, lines)):
+    content = content[: content.rfind(b"\n") + 1]
+    if not content.strip():
         return None, 0
-    given = _Lines(path, each, words, head, lines)
+    given = _Lines(path, each, words, head, content)
+    count = given.ends.size
     try:
-        return given.rows(len(lines), more), 0
+        return given.rows(count, more), 0
     except InputError:
-        good, bad = 0, len(lines)
+        good, bad = 0, count
         while bad - good > 1:
             middle = (good + bad) // 2
             good, bad = (middle, bad) if given.readable(middle) else (good, middle)
-        skipped = each.position + sum(map(len, lines[:bad]))
-        found = given.rows(good, more) if any(map(bytes.strip, lines[:good])) else None
+        skipped = each.position + int(given.ends[bad - 1])
+        found = given.rows(good, more) if given.there[:good].any() else None
         return None if found is None else replace(found, broken=True), skipped
 
 
 class _Lines:
     """Lines of a file, the first of which is where reading is."""
 
-    def __init__(self, path: Path, each: Followed, words: ExperimentSettings, head: bytes, lines: list[bytes]) -> None:
-        self.path, self.each, self.words, self.head, self.lines = path, each, words, head, lines
-        first = next(line for line in lines if line.strip())
+    def __init__(self, path: Path, each: Followed, words: ExperimentSettings, head: bytes, content: bytes) -> None:
+        self.path, self.each, self.words, self.head, self.content = path, each, words, head, content
+        self.ends = 1 + np.flatnonzero(np.frombuffer(content, np.uint8) == ord("\n"))
+        self.lengths = np.diff(self.ends, prepend=0)
+        self.there = self.lengths > 2  # a row has two cells at least, an empty line its end alone
+        first = content[: int(self.ends[np.argmax(self.there)])].splitlines(keepends=True)[-1]
         self.reference = each.reference.encode("utf-8", errors="surrogateescape") or first
 
     def readable(self, count: int) -> bool:
@@ -115,14 +119,12 @@ class _Lines:
 
     def rows(self, count: int, more: bool) -> NewRows:
         """Return so many lines as rows."""
-        lines, words = self.lines[:count], self.words
-        frame = self._read(self.head + self.reference + b"".join(lines))
+        words, there = self.words, self.there[:count]
+        frame = self._read(self.head + self.reference + self.content[: int(self.ends[count - 1]) if count else 0])
         columns = [time_name(words.time), *words.inputs.values(), *words.outputs.values()]
         for column in columns:
             if column in frame.columns and not words.prepare.columns:
                 numeric_column(frame, column, str(self.path))
-        lengths = np.array([len(line) for line in lines], dtype=np.int64)
-        there = np.array([bool(line.strip()) for line in lines], dtype=np.bool_)
         if len(frame) != 1 + np.count_nonzero(there):
             raise InputError(f"{self.path}: its rows are no lines: save it otherwise, or give it when it is whole")
         attributes = frame.attrs
@@ -130,8 +132,8 @@ class _Lines:
         frame.attrs = attributes
         if words.sample_rate is not None:
             frame[time_name(words.time)] = (self.each.rows + np.arange(len(frame))) / words.sample_rate
-        ends = self.each.position + np.cumsum(lengths)
-        starts = np.append((ends - lengths)[there], ends[-1])
+        ends = self.each.position + self.ends[:count]
+        starts = np.append((ends - self.lengths[:count])[there], ends[-1] if count else self.each.position)
         return NewRows(frame, starts, self.reference.decode("utf-8", errors="surrogateescape"), more)
 
     def _read(self, content: bytes) -> pd.DataFrame:
