@@ -12,7 +12,7 @@ import pytest
 from fmuid.simulation import AVAILABLE
 from fmuid.workbench import Folder, Workbench
 from tests.support.browser import PATIENCE, chromium
-from tests.support.coil_study import STUDY, coil_table
+from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.misbehaving import Mode, misbehaving_fmu
 
 pytestmark = pytest.mark.browser
@@ -31,6 +31,7 @@ function find(root, name, selector) {
 }
 return find(document, arguments[0], arguments[1]);
 """
+CLICK = "find(document, arguments[0], arguments[1]).click()"  # there and then: Bokeh may draw it anew meanwhile
 ACTIVE = "let e = document.activeElement; while (e.shadowRoot?.activeElement) e = e.shadowRoot.activeElement; return e;"
 FOREIGN = """
 const [base, done] = arguments;
@@ -90,7 +91,7 @@ def residual(driver: Any) -> float:
 
 
 def press(driver: Any, button: str) -> None:
-    driver.execute_script(FIND, button, "button").click()
+    driver.execute_script(FIND.replace("return find(document, arguments[0], arguments[1])", CLICK), button, "button")
 
 
 def quiet(driver: Any) -> bool:
@@ -175,6 +176,20 @@ def test_a_foreign_page_reaches_nothing(browser: Any, address: str, folder: Path
     assert browser.execute_async_script(FOREIGN, base) == ["refused", "refused"]
 
 
+def test_a_study_is_begun_in_the_browser(browser: Any, address: str, folder: Path) -> None:
+    (folder / "coil.fmu").write_bytes(COIL.read_bytes())
+    browser.get(address)
+    browser.get(f"{address.split('?')[0]}new")
+    wait(browser, DRAWN)
+    browser.execute_script(f"{MODEL}('chosen').value = ['first.csv']; {MODEL}('output').value = 'made.toml'")
+    wait(browser, f"{MODEL}('said').text.includes('600 samples')")
+    wait(browser, f"!{MODEL}('write study').disabled")
+    press(browser, "Write study")
+    wait(browser, f"{MODEL}('state').text.includes('study?file=made.toml')")
+    assert (folder / "made.toml").is_file()
+    assert quiet(browser)
+
+
 @pytest.mark.parametrize("width", [360, 800, 1920])
 def test_pages_are_as_wide_as_their_window(browser: Any, address: str, width: int) -> None:
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
@@ -189,3 +204,7 @@ def test_pages_are_as_wide_as_their_window(browser: Any, address: str, width: in
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
     of_labels = "[...Bokeh.documents[0].all_models].map(model => model.axis_label_text_color).filter(color => color)"
     assert browser.execute_script(f"return [...new Set({of_labels})]") == ["#e6edf3"]
+    browser.get(f"{address.split('?')[0]}new")
+    wait(browser, DRAWN)
+    browser.execute_script(f"{MODEL}('chosen').value = ['first.csv']")
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width

@@ -53,6 +53,7 @@ class Run:
     ) -> None:
         self._doc, self._jobs, self._folder, self._heard, self._ended = doc, jobs, folder, told, ended
         self._position, self._callback = 0, None
+        self._event: Event | None = None
         self.job = jobs.of(folder)
         self.buttons = [button(label, act, button_type="primary") for label, act in acts.items()]
         self.stop = button("Cancel", self.cancel, disabled=True)
@@ -70,7 +71,7 @@ class Run:
         if self.job is not None:
             self.job.cancel()
             self.stop.disabled = True
-            self._tell(None)
+            self._tell()
 
     def refuse(self, error: object) -> None:
         """Say why nothing is begun."""
@@ -78,10 +79,9 @@ class Run:
 
     def follow(self) -> None:
         """Look at the command until it has ended."""
-        self._position = 0
+        self._position, self._event = 0, None
         self._begun(running=True)
-        self.state.text = ""
-        self._tell(None)
+        self._tell()
         if self._callback is None:
             self._callback = self._doc.add_periodic_callback(self.look, EVERY)
 
@@ -95,7 +95,8 @@ class Run:
         events, self._position = job.events(self._position)
         self._heard(events)
         if running:
-            self._tell(events[-1] if events else None)
+            self._event = events[-1] if events else self._event
+            self._tell()
             return
         if self._callback is not None:
             self._doc.remove_periodic_callback(self._callback)
@@ -109,18 +110,20 @@ class Run:
             each.disabled = running
         self.stop.disabled = not running
 
-    def _tell(self, event: Event | None) -> None:
-        job = self.job
-        if job is None or (event is None and job.seconds > 1.0 and self.state.text and not job.asked):
-            return
-        if job.asked:
-            self.state.text = "<p role=status>Cancelling; what it has found is being saved …</p>"
+    def _tell(self) -> None:
+        job, event = self.job, self._event
+        if job is None:
             return
         share = math.nan if event is None else event.share
         left = job.seconds * (1 - share) / share if share > 0 else math.nan
         bar = f"<progress value={share:.3f} max=1></progress>" if math.isfinite(share) else "<progress></progress>"
-        said = [_words(event), f"{job.seconds:.0f} s"] + ([f"about {left:.0f} s left"] if math.isfinite(left) else [])
-        self.state.text = f"{bar}<p class=soft>{escaped(', '.join(said))}</p>"
+        said = [_words(event, job), f"{job.seconds:.0f} s"]
+        said += [f"about {left:.0f} s left"] if math.isfinite(left) else []
+        text = f"{bar}<p class=soft>{escaped(', '.join(said))}</p>"
+        if job.asked:
+            text = "<p role=status>Cancelling; what it has found is being saved …</p>"
+        if text != self.state.text:
+            self.state.text = text
 
     def _tell_end(self, job: Job) -> None:
         printed = job.printed()
@@ -134,9 +137,10 @@ class Run:
         self.state.text += f"<details><summary>What it printed</summary>{log}</details>"
 
 
-def _words(event: Event | None) -> str:
+def _words(event: Event | None, job: Job) -> str:
+    """Say where a command stands: by its last event, or by the last line of one that has told none."""
     if event is None:
-        return "beginning"
+        return next((line.strip() for line in reversed(job.printed().splitlines()) if line.strip()), "beginning")
     if isinstance(event, SearchStep):
         return f"iteration {event.number}, criterion {event.criterion:.6g}"
     return event_words(event)
