@@ -5,7 +5,7 @@
 
 All draws have seeds. What is said around the tables is read again by eye. Not done here is what needs the files of
 others (emps, fmu_survey), a machine without other work (benchmark.py, the campaigns of batches) or an hour
-(interval_coverage.py, which prints its table).
+(interval_coverage.py, which prints its table; calls.py and onsets.py, which go on where they were).
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from pathlib import Path
 
 from experiments import gallery, pages
 from experiments.closed_loop_bias import study as closed_loop_bias
-from experiments.coil import causes
 from experiments.coil import study as coil
 from experiments.equation_error import study as equation_error
 from experiments.induction_machine import chapter
@@ -63,17 +62,11 @@ def batches() -> None:
     pages.rewrite(folder, tables)
 
 
-def coil_pages() -> None:
-    """Rewrite the tables and the figure of the coil."""
-    coil.main()
-    causes.main()
-
-
 PAGES: dict[str, Callable[[], None]] = {
     "induction_machine": induction_machine,
     "batches": batches,
     "closed_loop_bias": closed_loop_bias.main,
-    "coil": coil_pages,
+    "coil": coil.main,
     "equation_error": equation_error.main,
     "gallery": gallery.main,
     "machine_faults": machine_faults.main,

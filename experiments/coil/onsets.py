@@ -2,8 +2,9 @@
 
     python -m experiments.coil.onsets [DRAWS]
 
-Run from the project's folder; it rewrites the table "onsets" in README.md. Records of 12 s in windows of 0.5 s, each
-with a healthy record of its own; the data are the closed form of the coil, made without any FMU. R may drift by 0.5 Ω.
+Run from the project's folder; it rewrites onsets.csv and the table "onsets" in README.md, and goes on where it was
+interrupted. Records of 12 s in windows of 0.5 s, each with a healthy record of its own; the data are the closed form of
+the coil, made without any FMU. R may drift by 0.5 Ω.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,14 +21,16 @@ import pandas as pd
 from scipy.signal import lfilter
 
 import fmuid
-from experiments import pages
+from experiments import calls, pages
 from experiments.coil import study
 from fmuid.diagnosis import Shape
 
 HERE = Path(__file__).parent
-DRAWS, SEED = 100, 11
+FILE = HERE / "onsets.csv"
+DRAWS, SEED = 100, 23  # the seed is none by which anything was chosen
 SECONDS, WINDOW, TRANSIENT, BLOCK = 12, 0.5, 0.2, 0.025
 DRIFT_R = 0.5
+LARGE = 100.0  # D from which on an onset is to be dated within two blocks
 
 
 class Case(NamedTuple):
@@ -67,64 +71,76 @@ def record(case: Case, begin: float, rng: np.random.Generator, name: str, second
     return fmuid.Experiment(frame, ["u"], ["i"], interpolation="hold", discard=TRANSIENT, name=name)
 
 
-def row(case: Case, key: int, count: int) -> str:
-    """Return the cells of a case."""
-    rng = np.random.default_rng([SEED, key])
-    coil, faulty = study.models()
-    found, right, late, off, held, width, shape, scaled = 0, 0, [], [], [], [], [], []
-    parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
-    first = fmuid.identify(fmuid.Problem(coil, record(Case(0.0), math.inf, rng, "healthy"), parameters))
-    truth = np.array([study.R, study.L])
-    for _ in range(count):
-        healthy = record(Case(0.0), math.inf, rng, "healthy")
-        # what an identification of it would give: the truth with the errors that it states
-        known = replace(first, values=truth + first.std * rng.standard_normal(2))
-        inflate = {"R": math.hypot(1.0, DRIFT_R / float(known.std[known.names.index("R")]))}
-        turns = fmuid.Fault(faulty, {"dR": fmuid.Parameter(0.0, nominal=0.5)}, values={"tau": known["L"] / known["R"]})
-        baseline = fmuid.Baseline(known, inflate, records=[healthy] if case.beside else [])
-        monitor = fmuid.Monitor(baseline, {"turns": turns}, coil, fmuid.Rule(WINDOW, TRANSIENT, study.LEVEL))
-        begin = float(rng.uniform(4.0, 7.0) // BLOCK * BLOCK)
-        monitor.add(record(case, begin, rng, "new"))
-        alarms = [each for each in monitor.alarms if each.onset is not None]
-        found += bool(monitor.alarms)
-        if not alarms or not (case.size or case.rise):
-            continue
-        alarm, onset = alarms[-1], alarms[-1].onset
-        assert onset is not None  # those without are left out
-        right += "turns" in alarm.fault.split(" or ")
-        late.append(alarms[0].time - begin)
-        off.append(abs(onset.likely.time - begin))
-        held.append(onset.first.time - 1e-9 <= begin <= onset.last.time + 1e-9)
-        width.append(onset.last.time - onset.first.time)
-        shape.append(onset.shape is (Shape.RAMP if case.rise else Shape.STEP))
-        change = alarm.explanations[0].changes[0] if alarm.explanations else None
-        if change is not None and change.fault and not case.rise:
-            scaled.append((change.value - case.size) / change.std)
-    cells = [f"{100 * found / count:.1f}"]
-    if off:
-        cells += [f"{100 * right / len(off):.0f}", f"{np.median(late):.2f}", f"{np.median(off):.3f}"]
-        cells += [f"{100 * np.mean(np.array(off) <= 2 * BLOCK + 1e-9):.0f}", f"{100 * np.mean(held):.0f}"]
-        cells += [f"{np.median(width):.2f}", f"{100 * np.mean(shape):.0f}"]
-        cells.append(f"{math.sqrt(float(np.mean(np.square(scaled)))):.2f}" if scaled else "")
-    return " | ".join(cells + [""] * (9 - len(cells)))
+@cache
+def parameters() -> tuple[fmuid.Result, fmuid.System, fmuid.System]:
+    """Return an identification of a healthy record, and the models."""
+    searched = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
+    healthy = record(Case(0.0), math.inf, np.random.default_rng(SEED), "healthy")
+    return fmuid.identify(fmuid.Problem(study.models()[0], healthy, searched)), *study.models()
 
 
-def table(count: int) -> str:
-    """Return the table of all cases."""
-    lines = [
-        f"| {count} draws each | alarm (%) | turns among the named (%) | after (s) | onset off by (s) "
-        "| within 2 blocks (%) | set holds it (%) | its width (s) | shape right (%) | rms of error / std |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for key, (name, case) in enumerate(CASES.items()):
-        lines.append(f"| {name} | {row(case, key, count)} |")
-        print(lines[-1], flush=True)
+def drawn(name: str, draw: int) -> dict[str, float | str]:
+    """Return what monitoring says of a fresh record of a case beside a fresh healthy one."""
+    case, rng = CASES[name], np.random.default_rng([SEED, list(CASES).index(name), draw])
+    first, coil, faulty = parameters()
+    healthy = [record(Case(0.0), math.inf, rng, "healthy")] if case.beside else []
+    # what an identification of it would give: the truth with the errors that it states
+    known = replace(first, values=np.array([study.R, study.L]) + first.std * rng.standard_normal(2))
+    inflate = {"R": math.hypot(1.0, DRIFT_R / float(known.std[known.names.index("R")]))}
+    turns = fmuid.Fault(faulty, {"dR": fmuid.Parameter(0.0, nominal=0.5)}, values={"tau": known["L"] / known["R"]})
+    baseline = fmuid.Baseline(known, inflate, records=healthy)
+    monitor = fmuid.Monitor(baseline, {"turns": turns}, coil, fmuid.Rule(WINDOW, TRANSIENT, study.LEVEL))
+    begin = float(rng.uniform(4.0, 7.0) // BLOCK * BLOCK)
+    monitor.add(record(case, begin, rng, "new"))
+    alarms = [each for each in monitor.alarms if each.onset is not None]
+    found: dict[str, float | str] = {"case": name, "draw": draw, "alarm": int(bool(monitor.alarms))}
+    if not alarms or not (case.size or case.rise):
+        return found
+    alarm, onset = alarms[-1], alarms[-1].onset
+    assert onset is not None  # those without are left out
+    change = alarm.explanations[0].changes[0]
+    return found | {
+        "D": float(monitor.table["statistic"].iloc[-1]),
+        "right": int("turns" in alarm.fault.split(" or ")),
+        "late": alarms[0].time - begin,
+        "off": abs(onset.likely.time - begin),
+        "held": int(onset.first.time - 1e-9 <= begin <= onset.last.time + 1e-9),
+        "width": onset.last.time - onset.first.time,
+        "shape": int(onset.shape is (Shape.RAMP if case.rise else Shape.STEP)),
+        "scaled": (change.value - case.size) / change.std if change.fault and not case.rise else math.nan,
+    }
+
+
+def table(found: pd.DataFrame) -> str:
+    """Return the table of all cases, as Markdown; rates with their 95 % intervals."""
+    heads = ["", "draws", "alarm (%)", "turns among the named (%)", "after (s)", "onset off by (s)", "D > 100",
+             "of these within 2 blocks (%)", "set holds it (%)", "its width (s)", "shape right (%)",
+             "rms of error / std"]  # fmt: skip
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    for name, case in CASES.items():
+        part = found[found["case"] == name]
+        cells = [name, str(len(part)), calls.rate(part["alarm"] == 1)]
+        if case.size or case.rise:
+            dated = part[part["alarm"] == 1].dropna(subset=["off"])
+            large = dated[dated["D"] > LARGE]
+            cells += [calls.rate(dated["right"] == 1), f"{dated['late'].median():.2f}", f"{dated['off'].median():.3f}"]
+            cells += [str(len(large)), calls.rate(large["off"] <= 2 * BLOCK + 1e-9), calls.rate(dated["held"] == 1)]
+            cells += [f"{dated['width'].median():.2f}", calls.rate(dated["shape"] == 1)]
+            cells.append("" if case.rise else f"{math.sqrt(float((dated['scaled'] ** 2).mean())):.2f}")
+        lines.append("| " + " | ".join(cells + [""] * (len(heads) - len(cells))) + " |")
     return "\n".join(lines)
 
 
 def main() -> None:
-    """Rewrite the page's table."""
-    pages.rewrite(HERE, {"onsets": table(int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS)})
+    """Watch the records that are missing, and rewrite the page's table."""
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS
+    for name in CASES:
+        done = pd.read_csv(FILE) if FILE.exists() else pd.DataFrame({"case": [], "draw": []})
+        begun = set(done.loc[done["case"] == name, "draw"])
+        new = pd.DataFrame([drawn(name, draw) for draw in range(count) if draw not in begun])
+        pd.concat([done, new], ignore_index=True).to_csv(FILE, index=False, float_format="%.5g", lineterminator="\n")
+        print(f"{name}: {len(new)} records", flush=True)
+    pages.rewrite(HERE, {"onsets": table(pd.read_csv(FILE))})
 
 
 if __name__ == "__main__":

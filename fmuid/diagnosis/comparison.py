@@ -90,7 +90,7 @@ class Juxtaposition:
             healthy = Healthy(_by_result(baseline, coordinates), Whitening.white(variance), drift)
             return cls(system, baseline, faults, coordinates, healthy)
         records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
-        whitening = _whitening(records, coordinates, variance if baseline.noise_variance is not None else None)
+        whitening = whitening_of(records, coordinates, variance if baseline.noise_variance is not None else None)
         return cls(system, baseline, faults, coordinates, healthy_of(records, whitening, coordinates, drift))
 
     def machine(self, experiment: Experiment) -> Machine:
@@ -162,10 +162,19 @@ def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) 
             )
 
 
-def _whitening(
-    records: Sequence[Machine], coordinates: Coordinates, variances: Mapping[str, float] | None
+def whitening_of(
+    records: Sequence[Machine], coordinates: Coordinates, variances: Mapping[str, float] | None = None
 ) -> Whitening:
-    """Return the noise of the healthy records, by what is left of them beside all coordinates of sound machines."""
+    """Return the noise of healthy records, by what is left of them beside all coordinates of sound machines.
+
+    Parameters
+    ----------
+    records : sequence of Machine
+        Over the records.
+    coordinates : Coordinates
+    variances : mapping of str to float, optional
+        Of outputs whose noise is given.
+    """
     residuals = []
     for record in records:
         outputs, columns = record.linearise(coordinates.healthy)

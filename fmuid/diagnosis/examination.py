@@ -250,12 +250,17 @@ def _regressed(machine: Machine, whitening: Whitening, point: Floats) -> Informa
     experiment = machine.experiment
     outputs, columns = machine.linearise(point)
     inputs = lagged(experiment.input_values)
-    count = len(experiment.output_names)
-    # each output has coefficients of its own
-    own = np.einsum("ki,jl->kjli", inputs, np.eye(count)).reshape(len(inputs), count, -1)
-    white = whitening(experiment, np.concatenate([_residual(experiment, outputs)[:, :, None], columns, own], axis=2))
-    n = columns.shape[2]
-    return regression(white[:, 0], white[:, 1 + n :], white[:, 1 : 1 + n])
+    residual = _residual(experiment, outputs)
+    n, count = 1 + columns.shape[2], inputs.shape[1]
+    beside = np.broadcast_to(inputs[:, None, :], (*residual.shape, count))
+    whole = np.concatenate([residual[:, :, None], columns, beside], axis=2)
+    there = np.flatnonzero(experiment.counted.any(axis=0)).tolist()
+    white = [values for _, values in whitening.of_outputs(experiment, whole)]
+    own = [np.zeros((len(values), count * residual.shape[1])) for values in white]
+    for j, values, mine in zip(there, white, own, strict=True):  # each output has coefficients of its own
+        mine[:, j * count : (j + 1) * count] = values[:, n:]
+    every = np.vstack([values[:, :n] for values in white])
+    return regression(every[:, 0], np.vstack(own), every[:, 1:])
 
 
 def _residual(experiment: Experiment, outputs: Floats) -> Floats:

@@ -23,17 +23,22 @@ OVERSHOOT = 0.583
 
 def log_chance(statistics: Floats, cause: Cause) -> Floats:
     """Return the log probability that a cause explains so much where it is not there."""
-    k = len(cause.columns)
+    found = log_tail(statistics, len(cause.columns))
+    return np.where(statistics > 0, found - (math.log(2.0) if cause.sign else 0.0), 0.0)
+
+
+def log_tail(statistics: Floats, degrees: int) -> Floats:
+    """Return the log probability that χ² exceeds statistics, also far out, where the probability itself is 0."""
+    at = np.maximum(statistics, 0.0)
+    if degrees == 1:
+        return np.asarray(special.log_ndtr(-np.sqrt(at)) + math.log(2.0))
+    if degrees == 2:
+        return -at / 2.0
     with np.errstate(divide="ignore"):
-        if k == 1:  # far out in the tail, where the probability itself is 0
-            found = special.log_ndtr(-np.sqrt(np.maximum(statistics, 0.0))) + (0.0 if cause.sign else math.log(2.0))
-        else:
-            tail = np.log(special.chdtrc(k, np.maximum(statistics, 0.0)))
-            far = (
-                -statistics / 2.0 + (k / 2.0 - 1.0) * np.log(np.maximum(statistics, 1.0) / 2.0) - special.gammaln(k / 2)
-            )
-            found = np.where(np.isfinite(tail), tail, far)
-    return np.where(statistics > 0, found, 0.0)
+        tail = np.log(special.chdtrc(degrees, at))
+    half = degrees / 2.0
+    far = -at / 2.0 + (half - 1.0) * np.log(np.maximum(at, 1.0) / 2.0) - special.gammaln(half)
+    return np.where(np.isfinite(tail), tail, far)
 
 
 def log_chances(statistics: Floats, causes: Sequence[Cause]) -> Floats:

@@ -12,6 +12,7 @@ from scipy import special
 
 from fmuid.arrays import Floats
 from fmuid.diagnosis.evidence.causes import Cause
+from fmuid.diagnosis.evidence.chance import log_tail
 from fmuid.diagnosis.evidence.information import News
 
 # The distribution of the smallest probability of all causes is counted over so many seeded draws: a level of 1 % to a
@@ -54,7 +55,7 @@ def fit(news: News, causes: Sequence[Cause]) -> CauseFit:
             if not kept:
                 continue
             try:
-                covariance = np.linalg.inv(information[np.ix_(kept, kept)])
+                covariance = np.linalg.inv(information[kept][:, kept])
             except np.linalg.LinAlgError:
                 continue
             sizes = covariance @ score[kept]
@@ -68,6 +69,8 @@ def fit(news: News, causes: Sequence[Cause]) -> CauseFit:
 
 def _placed(statistic: float, kept: Sequence[int], sizes: Floats, covariance: Floats, columns: int) -> CauseFit:
     """Return a fit with zeros where a size is kept at zero."""
+    if len(kept) == columns:
+        return CauseFit(statistic, sizes, covariance)
     all_sizes, whole = np.zeros(columns), np.zeros((columns, columns))
     all_sizes[list(kept)] = sizes
     whole[np.ix_(kept, kept)] = covariance
@@ -101,16 +104,20 @@ class Chance:
         values, vectors = np.linalg.eigh(news.information)
         normal = np.random.default_rng(SEED).standard_normal((draws, values.size))
         scores = (normal * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-        found = np.ones(draws)
+        largest: dict[tuple[int, bool], Floats] = {}  # D, of causes with the same law
         for cause in causes:
             at = list(cause.columns)
             information, _ = news.part(at)
             mine = scores[:, at]
-            statistic = np.einsum("di,di->d", mine, np.linalg.solve(information, mine.T).T)
-            each = special.chdtrc(len(at), np.maximum(statistic, 0.0))
+            statistic = np.einsum("di,ij,dj->d", mine, np.linalg.inv(information), mine)
             if cause.sign:
-                each = np.where(mine[:, 0] * cause.sign > 0, each / 2.0, 1.0)
-            found = np.minimum(found, each)
+                statistic = np.where(mine[:, 0] * cause.sign > 0, statistic, -1.0)
+            kind = (len(at), bool(cause.sign))
+            largest[kind] = np.maximum(largest.get(kind, -1.0), statistic)
+        found = np.ones(draws)
+        for (degrees, signed), statistic in largest.items():
+            tail = np.exp(log_tail(statistic, degrees)) / (2.0 if signed else 1.0)
+            found = np.where(statistic > 0, np.minimum(found, tail), found)
         return cls(np.sort(found), len(causes))
 
     def limit(self, level: float) -> float:

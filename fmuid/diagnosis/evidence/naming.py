@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -23,6 +23,8 @@ LARGE_PROBABILITY = 0.9
 MODEL_ERROR = 0.05
 # Pairs whose statistic is so much below the best pair's cannot come within the odds.
 HOPELESS = 30.0
+# Two signatures whose angle has so small a squared sine are one.
+SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,7 @@ class CauseSet:
     odds : float
         Against the best explanation: 1 for that itself, less for others.
     fit : CauseFit
-        Sizes and their covariance, the models' error included.
+        Sizes and their covariance, in which each cause has the error of the other's model.
     """
 
     causes: tuple[Cause, ...]
@@ -63,7 +65,7 @@ class Naming:
     named : tuple of CauseSet
         The best one, and those that the data do not exclude beside it; empty without an alarm.
     temper : float
-        Factor on variances and on all that is asked after the alarm: 1 + κ² D of the strongest cause.
+        By which evidence is divided after the alarm: 1 + κ² D of the strongest cause.
     """
 
     statistics: dict[str, float]
@@ -108,11 +110,15 @@ def name(
 def weighed(
     news: News, causes: Sequence[Cause], level: float, model_error: float
 ) -> tuple[float, tuple[CauseSet, ...]]:
-    """Return what something new is, and the factor on variances for the models' error (`Naming`); as for `name`."""
+    """Return what something new is, and by what evidence was divided for the models' error; as for `name`."""
     largest = max(fit(news, (cause,)).statistic for cause in causes)
     temper = 1.0 + model_error**2 * largest
     sets = _pairs(news, causes, largest, temper, level) or [(cause,) for cause in causes]
-    return temper, _likely(news.tempered(temper), sets)
+    evidence = news.tempered(temper)
+    found = np.array([log_bayes_factor(evidence, each) + sum(math.log(c.probability) for c in each) for each in sets])
+    odds = np.exp(found - found.max())
+    order = [i for i in np.argsort(-odds, kind="stable") if odds[i] * ODDS > 1.0]
+    return temper, tuple(CauseSet(sets[i], float(odds[i]), sized(news, sets[i], model_error)) for i in order)
 
 
 def _pairs(news: News, causes: Sequence[Cause], single: float, temper: float, level: float) -> list[tuple[Cause, ...]]:
@@ -120,7 +126,7 @@ def _pairs(news: News, causes: Sequence[Cause], single: float, temper: float, le
     pairs = list(itertools.combinations(causes, 2))
     if not pairs:
         return []
-    gains = [(fit(news, pair).statistic - single) / temper for pair in pairs]
+    gains = (_together(news, pairs) - single) / temper
     best = int(np.argmax(gains))
     more = max(len(cause.columns) for cause in pairs[best])
     if special.chdtrc(more, max(gains[best], 0.0)) * len(pairs) > level:
@@ -128,12 +134,43 @@ def _pairs(news: News, causes: Sequence[Cause], single: float, temper: float, le
     return [pair for pair, gain in zip(pairs, gains, strict=True) if gain > gains[best] - HOPELESS]
 
 
-def _likely(news: News, sets: Sequence[tuple[Cause, ...]]) -> tuple[CauseSet, ...]:
-    """Return the sets of causes within the odds of the best, the best first."""
-    evidence = np.array([log_bayes_factor(news, each) + sum(math.log(c.probability) for c in each) for each in sets])
-    odds = np.exp(evidence - evidence.max())
-    order = np.argsort(-odds, kind="stable")
-    return tuple(CauseSet(sets[i], float(odds[i]), fit(news, sets[i])) for i in order if odds[i] * ODDS > 1.0)
+def _together(news: News, pairs: Sequence[tuple[Cause, Cause]]) -> Floats:
+    """Return D of pairs: of two single coordinates in closed form, at once."""
+    found = np.array([0.0 if len(a.columns + b.columns) == 2 else fit(news, (a, b)).statistic for a, b in pairs])
+    plain = [k for k, (a, b) in enumerate(pairs) if len(a.columns + b.columns) == 2]
+    i, j = np.array([[cause.columns[0] for cause in pairs[k]] for k in plain], dtype=int).reshape(-1, 2).T
+    signs = np.array([[cause.sign for cause in pairs[k]] for k in plain], dtype=int).reshape(-1, 2).T
+    own, score = np.diag(news.information), news.score
+    mixed, scores = news.information[i, j], np.array([score[i], score[j]])
+    sizes = np.array([own[j] * score[i] - mixed * score[j], own[i] * score[j] - mixed * score[i]])
+    determinant = own[i] * own[j] - mixed**2
+    apart = determinant > SAME * own[i] * own[j]
+    sizes /= np.where(apart, determinant, 1.0)
+    alone = np.where(signs * scores >= 0, scores**2 / np.array([own[i], own[j]]), 0.0).max(axis=0)
+    # where a sign is wrong, that size is zero and the other cause is alone
+    found[plain] = np.where(apart & (signs * sizes >= 0).all(axis=0), (scores * sizes).sum(axis=0), alone)
+    return found
+
+
+def sized(news: News, causes: Sequence[Cause], model_error: float) -> CauseFit:
+    """Return the sizes of a cause or of two, each with what the error of the other's model may add to its variance.
+
+    What κ bounds is what a model leaves when its own size is fitted: it is orthogonal to its own signature and does not
+    move that size. Along the part of another's signature that is orthogonal to it, it has κ √D, which the other size
+    takes for its own.
+    """
+    found = fit(news, causes)
+    if len(causes) < 2:
+        return found
+    information, _ = news.part([i for cause in causes for i in cause.columns])
+    first = np.arange(len(found.sizes)) < len(causes[0].columns)
+    shift = np.zeros_like(information)
+    for own in (first, ~first):
+        other, mixed = information[np.ix_(~own, ~own)], information[np.ix_(own, ~own)]
+        effect = float(found.sizes[~own] @ other @ found.sizes[~own])
+        left = information[np.ix_(own, own)] - mixed @ np.linalg.solve(other, mixed.T)
+        shift[np.ix_(own, own)] = model_error**2 * effect * left
+    return replace(found, covariance=found.covariance + found.covariance @ shift @ found.covariance)
 
 
 def log_bayes_factor(news: News, causes: Sequence[Cause]) -> float:

@@ -20,6 +20,8 @@ from fmuid.diagnosis.evidence.information import Information
 LAGS = 20
 # Directions of the regressors with so little information, against the best, say nothing.
 NOTHING = 1e-8
+# Columns of the model that go together up to this share span no direction more.
+SPANNED = 1e-12
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,13 @@ def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> Inform
     jacobian : (n, N) array
         Of the fitted coordinates, whitened: what they could have taken out of the residual.
     """
-    beside = regressors - jacobian @ np.linalg.lstsq(jacobian, regressors, rcond=None)[0]
-    return Information.of(beside, residual)
+    norms = np.linalg.norm(jacobian, axis=0)
+    basis, values, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
+    spanned = basis[:, values > SPANNED * values.max(initial=0.0)]
+    shared = spanned.T @ regressors
+    return Information(
+        regressors.T @ regressors - shared.T @ shared, regressors.T @ residual - shared.T @ (spanned.T @ residual)
+    )
 
 
 def change(healthy: Information, new: Information) -> tuple[float, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -9,9 +10,9 @@ import pytest
 from scipy import integrate, stats
 
 from fmuid.diagnosis.evidence.causes import Cause
-from fmuid.diagnosis.evidence.detection import Chance
+from fmuid.diagnosis.evidence.detection import Chance, fit
 from fmuid.diagnosis.evidence.information import News
-from fmuid.diagnosis.evidence.naming import angle, log_bayes_factor, name, told_apart_from
+from fmuid.diagnosis.evidence.naming import _together, angle, log_bayes_factor, name, sized, told_apart_from
 
 INFORMATION = np.array([[4.0, 1.2, 0.3], [1.2, 2.0, -0.5], [0.3, -0.5, 3.0]])
 GIVEN = News(INFORMATION, np.array([3.0, -0.4, 1.5]))
@@ -114,3 +115,44 @@ def test_the_models_own_error_names_no_second_cause() -> None:
     assert strict.named[0].names == ("0", "2")
     assert strict.temper == 1.0
     assert name(News(information, score), causes, 0.01).temper == pytest.approx(1 + 0.05**2 * 200**2, rel=0.05)
+
+
+def test_pairs_at_once_are_pairs_one_by_one() -> None:
+    """Signs of either kind, a vector of the plane, and two causes with the same signature."""
+    random = np.random.default_rng(4)
+    for _ in range(50):
+        columns = random.standard_normal((9, 7))
+        columns[:, 6] = 2.0 * columns[:, 5]
+        signs = random.integers(-1, 2, 5)
+        causes = [Cause("plane", (0, 1), 1.0)]
+        causes += [Cause(str(k), (k,), 1.0, int(sign)) for k, sign in enumerate(signs[:4], 2)]
+        causes.append(Cause("like 5", (6,), 1.0, causes[-1].sign))
+        score = columns.T @ (3.0 * random.standard_normal(9))
+        news, pairs = News(columns.T @ columns, score), list(itertools.combinations(causes, 2))
+        found = _together(news, pairs)
+        expected = [fit(news, pair).statistic for pair in pairs[:-1]]
+        assert found[:-1] == pytest.approx(expected, rel=1e-7, abs=1e-9)
+        assert found[-1] == pytest.approx(fit(news, (causes[-1],)).statistic)
+
+
+def test_what_a_model_leaves_goes_into_the_other_size_alone() -> None:
+    """Each cause leaves κ of its effect orthogonal to its own signature: sizes scatter as stated."""
+    kappa, random = 0.1, np.random.default_rng(5)
+    columns = np.array([[1.0, 0.0, 0.0], [math.cos(0.8), math.sin(0.8), 0.0]]).T * (30.0, 50.0)
+    sizes, causes = np.array([2.0, -1.0]), (Cause("one", (0,), 1.0), Cause("two", (1,), 1.0))
+    units = columns / np.linalg.norm(columns, axis=0)
+    cosine = float(units[:, 0] @ units[:, 1])
+    across = (units[:, ::-1] - cosine * units) / math.sqrt(1.0 - cosine**2)
+    clean = columns @ sizes
+    pair, one = [], []
+    for _ in range(4000):
+        left = across * (kappa * np.abs(sizes) * np.linalg.norm(columns, axis=0) * random.standard_normal(2))
+        noise = random.standard_normal(3)
+        pair.append(fit(News(columns.T @ columns, columns.T @ (clean + left.sum(axis=1) + noise)), causes).sizes)
+        alone = columns[:, 0] * sizes[0] + left[:, 0] + noise
+        one.append(fit(News(columns.T @ columns, columns.T @ alone), causes[:1]).sizes[0])
+    news = News(columns.T @ columns, columns.T @ clean)
+    stated = sized(news, causes, kappa).covariance
+    assert np.cov(np.array(pair).T) == pytest.approx(stated, rel=0.1)
+    assert stated[1, 1] > 5 * sized(news, causes, 0.0).covariance[1, 1]
+    assert np.std(one) == pytest.approx(math.sqrt(sized(news, causes[:1], kappa).covariance[0, 0]), rel=0.05)

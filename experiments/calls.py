@@ -1,0 +1,254 @@
+"""False, missed and wrong calls, counted: many records of one machine, compared with healthy ones of their own.
+
+A campaign simulates nothing twice: what a machine says of its coordinates is linearised once where the estimates of
+many records come near each other (`Shared`), by the rule by which monitoring takes a linear model for good enough. Each
+record has its own noise, its own model of it, its own healthy record and its own decision, all by `fmuid.diagnosis`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import copy
+from pathlib import Path
+from typing import NamedTuple, Protocol, cast
+
+import numpy as np
+import pandas as pd
+from scipy import special
+from scipy.signal import lfilter
+
+import fmuid
+from fmuid.arrays import Floats
+from fmuid.diagnosis.comparison import whitening_of
+from fmuid.diagnosis.coordinates import DIFFERENCE_STEP, CauseKind, Coordinates
+from fmuid.diagnosis.decision import UNEXPLAINED_SHARE
+from fmuid.diagnosis.evidence.naming import CauseSet
+from fmuid.diagnosis.examination import Examination, examine, healthy_of
+from fmuid.diagnosis.linearisation import Machine
+
+LEVEL, SEED = 0.01, 17
+FALSE, FAULTY = 400, 200  # records of a case without and with a fault
+SETTLING = 60  # samples in which coloured noise becomes stationary
+# A point is near one where the machine is linearised: standard deviations away times relative change of a coordinate.
+NEAR = 0.3
+
+
+class Linearised(Protocol):
+    """What can be linearised: a machine over a record."""
+
+    experiment: fmuid.Experiment
+
+    def linearise(self, point: Floats) -> tuple[Floats, Floats]:
+        """Return the outputs (K, n_outputs) at a point (N,), and their derivatives (K, n_outputs, N)."""
+
+
+class Shared:
+    """A machine that is linearised once for all records of one excitation.
+
+    Parameters
+    ----------
+    machine : Linearised
+    coordinates : Coordinates
+    noise : float
+        Standard deviation of the outputs' noise.
+    """
+
+    def __init__(self, machine: Linearised, coordinates: Coordinates, noise: float) -> None:
+        self.experiment, self._machine, self._noise = machine.experiment, machine, noise
+        self._anchors: list[tuple[Floats, Floats, Floats, Floats]] = []
+        exact = (CauseKind.OFFSET, CauseKind.DELAY)
+        modelled = (CauseKind.PARAMETER, CauseKind.FAULT)
+        self._magnitude = np.array(
+            [
+                each.step / DIFFERENCE_STEP if each.kind in modelled else math.inf if each.kind in exact else 1.0
+                for each in coordinates.each
+            ]
+        )
+
+    def over(self, experiment: fmuid.Experiment) -> Machine:
+        """Return the same over another record with the same inputs."""
+        other = copy(self)
+        other.experiment = experiment
+        return cast(Machine, other)  # all of it that an examination asks for
+
+    def linearise(self, point: Floats) -> tuple[Floats, Floats]:
+        """Return outputs and derivatives, to first order from the nearest point where they are known."""
+        near = [(self._distance(point, each), k) for k, each in enumerate(self._anchors)]
+        if not near or min(near)[0] > NEAR:
+            outputs, columns = self._machine.linearise(point)
+            flat = columns.reshape(-1, columns.shape[-1]) / self._noise
+            self._anchors.append((point.copy(), outputs, columns, flat.T @ flat))
+            return outputs, columns
+        anchor, outputs, columns, _ = self._anchors[min(near)[1]]
+        return outputs + columns @ (point - anchor), columns
+
+    def outputs(self, point: Floats) -> Floats:
+        """Return the outputs alone."""
+        return self.linearise(point)[0]
+
+    def _distance(self, point: Floats, anchor: tuple[Floats, Floats, Floats, Floats]) -> float:
+        off = point - anchor[0]
+        return float(np.max(np.abs(off) / self._magnitude)) * math.sqrt(max(0.0, float(off @ anchor[3] @ off)))
+
+
+class Setting(NamedTuple):
+    """What the records of a campaign have in common."""
+
+    coordinates: Coordinates
+    drift: Floats
+    """Standard deviation of what may change without being a fault (N,)."""
+    noise: float
+    machine: Callable[[str, bool], Linearised]
+    """Of a case, over its healthy or its new record without noise."""
+    records: Callable[[str, np.random.Generator], tuple[fmuid.Experiment, fmuid.Experiment]]
+    """A healthy and a new record of a case without noise, with the inputs of these."""
+    truth: Callable[[str], dict[str, float]]
+    """Causes that are new in a case, and their sizes; NaN of those that have none in the fitted models."""
+    colour: Callable[[str], float]
+
+
+def noise(rng: np.random.Generator, shape: tuple[int, int], std: float, colour: float) -> Floats:
+    """Return noise (n, outputs) of an autoregression of order 1."""
+    white = std * math.sqrt(1.0 - colour**2) * rng.standard_normal((shape[0] + SETTLING, shape[1]))
+    return np.asarray(lfilter([1.0], [1.0, -colour], white, axis=0)[SETTLING:])
+
+
+def noisy(clean: fmuid.Experiment, rng: np.random.Generator, std: float, colour: float) -> fmuid.Experiment:
+    """Return a record with noise on its outputs."""
+    seen = clean.output_values + noise(rng, clean.output_values.shape, std, colour)
+    frame = clean.frame.copy()
+    frame[list(clean.output_names)] = seen
+    return fmuid.Experiment(frame, clean.inputs, clean.outputs, interpolation=clean.interpolation)
+
+
+class Campaign:
+    """Records of some cases, examined one after the other; a file keeps what is done.
+
+    Parameters
+    ----------
+    setting : Setting
+    file : path
+        CSV, one row a record; those that it has already are not examined again.
+    """
+
+    def __init__(self, setting: Setting, file: Path) -> None:
+        self.setting, self.file = setting, file
+        self._shared: dict[tuple[str, int], Shared] = {}
+
+    def run(self, cases: Iterable[str], keys: Mapping[str, int], counts: Mapping[str, int]) -> pd.DataFrame:
+        """Examine what is missing of some cases and return all rows."""
+        for case in cases:
+            done = self.rows()
+            begun = set(done.loc[done["case"] == case, "record"]) if len(done) else set()
+            made = [self.row(case, keys[case], k) for k in range(counts[case]) if k not in begun]
+            if made:
+                new = pd.concat([done, pd.DataFrame(made)], ignore_index=True)
+                new.to_csv(self.file, index=False, float_format="%.5g", lineterminator="\n")
+            print(f"{case}: {len(made)} records", flush=True)
+            self._shared.clear()
+        return self.rows()
+
+    def rows(self) -> pd.DataFrame:
+        """Return what the file has."""
+        return pd.read_csv(self.file, keep_default_na=False) if self.file.exists() else pd.DataFrame({"case": []})
+
+    def row(self, case: str, key: int, record: int) -> dict[str, str | float]:
+        """Return what is said of one record of a case."""
+        rng = np.random.default_rng([SEED, key, record])
+        return {"case": case, "record": record, **self._said(case, self.examined(case, rng))}
+
+    def examined(self, case: str, rng: np.random.Generator) -> Examination:
+        """Return the examination of a fresh record of a case beside a fresh healthy one."""
+        setting = self.setting
+        colour = setting.colour(case)
+        healthy, new = (
+            self._of(case, at).over(noisy(clean, rng, setting.noise, colour))
+            for at, clean in enumerate(setting.records(case, rng))
+        )
+        whitening = whitening_of([healthy], setting.coordinates)
+        known = healthy_of([healthy], whitening, setting.coordinates, setting.drift)
+        return examine([new], known, setting.coordinates, LEVEL)
+
+    def _of(self, case: str, new: int) -> Shared:
+        if (case, new) not in self._shared:
+            setting = self.setting
+            self._shared[case, new] = Shared(setting.machine(case, bool(new)), setting.coordinates, setting.noise)
+        return self._shared[case, new]
+
+    def _said(self, case: str, found: Examination) -> dict[str, str | float]:
+        naming, truth = found.naming, self.setting.truth(case)
+        right = next((each for each in naming.named if set(each.names) == set(truth)), None)
+        kinds = {each.name: each.kind for each in found.coordinates.each}
+        faults = [kinds[name] is CauseKind.FAULT for each in naming.named for name in each.names]
+        return {
+            "alarm": int(naming.alarm),
+            "else": int(found.remainder.probability < UNEXPLAINED_SHARE * LEVEL),
+            "remainder": found.remainder.probability,
+            "named": " or ".join(" + ".join(each.names) for each in naming.named),
+            "fault": int(bool(faults) and all(faults)),
+            "D": max(naming.statistics.values()),
+            "off": " ".join(f"{each:.4g}" for each in _off(right, truth)) if right is not None else "",
+        }
+
+
+def _off(named: CauseSet, truth: Mapping[str, float]) -> Iterator[float]:
+    """Yield by how many standard deviations sizes are off; a vector of the plane is judged by its length."""
+    first = 0
+    for cause in named.causes:
+        at = slice(first, first + len(cause.columns))
+        size, covariance = named.fit.sizes[at], named.fit.covariance[at, at]
+        along = size / np.linalg.norm(size) if len(size) > 1 else np.ones(1)
+        yield float((along @ size - truth[cause.name]) / np.sqrt(along @ covariance @ along))
+        first = at.stop
+
+
+# --- tables
+
+
+def interval(count: int, total: int) -> tuple[float, float]:
+    """Return the 95 % interval of a rate by Clopper and Pearson, in percent."""
+    low = float(special.betaincinv(count, total - count + 1, 0.025)) if count else 0.0
+    high = float(special.betaincinv(count + 1, total - count, 0.975)) if count < total else 1.0
+    return 100.0 * low, 100.0 * high
+
+
+def rate(flags: Sequence[bool] | pd.Series) -> str:
+    """Return a rate with its interval, in percent."""
+    count, total = int(np.sum(np.asarray(flags, dtype=bool))), len(flags)
+    if not total:
+        return ""
+    low, high = interval(count, total)
+    return f"{100.0 * count / total:.1f} ({low:.1f} to {high:.1f})"
+
+
+def false_table(found: pd.DataFrame, cases: Sequence[str]) -> str:
+    """Return the false calls of cases in which nothing is new, as Markdown; rates with their 95 % intervals."""
+    lines = ["| nothing new | records | false calls (%) | “something else” (%) | named |", "|---|---|---|---|---|"]
+    for case in cases:
+        part = found[found["case"] == case]
+        names = ", ".join(dict.fromkeys(name for each in part["named"] for name in str(each).split(" or ") if name))
+        cells = [case, str(len(part)), rate(part["alarm"]), rate(part["else"]), names or "–"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def named_table(found: pd.DataFrame, cases: Mapping[str, Sequence[str]]) -> str:
+    """Return what is named in cases with the causes that are right, as Markdown; rates with their 95 % intervals."""
+    heads = ["new", "records", "called", "truth named", "first", "alone", "a fault alone", "two named wrongly",
+             "interval holds", "named first, %"]  # fmt: skip
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    for case, right in cases.items():
+        part = found[found["case"] == case]
+        sets = [[set(one.split(" + ")) for one in str(each).split(" or ")] if each else [] for each in part["named"]]
+        truth, off = set(right), [float(z) for each in part["off"] for z in str(each).split()]
+        cells = [case, str(len(part)), rate(part["alarm"])]
+        cells += [rate([truth in each for each in sets]), rate([truth in each[:1] for each in sets])]
+        cells += [rate([each == [truth] for each in sets])]
+        cells.append(rate(part["fault"]) if not any("." in name for name in right) else "")
+        cells.append(rate([any(len(one) > 1 for one in each) for each in sets]) if len(right) < 2 else "")
+        cells.append(rate([abs(z) <= float(special.ndtri(0.975)) for z in off if math.isfinite(z)]))
+        firsts = pd.Series([str(each).split(" or ")[0] or "nothing" for each in part["named"]]).value_counts()
+        cells.append(", ".join(f"{name} {100 * count / len(part):.0f}" for name, count in firsts.head(3).items()))
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)

@@ -1,0 +1,244 @@
+"""False, missed and wrong calls of a machine with two phase-current sensors: shorted turns, bars, sensors, supply.
+
+    python -m experiments.machine_faults.calls
+
+Run from the project's folder; it rewrites calls.csv and the tables "false" and "calls" in README.md, and goes on where
+it was interrupted. The records are those of machine.py, in phases; the voltages are those asked for, of which a supply
+may make a little more or less in each phase. What is compared with them are the fault models in fmus/, whose currents
+`Phases` turns into what the sensors show.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicSpline
+
+import fmuid
+from experiments import calls, pages
+from experiments.machine_faults import models
+from experiments.machine_faults.machine import BARS, TRUTH, TURNS, Condition
+from experiments.machine_faults.make_tables import SAMPLE_TIME, WARM, simulate
+from fmuid.arrays import Floats
+from fmuid.data.transforms import T23
+from fmuid.diagnosis import Causes
+from fmuid.diagnosis.coordinates import CauseKind, Coordinates, coordinates_of
+from fmuid.diagnosis.linearisation import Machine
+
+HERE = Path(__file__).parent
+STD = 0.175  # A, on each of the two phase currents: as much as on ids and iqs in make_tables.py
+SUPPLY, SENSORS = ("ua", "ub", "uc"), ("ia", "ib")
+DRIFT = {"Rs": 1.5, "Rr": 0.6, "Lm": 0.004, "Lf": 0.0008}  # standard deviations: temperature 15 %, inductances 1 %
+
+
+class Off(NamedTuple):
+    """What is new in a record, or always there: the machine, its sensors a and b, its supply a, b and c."""
+
+    machine: Condition = Condition()
+    gain: tuple[float, float] = (0.0, 0.0)
+    offset: tuple[float, float] = (0.0, 0.0)  # standard deviations of the noise
+    delay: tuple[float, float] = (0.0, 0.0)  # s
+    supply: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class Case(NamedTuple):
+    """A row of the table."""
+
+    new: Off
+    always: Off = Off()
+    colour: float = 0.0
+
+    @property
+    def right(self) -> dict[str, float]:
+        """The causes that are new, and their sizes."""
+        new, old, found = self.new, self.always, {}
+        if new.machine.turns:
+            found[f"stator.fault.eta_{'abc'[new.machine.phase]}"] = new.machine.turns / TURNS
+        if new.machine.bars:
+            found["rotor.eta0"] = 3 * new.machine.bars / BARS
+        for kind, scale in (("gain", 1.0), ("offset", STD), ("delay", 1.0), ("supply", 1.0)):
+            names = SUPPLY if kind == "supply" else SENSORS
+            for name, value, before in zip(names, getattr(new, kind), getattr(old, kind), strict=True):
+                if value != before:
+                    found[f"{'input gain' if kind == 'supply' else kind}({name})"] = scale * (value - before)
+        return found
+
+
+def _turns(turns: int, phase: str, **more: float) -> Condition:
+    return Condition(turns=turns, phase="abc".index(phase), **more)  # type: ignore[arg-type]
+
+
+ALWAYS = Off(gain=(0.02, -0.01), offset=(0.3, -0.2), delay=(5e-5, 0.0), supply=(0.005, -0.01, 0.0))
+
+
+def _always(machine: Condition) -> Off:
+    return Off(machine, ALWAYS.gain, ALWAYS.offset, ALWAYS.delay, ALWAYS.supply)
+
+
+CASES = {
+    "white noise": Case(Off()),
+    "AR 0.4": Case(Off(), colour=0.4),
+    "AR 0.8": Case(Off(), colour=0.8),
+    "warm, resistances + 30 %": Case(Off(Condition(warmth=WARM))),
+    "cold, resistances − 20 %": Case(Off(Condition(warmth=0.8))),
+    "sensors and supply off in both": Case(ALWAYS, ALWAYS),
+    "1 turn of a": Case(Off(_turns(1, "a"))),
+    "2 turns of a": Case(Off(_turns(2, "a"))),
+    "5 turns of a, warm": Case(Off(_turns(5, "a", warmth=WARM))),
+    "5 turns of b, AR 0.8": Case(Off(_turns(5, "b")), colour=0.8),
+    "5 turns of c, sensors and supply off in both": Case(_always(_turns(5, "c")), ALWAYS),
+    "10 turns of a": Case(Off(_turns(10, "a"))),
+    "20 turns of b": Case(Off(_turns(20, "b"))),
+    "40 turns of c": Case(Off(_turns(40, "c"))),
+    "1 broken bar": Case(Off(Condition(bars=1))),
+    "sensor a, gain + 3 %": Case(Off(gain=(0.03, 0.0))),
+    "sensor b, gain − 3 %": Case(Off(gain=(0.0, -0.03))),
+    "sensor a, delay 0.1 ms": Case(Off(delay=(1e-4, 0.0))),
+    "sensor a, offset half a std": Case(Off(offset=(0.5, 0.0))),
+    "supply b − 1 %": Case(Off(supply=(0.0, -0.01, 0.0))),
+    "10 turns of a and 1 broken bar": Case(Off(_turns(10, "a", bars=1))),
+    "10 turns of a and sensor b, gain + 3 %": Case(Off(_turns(10, "a"), gain=(0.0, 0.03))),
+    "2 turns of a and sensor b, offset half a std": Case(Off(_turns(2, "a"), offset=(0.0, 0.5))),
+    "sensor a, gain + 3 %, and sensor b, offset half a std": Case(Off(gain=(0.03, 0.0), offset=(0.0, 0.5))),
+    "1 broken bar and sensor a, gain + 3 %": Case(Off(Condition(bars=1), gain=(0.03, 0.0))),
+}
+KEYS = {name: k for k, name in enumerate(CASES)}
+
+
+# --- in phases
+
+
+def turned(theta: Floats, vectors: Floats, back: bool = False) -> Floats:
+    """Return vectors (K, 2, ...) of the rotor's axes in those of the stator, or back."""
+    shape = (-1,) + (1,) * (vectors.ndim - 2)
+    c, s = np.cos(theta).reshape(shape), np.sin(theta).reshape(shape) * (-1.0 if back else 1.0)
+    return np.stack([c * vectors[:, 0] - s * vectors[:, 1], s * vectors[:, 0] + c * vectors[:, 1]], axis=1)
+
+
+def supplied(frame: pd.DataFrame, matrix: Floats) -> pd.DataFrame:
+    """Return a table whose voltages, along the stator's two axes, are multiplied by a matrix (2, 2)."""
+    theta = frame["theta"].to_numpy()
+    still = turned(theta, frame[["uds", "uqs"]].to_numpy()) @ matrix.T
+    made = turned(theta, still, back=True)
+    return frame.assign(uds=made[:, 0], uqs=made[:, 1])
+
+
+def asymmetry(gains: Floats) -> Floats:
+    """Return what gains of the three phases do along the stator's two axes (2, 2); the star point is isolated."""
+    return np.asarray(T23 @ np.diag(1.0 + gains) @ T23.T)
+
+
+@cache
+def clean(off: Off) -> fmuid.Experiment:
+    """Return a record in phases without noise; what the models need of it goes along."""
+    frame = simulate(off.machine)
+    currents = turned(frame["theta"].to_numpy(), frame[["ids", "iqs"]].to_numpy()) @ T23[:, :2]
+    asked = supplied(frame, np.asarray(np.linalg.inv(asymmetry(np.array(off.supply))), dtype=np.float64))
+    time = asked["time"].to_numpy()
+    for k, name in enumerate(SENSORS):
+        late = CubicSpline(time, currents[:, k])(time - off.delay[k])
+        asked[name] = (1.0 + off.gain[k]) * late + off.offset[k] * STD
+    asked[list(SUPPLY)] = turned(asked["theta"].to_numpy(), asked[["uds", "uqs"]].to_numpy()) @ T23
+    return fmuid.Experiment(asked, SUPPLY, SENSORS)
+
+
+class Phases:
+    """The machine and its fault models over a record in phases.
+
+    Parameters
+    ----------
+    inner : Machine
+        In the rotor's axes, with the healthy parameters and the faults as coordinates.
+    coordinates : Coordinates
+        These first, then sensors and supply.
+    experiment : Experiment
+    """
+
+    def __init__(self, inner: Machine, coordinates: Coordinates, experiment: fmuid.Experiment) -> None:
+        self._inner, self._coordinates, self.experiment = inner, coordinates, experiment
+        self._count = len(inner.coordinates.each)
+
+    def linearise(self, point: Floats) -> tuple[Floats, Floats]:
+        """Return the sensors' readings (K, 2) at a point (N,), and their derivatives (K, 2, N)."""
+        own, frame = point[: self._count], self.experiment.frame
+        supply = self._coordinates.of(CauseKind.INPUT_GAIN)
+        gains, step, theta = point[supply], 1e-3, frame["theta"].to_numpy()
+
+        def phases(vectors: Floats) -> Floats:
+            return np.asarray(np.einsum("kc...,cp->kp...", turned(theta, vectors), T23[:, :2]))
+
+        def over(gains: Floats) -> Machine:
+            return self._inner.over(rotating(supplied(frame, asymmetry(gains))))
+
+        outputs, columns = over(gains).linearise(own)
+        outputs = phases(outputs)
+        found = np.zeros((*outputs.shape, point.size))
+        found[:, :, : self._count] = phases(columns)
+        for k, i in enumerate(supply):
+            ends = [phases(over(gains + sign * step * np.eye(3)[k]).outputs(own)) for sign in (1.0, -1.0)]
+            found[:, :, i] = (ends[0] - ends[1]) / (2.0 * step)
+        for k, name in enumerate(SENSORS):
+            at = [self._coordinates.of(kind, name)[0] for kind in (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)]
+            gain, offset, delay = point[at]
+            rate = np.gradient(outputs[:, k], SAMPLE_TIME)
+            late = outputs[:, k] - delay * rate
+            found[:, k] *= 1.0 + gain
+            found[:, k, at] = np.column_stack([late, np.ones(late.size), -(1.0 + gain) * rate])
+            outputs[:, k] = (1.0 + gain) * late + offset
+        return outputs, found
+
+
+def rotating(frame: pd.DataFrame) -> fmuid.Experiment:
+    """Return a table as an experiment in the rotor's axes."""
+    return fmuid.Experiment(frame, models.INPUTS, models.OUTPUTS)
+
+
+@cache
+def setting() -> calls.Setting:
+    """Return what all records have in common."""
+    nominal = {name: fmuid.Parameter(value) for name, value in TRUTH.items()}
+    faults = dict(models.faults())
+    ratios = {name: fmuid.Parameter(0.0, min=0.0, nominal=0.01) for name in models.RATIOS}
+    faults["stator"] = fmuid.Fault(models.stator(), ratios, faults["stator"].names, inputs={"theta": "theta"})
+    sound, noise = clean(Off()), dict.fromkeys(SENSORS, STD)
+    coordinates = coordinates_of(models.healthy_machine(), nominal, faults, sound, noise, Causes())
+    turning = rotating(sound.frame)
+    own = Causes(None, None, None, None)
+    inner = coordinates_of(models.healthy_machine(), nominal, faults, turning, dict.fromkeys(models.OUTPUTS, STD), own)
+    machine = Machine(models.healthy_machine(), {}, nominal, faults, inner, turning)
+    drift = np.zeros(len(coordinates.each))
+    for name, std in DRIFT.items():
+        drift[[each.name for each in coordinates.each].index(name)] = std
+
+    def phases(case: str, new: bool) -> Phases:
+        return Phases(machine, coordinates, clean(CASES[case].new if new else CASES[case].always))
+
+    def records(case: str, _: np.random.Generator) -> tuple[fmuid.Experiment, fmuid.Experiment]:
+        return clean(CASES[case].always), clean(CASES[case].new)
+
+    return calls.Setting(
+        coordinates, drift, STD, phases, records, lambda case: CASES[case].right, lambda case: CASES[case].colour
+    )
+
+
+def tables(found: pd.DataFrame) -> dict[str, str]:
+    """Return the tables of the page."""
+    faulty = {name: tuple(case.right) for name, case in CASES.items() if case.right}
+    return {
+        "false": calls.false_table(found, [name for name in CASES if name not in faulty]),
+        "calls": calls.named_table(found, faulty),
+    }
+
+
+def main() -> None:
+    """Examine the records and rewrite the page's tables."""
+    counts = {name: calls.FAULTY if case.right else calls.FALSE for name, case in CASES.items()}
+    pages.rewrite(HERE, tables(calls.Campaign(setting(), HERE / "calls.csv").run(CASES, KEYS, counts)))
+
+
+if __name__ == "__main__":
+    main()
