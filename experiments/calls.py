@@ -227,6 +227,8 @@ def false_table(found: pd.DataFrame, cases: Sequence[str]) -> str:
     lines = ["| nothing new | records | false calls (%) | “something else” (%) | named |", "|---|---|---|---|---|"]
     for case in cases:
         part = found[found["case"] == case]
+        if part.empty:
+            continue
         names = ", ".join(dict.fromkeys(name for each in part["named"] for name in str(each).split(" or ") if name))
         cells = [case, str(len(part)), rate(part["alarm"]), rate(part["else"]), names or "–"]
         lines.append("| " + " | ".join(cells) + " |")
@@ -240,6 +242,8 @@ def named_table(found: pd.DataFrame, cases: Mapping[str, Sequence[str]]) -> str:
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for case, right in cases.items():
         part = found[found["case"] == case]
+        if part.empty:
+            continue
         sets = [[set(one.split(" + ")) for one in str(each).split(" or ")] if each else [] for each in part["named"]]
         truth, off = set(right), [float(z) for each in part["off"] for z in str(each).split()]
         cells = [case, str(len(part)), rate(part["alarm"])]

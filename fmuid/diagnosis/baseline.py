@@ -46,7 +46,8 @@ class Baseline:
     Raises
     ------
     InputError
-        If the result has nothing to say, a factor is not positive, or a parameter has a second prior.
+        If the result has nothing to say, a factor is not positive, a parameter has a second prior, or trials
+        have no records beside them.
 
     Examples
     --------
@@ -62,9 +63,12 @@ class Baseline:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     records: Sequence[Experiment] = ()
+    trials: Mapping[str, Sequence[Experiment]] = field(default_factory=dict)
     common: dict[str, Parameter] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        if self.trials and not self.records:
+            raise InputError("trials are compared with healthy records: name the tables of the healthy machine, too")
         object.__setattr__(self, "common", common_mode(self.result, self.inflate, self.parameters, self.values))
 
     @classmethod

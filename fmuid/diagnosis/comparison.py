@@ -13,13 +13,14 @@ from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.coordinates import OPEN, Causes, Coordinates, coordinates_of
 from fmuid.diagnosis.evidence.information import Known
-from fmuid.diagnosis.examination import Healthy, examine, healthy_of
+from fmuid.diagnosis.examination import Healthy, error_of, examine, healthy_of
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.findings import Evidence
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.diagnosis.whitening import Whitening
 from fmuid.errors import InputError
 from fmuid.models import System
+from fmuid.text import nearest
 
 NOTHING_BESIDE = Causes(None, None, None, None, None)
 
@@ -93,6 +94,29 @@ class Juxtaposition:
         whitening = whitening_of(records, coordinates, variance if baseline.noise_variance is not None else None)
         return cls(system, baseline, faults, coordinates, healthy_of(records, whitening, coordinates, drift))
 
+    def model_error(self, stated: float, level: float) -> float:
+        """Return κ: the largest that the trials of the baseline show, or without them what is stated.
+
+        Raises
+        ------
+        InputError
+            If the trials are of no cause that there is, or show nothing new.
+        """
+        if not self.baseline.trials:
+            return stated
+        causes, found = {cause.name: cause for cause in self.coordinates.causes}, []
+        for name, records in self.baseline.trials.items():
+            if name not in causes:
+                raise InputError(f"trials have {name!r}, which is no cause{nearest(name, causes)}")
+            for each in records:
+                shown = error_of(self.machine(each), self.healthy, self.coordinates, causes[name], level)
+                if math.isnan(shown):
+                    raise InputError(
+                        f"the trial {each.source} shows nothing of {name}: take a larger one, or leave it out"
+                    )
+                found.append(shown)
+        return max(found)
+
     def machine(self, experiment: Experiment) -> Machine:
         """Return the machine over a record."""
         return _machine(self.system, self.baseline, self.faults, self.coordinates, experiment)
@@ -123,7 +147,8 @@ def compare(
     """
     made = Juxtaposition.of(system, baseline, faults, causes, experiments)
     machines = [made.machine(each) for each in experiments]
-    return Evidence.of(examine(machines, made.healthy, made.coordinates, level, model_error), faults)
+    kappa = made.model_error(model_error, level)
+    return Evidence.of(examine(machines, made.healthy, made.coordinates, level, kappa), faults)
 
 
 def _machine(

@@ -161,18 +161,25 @@ class Design:
             known = Known.after(Information(longer * said.matrix, longer * said.score), made.coordinates.normal)
         sharp = News.of(said, Known(0.0 * known.mean, 0.0 * known.covariance).drifting(made.healthy.drift))
         news = News.of(said, known.drifting(made.healthy.drift))
-        causes = made.coordinates.causes
+        causes, kappa = made.coordinates.causes, made.model_error(self.model_error, self.false_alarm)
         limit = self.false_alarm if len(causes) == 1 else Chance.of(news, causes).limit(self.false_alarm)
         found = []
         for cause in causes:
             of = made.coordinates.each[cause.columns[0]]
             if of.kind is CauseKind.FAULT:
-                size = self._size(news, sharp, said, cause, causes, limit)
+                size = self._size(news, sharp, said, cause, causes, limit, kappa)
                 found.append(Detectable(of.fault, of.variable, size[0], size[1], of.unit, *size[2:]))
         return tuple(found)
 
     def _size(
-        self, news: News, sharp: News, said: Information, cause: Cause, causes: Sequence[Cause], limit: float
+        self,
+        news: News,
+        sharp: News,
+        said: Information,
+        cause: Cause,
+        causes: Sequence[Cause],
+        limit: float,
+        kappa: float,
     ) -> tuple[float, float, float, str, float, float]:
         """Return value, std, share, rival, its angle and the size that is told apart, of one fault."""
         least = [float(np.linalg.eigvalsh(each.part(cause.columns)[0])[0]) for each in (news, sharp)]
@@ -186,7 +193,7 @@ class Design:
             return value, std, share, "", math.nan, value
         angles = [angle(news, cause, other) for other in others]
         near = int(np.argmin(angles))
-        apart = max(told_apart_from(news, cause, other, self.model_error) for other in others)
+        apart = max(told_apart_from(news, cause, other, kappa) for other in others)
         return value, std, share, others[near].name, angles[near], max(apart, value)
 
     def cost(self, excitation: Experiment, healthy: Sequence[float] = (1.0, 3.0, 10.0, 100.0)) -> pd.DataFrame:

@@ -17,7 +17,8 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.coordinates import Coordinates
-from fmuid.diagnosis.evidence.detection import Chance
+from fmuid.diagnosis.evidence.causes import Cause
+from fmuid.diagnosis.evidence.detection import Chance, fit
 from fmuid.diagnosis.evidence.information import Information, Known, News
 from fmuid.diagnosis.evidence.naming import MODEL_ERROR, Naming, name
 from fmuid.diagnosis.evidence.remainder import NOTHING_LEFT, Remainder, change, lagged, probability, regression
@@ -29,6 +30,8 @@ from fmuid.errors import SimulationError
 NULL_STEPS, NAME_STEPS = 2, 4
 # Sizes that move by less, in standard deviations, have settled.
 SETTLED = 0.1
+# The largest error seen in trials over κ: three standard deviations.
+TOLERATED = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +47,8 @@ class Examination:
         At the point where the models were linearised last.
     point : (N,) array
         That point.
+    model_error : float
+        κ by which it was named.
     ratio : float
         Of the residual's variance and the noise, with what was named.
     without : float
@@ -59,6 +64,7 @@ class Examination:
     naming: Naming
     news: News
     point: Floats
+    model_error: float
     ratio: float
     without: float
     samples: int
@@ -144,9 +150,38 @@ def examine(
     news = News.of(said, work.known)
     chance = Chance.of(news, coordinates.causes)
     naming = work.named(news, chance)
-    found = Examination(coordinates, naming, news, point, without, without, samples)
+    found = Examination(coordinates, naming, news, point, model_error, without, without, samples)
     found = work.settled(found, chance) if naming.named else found
     return replace(found, remainder=work.remainder(found))
+
+
+def error_of(trial: Machine, healthy: Healthy, coordinates: Coordinates, cause: Cause, level: float) -> float:
+    """Return κ of a trial: how much of a fault's effect its model leaves along another cause's signature.
+
+    A third of the largest √(D₂|₁/D₁), what chance adds on the average taken off: pairs are named from about 4 κ on.
+
+    Parameters
+    ----------
+    trial : Machine
+        Over a record in which this cause is there, and nothing else is new.
+    healthy : Healthy
+    coordinates : Coordinates
+    cause : Cause
+    level : float
+        As for `examine`; a trial that shows nothing new says nothing.
+
+    Returns
+    -------
+    float
+        NaN where the trial shows nothing new.
+    """
+    found = examine([trial], healthy, replace(coordinates, causes=(cause,)), level, model_error=0.0)
+    if not found.naming.alarm:
+        return math.nan
+    plain, own = replace(cause, sign=0), fit(found.news, (cause,)).statistic
+    others = [replace(each, sign=0) for each in coordinates.causes if each is not cause]
+    left = [fit(found.news, (plain, other)).statistic - own - len(other.columns) for other in others]
+    return math.sqrt(max(0.0, *left) / own) / TOLERATED if left else 0.0
 
 
 class _Examining:

@@ -125,8 +125,10 @@ class Evidence:
         The best one first, then all that the record does not exclude beside it.
     suspects : tuple of Suspect
         Every cause alone.
+    model_error : float
+        κ, stated or measured on trials.
     temper : float
-        Factor on variances after the alarm, for the models' own error.
+        By which evidence is divided after the alarm, for the models' own error.
     ratio, without : float
         Variance of the residual over the noise, with the best explanation and without any.
     samples : int
@@ -140,6 +142,7 @@ class Evidence:
     alarm: bool
     explanations: tuple[Explanation, ...]
     suspects: tuple[Suspect, ...]
+    model_error: float
     temper: float
     ratio: float
     without: float
@@ -168,6 +171,7 @@ class Evidence:
             naming.alarm,
             tuple(Explanation(changes(each.causes, each.fit, coordinates, faults), each.odds) for each in naming.named),
             tuple(_suspect(found, cause, faults) for cause in coordinates.causes),
+            found.model_error,
             naming.temper,
             found.ratio,
             found.without,
@@ -185,7 +189,10 @@ class Evidence:
         KeyError, TypeError, ValueError
             If the data are not of one.
         """
-        plain = {key: data[key] for key in ("probability", "alarm", "temper", "ratio", "without", "samples", "steady")}
+        plain = {
+            key: data[key]
+            for key in ("probability", "alarm", "model_error", "temper", "ratio", "without", "samples", "steady")
+        }
         explanations = tuple(map(Explanation.of_json, data["explanations"]))
         suspects = tuple(Suspect(**each | {"change": _change(each["change"])}) for each in data["suspects"])
         remainder = Remainder(**data["remainder"])

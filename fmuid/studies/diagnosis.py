@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -225,6 +225,7 @@ class DiagnosisWords(Words):
     )
     level: Share = word(RULE.level, "probability of a false alarm", RULE.level)
     records: Files = word([], "tables of the healthy machine: sensors and supply are told from faults by them")
+    trials: dict[str, Files] = word({}, "cause to tables in which it alone is new: they show model_error", {})
     causes: CausesWords | None = word(None, "what may have changed beside the faults")
     model_error: NotNegative = word(MODEL_ERROR, "of a fault model along other signatures, a share of its effect")
     faults: dict[str, FaultWords] = word({}, "the faults to look for, by their names")
@@ -261,6 +262,7 @@ class DiagnosisWords(Words):
             tuple(self.records),
             CAUSES if self.causes is None else self.causes.causes(),
             self.model_error,
+            {name: tuple(tables) for name, tables in self.trials.items()},
         )
 
 
@@ -339,6 +341,8 @@ class FaultSearch:
     causes : Causes
         Beside the faults, where there are healthy records.
     model_error : float
+    trials : mapping of str to tuple of Path
+        Cause to tables in which it alone is new.
     """
 
     source: Source
@@ -348,6 +352,12 @@ class FaultSearch:
     records: tuple[Path, ...] = ()
     causes: Causes = CAUSES
     model_error: float = MODEL_ERROR
+    trials: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
+
+    @property
+    def tables(self) -> tuple[Path, ...]:
+        """All records of the healthy machine and of trials."""
+        return (*self.records, *(path for paths in self.trials.values() for path in paths))
 
     def hypotheses(self, system: System, model: ModelSettings, data: Mapping[str, Any]) -> dict[str, Fault]:
         """Return the faults; `system` and `model` are the study's own, `data` the content of its file.
@@ -373,9 +383,9 @@ class FaultSearch:
         model: ModelSettings,
         parameters: Mapping[str, Parameter],
         noise: Noise,
-        records: Sequence[Experiment] = (),
+        read: Callable[[Path], Experiment],
     ) -> Baseline:
-        """Return the healthy machine, with the words of the study's other tables, and its records.
+        """Return the healthy machine, with the words of the study's other tables, and its records, which `read` reads.
 
         Raises
         ------
@@ -384,4 +394,7 @@ class FaultSearch:
         """
         from fmuid.diagnosis import Baseline
 
-        return Baseline(self.source.result, self.inflate, noise.given_variance(), parameters, model.values, records)
+        records = [read(path) for path in self.records]
+        trials = {name: [read(path) for path in paths] for name, paths in self.trials.items()}
+        variance = noise.given_variance()
+        return Baseline(self.source.result, self.inflate, variance, parameters, model.values, records, trials)

@@ -127,9 +127,8 @@ def record_files(paths: Sequence[Path]) -> list[Path]:
 
 def _healthy(study: Study) -> Baseline:
     """Return the healthy machine of a study, with its records."""
-    settings = _settings(study)
-    records = [study.experiments[0].read_experiment(path) for path in settings.records]
-    return settings.baseline(study.model, study.parameters, study.noise, records)
+    read = study.experiments[0].read_experiment
+    return _settings(study).baseline(study.model, study.parameters, study.noise, read)
 
 
 def _settings(study: Study) -> FaultSearch:

@@ -205,7 +205,7 @@ class Study(Displayed):
         models = [self.model, *(fault.model for fault in faults if fault.model is not None)]
         found = [path for model in models for path, _ in model.components.values()]
         found += [given.table for given in self.experiments] + [source.path for source in self._all_sources]
-        found += self.diagnosis.records if self.diagnosis is not None else ()
+        found += self.diagnosis.tables if self.diagnosis is not None else ()
         return tuple(dict.fromkeys([*found, *(self.batch.records().values() if self.batch is not None else ())]))
 
     @property
@@ -346,8 +346,8 @@ class Study(Displayed):
         hypotheses = settings.hypotheses(self.system, self.model, self.data)
         how = settings.how(self.estimator.marquardt, self.sensitivity, self.accuracy)
         try:
-            records = [self.experiments[0].read_experiment(path) for path in settings.records]
-            healthy = settings.baseline(self.model, self.parameters, self.noise, records)
+            read = self.experiments[0].read_experiment
+            healthy = settings.baseline(self.model, self.parameters, self.noise, read)
             return diagnose(self.tables, healthy, hypotheses, self.system, how, progress)
         except InputError as error:
             raise InputError(f"{settings.source.where}: {error}") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from scipy import signal
 
 import fmuid
 from fmuid.cli.app import run
-from fmuid.diagnosis import CauseKind, Causes, Range
+from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, Evidence, Range
 from fmuid.diagnosis.coordinates import Coordinates, coordinates_of
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.diagnosis.whitening import Whitening
@@ -186,6 +187,36 @@ def test_what_was_always_so_is_no_news(look: Look) -> None:
         assert "Nothing new found at a false-alarm level of 1 %" in verdict(found)
 
 
+def test_trials_show_what_a_fault_model_leaves(coil: fmuid.System, faults: dict[str, fmuid.Fault]) -> None:
+    """As much as an offset that a trial has beside its turns explains; chance alone leaves next to nothing."""
+    random = np.random.default_rng(8)
+    healthy = noisy(random)
+    known = fmuid.identify(fmuid.Problem(coil, healthy, NOMINAL))
+
+    def found(record: fmuid.Experiment, **trials: list[fmuid.Experiment]) -> Evidence:
+        named = {name.replace("_", "."): each for name, each in trials.items()}
+        baseline = fmuid.Baseline(known, {"R": 10.0}, records=[healthy], trials=named)
+        evidence = fmuid.diagnose(record, baseline, faults, coil).evidence
+        assert evidence is not None
+        return evidence
+
+    plain, off = noisy(random, turns=2.0), noisy(random, turns=2.0, offset=0.02)
+    own = next(each.statistic for each in found(plain).suspects if each.change.label == "turns.dR")
+    left = 0.02**2 * SAMPLES / NOISE**2 / 2.0  # half of the information on an offset is the healthy record's
+    assert found(healthy).model_error == MODEL_ERROR
+    assert found(healthy, turns_dR=[off]).model_error == pytest.approx(math.sqrt(left / own) / 3.0, rel=0.25)
+    assert found(healthy, turns_dR=[plain]).model_error < 0.3 * math.sqrt(left / own) / 3.0
+    assert found(healthy, turns_dR=[plain, off]).model_error == found(healthy, turns_dR=[off]).model_error
+    for given, message in (
+        ({"turns": [off]}, "trials have 'turns', which is no cause"),
+        ({"turns_dR": [healthy]}, "shows nothing of turns.dR: take a larger one"),
+    ):
+        with pytest.raises(InputError, match=message):
+            found(healthy, **given)
+    with pytest.raises(InputError, match="trials are compared with healthy records"):
+        fmuid.Baseline(known, trials={"turns.dR": [off]})
+
+
 def test_causes_may_be_left_out(look: Look) -> None:
     none = Causes(None, None, None, None, None)
     found = look(2, L=0.012, causes=none)
@@ -252,6 +283,13 @@ def test_a_study_with_healthy_records(tmp_path: Path, capsys: pytest.CaptureFixt
     few = coil_study('diagnosis.records=["healthy.csv"]', "diagnosis.causes.gain=false", "diagnosis.causes.delay=false")
     assert run([*few, "-o", str(tmp_path)]) == 1
     assert "the gain of the sensor of i" not in capsys.readouterr().out
+    trials = coil_study('diagnosis.records=["healthy.csv"]', 'diagnosis.trials={"turns.dR" = ["test4.csv"]}')
+    assert run([*trials, "-o", str(tmp_path)]) == 1
+    evidence = fmuid.Diagnosis.from_json(tmp_path / "diagnosis.json").evidence
+    assert evidence is not None
+    assert 0.0 < evidence.model_error < MODEL_ERROR
+    said = f"other signatures: {100 * evidence.model_error:.2g} % of their effect"
+    assert said in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(

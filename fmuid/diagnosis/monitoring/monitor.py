@@ -256,7 +256,7 @@ class Monitor:
         """Judge an alarm that lasts to the end of a record by all that was seen."""
         now = self._now
         if now.judgement is not None:
-            self._now = now.said(judged(now.watch, made.coordinates, self.faults, level, self.model_error))
+            self._now = now.said(judged(now.watch, made.coordinates, self.faults, level, self._against.model_error))
 
     # --- what was found
 

@@ -190,7 +190,8 @@ class Against:
     """
 
     def __init__(self, made: Juxtaposition, rule: Rule, model_error: float) -> None:
-        self.made, self.rule, self.model_error = made, rule, model_error
+        self.made, self.rule = made, rule
+        self.model_error = made.model_error(model_error, rule.level)
         self.coordinates = made.coordinates
         self.known = made.healthy.known.drifting(made.healthy.drift)
         kinds = {CauseKind.PARAMETER, CauseKind.FAULT}

@@ -72,6 +72,7 @@ def _show_evidence(evidence: Evidence) -> None:
         )  # fmt: skip
     out = console()
     out.print(table)
+    out.print(f"Error of the fault models along other signatures: {100 * evidence.model_error:.2g} % of their effect")
     out.print()
 
 
