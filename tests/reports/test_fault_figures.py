@@ -86,7 +86,7 @@ def news() -> Evidence:
         Suspect(gain, 38.0, 1e-8, "turns.dR", math.radians(5.0)),
     )
     explanations = (Explanation((turns,), 1.0), Explanation((gain,), 0.2))
-    return Evidence(1e-9, True, explanations, suspects, 1.0, 1.0, 3.0, 600, True, NOTHING_LEFT)
+    return Evidence(1e-9, True, explanations, suspects, 0.05, 1.0, 1.0, 3.0, 600, True, NOTHING_LEFT)
 
 
 def test_causes_stand_by_their_likelihood_with_the_angle_to_the_nearest(news: Evidence) -> None:
