@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated
 
@@ -78,7 +77,7 @@ class PrepareWords(Words):
         {}, 'columns computed from others, { x = "pulses * 35.1 + vir" }, also in place of what is there'
     )
     fill: Fills = word({}, 'inputs whose missing samples are filled, { u = "linear" }, or "hold", the sample before')
-    longest_gap: Positive | None = word(None, "s: a longer gap is not filled but refused; default: any is filled")
+    longest_gap: Positive | None = word(None, "s: a longer gap is not filled but refused; default: 20 usual steps")
     axes: list[AxesWords] = word([], "phases transformed to turning axes, or back")
     low_pass: Positive | None = word(None, "Hz: inputs and outputs without what is faster, nothing shifted in time")
     start: Finite | None = word(None, "s: the table is kept from there", alias="from")
@@ -102,8 +101,7 @@ class PrepareWords(Words):
         if self.longest_gap is not None and not self.fill:
             raise self.error('has longest_gap and nothing to fill: name the columns, fill = { u = "linear" }')
         axes = tuple(each.settings() for each in self.axes)
-        gap = math.inf if self.longest_gap is None else self.longest_gap
-        how = self.low_pass, self.start, self.end, self.resample, self.detrend, self.fill, gap
+        how = self.low_pass, self.start, self.end, self.resample, self.detrend, self.fill, self.longest_gap
         return Preparation(self.columns, axes, *how)
 
     def check_fill(self, outputs: Mapping[str, str]) -> None:

@@ -272,6 +272,15 @@ def test_what_cannot_be_filled_is_refused(how: dict[str, Any], said: str) -> Non
     assert said in str(caught.value)
 
 
+def test_a_pause_is_not_bridged_unless_its_length_is_said() -> None:
+    table = gappy()
+    table.loc[600:620, "u"] = np.nan  # from 599 to 621: 22 steps of 1 ms
+    with pytest.raises(InputError, match=r"at t = 0.6 s, in a gap of 0.022 s, more than 20 usual steps = 0.02 s: make"):
+        fmuid.reduce(table, fill={"u": "linear"}, end=1.9)
+    found = fmuid.reduce(table, fill={"u": "linear"}, longest_gap=0.022, end=1.9)
+    np.testing.assert_allclose(found["u"], 2 * T[:1901], atol=1e-12)
+
+
 def test_gaps_outside_what_is_kept_do_not_matter() -> None:
     found = fmuid.reduce(gappy(), fill={"u": "linear"}, longest_gap=0.002, end=0.4)
     np.testing.assert_allclose(found["u"], 2 * T[:401], atol=1e-12)

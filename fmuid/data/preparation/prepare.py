@@ -84,8 +84,8 @@ class Preparation:
         What is taken from signals, or from some.
     fill : mapping of str to "linear" or "hold"
         Columns whose missing samples are filled, after `columns` and before `axes`.
-    longest_gap : float
-        s: a longer one is not filled (`fmuid.data.preparation.sampling.filled`).
+    longest_gap : float or None
+        s: a longer one is not filled; None: 20 usual steps (`fmuid.data.preparation.sampling.filled`).
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -96,7 +96,7 @@ class Preparation:
     resample: float | None = None
     detrend: str | Mapping[str, str] | None = None
     fill: Mapping[str, str] = field(default_factory=dict)
-    longest_gap: float = math.inf
+    longest_gap: float | None = None
 
     @property
     def by_rows(self) -> bool:
@@ -307,7 +307,7 @@ def reduce(
     resample: float | None = None,
     detrend: str | Mapping[str, str] | None = None,
     fill: Mapping[str, str] | None = None,
-    longest_gap: float = math.inf,
+    longest_gap: float | None = None,
     time: str = "time",
 ) -> Table:
     """Do with a table, or with that of an experiment, what ``[experiments.prepare]`` of a study does, in this order.
@@ -331,7 +331,7 @@ def reduce(
         Columns whose missing samples are filled, on straight lines or by the sample before; after `columns`, before
         all else. Those of outputs do not count and need no filling.
     longest_gap : float
-        s: a longer gap is refused; default: any is filled.
+        s: a longer gap is refused; default: 20 usual steps.
     time : str
         The column of time of a frame, s.
 

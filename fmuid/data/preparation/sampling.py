@@ -17,6 +17,8 @@ EQUAL = 0.01
 """Steps that differ by no more than this share are equal: clocks of loggers jitter."""
 GAP = 1.5
 """A step longer than so many usual ones is a gap, in which samples are missing."""
+MOST_FILLED = 20
+"""Usual steps that a gap may last to be filled where nobody says how long: a dropout of a logger, and no pause."""
 SHORTEST = 4
 """Samples in a row that can be filtered."""
 SAME = 1e-6
@@ -87,7 +89,9 @@ def _stretches(there: NDArray[np.bool_], breaks: NDArray[np.bool_]) -> list[NDAr
     return [each for each in np.split(rows, cuts) if each.size]
 
 
-def filled(times: Floats, values: Floats, how: str, longest: float, within: tuple[float, float], called: str) -> Floats:
+def filled(
+    times: Floats, values: Floats, how: str, longest: float | None, within: tuple[float, float], called: str
+) -> Floats:
     """Return a column (K,) with its gaps filled, on straight lines ("linear") or by the sample before ("hold").
 
     A gap is as long as the time from the sample before it to the one after, or to the end of the record. One that
@@ -96,7 +100,8 @@ def filled(times: Floats, values: Floats, how: str, longest: float, within: tupl
     Raises
     ------
     InputError
-        If a gap is longer than `longest`, s, or there is no sample to fill it from; the sentence names its time.
+        If a gap is longer than `longest`, s (None: `MOST_FILLED` usual steps), or there is no sample to fill it from;
+        the sentence names its time.
     """
     there, gone = np.flatnonzero(np.isfinite(values)), np.flatnonzero(~np.isfinite(values))
     if not gone.size:
@@ -108,15 +113,18 @@ def filled(times: Floats, values: Floats, how: str, longest: float, within: tupl
     length = times[after] - times[before]
     alone = first | (last if how == "linear" else False)
     needed = (times[gone] >= within[0]) & (times[gone] <= within[1])
-    long = ~alone & (length > longest * (1 + SAME))
+    limit, said_so = (
+        (MOST_FILLED * usual_step(times), f"{MOST_FILLED} usual steps") if longest is None else (longest, "longest_gap")
+    )
+    long = ~alone & (length > limit * (1 + SAME))
     for bad in np.flatnonzero((alone | long) & needed)[:1]:
         said = f"{called} has no value at t = {times[gone[bad]]:.9g} s"
         if alone[bad]:
             side = "before" if first[bad] else "after"
             raise InputError(f"{said} and none {side} it to fill it from: cut the table there")
         raise InputError(
-            f"{said}, in a gap of {length[bad]:.6g} s, more than longest_gap = {longest:g} s: make that longer, or cut "
-            "the table there"
+            f"{said}, in a gap of {length[bad]:.6g} s, more than {said_so} = {limit:g} s: make longest_gap longer, or "
+            "cut the table there"
         )
     share = np.where(length > 0, (times[gone] - times[before]) / np.where(length > 0, length, 1.0), 0.0)
     found, slope = values.copy(), values[after] - values[before] if how == "linear" else 0.0
