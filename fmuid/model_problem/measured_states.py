@@ -51,11 +51,9 @@ class MeasuredStates:
         if not self.unseen.size:
             yield from ((self.told, rates) for rates in self.side(both_ends(self.told), thetas)[0])
             return
-        inverse = np.linalg.pinv(self.unseen)
+        inverse = np.asarray(np.linalg.pinv(self.unseen), dtype=np.float64)
         first = self.side.initial(thetas)
-        begins: Floats = np.zeros((len(thetas), len(inverse)))
-        if first is not None:
-            begins = np.asarray((first - self.told[0]) @ inverse.T, dtype=np.float64)
+        begins = np.zeros((len(thetas), len(inverse))) if first is None else (first - self.told[0]) @ inverse.T
         for theta, begin in zip(thetas, begins, strict=True):
             yield self._followed(theta[None], begin, inverse)
 
