@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -159,3 +160,29 @@ def _first_text(series: pd.Series[Any]) -> tuple[int, str]:
         if math.isnan(number):
             return place
     return (cells[0][0], str(cells[0][1])) if cells else (1, "")
+
+
+def record_files(paths: Sequence[Path]) -> list[Path]:
+    """Return tables, and those in folders in the order of their names.
+
+    Raises
+    ------
+    InputError
+        If a folder has none, or two are of one name.
+    """
+    found: list[Path] = []
+    for path in paths:
+        inside = (
+            sorted(each for each in path.iterdir() if each.suffix.lower() in TABLE_SUFFIXES)
+            if path.is_dir()
+            else [path]
+        )
+        if not inside:
+            raise InputError(f"{path} has no table: give a folder with files of the kinds {', '.join(TABLE_SUFFIXES)}")
+        found += inside
+    names: dict[str, Path] = {}
+    for path in found:
+        if path.stem in names:
+            raise InputError(f"{names[path.stem]} and {path} are of one name: records go by it, rename one of the two")
+        names[path.stem] = path
+    return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from fmuid.data import TABLE_SUFFIXES, Experiment
+from fmuid.data import Experiment, record_files
 from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Baseline, Design, Monitor, Rule
 from fmuid.errors import InputError
 from fmuid.studies.diagnosis import FaultSearch
@@ -97,32 +97,6 @@ def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -
         except InputError as error:
             raise InputError(f"{error} (inputs and outputs are those of {study.path})") from None
         yield record
-
-
-def record_files(paths: Sequence[Path]) -> list[Path]:
-    """Return tables, and those in folders in the order of their names.
-
-    Raises
-    ------
-    InputError
-        If a folder has none, or two are of one name.
-    """
-    found: list[Path] = []
-    for path in paths:
-        inside = (
-            sorted(each for each in path.iterdir() if each.suffix.lower() in TABLE_SUFFIXES)
-            if path.is_dir()
-            else [path]
-        )
-        if not inside:
-            raise InputError(f"{path} has no table: give a folder with files of the kinds {', '.join(TABLE_SUFFIXES)}")
-        found += inside
-    names: dict[str, Path] = {}
-    for path in found:
-        if path.stem in names:
-            raise InputError(f"{names[path.stem]} and {path} are of one name: records go by it, rename one of the two")
-        names[path.stem] = path
-    return found
 
 
 def _healthy(study: Study) -> Baseline:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from fmuid.arrays import Floats
 from fmuid.diagnosis.evidence.causes import Cause
@@ -69,11 +69,13 @@ def log_limit(level: float, causes: Sequence[Cause], windows: int) -> float:
     onset by itself.
     """
 
+    from scipy.optimize import brentq  # slow to import
+
     def rate(log_p: float) -> float:
         return sum(_rate(log_p, cause, windows) for cause in causes) - level
 
     low, high = math.log(level) - 60.0, math.log(level) + math.log(2.0)
-    return float(optimize.brentq(rate, low, high, xtol=1e-6)) if rate(high) > 0 else high
+    return float(brentq(rate, low, high, xtol=1e-6)) if rate(high) > 0 else high
 
 
 def _rate(log_p: float, cause: Cause, windows: int) -> float:

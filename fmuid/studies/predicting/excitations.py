@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from fmuid.data import Experiment
+from fmuid.data import Experiment, record_files
 from fmuid.errors import InputError
 from fmuid.model_problem import SensitivityFunctions, expected_accuracy, rank_excitations, sensitivity_functions
-from fmuid.studies.monitoring import design_of, record_files
+from fmuid.studies.monitoring import design_of
 from fmuid.studies.study import Study
 
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fmuid.assessment import CONFIDENCE_LEVEL
-from fmuid.data import Experiment, Parameter
+from fmuid.data import Experiment, Parameter, record_files
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.model_problem import Prediction, estimates_for, predict, refinement_of
 from fmuid.progress import Progress
 from fmuid.simulation import Fit, Simulator, fit_of, refined
 from fmuid.studies.model import ExperimentSettings
-from fmuid.studies.monitoring import record_files
 from fmuid.studies.parameters import Source, SourceNote
 from fmuid.studies.study import Study
 from fmuid.text import nearest
