@@ -68,7 +68,6 @@ def log_limit(level: float, causes: Sequence[Cause], windows: int) -> float:
     b² f_k(b²) ∫ x ν²(x) dx a window, x from b/√windows to b (Siegmund and Venkatraman for k = 1), beside the newest
     onset by itself.
     """
-
     from scipy.optimize import brentq  # slow to import
 
     def rate(log_p: float) -> float:
