@@ -168,7 +168,7 @@ def record_files(paths: Sequence[Path]) -> list[Path]:
     Raises
     ------
     InputError
-        If a folder has none, or two are of one name.
+        If a folder has none, one is given twice, or two are of one name.
     """
     found: list[Path] = []
     for path in paths:
@@ -182,6 +182,8 @@ def record_files(paths: Sequence[Path]) -> list[Path]:
         found += inside
     names: dict[str, Path] = {}
     for path in found:
+        if path in names.values():
+            raise InputError(f"{path} is given twice: give each table once")
         if path.stem in names:
             raise InputError(f"{names[path.stem]} and {path} are of one name: records go by it, rename one of the two")
         names[path.stem] = path

@@ -12,6 +12,7 @@ import pandas as pd
 
 from fmuid import files
 from fmuid.assessment import CONFIDENCE_LEVEL, Compared, Comparison, IncomparableError, compare
+from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import as_json, content_of
 from fmuid.model_problem import Prediction
@@ -158,6 +159,9 @@ def estimate_rows(result: str, found: Result) -> list[dict[str, Any]]:
 def _names(paths: Sequence[Path]) -> list[str]:
     """Return names that tell paths apart: of their folders, with as much of the way to them as that takes."""
     ways = [path.resolve() for path in paths]
+    for path, way in zip(paths, ways, strict=True):
+        if ways.count(way) > 1:
+            raise InputError(f"{path} is given twice: give each result once")
     parts = [way.parent.parts if way.name == RESULT_FILE else way.parts for way in ways]
     names: list[str] = []
     for depth in range(1, max(map(len, parts)) + 1):

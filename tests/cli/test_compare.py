@@ -86,7 +86,7 @@ def test_on_a_common_table(made: Path, tmp_path: Path, capsys: pytest.CaptureFix
             "were made from different measurements, so that their likelihoods say nothing of each other",
         ),
         (("both",), "give at least two results"),
-        (("both", "both"), "two results are called"),
+        (("both", "both"), "is given twice"),
         (("both", "nothing"), "there is no such result"),
         (("both", "other", "--table", "missing.csv"), "missing.csv"),
     ],

@@ -466,6 +466,7 @@ def test_wrong_records_are_one_sentence(folder: Path, capsys: pytest.CaptureFixt
         ([other], "the input column 'u' is missing"),
         ([folder / "empty"], "has no table"),
         ([folder / "records", Path(twice)], "are of one name"),
+        ([Path(twice), Path(twice)], "is given twice"),
         ([folder / "none.csv"], "none.csv"),
     ):
         assert run(["monitor", study, *map(str, paths), *words]) == 2

@@ -244,6 +244,10 @@ def test_every_estimator_has_words(estimator: Estimator) -> None:
         ({"order": 1, "target": fmuid.Term(CLEAN, 2)}, "of order 1 knows no derivative 2"),
         ({"target": fmuid.Term(CLEAN[1:])}, "a term needs 1200 values"),
         ({"target": fmuid.Term(np.full(SAMPLES, np.nan))}, "a term needs finite values"),
+        (
+            {"target": fmuid.Term(np.where(TIMES > 0.5, np.nan, CLEAN))},
+            r"no sample from 0.5 to .* s, which is more than",
+        ),
         ({"terms": {}}, "terms are missing"),
         ({"terms": {"R": fmuid.Term(CLEAN), "S": fmuid.Term(2.0 * CLEAN)}}, "'R' and 'S' depend on each other"),
     ],

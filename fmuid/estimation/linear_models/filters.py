@@ -28,6 +28,8 @@ from fmuid.errors import InputError
 from fmuid.text import nearest
 
 INTERPOLATIONS = ("linear", "hold")
+# What is interpolated over a hole of so many time constants of the filter says nothing of the equation.
+LONGEST_HOLE = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +150,13 @@ class StateVariableFilter:
             raise InputError("a term needs finite values, NaN only where a sample is missing, and not throughout")
         if there.all():
             return values
+        known = np.concatenate([self.times[:1], self.times[there], self.times[-1:]])
+        at = int(np.argmax(np.diff(known)))
+        if known[at + 1] - known[at] > max(LONGEST_HOLE / self.cutoff, 2.0 * float(np.diff(self.times).max())):
+            raise InputError(
+                f"a term has no sample from {known[at]:g} to {known[at + 1]:g} s, which is more than "
+                f"{LONGEST_HOLE:g} times the filter's 1/cutoff: leave that part of the record out"
+            )
         if term.interpolation == "hold":
             return np.asarray(pd.Series(values).ffill().bfill(), dtype=np.float64)
         return np.asarray(np.interp(self.times, self.times[there], values[there]), dtype=np.float64)
