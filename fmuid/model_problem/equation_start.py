@@ -43,7 +43,7 @@ def equation_start(problem: Problem, start: Floats) -> Floats | None:
         Where the search for it sets out.
     """
     try:
-        records = [_Record.of(problem, index, start) for index in range(len(problem.experiments))]
+        records = [_WeakRecord.of(problem, index, start) for index in range(len(problem.experiments))]
         found = _fitted(problem, [each for each in records if each is not None], start)
     except FmuidError:
         return None
@@ -51,7 +51,7 @@ def equation_start(problem: Problem, start: Floats) -> Floats | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Record:
+class _WeakRecord:
     """One experiment: its right-hand side, windows and states, and the slopes and noise (n_y,) of its outputs."""
 
     side: RightHandSide
@@ -62,7 +62,7 @@ class _Record:
     noise: Floats
 
     @classmethod
-    def of(cls, problem: Problem, index: int, start: Floats) -> _Record | None:
+    def of(cls, problem: Problem, index: int, start: Floats) -> _WeakRecord | None:
         simulator, experiment = problem.simulators[index], problem.experiments[index]
         side = RightHandSide.of(simulator)
         if side is None:
@@ -93,7 +93,7 @@ class _Record:
 class _Scaled:
     """The residuals of all records over logarithms, or shares, of the parameters that act on f; a predictor."""
 
-    def __init__(self, records: list[_Record], start: Floats, acting: NDArray[np.intp], scale: Floats) -> None:
+    def __init__(self, records: list[_WeakRecord], start: Floats, acting: NDArray[np.intp], scale: Floats) -> None:
         self.records, self.start, self.acting = records, start, acting
         self._scale, self._logs = scale[acting], start[acting] != 0.0
 
@@ -135,7 +135,7 @@ class _Scaled:
         return found
 
 
-def _fitted(problem: Problem, records: list[_Record], start: Floats) -> Floats | None:
+def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> Floats | None:
     """Return the parameters (N,) that act on f as the weak form finds them, None where it finds nothing."""
     if not records:
         return None
@@ -164,7 +164,7 @@ def _fitted(problem: Problem, records: list[_Record], start: Floats) -> Floats |
     return np.asarray(scaled.thetas(found.values[None])[0], dtype=np.float64)
 
 
-def _with_initial_states(problem: Problem, records: list[_Record | None], theta: Floats) -> Floats:
+def _with_initial_states(problem: Problem, records: list[_WeakRecord | None], theta: Floats) -> Floats:
     """Move the parameters that act on initial states alone to where these are the first measured ones."""
     parameters, found = problem.parameters, theta.copy()
     for record in records:
@@ -189,7 +189,7 @@ def _with_initial_states(problem: Problem, records: list[_Record | None], theta:
     return found
 
 
-def _acts(record: _Record, moved: Floats) -> NDArray[np.bool_]:
+def _acts(record: _WeakRecord, moved: Floats) -> NDArray[np.bool_]:
     """Return which of the experiment's parameters act on f, each moved in its row of (1 + n, n)."""
     slopes, _ = record.side(both_ends(record.states.told), moved)
     with np.errstate(invalid="ignore"):
