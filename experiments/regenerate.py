@@ -29,7 +29,7 @@ HERE = Path(__file__).parent
 
 BATCHES = {
     "monte_carlo": ("Estimates over the cases", "Written to", "distributions.png"),
-    "held": ("By setting", "200 cases:", "swept-Lm.png"),
+    "held": ("By setting", "200 cases:", "over-1.png"),
 }
 """Study to where begins and ends what the page shows of the command's words, and its figure."""
 

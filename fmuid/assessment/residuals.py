@@ -31,6 +31,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result
 from fmuid.files import as_json
 
+CORRELATIONS = ("experiment", "output", "with", "lag", "time", "correlation", "band")
 # What is found is less likely by chance than this, over all residuals and inputs together ...
 RESIDUAL_LEVEL = 0.01
 # ... and matters: an autocorrelation this large,
@@ -147,11 +148,9 @@ class Diagnostics:
             own = (each.output, lags, lags * each.step, each.autocorrelation[1:], each.band)
             others = [(one.input, one.lags / each.step, one.lags, one.values, one.band) for one in each.inputs]
             for name, places, times, values, band in (own, *others) if each.examined else ():
-                columns = {"lag": np.rint(places), "time": times, "correlation": values, "band": band}
-                parts.append(
-                    pd.DataFrame({"experiment": each.experiment, "output": each.output, "with": name} | columns)
-                )
-        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+                columns = (each.experiment, each.output, name, np.rint(places), times, values, band)
+                parts.append(pd.DataFrame(dict(zip(CORRELATIONS, columns, strict=True))))
+        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=CORRELATIONS)
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return ``diagnostics`` of ``result.json``; what is not a finite number is None."""

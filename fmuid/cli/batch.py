@@ -75,24 +75,13 @@ def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) 
     said += [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
     console.show_notes(said)
     if found.finished:
-        from fmuid.reports import REPORT_FILE, clear_figures, write_overview, write_summary
+        from fmuid.reports import show_results, write_overview, write_summary
         from fmuid.reports.console.batch import show_batch
 
-        summary, frame = found.summary()
+        summary, _ = found.summary()
         show_batch(summary)
         written = [*write_summary(summary, job.folder), write_overview(summary, found, job.study)]
-        clear_figures(job.folder / "figures")
-        (job.folder / REPORT_FILE).unlink(missing_ok=True)
-        if figures is not None:
-            from fmuid.reports.figures import batch as figures_batch
-            from fmuid.reports.figures import style as plots
-
-            drawn = figures_batch.draw(frame, found.truth, found.units, given_noise=found.given_noise)
-            written += plots.save(drawn, job.folder / "figures", figures)
-        if report:
-            from fmuid.reports import write_report
-
-            written.append(write_report(job.folder))
+        written += show_results(job.folder, report=report, figures=figures)
         console.show_files([*job.dataset.files(), *written])
     if found.interrupted:
         print(

@@ -35,7 +35,7 @@ def design(
     folder = folder_of(output, study)
     with opened(study, set_, in_process, folder) as read:
         from fmuid import files
-        from fmuid.reports import healthy_record_words, report_of
+        from fmuid.reports import healthy_record_words, show_results, write_origin
         from fmuid.reports.console import layout as console
         from fmuid.studies import healthy_record_cost, ranked_excitations
 
@@ -47,6 +47,6 @@ def design(
             cost = healthy_record_cost(read, tables, fault, best)
             console.show_frame(f"Healthy records, in lengths of {best}: the smallest size found", cost)
             console.show_remarks(healthy_record_words(cost))
-        written = files.write_table(folder / "design.csv", ranked)
-        console.show_files([written, *report_of(folder, wanted=not no_report)])
+        written = [files.write_table(folder / "design.csv", ranked), write_origin(folder / "design.json", read, tables)]
+        console.show_files([*written, *show_results(folder, report=not no_report)])
         return DONE

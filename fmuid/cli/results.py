@@ -69,7 +69,7 @@ def predict(
     folder = path.parent / "prediction" if output is None else output
     with logged(folder, in_process) as isolated:
         from fmuid import files
-        from fmuid.reports import report_of, run_prediction
+        from fmuid.reports import run_prediction, show_results
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.prediction import show_predictions
 
@@ -78,8 +78,7 @@ def predict(
         found = run_prediction(path, records, study=read, free=free or (), like=like, folds=folds, level=level)
         show_predictions(found)
         files.make_folder(folder)
-        written = [*found.write(folder), *(() if figures is None else found.draw(folder, figures))]
-        console.show_files([*written, *report_of(folder, wanted=not no_report)])
+        console.show_files([*found.write(folder), *show_results(folder, report=not no_report, figures=figures)])
         return DONE
 
 
@@ -116,14 +115,14 @@ def compare(
     folder = result_path(results[0]).resolve().parents[1] / "comparison" if output is None else output
     with logged(folder, in_process) as isolated:
         from fmuid import files
-        from fmuid.reports import report_of, run_comparison
+        from fmuid.reports import run_comparison, show_results
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.comparison import show_comparison
 
         found = run_comparison(results, tables or (), free=free or (), isolated=isolated)
         show_comparison(found)
         files.make_folder(folder)
-        console.show_files([*found.write(folder), *report_of(folder, wanted=not no_report)])
+        console.show_files([*found.write(folder), *show_results(folder, report=not no_report)])
         return DONE
 
 

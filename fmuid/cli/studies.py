@@ -28,8 +28,6 @@ from fmuid.errors import InputError
 from fmuid.files import replacing
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from fmuid.progress import Event
     from fmuid.reports.console.progress import Display
     from fmuid.simulation import Fit
@@ -61,11 +59,9 @@ def simulate(
     folder = folder_of(output, study)
     with opened(study, set_, in_process, folder) as read:
         from fmuid import files
-        from fmuid.reports import clear_figures
+        from fmuid.reports import draw_simulation
         from fmuid.reports import findings as report
         from fmuid.reports.console import layout as console
-        from fmuid.reports.figures import fit as figures_fit
-        from fmuid.reports.figures import style as plots
 
         files.make_folder(folder)
         console.note_sources(read)
@@ -75,26 +71,23 @@ def simulate(
         fits = read.fits() if result is None else _fits_at(read, result)
         console.show_misfits(fits)
         table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
-        written, drawn = [files.write_table(folder / "simulated.csv", table)], figures_fit.fits(fits)
-        if sensitivities:
-            written.append(_sensitivities(read, folder, drawn))
-        clear_figures(folder / "figures")
-        written += plots.save(drawn, folder / "figures", figures)
+        written = [files.write_table(folder / "simulated.csv", table)]
+        written += _sensitivities(read, folder) if sensitivities else []
+        written += draw_simulation(folder, fits, figures, sensitivities=sensitivities)
         console.show_files(written)
         return DONE
 
 
-def _sensitivities(study: Study, folder: Path, drawn: dict[str, Figure]) -> Path:
-    """Write the sensitivities of a study, and add their figures."""
+def _sensitivities(study: Study, folder: Path) -> list[Path]:
+    """Write the sensitivities of a study, and where they come from."""
     from fmuid.files import write_table
     from fmuid.reports import findings as report
-    from fmuid.reports.figures.sensitivities import sensitivity_figures
+    from fmuid.reports import write_origin
     from fmuid.studies import sensitivities_of
 
     found = sensitivities_of(study)
-    drawn |= sensitivity_figures(found)
     table = report.stacked([each.experiment for each in found], [each.table for each in found])
-    return write_table(folder / "sensitivities.csv", table)
+    return [write_table(folder / "sensitivities.csv", table), write_origin(folder / "sensitivities.json", study)]
 
 
 def _fits_at(study: Study, result: Path) -> tuple[Fit, ...]:

@@ -18,7 +18,9 @@ from .findings import Findings as Findings
 from .findings import write_diagnosis as write_diagnosis
 from .following import Watching as Watching
 from .following import run_following as run_following
-from .page.write import report_of as report_of
+from .origin import write_origin as write_origin
+from .page.write import draw_simulation as draw_simulation
+from .page.write import show_results as show_results
 from .page.write import write_report as write_report
 from .predictions import PredictionFindings as PredictionFindings
 from .predictions import run_prediction as run_prediction

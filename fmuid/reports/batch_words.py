@@ -12,12 +12,11 @@ import pandas as pd
 from fmuid.batches import BatchResult, Dependence, EstimateDoubt, Summary
 from fmuid.estimation import AccuracyOutcome
 from fmuid.files import write_json, write_table
-from fmuid.reports.origin import Origin
+from fmuid.reports.origin import made_from
 from fmuid.reports.words.directions import open_words
 from fmuid.reports.words.result import ENDS
 from fmuid.studies import Study
 from fmuid.text import has_unit, rounded
-from fmuid.version import __version__
 
 Row = Mapping[Any, Any]
 
@@ -77,13 +76,12 @@ def write_overview(summary: Summary, found: BatchResult, study: Study) -> Path:
         If the folder of the batch cannot be written to.
     """
     content = {
-        **Origin.of(study).with_study(study),
+        **made_from(study),
         "words": summary_words(summary),
         "statuses": {str(row["status"]): row["cases"] for row in summary.statuses.to_dict("records")},
         "truth": found.truth,
         "units": found.units,
         "given_noise": found.given_noise,
-        "version": __version__,
     }
     return write_json(found.folder / "summary.json", content)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,12 @@ import pandas as pd
 
 from fmuid import files
 from fmuid.assessment import CONFIDENCE_LEVEL, Compared, Comparison, IncomparableError, compare
+from fmuid.data import record_files
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import as_json, content_of
 from fmuid.model_problem import Prediction
-from fmuid.reports.origin import made_now
+from fmuid.reports.origin import digests, made_now
 from fmuid.reports.predictions import run_prediction
 from fmuid.reports.words.prediction import comparison_words
 from fmuid.studies import RESULT_FILE, Study, result_path, study_of
@@ -36,12 +37,15 @@ class ComparisonFindings:
         Why likelihoods were not compared, "" where they were.
     estimates : tuple of dict
         ``result``, ``parameter``, ``unit``, ``value``, and ``lower`` and ``upper`` of its interval of 95 %.
+    origin : mapping
+        What it was made from: ``version``, ``date``, and ``files``, SHA-256 of each result, its study and the tables.
     """
 
     comparison: Comparison | None
     predictions: Mapping[str, tuple[Prediction, ...]]
     apart: str = ""
     estimates: tuple[Mapping[str, Any], ...] = ()
+    origin: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -63,7 +67,7 @@ class ComparisonFindings:
     def write(self, folder: Path) -> list[Path]:
         """Write ``comparison.json`` and ``comparison.csv``, and return their paths."""
         content: dict[str, Any] = {"words": list(self.words), "results": self.table.to_dict("records")}
-        content |= {"estimates": list(self.estimates), **made_now()}
+        content |= {"estimates": list(self.estimates), **self.origin}
         if self.comparison is not None:
             content |= {"tests": self.comparison.tests, "dependence": self.comparison.dependence}
         return [
@@ -143,6 +147,7 @@ def run_comparison(
         predictions,
         apart,
         tuple(row for each in candidates for row in estimate_rows(each.name, each.result)),
+        {**made_now(), "files": digests([*paths, *record_files([Path(table) for table in tables])], Path.cwd())},
     )
 
 

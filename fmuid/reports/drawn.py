@@ -11,8 +11,10 @@ FORMATS = ("png", "svg", "pdf")
 REPORT_FILE = "report.html"
 # What the figures of a run are called, before a hyphen where there are several of a kind.
 KINDS = (
-    *("parameters", "criterion", "rounds", "fit", "residuals", "optima", "map", "profiles", "posterior"),
-    *("estimates", "distributions", "swept", "starts", "prediction", "sensitivities"),
+    *("fit", "preparation", "residuals", "parameters", "criterion", "optima", "belief", "parabolas", "correlation"),
+    *("accuracy", "profiles", "maps", "posterior", "walkers", "causes", "changes", "evidence", "sizes", "explained"),
+    *("timeline", "cases", "distributions", "spread", "over", "starts", "failures", "prediction", "criteria"),
+    *("misfits", "estimates", "excitations", "sensitivities"),
 )
 
 

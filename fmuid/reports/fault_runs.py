@@ -5,24 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from fmuid import files
+from fmuid.data import record_files
 from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.errors import InputError
 from fmuid.progress import Event, Progress
 from fmuid.reports.drawn import check_format
 from fmuid.reports.findings import write_diagnosis
-from fmuid.reports.origin import Origin
-from fmuid.reports.page.write import report_of
+from fmuid.reports.origin import made_from
+from fmuid.reports.page.contents import read_json
+from fmuid.reports.page.write import show_results
 from fmuid.reports.words.monitoring import monitoring_words
 from fmuid.studies import Study, monitor_of, records_of, rule_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 RESIDUALS_FILE = "diagnosis-residuals.csv"
 """Residuals of the first experiment, of the healthy model and with the fault."""
@@ -111,12 +108,7 @@ def run_diagnosis(
     if target is not None:
         found = replace(found, files=tuple(_written(target, study, found.diagnosis)))
     _tell(progress, found)
-    if target is not None and figures:
-        from fmuid.reports.figures import diagnosis
-
-        drawn = diagnosis.draw(found.diagnosis, _units(study))
-        found = replace(found, files=(*found.files, *_drawn(drawn, target, figures)))
-    there = [] if target is None else report_of(target, wanted=report)
+    there = [] if target is None else show_results(target, report=report, figures=figures)
     return replace(found, files=(*found.files, *there))
 
 
@@ -170,30 +162,26 @@ def run_monitoring(
     check_format(figures)
     study, target = _prepared(study, folder, figures is not None or report or append)
     monitor = monitor_of(study, rule_of(study))
-    written: list[Path] = []
+    paths, written = [Path(table) for table in tables], list[Path]()
+    earlier: dict[str, str] = {}
     if target is not None:
         if append:
             monitor.resume(target)
+            earlier = read_json(target / "monitoring.json").get("files", {})
         files.make_folder(target)
     try:
-        for record in records_of(study, [Path(table) for table in tables], monitor.records):
+        for record in records_of(study, paths, monitor.records):
             monitor.add(record, progress)
     finally:  # what was found before a record that is wrong is kept, and can be appended to
         if target is not None and monitor.records:
-            written += monitor.write(target, told_of(study) | {"words": [monitoring_words(monitor)]})
+            examined = (path for path in record_files(paths) if path.stem in monitor.records)
+            told = made_from(study, examined)
+            told["files"] = earlier | told["files"]
+            written += monitor.write(target, told | {"words": [monitoring_words(monitor)]})
     found = MonitoringFindings(monitor, tuple(written))
     _tell(progress, found)
-    if target is not None and figures:
-        from fmuid.reports.figures import monitoring
-
-        found = replace(found, files=(*found.files, *_drawn(monitoring.draw(monitor), target, figures)))
-    there = [] if target is None else report_of(target, wanted=report and bool(written))
+    there = [] if target is None or not written else show_results(target, report=report, figures=figures)
     return replace(found, files=(*found.files, *there))
-
-
-def told_of(study: Study) -> dict[str, Any]:
-    """Return what the files of a monitoring say of its study."""
-    return {key: value for key, value in Origin.of(study).with_study(study).items() if key in ("title", "study")}
 
 
 def _prepared(study: Study | str | Path, folder: str | Path | None, needed: bool) -> tuple[Study, Path | None]:
@@ -210,7 +198,7 @@ def _units(study: Study) -> dict[str, str | None]:
 
 def _written(folder: Path, study: Study, found: Diagnosis) -> list[Path]:
     """Write a diagnosis and, where it has them, the residuals without and with the fault that explains most."""
-    also = Origin.of(study).with_study(study) | {"units": _units(study)}
+    also = made_from(study) | {"units": _units(study)}
     written = write_diagnosis(folder, found, also)
     path = folder / RESIDUALS_FILE
     best = found[found.named[0]] if found.named else min(found.hypotheses, key=lambda each: each.probability)
@@ -235,9 +223,3 @@ def residuals_of(frame: pd.DataFrame) -> list[pd.Series[float]]:
 def _tell(progress: Progress | None, found: DiagnosisFindings | MonitoringFindings) -> None:
     if progress is not None:
         progress(Judged(findings=found))
-
-
-def _drawn(figures: dict[str, Figure], folder: Path, kind: str) -> list[Path]:
-    from fmuid.reports.figures import style
-
-    return style.save(figures, folder / "figures", kind)

@@ -17,8 +17,8 @@ from fmuid.displays import Plotted
 from fmuid.errors import InputError
 from fmuid.estimation import Outcome, Result, optima_table
 from fmuid.files import file_name, write_json, write_table
-from fmuid.reports.origin import Origin
 from fmuid.reports.preparations import Prepared
+from fmuid.reports.thinning import evenly
 from fmuid.reports.words.diagnosis import verdict
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
@@ -27,7 +27,7 @@ from fmuid.reports.words.uncertainty import uncertainty_words
 from fmuid.simulation import Fit, fit_of
 
 if TYPE_CHECKING:
-    from fmuid.assessment import CriterionMap, Diagnostics, Reading, Uncertainty
+    from fmuid.assessment import CriterionMap, Diagnostics, Posterior, Reading, Uncertainty
     from fmuid.data import Experiment
     from fmuid.diagnosis import Diagnosis
     from fmuid.models import System
@@ -35,8 +35,10 @@ if TYPE_CHECKING:
 # Tables that a run may write: those of an earlier run would be taken for this one's.
 _TABLES = (
     *("trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "correlations.csv", "reading.csv", "optima.csv"),
-    *("preparation.csv", "profiles.csv", "posterior.csv", "map-*.csv"),
+    *("preparation.csv", "profiles.csv", "posterior.csv", "walkers.csv", "map-*.csv"),
 )
+# Of the paths of a sampling: more cannot be told apart.
+MOST_WALKERS, MOST_STEPS = 24, 200
 
 
 def result_fits(system: System, experiments: Sequence[Experiment], result: Result) -> tuple[Fit, ...]:
@@ -103,8 +105,8 @@ class Findings(Plotted):
         Those that were written, each once.
     study : mapping or None
         By which study the result was made (`fmuid.studies.origin_of`), for ``result.json``.
-    origin : Origin or None
-        Of the study, where it is one of a file.
+    origin : mapping or None
+        What it was made from (`fmuid.reports.origin.made_from`), likewise.
     prepared : tuple of Prepared
         What was done with tables first, where something was.
 
@@ -123,7 +125,7 @@ class Findings(Plotted):
     uncertainty: Uncertainty | None = None
     files: tuple[Path, ...] = ()
     study: Mapping[str, Any] | None = None
-    origin: Origin | None = None
+    origin: Mapping[str, Any] | None = None
     prepared: tuple[Prepared, ...] = ()
 
     def __repr__(self) -> str:
@@ -163,7 +165,7 @@ class Findings(Plotted):
         """Return the content of ``result.json``."""
         content = {"words": [ending(self.result), *remarks(self.result)], **self.result.to_json_dict()}
         content |= {"level": self.level, "experiments": self._experiments()}
-        content |= {} if self.origin is None else self.origin.to_json_dict()
+        content |= self.origin or {}
         content |= {
             "diagnostics": {"words": list(residual_words(self.diagnostics)), **self.diagnostics.to_json_dict()},
             "consistency": {"words": list(reading_words(self.reading)), **self.reading.to_json_dict()},
@@ -180,7 +182,7 @@ class Findings(Plotted):
             content |= {"uncertainty": {"words": list(said), "succeeded": self.uncertainty.succeeded}}
             content["words"] += said
         if self.study is not None:
-            content["study"] = {**self.study, **({} if self.origin is None else self.origin.study)}
+            content["study"] = {**content.get("study", {}), **self.study}
         return content
 
     def _experiments(self) -> list[dict[str, Any]]:
@@ -215,7 +217,7 @@ class Findings(Plotted):
             found |= {name: chart.table for name, chart in self.maps().items()}
             found |= {"profiles": self.uncertainty.profile_table} if self.uncertainty.profiles else {}
             posterior = self.uncertainty.posterior
-            found |= {"posterior": posterior.table} if posterior is not None else {}
+            found |= {"posterior": posterior.table, "walkers": _paths(posterior)} if posterior is not None else {}
         return found
 
     def write(self, folder: Path) -> list[Path]:
@@ -235,6 +237,15 @@ def _experiment(fit: Fit) -> dict[str, Any]:
     first = float(fit.times[int(counted.argmax())]) if counted.any() else None
     units = dict(zip(fit.outputs, fit.units, strict=True))
     return {"name": fit.experiment, "outputs": units, "counted_from": first}
+
+
+def _paths(posterior: Posterior) -> pd.DataFrame:
+    """Return the steps of some walkers, those before the samples too, thinned."""
+    steps = evenly(len(posterior.chain), MOST_STEPS)
+    some = posterior.chain[steps, :MOST_WALKERS].transpose(1, 0, 2)
+    walker, step = np.meshgrid(np.arange(1, len(some) + 1), steps + 1, indexing="ij")
+    first = {"walker": walker.ravel(), "step": step.ravel(), "counted": step.ravel() > posterior.burn}
+    return pd.DataFrame(first | dict(zip(posterior.names, some.reshape(-1, some.shape[2]).T, strict=True)))
 
 
 def write_point(folder: Path, result: Result) -> list[Path]:

@@ -18,8 +18,9 @@ from fmuid.diagnosis import STATE_FILE, Monitor
 from fmuid.errors import InputError, SimulationError
 from fmuid.progress import Progress
 from fmuid.reports.alarm_lines import AlarmLines
-from fmuid.reports.fault_runs import MonitoringFindings, told_of
-from fmuid.reports.page.write import report_of
+from fmuid.reports.fault_runs import MonitoringFindings
+from fmuid.reports.origin import made_from, made_now
+from fmuid.reports.page.write import show_results
 from fmuid.reports.words.monitoring import monitoring_words
 from fmuid.studies import Follower, Piece, Study, monitor_of, rule_of
 
@@ -98,14 +99,15 @@ def run_following(
             running.run(show, progress, until)
         running.end()
         written = [target / name for name in running.written]
-        return MonitoringFindings(running.monitor, (*written, *report_of(target, wanted=report and bool(written))))
+        shown = show_results(target, report=report) if written else []
+        return MonitoringFindings(running.monitor, (*written, *shown))
 
 
 class _Running:
     """A monitoring in operation."""
 
     def __init__(self, study: Study, place: Path, folder: Path) -> None:
-        self.study, self.folder = study, folder
+        self.study, self.folder, self.origin = study, folder, made_from(study)
         rule = rule_of(study)
         self.monitor = monitor_of(study, rule)
         beside = self.monitor.resume(folder, KEPT_ROWS) if files.is_file(folder / STATE_FILE) else {}
@@ -190,7 +192,7 @@ class _Running:
             "alarms": asdict(self.alarms),
             "waiting": self.waiting,
         }
-        also = told_of(self.study) | {"words": [monitoring_words(self.monitor)]}
+        also = self.origin | made_now() | {"words": [monitoring_words(self.monitor)]}
         self.written = [path.name for path in self.monitor.write(self.folder, also, lines, beside)]
         self.changed = False
 

@@ -1,63 +1,58 @@
-"""Where a result comes from: the study as it was run, and the digests of the files that it names."""
+"""Where a result comes from: the study as it was run, and the digests of the files that it was made from."""
 
 from __future__ import annotations
 
 import hashlib
+import os
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fmuid.files import write_json
 from fmuid.version import __version__
 
 if TYPE_CHECKING:
     from fmuid.studies import Study
 
+# Of more files, as those of a batch, the first are named.
+MOST_FILES = 40
 
-@dataclass(frozen=True)
-class Origin:
-    """Where a result comes from.
 
-    Attributes
+def made_from(study: Study, also: Iterable[Path] = ()) -> dict[str, Any]:
+    """Return where what a study finds now comes from, as a JSON file of results says it.
+
+    Parameters
     ----------
-    title : str
-        Of the study.
-    study : dict
-        What ``result.json`` has of the file besides its name and content (`fmuid.studies.origin_of`): ``digest``,
-        SHA-256; ``text``; and ``changed``, whether values of it were replaced, as by ``--set``.
-    tables : dict of str to str
-        SHA-256 of each file of measurements, by its name.
-    date : str
-        When the study was run, ISO 8601 in UTC.
+    study : Study
+    also : iterable of Path
+        Files besides those that the study names: records, results.
+
+    Returns
+    -------
+    dict
+        As `made_now`; ``title`` of the study; ``study``, with ``file`` (its name), ``digest``, ``text``, and
+        ``changed``, whether values of it were replaced, as by ``--set``; ``files``, SHA-256 of each model, table and
+        result by its path from the study. Of files that are gone by now nothing is said.
     """
+    content = study.path.read_bytes() if study.path.is_file() else b""  # none of one that was put together in Python
+    text = content.decode("utf-8", errors="replace")
+    changed = _parsed(text) != study.data
+    told = {"file": study.path.name, "digest": hashlib.sha256(content).hexdigest(), "text": text, "changed": changed}
+    files = digests([*study.files(), *also], study.path.parent)
+    return {"title": study.title, **made_now(), "study": told, "files": files}
 
-    title: str
-    study: dict[str, Any]
-    tables: dict[str, str]
-    date: str
 
-    @classmethod
-    def of(cls, study: Study) -> Origin:
-        """Return where what a study finds now comes from; of files that are gone by now nothing is said."""
-        content = _content(study.path)
-        text = content.decode("utf-8", errors="replace")
-        told = {
-            "digest": hashlib.sha256(content).hexdigest(),
-            "text": text,
-            "changed": _parsed(text) != study.data,
-        }
-        tables = {path.name: path for path in (each.table for each in study.experiments)}
-        digests = {name: _digest(path) for name, path in tables.items() if path.is_file()}
-        return cls(study.title, told, digests, made_now()["date"])
+def write_origin(path: Path, study: Study, also: Iterable[Path] = ()) -> Path:
+    """Write where a table beside it comes from, which has no other JSON file, and return the path.
 
-    def to_json_dict(self) -> dict[str, Any]:
-        """Return what a JSON file of results has besides the study."""
-        return {"title": self.title, "date": self.date, "tables": self.tables}
-
-    def with_study(self, study: Study) -> dict[str, Any]:
-        """Return the same, and the study by the name of its file."""
-        return self.to_json_dict() | {"study": {"file": study.path.name, **self.study}}
+    Raises
+    ------
+    InputError
+        If nothing can be written there.
+    """
+    return write_json(path, made_from(study, also))
 
 
 def made_now() -> dict[str, str]:
@@ -65,11 +60,17 @@ def made_now() -> dict[str, str]:
     return {"version": __version__, "date": datetime.now(UTC).isoformat(timespec="seconds")}
 
 
-def _content(path: Path) -> bytes:
+def digests(files: Iterable[Path], folder: Path) -> dict[str, str]:
+    """Return SHA-256 of files by their paths from a folder; of the first `MOST_FILES` that are there."""
+    there = [path for path in dict.fromkeys(files) if path.is_file()]
+    return {_from(path, folder): _digest(path) for path in there[:MOST_FILES]}
+
+
+def _from(path: Path, folder: Path) -> str:
     try:
-        return path.read_bytes()
-    except OSError:  # a study that was put together in Python
-        return b""
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:  # on another drive
+        return path.as_posix()
 
 
 def _digest(path: Path) -> str:

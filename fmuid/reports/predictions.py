@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +11,13 @@ import pandas as pd
 
 from fmuid import files
 from fmuid.assessment import CONFIDENCE_LEVEL, Diagnostics
+from fmuid.data import record_files
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.model_problem import Prediction
 from fmuid.progress import Progress
-from fmuid.reports.drawn import check_format, clear_figures
 from fmuid.reports.findings import stacked
-from fmuid.reports.origin import made_now
+from fmuid.reports.origin import made_from
 from fmuid.reports.words.prediction import fold_words, prediction_words
 from fmuid.studies import (
     Fold,
@@ -46,15 +46,15 @@ class PredictionFindings:
         What is to be known of the result.
     seen : tuple of str
         Records that the result was made from.
-    title : str
-        Of the study.
+    origin : mapping
+        What they were made from (`fmuid.reports.origin.made_from`).
     """
 
     predictions: tuple[Prediction, ...]
     folds: tuple[Fold, ...] = ()
     notes: tuple[SourceNote, ...] = ()
     seen: tuple[str, ...] = ()
-    title: str = ""
+    origin: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def scores(self) -> pd.DataFrame:
@@ -66,6 +66,11 @@ class PredictionFindings:
         )
 
     @property
+    def correlations(self) -> pd.DataFrame:
+        """The content of ``prediction-correlations.csv``: of residuals with themselves and with inputs."""
+        return Diagnostics(tuple(one for each in self.predictions for one in each.residuals.series), {}).correlations
+
+    @property
     def words(self) -> tuple[str, ...]:
         """What is to be said of all this, in sentences."""
         said = [words for each in self.predictions for words in prediction_words(each)]
@@ -74,7 +79,7 @@ class PredictionFindings:
     def to_json_dict(self) -> dict[str, Any]:
         """Return the content of ``prediction.json``."""
         records = [each.to_json_dict() | {"seen": each.fit.experiment in self.seen} for each in self.predictions]
-        content: dict[str, Any] = {"words": list(self.words), "records": records, "title": self.title, **made_now()}
+        content: dict[str, Any] = {"words": list(self.words), "records": records, **self.origin}
         if self.folds:
             content["folds"] = [
                 {
@@ -87,33 +92,14 @@ class PredictionFindings:
         return content
 
     def write(self, folder: Path) -> tuple[Path, ...]:
-        """Write ``prediction.json``, ``prediction.csv`` and ``scores.csv``, and return their paths.
-
-        Figures of an earlier run are removed.
-        """
-        clear_figures(folder / "figures")
+        """Write ``prediction.json`` and the tables of records, scores and correlations, and return their paths."""
         table = stacked([each.fit.experiment for each in self.predictions], [each.table for each in self.predictions])
         return (
             files.write_json(folder / "prediction.json", self.to_json_dict()),
             files.write_table(folder / "prediction.csv", table),
             files.write_table(folder / "scores.csv", self.scores),
+            files.write_table(folder / "prediction-correlations.csv", self.correlations),
         )
-
-    def draw(self, folder: Path, figures: str) -> list[Path]:
-        """Draw into ``figures/`` of a folder, as ``png``, ``svg`` or ``pdf``, and return the paths.
-
-        Raises
-        ------
-        InputError
-            If there is no such format.
-        """
-        check_format(figures)
-        from fmuid.reports.figures import prediction, residuals, style
-
-        units = {score.output: score.unit for each in self.predictions for score in each.scores}
-        series = Diagnostics(tuple(one for each in self.predictions for one in each.residuals.series), {})
-        drawn = prediction.predictions(self.predictions) | residuals.residuals(series, units)
-        return style.save(drawn, folder / "figures", figures)
 
 
 def run_prediction(
@@ -178,8 +164,10 @@ def run_prediction(
         parts = cross_validate(study, folds, free=free, level=level, progress=progress)
         order = {given.name: k for k, given in enumerate(study.experiments)}
         found = sorted((p for fold in parts for p in fold.predictions), key=lambda p: order[p.fit.experiment])
-        return PredictionFindings(tuple(found), parts, notes, title=study.title)
+        return PredictionFindings(tuple(found), parts, notes, origin=made_from(study, [path]))
     records = records_like(study, [Path(table) for table in tables], like)
     seen = tuple(each.name for each in records if estimates.made_from(each))
     predictions = tuple(predict_with(study, estimates, each, free=free, level=level) for each in records)
-    return PredictionFindings(predictions, (), notes, seen, study.title)
+    return PredictionFindings(
+        predictions, (), notes, seen, made_from(study, [path, *record_files([Path(table) for table in tables])])
+    )

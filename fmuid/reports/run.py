@@ -12,9 +12,10 @@ from fmuid.estimation import Result
 from fmuid.model_problem import Problem
 from fmuid.progress import DataAloneStep, Event, Progress
 from fmuid.reports.apply import write_estimates
-from fmuid.reports.drawn import REPORT_FILE, check_format, clear_figures
+from fmuid.reports.drawn import check_format
 from fmuid.reports.findings import Findings, at_minimum, result_fits, resumed_start, write_point
-from fmuid.reports.origin import Origin
+from fmuid.reports.origin import made_from
+from fmuid.reports.page.write import show_results
 from fmuid.reports.preparations import Prepared, prepared
 from fmuid.studies import Study, origin_of
 
@@ -135,13 +136,13 @@ class _Run:
         found = self._examined(problem, result)
         self._write(found)
         self._tell(Identified(findings=replace(found, files=tuple(self.files))))
-        self._draw(found)
+        self._draw()
         if self.study.uncertainty_settings.any and at_minimum(result):
             box = bool(result.optima)
             more = explore(problem, result, self.study.uncertainty_settings, self.progress, box=box)
             found = replace(found, uncertainty=more)
             self._write(found)
-            self._draw_uncertainty(found)
+            self._draw()
         return replace(found, files=tuple(dict.fromkeys(self.files)))
 
     def _examined(self, problem: Problem, result: Result) -> Findings:
@@ -162,7 +163,7 @@ class _Run:
             ),
             study.uncertainty_settings.level,
             study=None if self.folder is None else origin_of(study, self.folder),
-            origin=Origin.of(study),
+            origin=None if self.folder is None else made_from(study),
             prepared=self.prepared,
         )
 
@@ -183,31 +184,9 @@ class _Run:
         if self.folder is not None:
             self.files += write_point(self.folder, result)
             self.files += write_estimates(self.folder, self.study.system, result)
-            self._clear()
+            show_results(self.folder, report=False)
 
-    def _clear(self) -> None:
-        """Remove the figures and the report of an earlier run."""
+    def _draw(self) -> None:
+        """Draw figures for print and write the report, where they are asked for; those of an earlier run go."""
         if self.folder is not None:
-            clear_figures(self.folder / "figures")
-            (self.folder / REPORT_FILE).unlink(missing_ok=True)
-
-    def _draw(self, found: Findings) -> None:
-        self._clear()
-        if self.folder is not None and self.figures:
-            from fmuid.reports.figures import run, style
-
-            self.files += style.save(run.draw(found), self.folder / "figures", self.figures)
-        self._report()
-
-    def _draw_uncertainty(self, found: Findings) -> None:
-        if self.folder is not None and self.figures:
-            from fmuid.reports.figures import run, style
-
-            self.files += style.save(run.draw_uncertainty(found), self.folder / "figures", self.figures)
-        self._report()
-
-    def _report(self) -> None:
-        if self.folder is not None and self.report:
-            from fmuid.reports.page import write
-
-            self.files.append(write.write_report(self.folder))
+            self.files += show_results(self.folder, report=self.report, figures=self.figures)

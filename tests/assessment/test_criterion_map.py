@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.contour import ContourSet
-from matplotlib.figure import Figure
 from scipy import stats
 
 from fmuid.arrays import Floats
@@ -24,7 +22,6 @@ from fmuid.estimation.criterion import prepare
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.misfit import misfits, variances
 from fmuid.estimation.result import Result
-from fmuid.reports.figures import criterion_map as figures_map
 from tests.support.results import identify_white as identify
 
 TIMES = np.linspace(0.0, 1.0, 40)
@@ -226,66 +223,6 @@ def test_wrong_level(level: float) -> None:
     chart, _ = chart_of(linear(2), points=2)
     with pytest.raises(InputError, match="between 0 and 1"):
         chart.ellipse(level)
-
-
-# --- the figure -------------------------------------------------------------------------
-
-
-def labels(figure: Figure) -> set[str]:
-    return {text.get_text() for text in figure.legends[0].get_texts()}
-
-
-def test_figure() -> None:
-    chart, result = chart_of(linear(3, noise=Noise(0.01)), points=21)
-    aside = result.values + np.array([0.5 * result.std[0], result.std[1], 5.0])
-    optima = pd.DataFrame([result.values, aside, aside + 100.0], columns=list(NAMES))
-    figure = figures_map.criterion_map(chart, optima, {"a": "Ohm", "b": "1"}, level=0.9)
-    axes, bar = figure.axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("a (Ohm)", "b")
-    assert bar.get_ylabel() == "criterion above its minimum"
-    ellipse, estimate, others = axes.get_lines()
-    np.testing.assert_array_equal(ellipse.get_xydata(), chart.ellipse(0.9))
-    np.testing.assert_array_equal(estimate.get_xydata(), [chart.estimate])
-    np.testing.assert_array_equal(others.get_xydata(), [aside[:2]])
-    assert labels(figure) == {
-        "90 % ellipse of both parameters",
-        f"criterion raised by {stats.chi2(2).ppf(0.9):.3g}, others held",
-        "estimate",
-        "other optima found",
-    }
-    assert axes.get_title("right") == f"at c = {result['c']:.4g}"
-
-
-def test_figure_section_contour() -> None:
-    """The dashed line of two parameters is the ellipse itself."""
-    chart, _ = chart_of(linear(2, noise=Noise(0.01)), points=81)
-    figure = figures_map.criterion_map(chart)
-    section = [c for c in figure.axes[0].collections if isinstance(c, ContourSet)][-1]
-    (path,) = section.get_paths()
-    away = np.asarray(path.vertices, dtype=np.float64) - chart.estimate
-    distance = np.sum(away @ np.linalg.inv(chart.covariance) * away, axis=1)
-    np.testing.assert_allclose(distance, chart.rise(), rtol=0.02)
-
-
-def test_figure_of_failures_decades_and_no_ellipse() -> None:
-    chart, _ = chart_of(linear(2, min=0.1, max=10.0), points=5, ranges="bounds")
-    broken = chart.table.assign(criterion=chart.table["criterion"].where(chart.table["a"] < 5.0))
-    figure = figures_map.criterion_map(replace(chart, table=broken, covariance=np.full((2, 2), np.nan)))
-    axes = figure.axes[0]
-    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
-    assert "simulation failed" in labels(figure)
-    assert not any("ellipse" in label for label in labels(figure))
-    assert axes.patch.get_hatch()
-
-
-@pytest.mark.parametrize("value", [np.nan, 7.0, 1e300])
-def test_figure_of_odd_maps(value: float, tmp_path: Path) -> None:
-    """Nothing simulated, all the same, and explosions: still a picture."""
-    chart, _ = chart_of(linear(2), points=3)
-    odd = chart.table.assign(criterion=chart.table["criterion"].where(chart.table.index == 0, value))
-    figure = figures_map.criterion_map(replace(chart, table=odd))
-    figure.savefig(tmp_path / "map.png")
-    assert (tmp_path / "map.png").stat().st_size > 10_000
 
 
 def test_the_rise_of_a_region_is_a_quantile() -> None:

@@ -17,7 +17,6 @@ from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.least_squares import LeastSquares
-from fmuid.reports.figures import uncertainty as figures_uncertainty
 from fmuid.reports.words.uncertainty import posterior_words
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
@@ -218,48 +217,7 @@ def test_nothing_holds_what_data_leave_open() -> None:
     assert posterior_words(posterior).startswith("nothing holds a, the samples run away: give a prior or bounds")
 
 
-# --- figures and coverage
-
-
-def test_corner() -> None:
-    problem, _ = linear()
-    posterior, result = sampled(problem)
-    figure = figures_uncertainty.corner(posterior, result, {"a": "Ohm"}, truths={"a": 2.0})
-    above, below, _ = figure.axes
-    assert above.get_title("left").startswith("a = ")
-    assert above.get_title("left").endswith(" Ohm")
-    assert below.get_xlabel() == "a (Ohm)"
-    assert below.get_ylabel() == "b"
-    ellipses = [np.asarray(line.get_xydata()) for line in below.get_lines() if len(np.asarray(line.get_xdata())) == 181]
-    precision = np.linalg.inv(result.covariance)
-    for ellipse, share in zip(ellipses, (0.68, 0.95), strict=True):
-        away = ellipse - result.values
-        np.testing.assert_allclose(np.einsum("ni,ij,nj->n", away, precision, away), stats.chi2(2).ppf(share), rtol=1e-6)
-        away = posterior.samples - result.values
-        inside = np.einsum("ni,ij,nj->n", away, precision, away) < stats.chi2(2).ppf(share)
-        assert inside.mean() == pytest.approx(share, abs=0.05)
-
-
-def test_corner_of_a_line_and_of_one() -> None:
-    """A pair that lies on a line is drawn as points; without a covariance there is no ellipse."""
-    problem = sum_only(Parameter(1.0, min=0.0, max=20.0), Parameter(1.0, min=-100.0))
-    posterior, result = sampled(problem)
-    below = figures_uncertainty.corner(posterior, result).axes[1]
-    (points,) = below.get_lines()
-    assert np.asarray(points.get_xydata()).sum(axis=1).std() == pytest.approx(0.1, rel=0.1)
-    (single,) = figures_uncertainty.corner(posterior, names=["b"]).axes
-    assert single.get_title("left").startswith("b = ")
-
-
-def test_traces() -> None:
-    problem, _ = linear()
-    posterior, _ = sampled(problem, steps=60)
-    figure = figures_uncertainty.traces(posterior, {"a": "Ohm"})
-    assert len(figure.axes) == 2
-    path = np.asarray(figure.axes[1].get_lines()[3].get_ydata())
-    np.testing.assert_array_equal(path, posterior.chain[:, 3, 1])
-    assert figure.axes[0].get_ylabel() == "a (Ohm)"
-    assert "R-hat" in figure.axes[0].get_title("right")
+# --- coverage
 
 
 @pytest.mark.slow

@@ -21,7 +21,6 @@ from fmuid.estimation.covariance import AtBound
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.progress import Event, ProfileStep
-from fmuid.reports.figures import uncertainty as figures_uncertainty
 from fmuid.reports.words.uncertainty import profile_words
 from tests.support.results import identify_white as identify
 
@@ -333,42 +332,3 @@ def test_wrong_use() -> None:
         profiles(problem, result, level=95)
     with pytest.raises(InputError, match=r"its parameters are a, b, c, and the problem's are top, rate"):
         profiles(rise_problem(), result)
-
-
-# --- figures
-
-
-def test_figure() -> None:
-    problem, result = coil(least=1e-3)
-    found = profiles(problem, result)
-    figure = figures_uncertainty.profiles(found, {"R": "Ohm"})
-    titles = {axes.get_title(place) for axes in figure.axes for place in ("left", "right")}
-    assert {"R", "L", "dR"} <= titles
-    assert any(title.endswith("to ∞ Ohm") for title in titles)
-    for axes, profile in zip(figure.axes, found, strict=True):
-        points = np.asarray(axes.get_lines()[-1].get_xydata())
-        np.testing.assert_allclose(points, np.column_stack([profile.values, profile.criterion - profile.minimum]))
-        low, high = axes.get_xlim()
-        assert low < profile.value < high
-        if math.isfinite(profile.upper):
-            assert high > profile.upper
-
-
-def test_figure_shows_the_local_parabola() -> None:
-    problem = rise_problem()
-    result = identify(problem)
-    axes = figures_uncertainty.profiles([only(problem, result, "top")]).axes[0]
-    parabola = next(line for line in axes.get_lines() if len(np.asarray(line.get_xdata())) == 200)
-    x, y = np.asarray(parabola.get_xydata()).T
-    np.testing.assert_allclose(y, ((x - result["top"]) / result.std[0]) ** 2, rtol=1e-4, atol=1e-6)
-
-
-def test_figure_of_what_has_no_interval() -> None:
-    problem, result = coil()
-
-    def stop(_: Event) -> None:
-        raise KeyboardInterrupt
-
-    found = profiles(problem, result, progress=stop)
-    figure = figures_uncertainty.profiles(found)
-    assert figure.axes[0].get_title("right") == "no interval"

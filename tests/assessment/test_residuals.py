@@ -21,7 +21,6 @@ from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.reports.figures.residuals import residuals
 from fmuid.reports.words.residuals import residual_words
 from fmuid.text import listed
 from tests.support.problems import ar1
@@ -377,34 +376,3 @@ def test_written_and_read() -> None:
 
 def test_words_in_a_list() -> None:
     assert [listed(list(words)) for words in ("a", "ab", "abc")] == ["a", "a and b", "a, b and c"]
-
-
-def test_one_figure_an_experiment() -> None:
-    problem, result = several()
-    figures = residuals(examine_residuals(problem, result), {"a": "A", "b": "V"})
-    assert list(figures) == ["residuals-first", "residuals-second"]
-    axes = figures["residuals-first"].axes
-    assert len(axes) == 8
-    assert [panel.get_ylabel() for panel in (axes[0], axes[4])] == ["a (A)", "b (V)"]
-    assert [panel.get_title(loc="left") for panel in axes[:4]] == [
-        "residual",
-        "distribution",
-        "autocorrelation",
-        "cross-correlation",
-    ]
-
-
-def test_the_figure_shows_what_was_found() -> None:
-    found = examined(ar1(np.random.default_rng(3), 0.9, COUNT))
-    (figure,) = residuals(found).values()
-    over_time, histogram, correlation, inputs = figure.axes
-    np.testing.assert_array_equal(over_time.lines[0].get_ydata(), only(found).residual)
-    assert sum(bar.get_height() * bar.get_width() for bar in histogram.patches) == pytest.approx(1.0)  # type: ignore[attr-defined]
-    assert correlation.get_ylim()[1] > 0.9
-    assert inputs.lines[0].get_label() == "u"
-
-
-def test_the_figure_of_nothing_to_examine() -> None:
-    (figure,) = residuals(examined(np.zeros(COUNT), noise=Noise(1.0))).values()
-    assert len(figure.axes) == 3
-    assert not figure.axes[1].axison

@@ -70,7 +70,7 @@ def test_uncertainty(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert code == (DONE if found["posterior"]["converged"] else NOT_SUCCEEDED)
     assert {"profiles.csv", "posterior.csv", "map-R-L.csv"} <= {path.name for path in results.iterdir()}
     figures = {path.name for path in (results / "figures").iterdir()}
-    assert {"parameters.svg", "profiles.svg", "posterior.svg", "map-R-L.svg"} <= figures
+    assert {"parameters.svg", "profiles.svg", "posterior.svg", "walkers.svg", "maps.svg"} <= figures
     estimates = pd.read_csv(results / "estimates.csv").set_index("parameter")
     for name in ("R", "L"):
         assert found["profiles"][name]["lower"] == pytest.approx(estimates["lower"][name], rel=0.01)

@@ -62,7 +62,8 @@ def test_identify_writes_tables_and_figures(folder: Path) -> None:
         "parameters.ssv", "report.html", "figures",
     }  # fmt: skip
     figures = {path.name for path in (out / "figures").iterdir()}
-    assert figures == {"parameters.png", "criterion.png", "fit.png", "residuals.png"}
+    drawn = ("fit", "residuals", "parameters", "criterion", "correlation", "accuracy")
+    assert figures == {f"{name}.png" for name in drawn}
     found = result(out)
 
     estimates = pd.read_csv(out / "estimates.csv")

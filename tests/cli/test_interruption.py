@@ -158,16 +158,16 @@ def test_no_room_for_figures(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     """One sentence, what was saved before is told, and no half file is left."""
     written: Any = FigureCanvasAgg.print_png
     monkeypatch.setattr(
-        FigureCanvasAgg, "print_png", lambda self, to: full() if "fit" in str(to) else written(self, to)
+        FigureCanvasAgg, "print_png", lambda self, to: full() if "residuals" in str(to) else written(self, to)
     )
     assert fmuid_("identify", folder / "study.toml", "--figures", "png") == WRONG_INPUT
     out, error = capsys.readouterr()
-    figure = folder / "results/figures/fit.png"
+    figure = folder / "results/figures/residuals.png"
     remedy = "make room, or choose another folder with --output"
     assert error == f"error: {figure} cannot be written: No space left on device; {remedy}\n"
     assert f"Written to {folder}/results/: result.json, estimates.csv, trace.csv" in out
-    assert f"Written to {folder}/results/figures/: parameters.png, criterion.png" in out
-    assert {path.name for path in figure.parent.iterdir()} == {"parameters.png", "criterion.png"}
+    assert f"Written to {folder}/results/figures/: fit.png" in out
+    assert {path.name for path in figure.parent.iterdir()} == {"fit.png"}
 
 
 def test_no_room_for_tables(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:

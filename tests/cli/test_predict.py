@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -35,6 +36,12 @@ def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.Captur
     for word in ("second", "third", "RMSE", "in the band", "Estimated again on third: i_start = 0.2", "prediction.csv"):
         assert word in out
     content = json.loads((tmp_path / "prediction.json").read_text())
+    names = ("results/result.json", "second.csv", "third.csv")
+    assert {name: hashlib.sha256((made / name).read_bytes()).hexdigest() for name in names}.items() <= content[
+        "files"
+    ].items()
+    assert any(name.endswith("Coil.fmu") for name in content["files"])
+    assert content["study"]["digest"] == hashlib.sha256((made / "study.toml").read_bytes()).hexdigest()
     assert [record["experiment"] for record in content["records"]] == ["second", "third"]
     assert content["records"][1]["estimated"]["parameters"]["i_start"]["value"] == pytest.approx(0.2, abs=0.05)
     scores = pd.read_csv(tmp_path / "scores.csv")
@@ -42,7 +49,7 @@ def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.Captur
     assert scores["rmse"].tolist() == [record["outputs"][0]["rmse"] for record in content["records"]]
     assert len(pd.read_csv(tmp_path / "prediction.csv")) == 1200
     figures = {path.stem for path in (tmp_path / "figures").iterdir()}
-    assert {"prediction-second", "prediction-third", "residuals-second"} <= figures
+    assert {"prediction", "prediction-2", "residuals"} <= figures
     assert fmuid_("predict", made / "results", *tables, *words, "--no-report") == DONE
     assert list((tmp_path / "figures").iterdir()) == []  # those of an earlier run
     assert not (tmp_path / "report.html").exists()
@@ -55,6 +62,10 @@ def test_the_record_of_the_result_is_no_prediction(
     assert fmuid_("predict", made / "results", made / "first.csv", "-o", tmp_path, "--in-process") == DONE
     out, error = capsys.readouterr()
     assert "the result was made from first: this is no prediction" in error
+    content = json.loads((tmp_path / "prediction.json").read_text())
+    page = (tmp_path / "report.html").read_text()
+    told = [content["study"]["digest"], *content["files"].values(), content["date"]]
+    assert [each for each in told if each not in page] == []
     identified = json.loads((made / "results" / "result.json").read_text())
     rmse = json.loads((tmp_path / "prediction.json").read_text())["records"][0]["outputs"][0]["rmse"]
     assert rmse**2 == pytest.approx(identified["noise_variance"]["i"] * 598 / 600, rel=1e-3)

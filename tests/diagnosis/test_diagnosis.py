@@ -342,7 +342,7 @@ def test_the_command_says_what_it_found(study: Path, look: Look, capsys: pytest.
     direct = look(record(np.random.default_rng(20), size=0.08, angle=1.0))
     assert read["rotor"]["size"].value == pytest.approx(direct["rotor"]["size"].value, rel=1e-6)
     figures = {path.stem for path in (study.parent / "results" / "figures").glob("*.png")}
-    assert figures == {"diagnosis-sizes", "diagnosis-decision", "diagnosis-residual"}
+    assert figures == {"evidence", "sizes", "explained"}
     assert "Fault found: rotor" in (study.parent / "results" / "report.html").read_text(encoding="utf-8")
     explained = pd.read_csv(study.parent / "results" / "diagnosis-residuals.csv")
     assert explained.filter(like="fault.").std().mean() < explained.filter(like="healthy.").std().mean()

@@ -15,7 +15,7 @@ from scipy import stats
 from fmuid.errors import InputError
 from fmuid.reports import write_report
 from fmuid.reports.interactive import style
-from tests.support.live_figures import batch
+from tests.support.live_figures import batch, starts
 
 
 def cases(count: int, **columns: Any) -> pd.DataFrame:
@@ -37,16 +37,50 @@ def said(plot: Any) -> list[str]:
 
 
 def test_over_cases() -> None:
-    """Few have their intervals, many are thinned; failed ones are not drawn."""
-    few, _ = batch.over_cases(cases(20), {"R": 4.0}, {"R": "Ohm"})
-    (bars,) = glyphs(few, "Segment")
-    assert len(bars["case"]) == 19
+    """Few have their intervals, those that miss the truth in red; failed ones are marked; many are thinned."""
+    frame = cases(20)
+    frame.loc[2, "value.R"] = 4.25
+    few, _ = batch.over_cases(frame, {"R": 4.0}, {"R": "Ohm"})
+    bars, missing = glyphs(few, "Segment")
+    missed = np.abs(frame["value.R"] - 4.0) > stats.norm.ppf(0.975) * 0.1
+    assert [len(bars["case"]), list(missing["case"])] == [19 - missed.sum(), list(np.flatnonzero(missed))]
     np.testing.assert_allclose(bars["high"] - bars["low"], 2 * 1.959964 * 0.1, rtol=1e-6)
+    assert list(glyphs(few, "Scatter")[1]["case"]) == [19]
+    assert said(few) == ["estimate", "interval of 95 %", "misses the truth", "failed"]
     assert [each.location for each in few.center if isinstance(each, Span)] == [4.0]
     assert few.yaxis.axis_label == "R (Ohm)"
     many, _ = batch.over_cases(cases(30_000), {}, {})
     assert glyphs(many, "Segment") == []
     assert len(glyphs(many, "Scatter")[0]["case"]) == style.MAX_DOTS
+
+
+def test_values_far_from_all_others_are_counted_instead_of_drawn() -> None:
+    frame = cases(3000)
+    frame.loc[:99, "value.R"] = 400.0
+    plot, _ = batch.over_cases(frame, {}, {})
+    assert said(plot)[0].endswith(" outside")
+    assert plot.y_range.end < 10.0
+
+
+def test_few_tables_are_named_at_the_axis() -> None:
+    plot, _ = batch.over_cases(cases(3, table=["a.csv", "b.csv", "c.csv"]), {}, {})
+    assert plot.x_range.factors == ["a.csv", "b.csv", "c.csv"]
+    assert list(glyphs(plot, "Scatter")[0]["case"]) == ["a.csv", "b.csv"]
+
+
+def test_where_searches_ended() -> None:
+    """In order above: thirteen at the best optimum, six that leave twice the residual; one did not end."""
+    frame = cases(20, **{"start.R": np.linspace(1.0, 200.0, 20)})
+    frame["noise.i"] = np.where(np.arange(20) < 6, 4.0, 1.0)
+    frame["value.R"], frame["value.L"] = np.where(np.arange(20) < 6, 2.0, 4.0), 0.1
+    frame.loc[19, ["value.R", "value.L"]] = np.nan
+    above, ends = starts.over_starts(frame, {"R": 4.0}, {})
+    worse, best = (data["y"] for data in glyphs(above, "Scatter"))
+    np.testing.assert_allclose(worse, np.full(6, 100.0))
+    np.testing.assert_allclose(best, np.full(13, 0.01))  # the floor
+    assert above.xaxis.axis_label == "searches, the best first; 1 did not converge"
+    assert ends.xaxis.axis_label == "start of R"
+    assert type(ends.x_scale).__name__ == "LogScale"
 
 
 def test_distributions_are_densities_beside_what_the_std_promises() -> None:
@@ -84,6 +118,9 @@ def test_over_a_setting() -> None:
     assert plot.xaxis.axis_label == "M (H)"
     (line,) = glyphs(plot, "Line")
     np.testing.assert_allclose(line["y"], found.groupby("set.M")["value.R"].mean())
+    spread = stats.norm.ppf(0.975) * found.groupby("set.M")["value.R"].std().to_numpy()
+    np.testing.assert_allclose(line["s1"] - line["s0"], 2 * spread)
+    np.testing.assert_allclose(line["p1"] - line["p0"], 2 * stats.norm.ppf(0.975) * 0.1)
     words, _ = batch.over_setting(found.assign(table=["a", "b"] * 150), "table", {}, {})
     assert words.x_range.factors == ["a", "b"]
 
@@ -101,7 +138,7 @@ def test_the_page_of_a_batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     pd.DataFrame([failed]).to_csv(tmp_path / "failures.csv", index=False)
     content = {"title": "Draws", "words": ["R: it is <biased>"], "statuses": {"converged": 39, "failed": 1}}
     told = content | {"truth": {"R": 4.0}, "units": {"R": "Ohm"}, "given_noise": False}
-    told |= {"date": "2026-01-02T03:04", "study": {"file": "draws.toml", "digest": "abc"}, "tables": {"a.csv": "def"}}
+    told |= {"date": "2026-01-02T03:04", "study": {"file": "draws.toml", "digest": "abc"}, "files": {"a.csv": "def"}}
     (tmp_path / "summary.json").write_text(json.dumps(told))
     text = write_report(tmp_path).read_text(encoding="utf-8")
     for words in ("39 of 40 cases converged", "R: it is &lt;biased&gt;", "Draws", "Without an estimate", "1.1", *FROM):

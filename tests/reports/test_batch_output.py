@@ -7,17 +7,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.collections import LineCollection, QuadMesh
-from matplotlib.patches import Rectangle
-from scipy import stats
 
 from fmuid.batches.statistics import Columns
 from fmuid.batches.summary import summarize
 from fmuid.reports.batch_words import write_summary
 from fmuid.reports.console.batch import show_batch
-from fmuid.reports.figures import batch as figures_batch
+from fmuid.reports.figures import paint
 from fmuid.reports.figures import style as plots
-from tests.support.drawn_batches import TRUTH, UNITS, batch, fail, starts
+from fmuid.reports.page import batches
+from tests.support.drawn_batches import TRUTH, UNITS, batch, fail
 
 # --- files and the console
 
@@ -55,59 +53,6 @@ def test_console_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 # --- figures
 
 
-def test_estimates_over_the_cases() -> None:
-    """Each case has its interval, those that miss the truth in red; failed cases are marked."""
-    frame = fail(batch({"draw": range(20)}), [5], ["no"])
-    frame.loc[2, "value.R"] = 4.2
-    figure = figures_batch.draw(frame, TRUTH, UNITS)["estimates"]
-    first = figure.axes[0]
-    missing = np.abs(frame["value.R"] - 4.0) > stats.norm.ppf(0.975) * 0.05
-    counts = [len(each.get_segments()) for each in first.collections if isinstance(each, LineCollection)]
-    assert counts == [19 - missing.sum(), missing.sum()]
-    assert {text.get_text() for text in figure.legends[0].get_texts()} >= {"truth", "failed (1)", "misses the truth"}
-    assert figure.axes[0].get_ylabel() == "R (Ohm)"
-
-
-def test_many_cases_are_counted() -> None:
-    frame = batch({"draw": range(30_000)})
-    frame.loc[:99, "value.R"] = 400.0
-    figures = figures_batch.draw(frame, TRUTH)
-    (mesh,) = [each for each in figures["estimates"].axes[0].collections if isinstance(each, QuadMesh)]
-    assert np.nansum(np.asarray(mesh.get_array())) == 29_900
-    assert figures["estimates"].axes[0].get_title("right") == "100 outside"
-
-
-def test_distributions() -> None:
-    """The bars hold all estimates; the curve is the normal density of the stated std around the truth."""
-    axes = figures_batch.draw(batch({"draw": range(500)}, spread=2.0), TRUTH)["distributions"].axes[0]
-    assert sum(
-        bar.get_width() * bar.get_height() for bar in axes.patches if isinstance(bar, Rectangle)
-    ) == pytest.approx(1.0)
-    (curve,) = [line for line in axes.get_lines() if line.get_label() == "as the stated std says"]
-    x, y = np.asarray(curve.get_xydata()).T
-    np.testing.assert_allclose(y, stats.norm.pdf(x, 4.0, 0.05), rtol=1e-9)
-    assert axes.get_title("right").startswith("spread ")
-
-
-def test_over_a_setting() -> None:
-    levels = np.repeat([0.4, 0.436, 0.47], 30)
-    frame = batch({"set.M": levels, "draw": np.tile(np.arange(30), 3)})
-    axes = figures_batch.draw(frame, TRUTH | {"M": 0.436})["swept-M"].axes[0]
-    (means,) = [line for line in axes.get_lines() if line.get_label() == "mean"]
-    np.testing.assert_allclose(np.asarray(means.get_ydata()), frame.groupby("set.M")["value.R"].mean(), rtol=1e-13)
-    assert {line.get_label() for line in axes.get_lines()} >= {"truth", "M is right"}
-
-
-def test_starts_and_where_they_end() -> None:
-    figure = figures_batch.draw(fail(starts(), [9], ["no"]), TRUTH)["starts"]
-    above, ends = figure.axes[:2]
-    heights = {line.get_label(): np.asarray(line.get_ydata()) for line in above.get_lines()}
-    np.testing.assert_allclose(heights["best optimum"], np.zeros(13), atol=1e-12)
-    np.testing.assert_allclose(heights["another optimum"], np.full(6, 100.0), rtol=1e-12)
-    assert above.get_xlabel() == "searches, the best first; 1 did not converge"
-    assert ends.get_xlabel() == "start of R"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "frame",
@@ -133,23 +78,18 @@ def test_starts_and_where_they_end() -> None:
 )
 def test_figures_without_a_warning(frame: pd.DataFrame, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever there is of cases, they are drawn and summarized, and nothing warns."""
-    figures = figures_batch.draw(frame, TRUTH, UNITS)
-    assert "estimates" in figures
+    sections = batches.sections_of(frame, {}, TRUTH, {**UNITS}, given_noise=False)
+    assert sections[0].figures
+    figures = {each.name: paint.printed(each.figures, each.columns) for each in sections if each.figures}
     assert len(plots.save(figures, tmp_path)) == len(figures)
     show_batch(summarize(frame, TRUTH, UNITS))
     assert capsys.readouterr().out
 
 
-def test_starts_of_a_parameter_that_is_not_always_free() -> None:
-    frame = batch({"start.R": [1.0, 200.0, 3.0, np.nan, np.nan], "free": ["R", "R", "R", "L", "L"]}, spread=0.0)
-    _, ends = figures_batch.draw(fail(frame, [4], ["no"]), TRUTH)["starts"].axes
-    assert ends.get_xscale() == "log"
-
-
 def test_nothing_to_draw() -> None:
     frame = batch({"draw": range(3)})
-    assert figures_batch.draw(frame.iloc[:0], TRUTH) == {}
-    assert figures_batch.draw(fail(frame, [0, 1, 2], ["no"] * 3), TRUTH) == {}
+    for none in (frame.iloc[:0], fail(frame, [0, 1, 2], ["no"] * 3)):
+        assert not any(each.figures for each in batches.sections_of(none, {}, TRUTH, {}, given_noise=False))
 
 
 def test_columns() -> None:

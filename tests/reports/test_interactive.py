@@ -15,7 +15,6 @@ from bokeh.models import Axis, BoxAnnotation, Legend, Plot, Span
 from fmuid.assessment import CriterionMap
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.reports.figures.criterion_map import parabolas
 from fmuid.reports.interactive import style
 from fmuid.reports.thinning import evenly, extremes
 from tests.support import records
@@ -117,7 +116,7 @@ def test_fit() -> None:
     np.testing.assert_allclose(rest["y"], given.measured[:, 0] - given.simulated[:, 0], rtol=1e-4, atol=1e-6)
     (grey,) = marks(upper, BoxAnnotation)
     assert grey.right == given.times[50]
-    assert entries(upper) == ["measured", "simulated"]
+    assert entries(upper) == ["measured", f"simulated, misfit {100 * given.misfit[0]:.3g} %"]
 
 
 def test_the_band_of_a_prediction() -> None:
@@ -125,7 +124,7 @@ def test_the_band_of_a_prediction() -> None:
     given = records.record()
     half = np.full(given.simulated.shape, 0.5)
     upper, lower, *_ = plots(fit.fit(given, half, 0.9))
-    assert entries(upper) == ["measured", "simulated", "90 % band"]
+    assert entries(upper)[2:] == ["90 % band"]
     for plot, middle in ((upper, given.simulated[:, 0]), (lower, 0.0 * given.simulated[:, 0])):
         (area,) = [each for each in plot.renderers if type(each.glyph).__name__ == "VArea"]
         low, high = (area.data_source.data[getattr(area.glyph, key)] for key in ("y1", "y2"))
@@ -276,14 +275,9 @@ def test_parabolas_of_prior_data_and_both() -> None:
     assert both["y"] == pytest.approx(prior["y"] + data["y"])
     (alone,) = estimates.parabolas(reading, ["L"])
     assert entries(alone) == ["data alone", "both"]
-    printed = parabolas(reading)
-    (axes,) = printed.axes
-    assert axes.get_xlabel() == "R"
-    assert [np.min(np.asarray(line.get_ydata())) for line in axes.lines] == pytest.approx([0.0, 0.0, 1.8], abs=0.05)
+    assert [np.min(line["y"]) for line in (prior, data, both)] == pytest.approx([0.0, 0.0, 1.8], abs=0.05)
     with pytest.raises(InputError, match="'Q' is not in the reading"):
         estimates.parabolas(reading, ["Q"])
-    with pytest.raises(InputError, match="no parameter"):
-        parabolas(reading.iloc[1:])
 
 
 def test_correlation() -> None:
@@ -354,7 +348,9 @@ def test_profile() -> None:
     ends = {"lower": 3.804, "upper": 4.196, "threshold": 3.84}
     plot = uncertainty.profile(points, ends, (4.0, 0.1), "R (Ohm)", 0.95)
     assert labels(plot) == ("R (Ohm)", "rise of the criterion")
-    parabola, curve = drawn(plot, "Line")
+    border, parabola, curve = drawn(plot, "Line")
+    assert list(border["y"]) == [3.84, 3.84]
+    assert entries(plot)[2] == "95 % level: a rise of 3.84"
     np.testing.assert_allclose(parabola["y"], ((parabola["x"] - 4.0) / 0.1) ** 2)
     np.testing.assert_allclose(curve["y"], ((curve["x"] - 4.0) / 0.1) ** 2, atol=1e-6)
     (shade,) = marks(plot, BoxAnnotation)

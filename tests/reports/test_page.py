@@ -116,8 +116,8 @@ def test_it_says_the_verdict_first_and_links_to_what_proves_it(page: Page) -> No
     assert re.search(r"2 parameters are known to between .* % \(.\) and .* % \(.\), one standard deviation", words)
     anchors, links = page.values("id"), [link for link in page.values("href") if link.startswith("#")]
     assert set(links) <= {f"#{anchor}" for anchor in anchors}
-    assert {"#fit", "#residuals", "#belief", "#search", "#accuracy"} <= set(links)
-    assert {"fit", "fit-2", "correlation", "uncertainty"} <= set(anchors)
+    assert {"#fit", "#residuals", "#belief", "#criterion", "#accuracy"} <= set(links)
+    assert {"fit", "fit-2", "correlation", "profiles", "maps"} <= set(anchors)
 
 
 def test_the_parabolas_of_prior_data_and_both_are_of_parameters_with_a_prior(results: Path, tmp_path: Path) -> None:

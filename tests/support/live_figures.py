@@ -29,4 +29,4 @@ def _live(found: Any) -> Any:
 
 batch, comparison, diagnosis = (_Live(name) for name in ("batch", "comparison", "diagnosis"))
 estimates, fit, preparation = (_Live(name) for name in ("estimates", "fit", "preparation"))
-residuals, search, uncertainty = (_Live(name) for name in ("residuals", "search", "uncertainty"))
+residuals, search, starts, uncertainty = (_Live(name) for name in ("residuals", "search", "starts", "uncertainty"))

@@ -1,6 +1,6 @@
-"""What all figures share: the look of them, lines thinned to what a picture can show, and saving.
+"""The look of figures for print, and saving them.
 
-Figures are drawn with matplotlib's objects directly, without pyplot: no window, no global state, and a faster start.
+They are drawn with matplotlib's objects directly, without pyplot: no window, no global state, and a faster start.
 """
 
 from __future__ import annotations
@@ -12,18 +12,12 @@ import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from fmuid.arrays import Floats
 from fmuid.files import replacing
-from fmuid.reports.thinning import extremes
+from fmuid.reports.interactive.style import AMBER, BLUE, FAINT, GREY, INK, RED
 
 # Wide enough to be read at the width of a README, about 1000 pixels.
 WIDTH, DPI = 9.2, 110
-# More panels than these make a figure nobody reads: the outputs and experiments that fit worst are kept.
-MAX_OUTPUTS, MAX_EXPERIMENTS, MAX_PARAMETERS = 8, 6, 24
-# Lines longer than this are drawn by the least and greatest of each stretch, which looks the same at this resolution.
-MAX_POINTS = 3000
-
-INK, GREY, FAINT, BLUE, RED, AMBER = "#24292f", "#7d8590", "#d8dee4", "#0b61d0", "#c4432b", "#d99a1c"
+__all__ = ["AMBER", "BLUE", "DPI", "GREY", "INK", "RED", "WIDTH", "save", "style"]
 STYLE: Any = {
     "font.size": 9,
     "axes.edgecolor": GREY,
@@ -98,9 +92,3 @@ _UNDATED = {"svg": {"Date": None}, "pdf": {"CreationDate": None, "ModDate": None
 def style() -> Any:
     """Return the context in which every figure is drawn."""
     return matplotlib.rc_context(STYLE)
-
-
-def thin(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return about `MAX_POINTS` points that draw the same line: the least and greatest of each stretch, in order."""
-    kept = extremes(y[:, None], MAX_POINTS)
-    return x[kept], y[kept]

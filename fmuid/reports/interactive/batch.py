@@ -40,6 +40,13 @@ MAX_BARS = 60
 MIN_BINS, MAX_BINS = 8, 60
 # A normal curve is drawn so many standard deviations wide.
 SHOWN_STDS = 3.2
+# Fewer estimates than this make no histogram, they are drawn themselves; fewer at a setting have no spread.
+LEAST_COUNTED, LEAST_REPEATED = 30, 3
+# Values further than so many quartile distances from the middle half are outside the picture, which says so, if they
+# are less than such a share of all.
+OUTSIDE_QUARTILES, RARE_SHARE = 6.0, 0.05
+# Tables that are named at the axis, and letters of a name that it has room for.
+MAX_NAMED, LONGEST_LABEL = 25, 24
 # Outlines of different settings in one figure; more cannot be told apart.
 LOOKS = ((BLUE, "solid"), (RED, "solid"), (AMBER, "solid"), (GREY, "dashed"))
 MAX_FAILURES, LONGEST = 12, 70
@@ -62,24 +69,81 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
     truth : mapping of str to float
     units : mapping of str to str
     """
-    good, plots = frame[frame["status"].astype(str) == "converged"], []
+    status, plots = frame["status"].to_numpy(str), []
+    good = frame[status == "converged"]
     some = good.iloc[evenly(len(good), MAX_DOTS)] if len(good) else good
+    tables = list(frame["table"].astype(str)) if "table" in frame else []
+    if len(set(tables)) == len(frame) <= MAX_NAMED:
+        places = {case: _short(text) for case, text in zip(frame["case"], tables, strict=True)}
+    else:
+        places = {}
     for name in parameters_of(good):
-        plot = panel(x="case", y=named(name, units), height=210)
+        across: dict[str, Any] = {"x_range": FactorRange(factors=list(places.values()))} if places else {}
+        plot = panel(x="" if places else "case", y=named(name, units), height=210, **across)
         value, std = (some[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
         half = INTERVAL_STDS * std if len(some) <= MAX_BARS else np.full(len(some), np.nan)
-        data = {"case": some["case"], "value": value, "low": value - half, "high": value + half, "std": std}
+        ends = np.concatenate([value, value - half, value + half])
+        limits = limits_of(ends, truth.get(name))
+        data = {
+            "case": [places.get(case, case) for case in some["case"]],
+            "value": value,
+            "low": value - half,
+            "high": value + half,
+            "std": std,
+        }
         source, entries = ColumnDataSource(data), []
-        if np.isfinite(half).any():
-            bars = plot.segment("case", "low", "case", "high", source=source, line_color=BLUE, line_alpha=0.5)
-            entries.append(("interval of 95 %", [bars]))
+        missed = np.abs(value - truth.get(name, math.nan)) > half
+        for text, color, mine in (("interval of 95 %", BLUE, ~missed), ("misses the truth", RED, missed)):
+            if np.isfinite(half[mine]).any():
+                some_of = {key: np.array(data[key], dtype=object if key == "case" else None)[mine] for key in data}
+                bars = ColumnDataSource(some_of)
+                drawn = plot.segment("case", "low", "case", "high", source=bars, line_color=color, line_alpha=0.5)
+                entries.append((text, [drawn]))
         size = 6 if len(some) <= MAX_BARS else 3
         dots = plot.scatter("case", "value", source=source, size=size, fill_color=BLUE, line_color=None)
         hover(plot, dots, ("case", "@case"), ("value", "@value{0.000000}"), ("std", "@std{0.000000}"))
-        legend(plot, [("estimate", [dots]), *entries])
+        for text, color, lost in (("failed", RED, "failed"), ("not converged", AMBER, "not converged")):
+            cases = frame.loc[status == lost, "case"].to_numpy()
+            cases = cases[evenly(len(cases), MAX_DOTS)] if len(cases) else cases
+            at = {"case": [places.get(case, case) for case in cases], "y": np.full(len(cases), limits[0])}
+            if len(cases):
+                marks = {"marker": "dash", "angle": math.pi / 2, "size": 12, "line_color": color}
+                entries.append((text, [plot.scatter("case", "y", source=ColumnDataSource(at), **marks)]))
+        legend(plot, [(f"estimate{outside(value, limits)}", [dots]), *entries])
         _truth(plot, name, truth)
+        reach(plot, y=limits)
+        if places:
+            plot.xaxis.major_label_orientation = 0.8
         plots.append(plot)
     return plots
+
+
+def _short(text: str) -> str:
+    """Return the end of a long name, where the names of files differ."""
+    return text if len(text) <= LONGEST_LABEL else f"…{text[1 - LONGEST_LABEL :]}"
+
+
+def limits_of(values: Floats, true: float | None = None) -> tuple[float, float]:
+    """Return the range of values to draw, with the truth and without the few that are far from all others."""
+    values = values[np.isfinite(values)]
+    if values.size:
+        first, third = np.quantile(values, [0.25, 0.75])
+        far = OUTSIDE_QUARTILES * (third - first)
+        near = (values >= first - far) & (values <= third + far)
+        values = values[near] if far > 0 and np.mean(~near) < RARE_SHARE else values
+    if true is not None:
+        values = np.append(values, true)
+    if not values.size:
+        return 0.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    room = 0.08 * (high - low) or 0.05 * abs(low) or 1.0
+    return low - room, high + room
+
+
+def outside(values: Floats, limits: tuple[float, float]) -> str:
+    """Return how many values a figure leaves out, for its legend; "" where it leaves out none."""
+    count = int(((values < limits[0]) | (values > limits[1])).sum())
+    return f", {count} outside" if count else ""
 
 
 def _truth(plot: Any, name: str, truth: Mapping[str, float], *, vertical: bool = False) -> None:
@@ -102,11 +166,14 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
     plots, groups = [], _groups(found)
     for name in parameters_of(found):
         value, std = (found[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
-        low, high = _limits(value, truth.get(name))
+        low, high = limits_of(value, truth.get(name))
         plot, entries = panel(x=named(name, units), height=220), []
         for (text, rows), (color, dash) in zip(groups, LOOKS, strict=False):
             edges, density = _histogram(value[rows], low, high)
-            if len(groups) == 1:
+            if len(rows) < LEAST_COUNTED:
+                few = value[rows]
+                shape = plot.segment(few, np.zeros(len(rows)), few, np.full(len(rows), density.max()), line_color=color)
+            elif len(groups) == 1:
                 shape = plot.quad(
                     edges[:-1], edges[1:], density, 0, fill_color=color, fill_alpha=0.45, line_color=WHITE
                 )
@@ -114,7 +181,7 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
                 shape = plot.step(
                     edges, [*density, 0.0], mode="after", line_color=color, line_dash=dash, line_width=1.6
                 )
-            entries.append((text, [shape]))
+            entries.append((f"{text}{outside(value[rows], (low, high))}", [shape]))
         stated = math.sqrt(np.nanmean(std**2)) if np.isfinite(std).any() else 0.0
         if repeated and stated > 0:
             centre = float(truth.get(name, float(np.nanmean(value))))
@@ -146,14 +213,6 @@ def _groups(found: pd.DataFrame) -> list[tuple[str, Any]]:
             )
         )
     return [(text, rows) for text, (_, rows) in zip(texts, levels, strict=True)]
-
-
-def _limits(values: Floats, true: float | None) -> tuple[float, float]:
-    known = values[np.isfinite(values)]
-    low, high = np.quantile(known, [0.001, 0.999]) if known.size else (0.0, 1.0)
-    ends = [low, high, *([] if true is None else [true])]
-    room = 0.08 * (max(ends) - min(ends)) or 0.05 * abs(low) or 1.0
-    return float(min(ends) - room), float(max(ends) + room)
 
 
 def _histogram(values: Floats, low: float, high: float) -> tuple[Floats, Floats]:
@@ -202,24 +261,48 @@ def over_setting(found: pd.DataFrame, name: str, truth: Mapping[str, float], uni
     """
     variable, plots = name.removeprefix("set."), []
     number = found[name].dtype.kind in "fiu"
-    factors = [] if number else sorted({str(each) for each in found[name]})
+    place = found[name] if number else found[name].astype(str)
+    more: dict[str, Any] = {} if number else {"x_range": FactorRange(factors=sorted(set(place)))}
+    some = evenly(len(found), MAX_DOTS)
     for parameter in parameters_of(found):
-        more: dict[str, Any] = {} if number else {"x_range": FactorRange(factors=factors)}
         text = named(variable, units) if number else variable
         plot = panel(x=text, y=named(parameter, units), height=220, **more)
-        value = found[f"value.{parameter}"].to_numpy(np.float64)
-        some, place = evenly(len(found), MAX_DOTS), found[name] if number else found[name].astype(str)
+        value, std = (found[f"{kind}.{parameter}"].to_numpy(np.float64) for kind in ("value", "std"))
+        limits = limits_of(value, truth.get(parameter))
         source = ColumnDataSource({"x": place.to_numpy()[some], "y": value[some]})
         dots = plot.scatter("x", "y", source=source, size=4, fill_color=BLUE, fill_alpha=0.4, line_color=None)
         hover(plot, dots, ("setting", "@x"), ("estimate", "@y{0.000000}"))
-        means = pd.Series(value).groupby(place.to_numpy()).mean()
-        at = {"x": means.index.to_numpy(), "y": means.to_numpy()}
-        drawn = [plot.scatter("x", "y", source=ColumnDataSource(at), size=8, fill_color=RED, line_color=None)]
-        drawn += [plot.line("x", "y", source=ColumnDataSource(at), line_color=RED, line_width=1.4)] if number else []
-        legend(plot, [("estimate", [dots]), ("mean", drawn)])
+        legend(plot, [(f"estimate{outside(value, limits)}", [dots]), *_means(plot, place, value, std, number=number)])
         _truth(plot, parameter, truth)
+        if number and variable in truth:
+            level(plot, float(truth[variable]), color=AMBER, vertical=True, dash="dotted")
+        reach(plot, y=limits)
         plots.append(plot)
     return plots
+
+
+def _means(
+    plot: Any, place: pd.Series[Any], value: Floats, std: Floats, *, number: bool
+) -> list[tuple[str, list[Any]]]:
+    """Draw the mean at each setting, how far the cases spread around it, and how far they should by their std."""
+    groups = pd.DataFrame({"value": value, "variance": std**2}).groupby(place.to_numpy())
+    mean, counts = groups["value"].mean(), groups["value"].count()
+    spread, stated = INTERVAL_STDS * groups["value"].std(ddof=1), INTERVAL_STDS * np.sqrt(groups["variance"].mean())
+    sides = {"s": spread, "p": stated} if counts.min() >= LEAST_REPEATED else {}
+    data = {"x": mean.index.to_numpy(), "y": mean.to_numpy()}
+    for key, half in sides.items():
+        data |= {f"{key}0": (mean - half).to_numpy(), f"{key}1": (mean + half).to_numpy()}
+    source, entries = ColumnDataSource(data), []
+    drawn = [plot.scatter("x", "y", source=source, size=8, fill_color=RED, line_color=None)]
+    drawn += [plot.line("x", "y", source=source, line_color=RED, line_width=1.4)] if number else []
+    if sides:
+        bars = plot.segment("x", "s0", "x", "s1", source=source, line_color=RED, line_width=6, line_alpha=0.3)
+        ends = [
+            plot.scatter("x", end, source=source, marker="dash", size=14, line_color=INK, line_width=1.6)
+            for end in ("p0", "p1")
+        ]
+        entries = [("± 1.96 spread", [bars]), ("± 1.96 stated std", ends)]
+    return [("mean", drawn), *entries]
 
 
 def failures(table: pd.DataFrame) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,6 +39,9 @@ from fmuid.text import label
 if TYPE_CHECKING:
     from fmuid.simulation import Fit
 
+# A zoom for print is this share of the record, and at least this many samples.
+ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
+
 
 def worst(records: Sequence[Fit]) -> tuple[Fit, ...]:
     """Return the experiments to draw, in their order: of more than `MAX_EXPERIMENTS` those of greatest misfit."""
@@ -45,7 +49,33 @@ def worst(records: Sequence[Fit]) -> tuple[Fit, ...]:
     return tuple(record for record in records if record in kept)
 
 
-def fit(record: Fit, half_width: Floats | None = None, degree: float = CONFIDENCE_LEVEL) -> Any:
+def zoom(record: Fit) -> slice:
+    """Return the rows of the stretch where the simulated outputs vary most, for print, where nobody can drag.
+
+    The total variation of each output, relative to its own over the record, is summed over the outputs: being
+    simulated they carry no noise. Samples that do not count do not attract the zoom.
+    """
+    samples = len(record.times)
+    width = min(samples, max(ZOOM_SAMPLES, round(ZOOM_SHARE * samples)))
+    moves = np.abs(np.diff(record.simulated[:, drawn_outputs(record)], axis=0, prepend=0.0))
+    moves[0] = 0.0
+    moves[~record.counted.any(axis=1)] = 0.0
+    total = moves.sum(axis=0)
+    activity = (moves / np.where(total > 0, total, 1.0)).sum(axis=1)
+    summed = np.concatenate([[0.0], np.cumsum(activity)])
+    start = int(np.argmax(summed[width:] - summed[:-width])) if samples > width else 0
+    return slice(start, start + width)
+
+
+def drawn_outputs(record: Fit) -> list[int]:
+    """Return the outputs to draw, in their order: of more than `MAX_OUTPUTS` those of greatest misfit."""
+    order = np.argsort(-np.nan_to_num(np.asarray(record.misfit)), kind="stable")
+    return sorted(int(output) for output in order[:MAX_OUTPUTS])
+
+
+def fit(
+    record: Fit, half_width: Floats | None = None, degree: float = CONFIDENCE_LEVEL, *, rows: slice = slice(None)
+) -> Any:
     """Draw the outputs of an experiment: measured dots, the simulated line, the residual below.
 
     Zoom, hover and crosshair are linked over all outputs. Of more than `MAX_OUTPUTS` those of greatest misfit are
@@ -59,9 +89,12 @@ def fit(record: Fit, half_width: Floats | None = None, degree: float = CONFIDENC
         where there is none.
     degree : float
         Of the band.
+    rows : slice
+        What of the record is drawn.
     """
-    order = np.argsort(-np.nan_to_num(np.asarray(record.misfit)), kind="stable")
-    outputs = sorted(int(output) for output in order[:MAX_OUTPUTS])
+    outputs, misfit = drawn_outputs(record), record.misfit
+    cut = {name: getattr(record, name)[rows] for name in ("times", "measured", "simulated", "counted")}
+    record, half_width = replace(record, **cut), None if half_width is None else half_width[rows]
     lines, dots = sources(record, outputs, half_width)
     band = "" if half_width is None else f"{100 * degree:.4g} % band"
     times = record.times
@@ -70,7 +103,7 @@ def fit(record: Fit, half_width: Floats | None = None, degree: float = CONFIDENC
     plots: list[Any] = []
     for j in outputs:
         last = j == outputs[-1]
-        plots.append(_upper(record, j, (lines, dots), across, band))
+        plots.append(_upper(record, j, (lines, dots), across, (f"simulated, misfit {100 * misfit[j]:.3g} %", band)))
         plots.append(_lower(record, j, lines, across, last=last))
     for plot in plots:
         plot.add_tools(CrosshairTool(overlay=cross))
@@ -118,8 +151,8 @@ def _short(values: Floats) -> Any:
         return values.astype(np.float32)
 
 
-def _upper(record: Fit, j: int, given: tuple[Sketch, Sketch], across: Sketch, band: str) -> Any:
-    lines, dots = given
+def _upper(record: Fit, j: int, given: tuple[Sketch, Sketch], across: Sketch, texts: tuple[str, str]) -> Any:
+    (lines, dots), (said, band) = given, texts
     plot = panel(y=label(record.outputs[j], record.units[j]), height=220, x_range=across, lod_threshold=None)
     size = 3 if len(dots.data["t"]) > 600 else 5
     area = [plot.varea("t", f"a{j}", f"b{j}", source=lines, fill_color=BLUE, fill_alpha=0.18)] if band else []
@@ -127,7 +160,7 @@ def _upper(record: Fit, j: int, given: tuple[Sketch, Sketch], across: Sketch, ba
     line = plot.line("t", f"s{j}", source=lines, line_color=BLUE, line_width=1.8)
     numbers = [("measured", f"@m{j}{{0.00000}}"), ("simulated", f"@s{j}{{0.00000}}"), ("residual", f"@r{j}{{0.00000}}")]
     hover(plot, line, ("time", "@t{0.0000} s"), *numbers, vertical=True)
-    legend(plot, [("measured", [seen]), ("simulated", [line]), (band, area)])
+    legend(plot, [("measured", [seen]), (said, [line]), (band, area)])
     plot.xaxis.visible = False
     return plot
 

@@ -28,6 +28,7 @@ from fmuid.reports.interactive.style import (
     FONT,
     GREY,
     INK,
+    MAX_PARAMETERS,
     RED,
     WHITE,
     Units,
@@ -62,6 +63,10 @@ MAX_SAMPLES = 800
 FLOOR_SHARE = 0.01
 # ... and what few points exceed looks all the same.
 TOP_PERCENTILE = 98.0
+# Optima closer to the estimate than this share of the map are the same; so many parameters that are held are named.
+APART, MAX_HELD = 0.01, 4
+PATHS = ("walker", "step", "counted")
+"""Columns of ``walkers.csv`` besides the parameters."""
 # Blues of ColorBrewer, red, green and blue, and so many colours between them.
 BLUES = ((8, 48, 107), (8, 81, 156), (33, 113, 181), (66, 146, 198), (107, 174, 214), (158, 202, 225), (198, 219, 239), (222, 235, 247), (247, 251, 255))  # fmt: skip  # noqa: E501
 SHADES = 129
@@ -95,12 +100,11 @@ def profile(
     rise = points["criterion"].to_numpy(np.float64) - float(points["criterion"].min())
     low, high = _window(places, (ends["lower"], ends["upper"]), value)
     threshold = ends["threshold"]
-    title = f"{100 * degree:.4g} % level: a rise of {threshold:.3g}"
-    plot = panel(x=text, y="rise of the criterion", height=240, title=title)
+    plot = panel(x=text, y="rise of the criterion", height=240)
     if not (math.isnan(ends["lower"]) or math.isnan(ends["upper"])):
         shade = {"left": max(ends["lower"], low), "right": min(ends["upper"], high)}
         plot.add_layout(BoxAnnotation(**shade, fill_color=BLUE, fill_alpha=0.12, line_color=None))
-    level(plot, threshold, color=RED)
+    border = [plot.line(np.array([low, high]), np.full(2, threshold), line_color=RED, line_width=1)]
     parabola = []
     if math.isfinite(std) and std > 0:
         grid = np.linspace(low, high, 161)
@@ -109,8 +113,8 @@ def profile(
     source = ColumnDataSource({"x": places, "y": rise})
     dots = plot.scatter("x", "y", source=source, size=5, fill_color=BLUE, line_color=None)
     hover(plot, dots, ("value", "@x{0.000000}"), ("rise", "@y{0.000}"))
-    legend(plot, [("profile", [line, dots]), ("local parabola", parabola)])
-    plot.title.text_color, plot.title.text_font_style = RED, "normal"
+    reached = f"{100 * degree:.4g} % level: a rise of {threshold:.3g}"
+    legend(plot, [("profile", [line, dots]), ("local parabola", parabola), (reached, border)])
     reach(plot, x=(low, high), y=(-0.04 * HEIGHT * threshold, HEIGHT * threshold))
     return plot
 
@@ -235,10 +239,35 @@ def share_levels(counts: Floats) -> list[float]:
     return [height for k, height in enumerate(heights) if k == 0 or height > heights[k - 1]]
 
 
+def walkers(paths: pd.DataFrame, units: Units | None = None) -> list[Any]:
+    """Draw every walker's path, a figure a parameter; what lies in the grey part takes no part in the samples.
+
+    Parameters
+    ----------
+    paths : DataFrame
+        As in ``walkers.csv``: ``walker``, ``step``, ``counted``, and a column a parameter.
+    units : mapping of str to str, optional
+        Of the parameters.
+    """
+    begins = np.flatnonzero(np.diff(paths["walker"].to_numpy(np.float64), prepend=-1.0))[1:]
+    steps, early = paths["step"].to_numpy(np.float64), paths.loc[~paths["counted"], "step"]
+    plots = []
+    for name in paths.columns[len(PATHS) :][:MAX_PARAMETERS]:
+        plot = panel(x="step", y=named(str(name), units), height=150)
+        values = np.insert(paths[name].to_numpy(np.float64), begins, np.nan)  # a gap between the lines
+        plot.line(np.insert(steps, begins, np.nan), values, line_color=BLUE, line_width=0.7, line_alpha=0.35)
+        if len(early):
+            plot.add_layout(BoxAnnotation(right=float(early.max()), fill_color=GREY, fill_alpha=0.18, line_color=None))
+        plots.append(plot)
+    return plots
+
+
 # --- maps of the criterion
 
 
-def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: float = 0.95) -> Any:
+def criterion_map(
+    chart: CriterionMap, units: Units | None = None, optima: pd.DataFrame | None = None, *, degree: float = 0.95
+) -> Any:
     """Draw by how much the criterion exceeds its minimum over two parameters, the estimate and its ellipse.
 
     The dashed line is where the section itself has risen by as much as the border of the confidence region allows:
@@ -250,6 +279,9 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: fl
     chart : CriterionMap
     units : mapping of str to str, optional
         Of the parameters.
+    optima : DataFrame, optional
+        As in ``optima.csv``: those on the map are drawn; the other parameters have their own values there, so that the
+        colours around them need not show a minimum.
     degree : float
         The level of the ellipse.
     """
@@ -279,9 +311,11 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: fl
     border = chart.ellipse(degree)
     line = [plot.line(border[:, 0], border[:, 1], line_color=RED, line_width=1.8)] if len(border) else []
     dot = plot.scatter(*([each] for each in chart.estimate), size=9, fill_color=AMBER, line_color=INK)
-    held = ", others held" if chart.held else ""
-    texts = (f"{100 * degree:g} % ellipse", f"criterion raised by {rise:.3g}{held}", "estimate")
-    legend(plot, list(zip(texts, (line, section, [dot]), strict=True)))
+    places = _others(chart, optima)
+    more = [plot.scatter(*places.T, size=9, fill_color=WHITE, line_color=INK)] if len(places) else []
+    held = "".join(f", {name} = {value:.4g}" for name, value in list(chart.held.items())[:MAX_HELD])
+    texts = (f"{100 * degree:g} % ellipse", f"criterion raised by {rise:.3g}{held}", "estimate", "other optima found")
+    legend(plot, list(zip(texts, (line, section, [dot], more), strict=True)))
     bar = ColorBar(
         color_mapper=colors, ticker=LogTicker(desired_num_ticks=6), width=12, title="criterion above its minimum"
     )
@@ -291,6 +325,17 @@ def criterion_map(chart: CriterionMap, units: Units | None = None, *, degree: fl
     plot.add_layout(bar, "right")
     reach(plot, x=_ends(first, logarithmic=chart.logarithmic[0]), y=_ends(second, logarithmic=chart.logarithmic[1]))
     return plot
+
+
+def _others(chart: CriterionMap, optima: pd.DataFrame | None) -> Floats:
+    """Return the optima on the map (n, 2) that are not the estimate."""
+    if optima is None:
+        return np.empty((0, 2))
+    (low, *_, high), (bottom, *_, top), _ = chart.grid
+    places = optima[list(chart.names)].to_numpy(np.float64)
+    inside = ((places >= (low, bottom)) & (places <= (high, top))).all(axis=1)
+    apart = (np.abs(places - chart.estimate) > APART * np.array([high - low, top - bottom])).any(axis=1)
+    return np.asarray(places[inside & apart])
 
 
 def _blues() -> list[str]:

@@ -11,6 +11,7 @@ from fmuid.batches import Columns, estimates, is_repetition
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import batch
+from fmuid.reports.interactive.starts import over_starts
 from fmuid.reports.page.contents import read_json, read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
@@ -18,13 +19,23 @@ from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.result import capitalised
 from fmuid.text import has_unit, rounded
 
-CASES = "Estimates of the cases that converged, with their intervals where there are few; the amber line is the truth."
+CASES = (
+    "Estimates of the cases that converged, with their intervals where there are few; the amber line is the truth. At "
+    "the lower edge are cases without an estimate."
+)
 DISTRIBUTIONS = (
     "How the estimates are distributed. The black curve is what their stated standard deviations promise: wider bars "
     "than the curve mean that the std are too small, bars beside the amber line, the truth, a bias."
 )
 SPREAD = "In the band the spread over the cases is what the stated std say; to the right of it they are too small."
-SETTING = "Each dot is a case, red are means. A mean that moves with the setting depends on it."
+SETTING = (
+    "Each dot is a case, red are means, with the spread of the cases and, black, what their std promise. "
+    "A mean that moves with the setting depends on it."
+)
+STARTS = (
+    "How much worse than the best each search fits, in order, and where it ended over where it began. A level line is "
+    "an optimum that any start leads to; red ones are others."
+)
 FAILURES = "Why cases have no estimate: red failed, amber did not converge."
 
 
@@ -42,7 +53,7 @@ def part(folder: Path) -> Part:
         frame = pd.read_parquet(folder / "cases", columns=_wanted(folder)).sort_values("case", ignore_index=True)
         said = [Said(capitalised(str(text)), "distributions") for text in content["words"]]
         counts = {str(name): int(count) for name, count in content["statuses"].items()}
-        sections = _sections(frame, tables, content["truth"], content["units"], given_noise=content["given_noise"])
+        sections = sections_of(frame, tables, content["truth"], content["units"], given_noise=content["given_noise"])
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
             f"{folder} has no whole results of fmuid batch ({error}): run the same command again"
@@ -70,7 +81,7 @@ def _wanted(folder: Path) -> list[str]:
 _PLAIN = ("case", "status", "criterion", "table", "draw", "free")
 
 
-def _sections(
+def sections_of(
     frame: pd.DataFrame,
     tables: dict[str, pd.DataFrame],
     truth: dict[str, float],
@@ -78,6 +89,17 @@ def _sections(
     *,
     given_noise: bool,
 ) -> list[Section]:
+    """Return the sections of a page on a batch, of which one without figures is left out.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        A row a case.
+    tables : dict of str to DataFrame
+        ``summary`` and ``failures``, as far as they are there.
+    truth, units, given_noise
+        As ``summary.json`` has them.
+    """
     found, columns = estimates(frame, given_noise=given_noise), Columns.of(frame)
     sections = [Section("cases", "Estimates over the cases", CASES, batch.over_cases(frame, truth, units), 2)]
     if len(found) > 1:
@@ -90,6 +112,9 @@ def _sections(
         drawn = batch.over_setting(found, name, truth, units)
         heading = f"Over {name.removeprefix('set.')}"
         sections.append(Section(f"over-{k + 1}", heading, SETTING if k == 0 else "", drawn))
+    if columns.starts:
+        drawn = over_starts(frame, truth, units, given_noise=given_noise)
+        sections.append(Section("starts", "Where the searches ended", STARTS, drawn))
     if "failures" in tables:
         sections.append(Section("failures", "Without an estimate", FAILURES, [batch.failures(tables["failures"])], 1))
     return sections

@@ -18,7 +18,10 @@ from fmuid.estimation import Result
 from fmuid.simulation import Fit
 
 # Columns of texts, which pandas would take for numbers or missing values where they look like it.
-_TEXTS = ("parameter", "unit", "experiment", "output", "with", "moved_by", "profiled", "column")
+_TEXTS = (
+    *("parameter", "unit", "experiment", "output", "with", "moved_by", "profiled", "column"),
+    *("record", "significant", "alarm"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +88,7 @@ class Identification:
 
 _MINE = (
     *("estimates", "trace", "rounds", "fit", "correlations", "reading", "optima", "profiles", "posterior"),
-    "preparation",
+    *("preparation", "walkers"),
 )
 
 

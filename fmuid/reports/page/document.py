@@ -42,6 +42,8 @@ class Section:
         So many at most.
     body : str
         HTML above the figures, in which all that is not ours is escaped.
+    zoom : Sketch, optional
+        A stretch of the only figure, which print shows beside it.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Section:
     figures: Sequence[Any] = ()
     columns: int = 3
     body: str = ""
+    zoom: Any = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,12 @@ import pandas as pd
 
 from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.estimation import Result
-from fmuid.reports.interactive import estimates, fit, residuals, search, uncertainty
-from fmuid.reports.interactive.style import MAX_EXPERIMENTS, MAX_OUTPUTS, MAX_PARAMETERS, Units, named
+from fmuid.reports.interactive import estimates, search, uncertainty
+from fmuid.reports.interactive.style import MAX_PARAMETERS, Units, named
 from fmuid.reports.page import preparation
 from fmuid.reports.page.contents import Identification
 from fmuid.reports.page.document import Part, Section, table
+from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import identification_words
 from fmuid.reports.words.accuracy import shift_text
@@ -23,11 +24,10 @@ from fmuid.text import has_unit, rounded, with_std
 CAPTIONS = {
     "fit": "Dots were measured, the line is simulated with the estimates, the residual is below. A good residual is "
     "noise without a pattern. What does not count is grey. Drag to enlarge a stretch; all outputs follow.",
-    "residuals": "Left: the residual's distribution should follow the normal curve. Middle: its autocorrelation should "
-    "stay in the band; else the model or the noise has dynamics of its own and the intervals are not as stated. Right: "
-    "outside the band, the residual depends on an input, which the model does not take up rightly.",
-    "search": "Parameters should come to rest in the blue band, the interval of the estimate; the prior's ± 2 std is "
-    "amber, the circle is the start. The criterion falls with each accepted step; rejected trials are crosses.",
+    "parameters": "They should come to rest in the blue band, the interval of the estimate; the prior's ± 2 std is "
+    "amber, the circle is the start.",
+    "criterion": "The criterion falls with each accepted step; rejected trials are crosses. It begins anew where the "
+    "noise variances are estimated again.",
     "belief": "What the prior said, what the data say alone, and both. Prior and data should overlap; where the data's "
     "curve is wide or missing, the estimate rests on the prior.",
     "parabolas": "The criterion of what the prior says, of what the data say, and of both, over each parameter with a "
@@ -37,9 +37,13 @@ CAPTIONS = {
     "ellipse does. Shown are the pairs that are correlated most.",
     "accuracy": "Each estimate's shift if the finer simulation took the place of the one used, in its standard "
     "deviations. In the band it spoils no interval.",
-    "uncertainty": "Profiles: where the curve leaves the dashed parabola, the ± std are not the whole truth; the band "
-    "is the interval. Samples: contours hold 68 % and 95 %, red is the local approximation. Maps: the darker, the "
-    "better the fit.",
+    "profiles": "Where the curve leaves the dashed parabola, the ± std are not the whole truth; the band is the "
+    "interval.",
+    "maps": "The darker, the better the fit. Where the dashed line leaves the ellipse, the local covariance is not the "
+    "whole truth.",
+    "posterior": "Contours hold 68 % and 95 % of the samples; red is the local approximation.",
+    "walkers": "A line a walker; what lies in the grey part takes no part in the samples. Paths that wander off "
+    "together, or walkers that stay where they are, show that there is no convergence.",
     "optima": "Where the searches from points of the whole box ended; the larger a point, the more of them. Several "
     "low points apart from each other: the data do not tell which is true.",
 }
@@ -58,9 +62,9 @@ def part(folder: Path) -> Part:
     result = found.result
     said = identification_words(found.content, result, found.fits)
     sections = [
-        *_fits(found),
+        *fit_sections("fit", "Measured and simulated", CAPTIONS["fit"], found.fits),
         *preparation.sections(found),
-        *_residuals(found),
+        *([residual_section(found.fits, found.tables["correlations"])] if "correlations" in found.tables else []),
         *_search(found),
         *_belief(found),
         *_correlation(found),
@@ -70,8 +74,7 @@ def part(folder: Path) -> Part:
     state = "converged" if result.converged else result.outcome.value.replace("_", " ")
     more = found.content.get("uncertainty") or {}
     good = result.converged and bool(more.get("succeeded", True))
-    rows = {f"model {each['name']}": f"SHA-256 {each['digest']}" for each in result.models.values()}
-    end = origin(found.content, rows | {"search": _search_words(result)})
+    end = origin(found.content, {"search": _search_words(result)})
     shown = [each for each in sections if each.figures]
     return Part("Identification", state, good, said, estimates_table(result, found.units, found.level), shown, end)
 
@@ -108,42 +111,14 @@ def estimates_table(result: Result, units: Units, level: float = CONFIDENCE_LEVE
     return table(columns, numbers=[name for name in columns if name not in ("parameter", "unit")])
 
 
-def _fits(found: Identification) -> list[Section]:
-    shown = fit.worst(found.fits)
-    caption, sections = CAPTIONS["fit"], []
-    if len(shown) < len(found.fits):
-        caption += f" Of {len(found.fits)} experiments the {MAX_EXPERIMENTS} that fit worst are drawn."
-    if any(len(record.outputs) > MAX_OUTPUTS for record in shown):
-        caption += f" Of more than {MAX_OUTPUTS} outputs those that fit worst are drawn."
-    for k, record in enumerate(shown):
-        heading = "Measured and simulated" + (f": {record.experiment}" if len(found.fits) > 1 else "")
-        name = "fit" if k == 0 else f"fit-{k + 1}"
-        sections.append(Section(name, heading, caption if k == 0 else "", [fit.fit(record)], 1))
-    return sections
-
-
-def _residuals(found: Identification) -> list[Section]:
-    if "correlations" not in found.tables:
-        return []
-    shown, figures = found.tables["correlations"], []
-    for record in fit.worst(found.fits):
-        for j, output in list(enumerate(record.outputs))[:MAX_OUTPUTS]:
-            rows = shown[(shown["experiment"] == record.experiment) & (shown["output"] == output)]
-            if not len(rows):
-                continue
-            values = np.where(record.counted[:, j], record.measured[:, j] - record.simulated[:, j], np.nan)
-            own, others = rows[rows["with"] == output], rows[rows["with"] != output]
-            figures += [residuals.histogram(values, output), residuals.autocorrelation(own, output)]
-            figures += [residuals.with_inputs(others, output)] if len(others) else []
-    return [Section("residuals", "Residuals", CAPTIONS["residuals"], figures)]
-
-
 def _search(found: Identification) -> list[Section]:
-    tables, figures = found.tables, []
+    tables, sections = found.tables, []
     if "trace" in tables and "estimates" in tables and len(tables["trace"]):
-        figures = [*search.parameters(tables["trace"], tables["estimates"]), *search.criterion(tables["trace"])]
-        figures += search.rounds(tables["rounds"], found.output_units) if len(tables.get("rounds", ())) > 1 else []
-    sections = [Section("search", "The search", CAPTIONS["search"], figures)]
+        drawn = search.parameters(tables["trace"], tables["estimates"])
+        sections.append(Section("parameters", "Parameters during the search", CAPTIONS["parameters"], drawn))
+        drawn = search.criterion(tables["trace"])
+        drawn += search.rounds(tables["rounds"], found.output_units) if len(tables.get("rounds", ())) > 1 else []
+        sections.append(Section("criterion", "The criterion during the search", CAPTIONS["criterion"], drawn))
     if len(tables.get("optima", ())):
         drawn = search.optima(tables["optima"], found.units)
         sections.append(Section("optima", "Optima found", CAPTIONS["optima"], drawn))
@@ -177,12 +152,17 @@ def _accuracy(found: Identification) -> list[Section]:
 
 def _uncertainty(found: Identification) -> list[Section]:
     tables = found.tables
-    first = [*_profiles(found), *(uncertainty.criterion_map(chart, found.units) for chart in found.maps)]
-    sections = [Section("uncertainty", "Profiles and maps", CAPTIONS["uncertainty"], first, 2)]
+    maps = [uncertainty.criterion_map(chart, found.units, tables.get("optima")) for chart in found.maps]
+    sections = [
+        Section("profiles", "Profiles", CAPTIONS["profiles"], _profiles(found), 2),
+        Section("maps", "The criterion over two parameters", CAPTIONS["maps"], maps, 2),
+    ]
     if "posterior" in tables:
         drawn = [uncertainty.corner(tables["posterior"], found.result, found.units)]
-        name = "posterior" if first else "uncertainty"
-        sections.append(Section(name, "Samples of the posterior", "" if first else CAPTIONS["uncertainty"], drawn, 1))
+        sections.append(Section("posterior", "Samples of the posterior", CAPTIONS["posterior"], drawn, 1))
+    if "walkers" in tables:
+        drawn = uncertainty.walkers(tables["walkers"], found.units)
+        sections.append(Section("walkers", "Paths of the sampling", CAPTIONS["walkers"], drawn, 1))
     return sections
 
 

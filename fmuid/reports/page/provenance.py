@@ -22,8 +22,8 @@ def origin(content: Mapping[str, Any], more: Mapping[str, str] | None = None) ->
     study = content.get("study") or {}
     rows = {"fmuid": str(content.get("version", "")), "run": str(content.get("date", ""))}
     if study:
-        rows["study"] = f"{PurePosixPath(study['file']).name}, SHA-256 {study.get('digest', '')}"
-    rows |= {f"table {name}": f"SHA-256 {digest}" for name, digest in (content.get("tables") or {}).items()}
+        rows["study"] = f"{PurePosixPath(study.get('file', '')).name}, SHA-256 {study.get('digest', '')}"
+    rows |= {name: f"SHA-256 {digest}" for name, digest in (content.get("files") or {}).items()}
     rows = {name: said for name, said in (rows | dict(more or {})).items() if said}
     shown = table({"": list(rows), "what this page comes from": list(rows.values())})
     if not study.get("text"):

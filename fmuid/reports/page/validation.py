@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from fmuid.arrays import Floats
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import comparison
-from fmuid.reports.interactive.fit import fit
-from fmuid.reports.interactive.style import MAX_EXPERIMENTS, MAX_OUTPUTS
+from fmuid.reports.interactive.style import MAX_EXPERIMENTS
 from fmuid.reports.page.contents import read_json, read_table
 from fmuid.reports.page.document import Part, Section, table
+from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.prediction import ALIKE_AIC, LEAST_RATIO, with_unit
@@ -62,9 +63,7 @@ def part_of_prediction(folder: Path) -> Part:
         records = content["records"]
         said = [Said(str(text), "prediction") for text in content["words"]]
         scores = [{"record": each["experiment"], **score} for each in records for score in each["outputs"]]
-        worst = sorted(records, key=lambda each: -max([0.0, *(score["misfit"] for score in each["outputs"])]))
-        shown = [each for each in records if each in worst[:MAX_EXPERIMENTS]]
-        figures = [_predicted(each, whole, len(records)) for each in shown]
+        found = {str(each["experiment"]): _predicted(each, whole, len(records)) for each in records}
         seen = [str(each["experiment"]) for each in records if each.get("seen")]
         rows = _scores(scores)
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -74,26 +73,26 @@ def part_of_prediction(folder: Path) -> Part:
     state = "seen before" if seen else "predicted" if not ratios else "carries over" if good else "worse than expected"
     if seen:
         said.append(Said(f"The result was made from {listed(seen)}: this is no prediction", doubtful=True))
-    sections = []
-    for k, (each, drawn) in enumerate(zip(shown, figures, strict=True)):
-        heading = "Predicted" + (f": {each['experiment']}" if len(records) > 1 else "")
-        name = "prediction" if k == 0 else f"prediction-{k + 1}"
-        sections.append(Section(name, heading, PREDICTED if k == 0 else "", [drawn], 1))
+    fits = [fit for fit, _, _ in found.values()]
+    bands = {name: (half, level) for name, (_, half, level) in found.items()}
+    sections = fit_sections("prediction", "Predicted", PREDICTED, fits, bands)
+    path = folder / "prediction-correlations.csv"
+    sections += [residual_section(fits, read_table(path))] if is_file(path) else []
     return Part("Prediction", state, good and not seen, said, rows, sections, origin(content))
 
 
-def _predicted(record: dict[str, Any], whole: pd.DataFrame, count: int) -> Any:
+def _predicted(record: dict[str, Any], whole: pd.DataFrame, count: int) -> tuple[Fit, Floats | None, float]:
+    """Return measured and predicted outputs, the half widths of the bands and their level."""
     rows = whole[whole["experiment"] == record["experiment"]] if count > 1 else whole
     outputs = [str(name).removeprefix("simulated.") for name in rows.columns if str(name).startswith("simulated.")]
-    outputs = outputs[:MAX_OUTPUTS]
     units = {score["output"]: score["unit"] or None for score in record["outputs"]}
     measured, simulated, upper = (
         rows[[f"{kind}.{name}" for name in outputs]].to_numpy(np.float64) for kind in ("measured", "simulated", "upper")
     )
     times, told = rows["time"].to_numpy(np.float64), tuple(units.get(name) for name in outputs)
-    given = Fit(record["experiment"], times, tuple(outputs), told, measured, simulated, np.isfinite(measured))
+    found = Fit(record["experiment"], times, tuple(outputs), told, measured, simulated, np.isfinite(measured))
     half = upper - simulated
-    return fit(given, half if np.isfinite(half).any() else None, float(record["level"]))
+    return found, half if np.isfinite(half).any() else None, float(record["level"])
 
 
 def _scores(scores: list[dict[str, Any]]) -> str:
@@ -164,7 +163,11 @@ def part_of_design(folder: Path) -> Part:
     said = [Said(f"{names[0]} is the best of {len(names)} excitations: it {what} {worst[0]:.3g}", "excitations")]
     shown = table({str(key): [_cell(each) for each in rows[key]] for key in rows}, numbers=list(rows.columns[1:]))
     section = Section("excitations", "Excitations, the best first", caption, [comparison.bars(names, worst, text)], 1)
-    return Part("Design", f"best: {names[0]}", True, said, shown, [section])
+    return Part("Design", f"best: {names[0]}", True, said, shown, [section], _origin_beside(folder / "design.json"))
+
+
+def _origin_beside(path: Path) -> str:
+    return origin(read_json(path)) if is_file(path) else ""
 
 
 def part_of_sensitivities(folder: Path) -> Part:
@@ -186,7 +189,15 @@ def part_of_sensitivities(folder: Path) -> Part:
         anchor, caption = ("sensitivities", SENSITIVITIES) if k == 0 else (f"sensitivities-{k + 1}", "")
         sections.append(Section(anchor, heading, caption, [comparison.sensitivities(rows, units)], 1))
     said = [Said("What relative changes of the parameters do to the outputs at their starts", "sensitivities")]
-    return Part("Sensitivities", f"{len(groups)} experiment{'s' * (len(groups) > 1)}", True, said, "", sections)
+    return Part(
+        "Sensitivities",
+        f"{len(groups)} experiment{'s' * (len(groups) > 1)}",
+        True,
+        said,
+        "",
+        sections,
+        _origin_beside(folder / "sensitivities.json"),
+    )
 
 
 def _cell(value: Any) -> str:

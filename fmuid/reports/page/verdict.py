@@ -46,11 +46,11 @@ def identification_words(content: Mapping[str, Any], result: Result, fits: Seque
         Read from it.
     fits : sequence of Fit
     """
-    said = [Said(capitalised(ending(result)), "search", not result.converged)]
+    said = [Said(capitalised(ending(result)), "criterion", not result.converged)]
     said += [Said(text, "estimates") for text in _precision(result)]
     said += [Said(text, "fit") for text in _misfit(fits)]
-    said += [Said(capitalised(text), "search", doubtful=True) for text in observer_words(result)]
-    said += [Said(capitalised(text), "search", doubtful=True) for text in start_words(result)]
+    said += [Said(capitalised(text), "criterion", doubtful=True) for text in observer_words(result)]
+    said += [Said(capitalised(text), "criterion", doubtful=True) for text in start_words(result)]
     if result.accuracy is not None:
         said += [Said(capitalised(text), "accuracy") for text in filter(None, [passed_words(result.accuracy)])]
         said += [
@@ -70,7 +70,7 @@ def _saved(content: Mapping[str, Any]) -> list[Said]:
     odd |= any(each.get("deviation") in _ODD for each in read.get("variances", ()))
     said = [Said(text, "residuals", coloured) for text in found.get("words", ())]
     said += [Said(text, "belief", odd) for text in read.get("words", ())]
-    said += [Said(capitalised(text), "uncertainty", doubtful=True) for text in more.get("words", ())]
+    said += [Said(capitalised(text), "profiles", doubtful=True) for text in more.get("words", ())]
     return said
 
 

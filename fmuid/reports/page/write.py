@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder, replacing
-from fmuid.reports.drawn import REPORT_FILE
+from fmuid.reports.drawn import REPORT_FILE, clear_figures
 from fmuid.text import listed
 
 if TYPE_CHECKING:
-    from fmuid.reports.page.document import Part
+    from fmuid.reports.page.document import Part, Section
+    from fmuid.simulation import Fit
 
 FILES = (
     *("result.json", "diagnosis.json", "monitoring.json", "summary.json", "prediction.json", "comparison.json"),
@@ -67,18 +68,48 @@ def contents(folder: Path, files: Sequence[str] = FILES) -> tuple[str, list[Part
     return title, [_part(folder, name) for name in there]
 
 
-def report_of(folder: Path, *, wanted: bool) -> list[Path]:
-    """Write the report of a folder where it is wanted; one of an earlier run goes.
+def show_results(folder: Path, *, report: bool, figures: str | None = None) -> list[Path]:
+    """Write the report of a folder and its figures for print where they are wanted; those of an earlier run go.
 
     Raises
     ------
     InputError
         As `write_report` does.
     """
-    if wanted:
-        return [write_report(folder)]
+    clear_figures(folder / "figures")
     (folder / REPORT_FILE).unlink(missing_ok=True)
-    return []
+    sections = [] if figures is None else [each for part in contents(folder)[1] for each in part.sections]
+    drawn = [] if figures is None else _printed(sections, folder / "figures", figures)
+    return [*drawn, *([write_report(folder)] if report else [])]
+
+
+def draw_simulation(folder: Path, fits: Sequence[Fit], figures: str, *, sensitivities: bool) -> list[Path]:
+    """Draw measured and simulated outputs for print, and the sensitivities in the folder; those of an earlier run go.
+
+    Raises
+    ------
+    InputError
+        If nothing can be written there.
+    """
+    from fmuid.reports.page.fits import fit_sections
+    from fmuid.reports.page.validation import part_of_sensitivities
+
+    clear_figures(folder / "figures")
+    sections = fit_sections("fit", "Measured and simulated", "", fits)
+    sections += part_of_sensitivities(folder).sections if sensitivities else []
+    return _printed(sections, folder / "figures", figures)
+
+
+def _printed(sections: Sequence[Section], folder: Path, kind: str) -> list[Path]:
+    """Draw a figure for print of each section."""
+    from fmuid.reports.figures.paint import printed
+    from fmuid.reports.figures.style import save
+
+    drawn = {}
+    for each in sections:
+        beside = [*each.figures, *([] if each.zoom is None else [each.zoom])]
+        drawn[each.name] = printed(beside, max(each.columns, 1 + (each.zoom is not None)), each.heading)
+    return save(drawn, folder, kind)
 
 
 def _part(folder: Path, name: str) -> Part:
