@@ -25,6 +25,7 @@ from .residual_series import LARGE_KURTOSIS as LARGE_KURTOSIS
 from .residual_series import LEAST_SAMPLES as LEAST_SAMPLES
 from .residual_series import OUTLIER_STDS as OUTLIER_STDS
 from .residual_series import ResidualSeries as ResidualSeries
+from .residuals import CORRELATIONS as CORRELATIONS
 from .residuals import LEAST_STD_FACTOR as LEAST_STD_FACTOR
 from .residuals import RESIDUAL_LEVEL as RESIDUAL_LEVEL
 from .residuals import Diagnostics as Diagnostics

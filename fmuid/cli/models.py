@@ -137,20 +137,19 @@ def apply(
 
 
 def _show_applied(applied: Sequence[AppliedValue]) -> None:
-    from rich.markup import escape
-
     from fmuid.reports.console import layout as console
     from fmuid.text import rounded
 
     numbers = ("old start", "new start", "std")
-    table = console.table_of("Start values", ["variable", *numbers, "unit"], right=numbers)
+    rows = []
     for each in applied:
         old, known = each.old, math.isfinite(each.std)
         new = rounded(each.new, each.std) if isinstance(each.new, float) else str(each.new)
         cells = ["" if old is None else f"{old:.6g}" if isinstance(old, float) else str(old), new]
         cells += [rounded(each.std, each.std) if known else "", console.unit_text(each.unit)]
-        table.add_row(*(escape(cell) for cell in (each.variable, *cells)))
-    console.console().print(table)
+        rows.append((each.variable, *cells))
+    columns = console.columns_of(("variable", *numbers, "unit"), rows)
+    console.console().print(console.table_of("Start values", columns, right=numbers))
 
 
 def export(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import html as markup
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from fmuid.batches import BatchResult, estimates, is_repetition
+from fmuid.batches import BatchResult
 from fmuid.data import Experiment
 from fmuid.diagnosis import Diagnosis
 from fmuid.errors import InputError
@@ -16,8 +17,12 @@ from fmuid.estimation import Result, optima_table
 from fmuid.fmi import FMU
 from fmuid.reports.batch_words import noted
 from fmuid.reports.findings import Findings
+from fmuid.reports.interactive import estimates
+from fmuid.reports.interactive.style import Units
+from fmuid.reports.page import batches, faults, identification
 from fmuid.reports.page.batches import summary_table
-from fmuid.reports.page.document import table
+from fmuid.reports.page.contents import Identification
+from fmuid.reports.page.document import Section, table
 from fmuid.reports.page.faults import faults_table
 from fmuid.reports.page.identification import estimates_table
 from fmuid.reports.words.describe import describe
@@ -158,8 +163,50 @@ def _cell() -> str:
     return str(parent.get("metadata", {}).get("cellId", ""))
 
 
-def plots(found: object) -> Any:
-    """Return the figures of a finding, a method each.
+class Plots:
+    """Figures of a finding, a method for each part of its page: ``found.plot.fit()``, ``found.plot.sizes()``.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+    reading : DataFrame, optional
+        What prior and data say of the parameters.
+    units : mapping of str to str, optional
+        Of the parameters.
+    """
+
+    def __init__(
+        self, sections: Sequence[Section], reading: pd.DataFrame | None = None, units: Units | None = None
+    ) -> None:
+        self._sections = [each for each in sections if each.figures]
+        self._reading, self._units = reading, units
+
+    def __dir__(self) -> list[str]:
+        """Return what can be drawn."""
+        return [each.name for each in self._sections if each.name.isidentifier()]
+
+    def __getattr__(self, name: str) -> Callable[[], Drawing]:
+        """Return what draws a part, of several experiments all of it."""
+        shown = [each for each in self._sections if each.name.split("-")[0] == name]
+        if not shown:
+            raise AttributeError(f"there is nothing to draw as {name!r}: there is {', '.join(dir(self))}")
+        return lambda: Drawing([figure for each in shown for figure in each.figures], shown[0].columns)
+
+    def parabolas(self, *names: str) -> Drawing:
+        """Draw the criterion of prior, data and both over parameters, default all with a prior.
+
+        Raises
+        ------
+        InputError
+            If what prior and data say is not known here, or not of such a parameter.
+        """
+        if self._reading is None:
+            raise InputError("what the data alone say is in the findings of fmuid.run_study: draw them")
+        return Drawing(estimates.parabolas(self._reading, names, self._units), 3)
+
+
+def plots(found: object) -> Plots:
+    """Return the figures of a finding.
 
     Raises
     ------
@@ -168,155 +215,28 @@ def plots(found: object) -> Any:
     """
     match found:
         case Findings():
-            return ResultPlots(found.result, found.fits, found)
+            return Plots(identification.sections_of(Identification.of(found)), found.reading.table, found.unit_of)
         case Result():
-            return ResultPlots(found, _fits(found))
+            return Plots(identification.sections_of(_known(found)))
         case Diagnosis():
-            return DiagnosisPlots(found)
+            return Plots(faults.sections_of(found))
         case BatchResult():
-            return BatchPlots(found)
+            tables = {"summary": found.summary()[0].parameters}
+            truth, units = dict(found.truth), dict[str, str | None](found.units)
+            return Plots(batches.sections_of(found.frame, tables, truth, units, given_noise=found.given_noise))
     raise InputError(f"a {type(found).__name__} has no figures")
 
 
-def _fits(result: Result) -> tuple[Fit, ...]:
-    """Return measured and simulated outputs of a result, whose units it does not know."""
+def _known(result: Result) -> Identification:
+    """Return what a result knows by itself; units of the outputs are not among that."""
     fits = []
     for k, frame in enumerate(result.fit):
-        names = tuple(
-            str(name).removeprefix("measured.") for name in frame.columns if str(name).startswith("measured.")
-        )
+        names = tuple(str(name)[len("measured.") :] for name in frame.columns if str(name).startswith("measured."))
         measured, simulated = (
             frame[[f"{kind}.{name}" for name in names]].to_numpy(np.float64) for kind in ("measured", "simulated")
         )
         times, counted = frame["time"].to_numpy(np.float64), np.isfinite(measured)
         fits.append(Fit(f"experiment {k + 1}", times, names, (None,) * len(names), measured, simulated, counted))
-    return tuple(fits)
-
-
-class ResultPlots:
-    """Figures of an identification: ``found.plot.fit()`` and its like."""
-
-    def __init__(self, result: Result, fits: Sequence[Fit], findings: Findings | None = None) -> None:
-        self._result, self._units, self._fits, self._findings = result, result.units, fits, findings
-
-    def fit(self) -> Drawing:
-        """Measured and simulated outputs, the residual below."""
-        from fmuid.reports.interactive import fit
-
-        self._kept(bool(self._fits))
-        return Drawing([fit.fit(record) for record in fit.worst(self._fits)])
-
-    def residuals(self) -> Drawing:
-        """Distribution of each residual; of `Findings` its autocorrelation and correlation with the inputs too."""
-        from fmuid.reports.interactive import residuals
-
-        self._kept(bool(self._fits))
-        drawn: list[Any] = []
-        for record in self._fits:
-            for j, output in enumerate(record.outputs):
-                values = np.where(record.counted[:, j], record.measured[:, j] - record.simulated[:, j], np.nan)
-                drawn.append(residuals.histogram(values, output))
-        if self._findings is not None:
-            table_ = self._findings.diagnostics.correlations
-            for key, rows in table_.groupby(["experiment", "output"], sort=False):
-                output = str(key[1]) if isinstance(key, tuple) else ""
-                own, others = rows[rows["with"] == output], rows[rows["with"] != output]
-                drawn.append(residuals.autocorrelation(own, output))
-                drawn += [residuals.with_inputs(others, output)] if len(others) else []
-        return Drawing(drawn, 3)
-
-    def search(self) -> Drawing:
-        """Parameters and criterion against the iteration."""
-        from fmuid.reports.interactive import search
-
-        trace = self._result.trace
-        self._kept(len(trace) > 0)
-        table_ = self._result.to_frame().reset_index()
-        return Drawing([*search.parameters(trace, table_), *search.criterion(trace)], 3)
-
-    def optima(self) -> Drawing:
-        """Where the searches of the whole box ended."""
-        from fmuid.reports.interactive import search
-
-        self._kept(bool(self._result.optima))
-        return Drawing(search.optima(optima_table(self._result.names, self._result.optima), self._units), 3)
-
-    def correlation(self) -> Drawing:
-        """Correlation matrix and confidence ellipses."""
-        from fmuid.reports.interactive import estimates as drawn
-
-        return Drawing([drawn.correlation(self._result.correlation), *drawn.ellipses(self._result, self._units)], 3)
-
-    def accuracy(self) -> Drawing:
-        """Shift of each estimate under a finer simulation."""
-        from fmuid.reports.interactive import estimates as drawn
-
-        return Drawing([drawn.accuracy(self._result.to_frame().reset_index())])
-
-    def belief(self) -> Drawing:
-        """Prior, data alone, and both; of `Findings` only."""
-        from fmuid.reports.interactive import estimates as drawn
-
-        if self._findings is None:
-            raise InputError("what the data alone say is in the findings of fmuid.run_study: draw them")
-        return Drawing(drawn.belief(self._findings.reading.table, self._units), 3)
-
-    def parabolas(self, *names: str) -> Drawing:
-        """Criterion of prior, data and both over parameters, default all with a prior; of `Findings` only."""
-        from fmuid.reports.interactive import estimates as drawn
-
-        if self._findings is None:
-            raise InputError("what the data alone say is in the findings of fmuid.run_study: draw them")
-        return Drawing(drawn.parabolas(self._findings.reading.table, names, self._units), 3)
-
-    def _kept(self, there: bool) -> None:
-        if not there:
-            raise InputError("this result has nothing of it: one read from a file has neither trace nor fit")
-
-
-class DiagnosisPlots:
-    """Figures of a diagnosis: ``found.plot.evidence()`` and its like."""
-
-    def __init__(self, found: Diagnosis) -> None:
-        self._found = found
-
-    def evidence(self) -> Drawing:
-        """By how much each fault lowers the criterion, against its threshold."""
-        from fmuid.reports.interactive import diagnosis
-
-        return Drawing([diagnosis.evidence(self._found)])
-
-    def sizes(self) -> Drawing:
-        """Sizes of each fault with their intervals."""
-        from fmuid.reports.interactive import diagnosis
-
-        return Drawing(diagnosis.sizes(self._found), 2)
-
-
-class BatchPlots:
-    """Figures of a batch: ``found.plot.cases()`` and its like."""
-
-    def __init__(self, found: BatchResult) -> None:
-        self._found = found
-
-    def cases(self) -> Drawing:
-        """Estimates over the cases."""
-        from fmuid.reports.interactive import batch
-
-        return Drawing(batch.over_cases(self._found.frame, self._found.truth, dict(self._found.units)), 2)
-
-    def distributions(self) -> Drawing:
-        """How the estimates are distributed, beside what their stated std promises."""
-        from fmuid.batches import Columns
-        from fmuid.reports.interactive import batch
-
-        frame = self._found.frame
-        found = estimates(frame, given_noise=self._found.given_noise)
-        repeated = is_repetition(found, Columns.of(frame))
-        return Drawing(batch.distributions(found, self._found.truth, dict(self._found.units), repeated=repeated), 3)
-
-    def spread(self) -> Drawing:
-        """Spread over the cases against the stated std."""
-        from fmuid.reports.interactive import batch
-
-        return Drawing([batch.spread(self._found.summary()[0].parameters)])
+    tables = {"estimates": result.to_frame().reset_index(), "trace": result.trace, "rounds": result.rounds}
+    tables |= {"optima": optima_table(result.names, result.optima)} if result.optima else {}
+    return Identification({}, result, tables, tuple(fits), ())

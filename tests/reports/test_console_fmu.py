@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
-from rich.markup import escape
 
 import fmuid
 from fmuid.cli.app import run
@@ -19,7 +18,7 @@ from fmuid.errors import InputError
 from fmuid.fmi.files.description import Variable
 from fmuid.models.facts import Facts, facts, lines
 from fmuid.reports.console import fmu as console_fmu
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of
+from fmuid.reports.console.layout import TERMINAL_ROWS, columns_of, console, show_notes, table_of
 from fmuid.reports.words.models import capability_words, run_words
 from fmuid.studies import skeleton
 from fmuid.text import bounded
@@ -263,9 +262,7 @@ def test_plain_tables_are_those_of_rich() -> None:
     heads, right = ["name", "start", "description"], ["start"]
     rows = [["R", "1.5", "resistance"], ["温度", "273.15", "äöü [b]x[/b]"], ["a_longer_name", "", "é"]]
     out = io.StringIO()
-    table = table_of("", heads, right)
-    for row in rows:
-        table.add_row(*map(escape, row))
+    table = table_of("", columns_of(heads, rows), right)
     Console(file=out, width=200).print(table)
     expected = [line.rstrip() for line in out.getvalue().splitlines()]
     assert [
@@ -274,8 +271,7 @@ def test_plain_tables_are_those_of_rich() -> None:
 
 
 def test_a_title_longer_than_its_table_stays_on_one_line() -> None:
-    table = table_of("Measured against simulated", ["output", "samples"])
-    table.add_row("i", "10")
+    table = table_of("Measured against simulated", {"output": ["i"], "samples": ["10"]})
     out = Console(file=io.StringIO(), width=80)
     out.print(table)
     assert isinstance(out.file, io.StringIO)

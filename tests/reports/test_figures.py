@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from fmuid.reports.drawn import FORMATS, KINDS, clear_figures
 from fmuid.reports.figures import paint, style
 from fmuid.reports.interactive import comparison, estimates, fit, residuals, search, sketch
-from fmuid.reports.interactive.style import BLUE, GREY, RED, legend, level, panel
+from fmuid.reports.interactive.style import BLUE, GREY, RED, Panel
 from fmuid.simulation.fit import Fit
 from tests.support.records import record
 from tests.support.records import search as searched
@@ -32,7 +32,7 @@ def painted(plot: Any) -> Any:
 
 
 def test_every_glyph_is_where_its_columns_say() -> None:
-    plot = panel(x="t (s)", y="y (A)")
+    plot = Panel(x="t (s)", y="y (A)")
     x, y = np.array([1.0, 2.0, 4.0]), np.array([3.0, np.nan, 5.0])
     plot.line(x, y, line_color=BLUE, line_width=2.0, line_dash="dashed")
     plot.scatter(x, y, size=4, fill_color=RED, line_color=None)
@@ -75,10 +75,10 @@ def test_ranges_scales_spans_and_legends() -> None:
 
 
 def test_a_line_beyond_what_is_drawn_does_not_move_it() -> None:
-    plot = panel()
+    plot = Panel()
     line = plot.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), line_color=BLUE)
-    level(plot, 100.0)
-    legend(plot, [("a $name$", [line])])
+    plot.level(100.0)
+    plot.legend([("a $name$", [line])])
     axes = painted(plot)
     assert axes.get_ylim()[1] < 1.2
     assert axes.get_legend().get_texts()[0].get_text() == r"a \$name\$"  # no mathematics

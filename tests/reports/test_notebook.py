@@ -49,7 +49,7 @@ def html(shown: Any) -> str:
 
 def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.Findings) -> None:
     """The library, 1.3 MB, is in the first of them only."""
-    plots = (found.plot.fit, found.plot.residuals, found.plot.search, found.plot.correlation, found.plot.belief)
+    plots = (found.plot.fit, found.plot.residuals, found.plot.criterion, found.plot.correlation, found.plot.belief)
     shown = [html(plot()) for plot in plots]
     assert len(shown[0]) > 1_000_000
     assert max(map(len, shown[1:])) < 400_000
@@ -60,10 +60,12 @@ def test_a_notebook_with_five_figures_can_be_kept(found: fmuid.Findings) -> None
 def test_a_result_draws_itself_without_its_findings(found: fmuid.Findings) -> None:
     assert [len(found.result.plot.residuals().models), len(found.plot.residuals().models)] == [1, 3]
     assert len(found.result.plot.fit().models) == len(found.result.plot.accuracy().models) == 1
+    assert dir(found.result.plot) == ["accuracy", "correlation", "criterion", "fit", "parameters", "residuals"]
     with pytest.raises(fmuid.InputError, match="run_study"):
-        found.result.plot.belief()
-    with pytest.raises(fmuid.InputError, match="nothing of it"):
+        found.result.plot.parabolas("R")
+    with pytest.raises(AttributeError, match="nothing to draw as 'optima': there is accuracy, correlation, criterion"):
         found.result.plot.optima()
+    assert len(found.plot.parabolas("L").models) == 1
 
 
 def test_tables(found: fmuid.Findings, tmp_path: Path) -> None:

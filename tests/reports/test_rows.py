@@ -35,8 +35,8 @@ def test_long_names_stand_whole_above_their_bars() -> None:
 
 @pytest.mark.parametrize(("texts", "kept"), [(["prior", "both"], "horizontal"), (["x" * 30, "y" * 30], "vertical")])
 def test_a_legend_without_room_in_one_line_has_several(texts: list[str], kept: str) -> None:
-    plot = style.panel(height=200)
-    style.legend(plot, [(text, [plot.line([0.0, 1.0], [0.0, 1.0])]) for text in texts])
+    plot = style.Panel(height=200)
+    plot.legend([(text, [plot.line([0.0, 1.0], [0.0, 1.0])]) for text in texts])
     (made,) = live([plot])
     (legend,) = [each for each in made.above if isinstance(each, Legend)]
     assert legend.orientation == kept

@@ -38,7 +38,7 @@ def plain(value: Any, numbers: dict[str, int]) -> Any:
 
 
 def every_glyph() -> Any:
-    plot = style.panel("x", "y", title="all", x_axis_type="log")
+    plot = style.Panel("x", "y", x_axis_type="log")
     source = sketch.ColumnDataSource(
         {"a": np.arange(3.0), "b": np.array([1.0, math.nan, math.inf]), "n": ["u", "v", "w"]}
     )
@@ -51,12 +51,12 @@ def every_glyph() -> Any:
     plot.segment("a", "b", "a", 1.0, source, line_width=2)
     plot.scatter([1.0, 2.0], pd.Series([2.0, 3.0]), size=4, marker="x", angle=1.0)
     plot.text("a", "b", "n", source, text_font=style.FONT, text_color=sketch.Field("n"))
-    style.hover(plot, plot.line("a", "b", source, line_color=style.BLUE), ("x", "@a"), vertical=True)
+    plot.hover(plot.line("a", "b", source, line_color=style.BLUE), ("x", "@a"), vertical=True)
     return plot
 
 
 def figures() -> list[sketch.Sketch]:
-    names = style.panel(y_range=sketch.FactorRange(factors=["u", "v"]))
+    names = style.Panel(y_range=sketch.FactorRange(factors=["u", "v"]))
     names.hbar(["u", "v"], 0.5, [1.0, 2.0], fill_color=style.GREY)
     matrix = pd.DataFrame([[1.0, math.nan], [math.nan, 1.0]], ["R", "L"], ["R", "L"])
     return [
@@ -88,17 +88,17 @@ def test_two_pages_never_share_a_number() -> None:
 
 
 def test_a_misspelt_property_is_found() -> None:
-    plot = style.panel()
+    plot = style.Panel()
     plot.xaxis.axis_labl = "x"
     with pytest.raises(AttributeError, match="axis_labl"):
         sketch.live([plot])
 
 
 def test_a_grid_has_one_toolbar_that_switches_all_its_plots() -> None:
-    plots = [style.panel(), style.panel()]
+    plots = [style.Panel(), style.Panel()]
     hovered = [plot.line([1.0], [2.0]) for plot in plots]
     for plot, line in zip(plots, hovered, strict=True):
-        style.hover(plot, line, ("x", "@x"))
+        plot.hover(line, ("x", "@x"))
     (grid,) = sketch.live([sketch.grid([[plots[0]], [plots[1]]])])
     names: list[Any] = [type(tool).__name__ for tool in grid.toolbar.tools]
     assert names == ["ToolProxy", "ToolProxy", "SaveTool", "ToolProxy"]

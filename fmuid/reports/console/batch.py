@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fmuid.reports.batch_words import failure_words, note, summary_words
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.reports.console.layout import TERMINAL_ROWS, columns_of, console, table_of, unit_text
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
@@ -103,11 +103,7 @@ def _groups(summary: Summary, names: Sequence[str]) -> Table:
         values = [with_std(rows[name]["mean"], _scale(rows[name])) if rows[name]["cases"] else "" for name in names]
         counts = (str(max(row["cases"] for row in rows.values())), str(part["failed"].iloc[0] or ""))
         cells.append((*(_level(level) for level in levels), *counts, *values))
-    failed = any(row[len(settings) + 1] for row in cells)
     heads = [*(name.removeprefix("set.") for name in settings), "cases", "failed", *names]
-    if not failed:
-        heads.remove("failed")
-        cells = [(*row[: len(settings) + 1], *row[len(settings) + 2 :]) for row in cells]
     single = summary.groups["cases"].max() == 1
     title = "By setting, " + ("estimate ± stated std" if single else "mean ± spread over the cases")
     return _filled(title, heads, cells[:TERMINAL_ROWS], heads)
@@ -162,9 +158,4 @@ def _level(level: Any) -> str:
 
 
 def _filled(title: str, heads: Sequence[str], cells: Sequence[Sequence[str]], right: Sequence[str]) -> Table:
-    """Return the table, columns without any cell left out."""
-    kept = [k for k in range(len(heads)) if any(row[k] for row in cells)]
-    table = table_of(title, [heads[k] for k in kept], right)
-    for row in cells:
-        table.add_row(*(escape(row[k]) for k in kept))
-    return table
+    return table_of(title, columns_of(heads, cells), right)

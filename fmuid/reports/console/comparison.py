@@ -20,10 +20,8 @@ def show_comparison(found: ComparisonFindings) -> None:
     heads |= {name: name.replace("rmse.", "RMSE ") for name in frame.columns if name.startswith("rmse.")}
     heads |= {"misfit": "misfit"}
     shown = [name for name in heads if name in frame.columns]
-    table = table_of("Results beside each other", [heads[name] for name in shown], [heads[name] for name in shown[1:]])
-    for row in frame.to_dict("records"):
-        table.add_row(*(escape(_cell(name, row[name])) for name in shown))
-    out.print(table)
+    columns = {heads[name]: [_cell(name, each) for each in frame[name].tolist()] for name in shown}
+    out.print(table_of("Results beside each other", columns, list(columns)[1:]))
     for words in found.words:
         out.print(escape(words), soft_wrap=True)
 

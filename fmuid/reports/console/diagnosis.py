@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from fmuid.reports.console.layout import console, table_of, unit_text
+from fmuid.reports.console.layout import columns_of, console, table_of, unit_text
 from fmuid.reports.words.diagnosis import (
     chance,
     change_name,
@@ -21,7 +21,7 @@ from fmuid.reports.words.diagnosis import (
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Diagnosis, Evidence, Hypothesis, Size
+    from fmuid.diagnosis import Diagnosis, Evidence
 
 COLORS = {"healthy": "green", "undecided": "yellow"}
 
@@ -32,12 +32,7 @@ def show_diagnosis(found: Diagnosis) -> None:
     out.print()
     out.print(f"[bold {COLORS.get(found.kind, 'red')}]{escape(verdict(found))}[/]", soft_wrap=True)
     out.print()
-    rows = [_row(found, each, size, first=k == 0) for each in found.hypotheses for k, size in enumerate(each.sizes)]
-    shown = [name for name in rows[0] if any(row[name] for row in rows)]
-    table = table_of("Faults looked for", shown, right=("D", "threshold", "probability"))
-    for row in rows:
-        table.add_row(*(escape(row[name]) for name in shown))
-    out.print(table)
+    out.print(table_of("Faults looked for", faults_columns(found), right=("D", "threshold", "probability")))
     out.print()
     if found.evidence is not None:
         _show_evidence(found.evidence)
@@ -61,15 +56,14 @@ def show_diagnosis(found: Diagnosis) -> None:
 def _show_evidence(evidence: Evidence) -> None:
     """Print every cause alone, the likeliest first."""
     named = {change_name(change) for each in evidence.explanations for change in each.changes}
-    table = table_of("What may be new beside the healthy records", ("cause", "size", "D", "probability", "nearest", ""),
-                     right=("D", "probability"))  # fmt: skip
+    rows = []
     for each in sorted(evidence.suspects, key=lambda each: each.probability):
         name = change_name(each.change)
         near = f"{each.rival}, {math.degrees(each.rival_angle):.0f}°" if each.rival else ""
-        table.add_row(
-            escape(name), escape(change_size(each.change)), f"{each.statistic:.4g}", chance(each.probability),
-            escape(near), "named" if name in named else "",
-        )  # fmt: skip
+        size, d, share = change_size(each.change), f"{each.statistic:.4g}", chance(each.probability)
+        rows.append((name, size, d, share, near, "named" if name in named else ""))
+    columns = columns_of(("cause", "size", "D", "probability", "nearest", ""), rows)
+    table = table_of("What may be new beside the healthy records", columns, right=("D", "probability"))
     out = console()
     out.print(table)
     out.print(f"Error of the fault models along other signatures: {100 * evidence.model_error:.2g} % of their effect")
@@ -81,21 +75,27 @@ def _common(found: Diagnosis) -> dict[str, tuple[float, float]]:
     return dict(found[found.named[0]].common if found.named else found.nominal)
 
 
-def _row(found: Diagnosis, each: Hypothesis, size: Size, *, first: bool) -> dict[str, str]:
-    """Return the cells of a size by their heads; what concerns the fault as a whole stands in its first row."""
-    low, high = size.interval()
-    known, width = math.isfinite(size.std), 0.5 * size.std
-    at = size.angle and each.located(size, found.level)
-    return {
-        "fault": each.name if first else "",
-        "size": f"{size.name} = {with_std(size.value, size.std)}" if known else f"{size.name} not determined",
-        "interval (95 %)": f"{rounded(low, width)} to {rounded(high, width)}" if known else "",
-        "unit": unit_text(size.unit),
-        "at": f"{size.angle} = {with_std(size.angle_value, size.angle_std)}" if at else "",
-        "D": f"{each.statistic:.4g}" if first else "",
-        "threshold": f"{each.threshold:.4g}" if first else "",
-        "probability": chance(each.adjusted if first else size.probability),
-        "": ("named" if each.name in found.named else "less likely" if each.name in found.called else "")
-        if first
-        else "",
-    }
+def faults_columns(found: Diagnosis) -> dict[str, list[str]]:
+    """Return the table of the faults looked for; what concerns one as a whole stands in its first row."""
+    heads = ("fault", "size", "value", "interval (95 %)", "unit", "at", "D", "threshold", "probability", "")
+    rows = []
+    for each in found.hypotheses:
+        for k, size in enumerate(each.sizes):
+            (low, high), known, width = size.interval(), math.isfinite(size.std), 0.5 * size.std
+            at = size.angle and each.located(size, found.level)
+            found_to_be = "named" if each.name in found.named else "less likely" if each.name in found.called else ""
+            rows.append(
+                (
+                    "" if k else each.name,
+                    size.name,
+                    with_std(size.value, size.std) if known else "not determined",
+                    f"{rounded(low, width)} to {rounded(high, width)}" if known else "",
+                    unit_text(size.unit),
+                    f"{size.angle} = {with_std(size.angle_value, size.angle_std)}" if at else "",
+                    "" if k else f"{each.statistic:.4g}",
+                    "" if k else f"{each.threshold:.4g}",
+                    chance(size.probability if k else each.adjusted),
+                    "" if k else found_to_be,
+                )
+            )
+    return columns_of(heads, rows)

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.prompt import Prompt
 
 from fmuid.errors import InputError
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of, unit_text
+from fmuid.reports.console.layout import TERMINAL_ROWS, columns_of, console, show_remarks, table_of, unit_text
 from fmuid.reports.words.result import time_words
 from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnLink, Draft, Reason, Record, proposal
 from fmuid.text import has_unit
@@ -31,11 +31,8 @@ def show_record(record: Record) -> None:
     """Print which columns are which variables, and what is wrong with the table."""
     span = record.frame[record.time]
     title = f"{record.path}: {len(record.frame)} samples, {span.min():.6g} to {span.max():.6g} s"
-    table = table_of(escape(title), LINK_HEADS)
-    for link in record.links:
-        table.add_row(*(escape(cell) for cell in link_cells(link)))
     out = console()
-    out.print(table)
+    out.print(table_of(escape(title), columns_of(LINK_HEADS, map(link_cells, record.links))))
     if record.unused:
         out.print(f"columns that are no input or output: {escape(', '.join(record.unused))}", soft_wrap=True)
     show_remarks(remarks(record))
@@ -108,11 +105,9 @@ def show_draft(made: Draft, output: Path) -> None:
     found, out = made.survey, console()
     if found.candidates:
         heads = ["parameter", "start", "unit", f"{100 * SHOWN_CHANGE:g} % change", "proposed"]
-        table = table_of("What the parameters change of the outputs' spread", heads, right=heads[1:4:2])
         shown = found.candidates if not on_terminal() else found.candidates[:TERMINAL_ROWS]
-        for each in shown:
-            table.add_row(*(escape(cell) for cell in _proposed(each)))
-        out.print(table)
+        columns = columns_of(heads, map(_proposed, shown))
+        out.print(table_of("What the parameters change of the outputs' spread", columns, right=heads[1:4:2]))
     show_remarks(time_words(each) for each in found.doubts)
     if found.failure:
         show_remarks([f"nothing is known of the parameters: {found.failure}"])

@@ -11,6 +11,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from fmuid.fmi import Description, Variable
 from fmuid.models import Facts, Line, lines
@@ -127,10 +128,7 @@ def _show_variables(out: Console, title: str, variables: Sequence[Variable], mor
         widths = [max(map(len, [head, *texts])) for head, texts in zip(heads, cells, strict=True)]
         room = max(out.width - sum(widths[:-1]) - COLUMN_GAP * (len(widths) - 1), SHORT_DESCRIPTION)
         cells[-1] = [shorten(text, room, placeholder="…") for text in cells[-1]]
-        table = table_of("", heads, right)
-        for row in zip(*cells, strict=True):
-            table.add_row(*map(escape, row))
-        _print_titled(out, title, table)
+        _print_titled(out, title, table_of("", dict(zip(heads, cells, strict=True)), right))
     else:
         out.print(f"\n[bold]{title}[/]")
         out.file.writelines(_plain_table(heads, cells, right))
@@ -218,9 +216,8 @@ def _show_units(out: Console, found: Facts) -> None:
     others = {unit: names for unit, names in found.units.items() if names}
     if not others:
         return
-    table = table_of("", ["unit", "instead"])
-    for unit, names in others.items():
-        table.add_row(escape(_name(unit)), escape(_text(", ".join(names))))
+    instead = [_text(", ".join(names)) for names in others.values()]
+    table = table_of("", {"unit": list(map(_name, others)), "instead": instead})
     _print_titled(out, "Units that a table may have instead", table)
 
 
@@ -238,7 +235,7 @@ def show_validation(found: Validation) -> None:
     from fmuid.reports.words.validation import check_words  # and with it all that simulates
 
     out = console()
-    table = table_of(str(found.path.name), ["check", "result", "remark"])
+    results, remarked = list[Text](), list[str]()
     styles = {"ok": "green", "warning": "yellow", "failed": "bold red"}
     for check in found.checks:
         said = check_words(check)
@@ -248,8 +245,14 @@ def show_validation(found: Validation) -> None:
         more = len(said) - len(remarks)
         text = "\n".join([*remarks, *([f"and {more} more; all of them: fmuid validate FMU | less"] if more else [])])
         style = styles.get(check.result, "dim")
-        table.add_row(escape(check.name), f"[{style}]{check.result}[/]", escape(text))
-    out.print(table)
+        results.append(Text(check.result, style=style))
+        remarked.append(text)
+    columns: dict[str, Sequence[str | Text]] = {
+        "check": [each.name for each in found.checks],
+        "result": results,
+        "remark": remarked,
+    }
+    out.print(table_of(str(found.path.name), columns))
     failed, warned = found.count("failed"), found.count("warning")
     verdict = f"{failed} of {len(found.checks)} checks failed" if failed else "no problems found"
     out.print(f"\n{verdict}" + (f", {warned} with warnings" if warned else ""))

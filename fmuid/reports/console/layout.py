@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,8 +60,8 @@ def unit_text(unit: str | None) -> str:
     return unit if unit is not None and has_unit(unit) else ""
 
 
-def table_of(title: str, heads: Iterable[str], right: Sequence[str] = ()) -> Table:
-    """Return an empty table in the style of all of them: a rule below the heads, no frame."""
+def table_of(title: str, columns: Mapping[str, Sequence[str | Text]], right: Sequence[str] = ()) -> Table:
+    """Return a table in the style of all of them: a rule below the heads, no frame, no column without any cell."""
     from rich import box
 
     table = Table(
@@ -73,9 +73,18 @@ def table_of(title: str, heads: Iterable[str], right: Sequence[str] = ()) -> Tab
         min_width=len(title) or None,  # a title takes no second line
     )
     table.pad_edge = table.show_edge = False
-    for head in heads:
-        table.add_column(head, justify="right" if head in right else "left", overflow="fold")
+    shown = {head: cells for head, cells in columns.items() if any(cells)}
+    for head in shown:
+        table.add_column(escape(head), justify="right" if head in right else "left", overflow="fold")
+    for cells in zip(*shown.values(), strict=True):
+        table.add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in cells))
     return table
+
+
+def columns_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> dict[str, list[str]]:
+    """Return rows of cells as columns."""
+    given = list(rows)
+    return {head: [row[k] for row in given] for k, head in enumerate(heads)}
 
 
 # --- fmuid simulate ---------------------------------------------------------------------
@@ -84,14 +93,14 @@ def table_of(title: str, heads: Iterable[str], right: Sequence[str] = ()) -> Tab
 def show_misfits(fits: Sequence[Fit]) -> None:
     """Print the relative misfit of each output of each experiment."""
     several = len(fits) > 1
-    heads = [*(["experiment"] if several else []), "output", "misfit", "samples"]
-    table = table_of("Measured against simulated", heads, right=("misfit", "samples"))
+    rows = []
     for fit in fits:
         for k, (output, misfit) in enumerate(zip(fit.outputs, fit.misfit, strict=True)):
             counted = int(fit.counted[:, k].sum())
-            cells = [label(output, fit.units[k]), f"{100 * misfit:.3g} %" if counted else "not measured", str(counted)]
-            table.add_row(*(escape(cell) for cell in ([fit.experiment, *cells] if several else cells)))
-    console().print(table)
+            said = f"{100 * misfit:.3g} %" if counted else "not measured"
+            rows.append((fit.experiment if several else "", label(output, fit.units[k]), said, str(counted)))
+    columns = columns_of(("experiment", "output", "misfit", "samples"), rows)
+    console().print(table_of("Measured against simulated", columns, right=("misfit", "samples")))
 
 
 def warn_unfed(simulators: Iterable[Simulator]) -> None:
@@ -121,10 +130,11 @@ def note_sources(study: Study) -> None:
 
 def show_frame(title: str, frame: pd.DataFrame) -> None:
     """Print a table of numbers with four digits each."""
-    table = table_of(title, frame.columns, right=[name for name in frame.columns if frame[name].dtype.kind in "fi"])
-    for row in frame.itertuples(index=False):
-        table.add_row(*(escape(f"{cell:.4g}" if isinstance(cell, float) else str(cell)) for cell in row))
-    console().print(table)
+    columns = {
+        str(name): [f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in frame[name]] for name in frame
+    }
+    right = [str(name) for name in frame if frame[name].dtype.kind in "fi"]
+    console().print(table_of(title, columns, right))
 
 
 def show_notes(notes: Iterable[str]) -> None:

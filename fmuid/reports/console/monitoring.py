@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.reports.console.layout import TERMINAL_ROWS, columns_of, console, table_of, unit_text
 from fmuid.reports.words.monitoring import alarm_words, gap_words, monitoring_words
 from fmuid.text import rounded, with_std
 
@@ -31,23 +31,21 @@ def show_monitoring(found: Monitor) -> None:
 
 def _show_alarms(found: Monitor) -> None:
     numbers = ("alarm (s)", "to (s)", "windows")
-    table = table_of("Alarms", ["what", "since", "size", "record", *numbers], right=numbers)
-    rows = found.table
+    windows, rows = found.table, []
     for alarm in found.alarms[:TERMINAL_ROWS]:
-        last = rows.loc[alarm.last]
+        last = windows.loc[alarm.last]
         until = f"{last['end']:g}" + ("" if last["record"] == alarm.record else f" of {last['record']}")
         count = str(alarm.last - alarm.first + 1)
-        cells = (alarm.fault, *alarm_words(alarm), alarm.record, f"{alarm.time:g}", until, count)
-        table.add_row(*(escape(cell) for cell in cells))
-    console().print(table)
+        rows.append((alarm.fault, *alarm_words(alarm), alarm.record, f"{alarm.time:g}", until, count))
+    columns = columns_of(("what", "since", "size", "record", *numbers), rows)
+    console().print(table_of("Alarms", columns, right=numbers))
     console().print()
 
 
 def _show_parameters(found: Monitor) -> None:
     """Print each parameter in the first and in the last window, and what it was in between."""
     numbers = ("first", "least", "greatest")
-    table = table_of("Windows", ["fault", "parameter", *numbers, "last", "unit"], right=numbers)
-    frame = found.table
+    frame, rows = found.table, []
     columns = [(name, f"{name}.{size}") for name, fault in found.faults.items() for size in fault.sizes]
     columns += [("", name) for name in found.baseline.common]
     before = ""
@@ -56,7 +54,8 @@ def _show_parameters(found: Monitor) -> None:
         cells = [rounded(float(each), std[-1]) for each in (values.iloc[0], values.min(), values.max())]
         last = with_std(float(values.iloc[-1]), std[-1]) if math.isfinite(std[-1]) else "not determined"
         said = (fault if fault != before else "", name.removeprefix(f"{fault}."))
-        table.add_row(*(escape(each) for each in (*said, *cells, last, unit_text(found.units.get(name)))))
+        rows.append((*said, *cells, last, unit_text(found.units.get(name))))
         before = fault
-    console().print(table)
+    shown = columns_of(("fault", "parameter", *numbers, "last", "unit"), rows)
+    console().print(table_of("Windows", shown, right=numbers))
     console().print()

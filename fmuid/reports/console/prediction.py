@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from fmuid.reports.console.layout import console, show_notes, table_of, unit_text
+from fmuid.reports.console.layout import columns_of, console, show_notes, table_of, unit_text
 from fmuid.reports.words.prediction import fold_words, prediction_words
 from fmuid.reports.words.result import source_words
 from fmuid.text import with_std
@@ -21,16 +21,16 @@ def show_predictions(found: PredictionFindings) -> None:
     show_notes(map(source_words, found.notes))
     show_notes(f"the result was made from {name}: this is no prediction" for name in found.seen)
     heads = ["record", "output", "RMSE", "fit", "expected", "in the band", "mean", "samples"]
-    table = table_of("Predicted against measured", heads, right=heads[2:])
+    rows = []
     for each in found.predictions:
         for score in each.scores:
             unit = unit_text(score.unit)
             cells = [each.fit.experiment, score.output, f"{score.rmse:.4g} {unit}".strip(), f"{score.fit:.4g} %"]
             known = not math.isnan(score.expected)
             cells += [f"{score.expected:.4g}", f"{100 * score.inside:.3g} %"] if known else ["not known", ""]
-            table.add_row(*map(escape, [*cells, f"{score.mean:.3g}", str(score.samples)]))
+            rows.append([*cells, f"{score.mean:.3g}", str(score.samples)])
     out = console()
-    out.print(table)
+    out.print(table_of("Predicted against measured", columns_of(heads, rows), right=heads[2:]))
     for each in found.predictions:
         if each.estimated is not None:
             triples = zip(each.estimated.names, each.estimated.values, each.estimated.std, strict=True)

@@ -171,10 +171,7 @@ def _filled(
     right: Sequence[str] = ("rel. std", "numerical shift", "start", "pull"),
     title: str = "",
 ) -> Table:
-    table = table_of(title, columns, right)
-    for cells in zip(*columns.values(), strict=True):
-        table.add_row(*(escape(cell) for cell in cells))
-    return table
+    return table_of(title, columns, right)
 
 
 def _fits(out: Console, columns: Mapping[str, Sequence[str]]) -> bool:

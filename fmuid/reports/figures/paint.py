@@ -240,8 +240,6 @@ def _frame(axes: Axes, plot: Sketch) -> None:
         if vars(axis).get("visible", True):
             said = text if isinstance(text, str) else text.text
             mine.set_label_text(_words(textwrap.fill(said, int(LETTERS * _width(axes))) if side == "x" else said))
-    if plot.title is not None:
-        axes.set_title(_words(plot.title.text), color=plot.title.text_color, fontweight="normal")
 
 
 def _ticks(axes: Axes, side: str, axis: Sketch) -> None:

@@ -23,14 +23,9 @@ from fmuid.reports.interactive.style import (
     MAX_PARAMETERS,
     RED,
     WHITE,
+    Panel,
     Units,
-    bare,
-    hover,
-    legend,
-    level,
     named,
-    panel,
-    reach,
 )
 from fmuid.reports.thinning import evenly
 
@@ -79,7 +74,7 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
         places = {}
     for name in parameters_of(good):
         across: dict[str, Any] = {"x_range": FactorRange(factors=list(places.values()))} if places else {}
-        plot = panel(x="" if places else "case", y=named(name, units), height=210, **across)
+        plot = Panel(x="" if places else "case", y=named(name, units), height=210, **across)
         value, std = (some[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
         half = INTERVAL_STDS * std if len(some) <= MAX_BARS else np.full(len(some), np.nan)
         ends = np.concatenate([value, value - half, value + half])
@@ -101,7 +96,7 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
                 entries.append((text, [drawn]))
         size = 6 if len(some) <= MAX_BARS else 3
         dots = plot.scatter("case", "value", source=source, size=size, fill_color=BLUE, line_color=None)
-        hover(plot, dots, ("case", "@case"), ("value", "@value{0.000000}"), ("std", "@std{0.000000}"))
+        plot.hover(dots, ("case", "@case"), ("value", "@value{0.000000}"), ("std", "@std{0.000000}"))
         for text, color, lost in (("failed", RED, "failed"), ("not converged", AMBER, "not converged")):
             cases = frame.loc[status == lost, "case"].to_numpy()
             cases = cases[evenly(len(cases), MAX_DOTS)] if len(cases) else cases
@@ -109,9 +104,9 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
             if len(cases):
                 marks = {"marker": "dash", "angle": math.pi / 2, "size": 12, "line_color": color}
                 entries.append((text, [plot.scatter("case", "y", source=ColumnDataSource(at), **marks)]))
-        legend(plot, [(f"estimate{outside(value, limits)}", [dots]), *entries])
+        plot.legend([(f"estimate{outside(value, limits)}", [dots]), *entries])
         _truth(plot, name, truth)
-        reach(plot, y=limits)
+        plot.reach(y=limits)
         if places:
             plot.xaxis.major_label_orientation = 0.8
         plots.append(plot)
@@ -148,7 +143,7 @@ def outside(values: Floats, limits: tuple[float, float]) -> str:
 
 def _truth(plot: Any, name: str, truth: Mapping[str, float], *, vertical: bool = False) -> None:
     if name in truth:
-        level(plot, float(truth[name]), color=AMBER, vertical=vertical)
+        plot.level(float(truth[name]), color=AMBER, vertical=vertical)
 
 
 def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units, *, repeated: bool) -> list[Any]:
@@ -167,7 +162,7 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
     for name in parameters_of(found):
         value, std = (found[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
         low, high = limits_of(value, truth.get(name))
-        plot, entries = panel(x=named(name, units), height=220), []
+        plot, entries = Panel(x=named(name, units), height=220), []
         for (text, rows), (color, dash) in zip(groups, LOOKS, strict=False):
             edges, density = _histogram(value[rows], low, high)
             if len(rows) < LEAST_COUNTED:
@@ -189,9 +184,9 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
             curve = np.exp(-0.5 * ((grid - centre) / stated) ** 2) / (stated * math.sqrt(2.0 * math.pi))
             entries.append(("as the stated std says", [plot.line(grid, curve, line_color=INK, line_width=1.4)]))
         _truth(plot, name, truth, vertical=True)
-        bare(plot)
-        legend(plot, entries)
-        reach(plot, x=(low, high))
+        plot.bare()
+        plot.legend(entries)
+        plot.reach(x=(low, high))
         plots.append(plot)
     return plots
 
@@ -240,10 +235,10 @@ def spread(summary: pd.DataFrame) -> Any:
     source = ColumnDataSource({"name": names, "ratio": ratio, "low": low, "high": high})
     chance = plot.hbar("name", bar, "high", "low", source=source, fill_color=BLUE, fill_alpha=0.16, line_color=None)
     dots = plot.scatter("ratio", "name", source=source, size=9, fill_color=RED, line_color=None)
-    hover(plot, dots, ("parameter", "@name"), ("spread / stated std", "@ratio{0.000}"))
-    level(plot, 1.0, vertical=True)
-    legend(plot, [("spread / stated std", [dots]), ("95 % of chance, where the std is right", [chance])])
-    reach(plot, x=(0.0, 1.1 * float(max(ratio.max(initial=1.0), high.max(initial=1.0)))))
+    plot.hover(dots, ("parameter", "@name"), ("spread / stated std", "@ratio{0.000}"))
+    plot.level(1.0, vertical=True)
+    plot.legend([("spread / stated std", [dots]), ("95 % of chance, where the std is right", [chance])])
+    plot.reach(x=(0.0, 1.1 * float(max(ratio.max(initial=1.0), high.max(initial=1.0)))))
     return plot
 
 
@@ -266,17 +261,17 @@ def over_setting(found: pd.DataFrame, name: str, truth: Mapping[str, float], uni
     some = evenly(len(found), MAX_DOTS)
     for parameter in parameters_of(found):
         text = named(variable, units) if number else variable
-        plot = panel(x=text, y=named(parameter, units), height=220, **more)
+        plot = Panel(x=text, y=named(parameter, units), height=220, **more)
         value, std = (found[f"{kind}.{parameter}"].to_numpy(np.float64) for kind in ("value", "std"))
         limits = limits_of(value, truth.get(parameter))
         source = ColumnDataSource({"x": place.to_numpy()[some], "y": value[some]})
         dots = plot.scatter("x", "y", source=source, size=4, fill_color=BLUE, fill_alpha=0.4, line_color=None)
-        hover(plot, dots, ("setting", "@x"), ("estimate", "@y{0.000000}"))
-        legend(plot, [(f"estimate{outside(value, limits)}", [dots]), *_means(plot, place, value, std, number=number)])
+        plot.hover(dots, ("setting", "@x"), ("estimate", "@y{0.000000}"))
+        plot.legend([(f"estimate{outside(value, limits)}", [dots]), *_means(plot, place, value, std, number=number)])
         _truth(plot, parameter, truth)
         if number and variable in truth:
-            level(plot, float(truth[variable]), color=AMBER, vertical=True, dash="dotted")
-        reach(plot, y=limits)
+            plot.level(float(truth[variable]), color=AMBER, vertical=True, dash="dotted")
+        plot.reach(y=limits)
         plots.append(plot)
     return plots
 
@@ -321,6 +316,6 @@ def failures(table: pd.DataFrame) -> Any:
         if where.any():
             data = {"text": np.array(texts)[where], "count": most["cases"].to_numpy()[where]}
             bars = plot.hbar("text", bar, "count", source=ColumnDataSource(data), fill_color=color, line_color=None)
-            hover(plot, bars, ("cases", "@count"))
+            plot.hover(bars, ("cases", "@count"))
     plot.x_range.start = 0
     return plot

@@ -18,13 +18,10 @@ from fmuid.reports.interactive.style import (
     MAX_PARAMETERS,
     MAX_ROWS,
     RED,
+    Panel,
     Units,
     below_each_other,
-    hover,
-    legend,
-    level,
     named,
-    panel,
 )
 from fmuid.reports.thinning import extremes
 from fmuid.text import label
@@ -54,7 +51,7 @@ def bars(names: list[str], values: Floats, text: str) -> Any:
         if mine.any():
             source = ColumnDataSource({"name": list(np.array(names)[mine]), "v": values[mine]})
             drawn = plot.hbar("name", bar, "v", source=source, fill_color=color, line_color=None)
-            hover(plot, drawn, ("", "@name"), ("value", "@v{0.0000}"))
+            plot.hover(drawn, ("", "@name"), ("value", "@v{0.0000}"))
     plot.x_range.start = 0
     return plot
 
@@ -79,7 +76,7 @@ def estimates(table: pd.DataFrame) -> list[Any]:
         source = ColumnDataSource({"name": factors, **data})
         plot.segment("lower", "name", "upper", "name", source=source, line_color=BLUE, line_width=3)
         dots = plot.scatter("value", "name", source=source, size=9, fill_color=BLUE, line_color=None)
-        hover(plot, dots, ("value", "@value{0.000000}"), ("interval", "@lower{0.000000} to @upper{0.000000}"))
+        plot.hover(dots, ("value", "@value{0.000000}"), ("interval", "@lower{0.000000} to @upper{0.000000}"))
         plots.append(plot)
     return plots
 
@@ -107,12 +104,12 @@ def sensitivities(table: pd.DataFrame, units: Units | None = None) -> Any:
         source = ColumnDataSource(data | {f"v{k}": values[kept, k].astype(np.float32) for k in range(len(mine))})
         last = output == outputs[-1]
         across = plots[0].x_range if plots else Range1d(*table["time"].iloc[[0, -1]].tolist())
-        plot = panel(x="time (s)" if last else "", y=named(output, units), height=210, x_range=across)
+        plot = Panel(x="time (s)" if last else "", y=named(output, units), height=210, x_range=across)
         entries = []
         for k, (name, (color, dash)) in enumerate(zip(mine, LOOKS, strict=False)):
             line = plot.line("t", f"v{k}", source=source, line_color=color, line_dash=dash, line_width=1.4)
             entries.append((name.rpartition("/")[2], [line]))
-        level(plot, 0.0)
-        legend(plot, entries)
+        plot.level(0.0)
+        plot.legend(entries)
         plots.append(plot)
     return below_each_other(plots)

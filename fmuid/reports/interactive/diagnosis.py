@@ -10,22 +10,8 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.reports.interactive.rows import rows_of
-from fmuid.reports.interactive.sketch import BoxAnnotation, ColumnDataSource
-from fmuid.reports.interactive.style import (
-    BLUE,
-    GREY,
-    INK,
-    MAX_OUTPUTS,
-    MAX_ROWS,
-    RED,
-    Units,
-    below_each_other,
-    hover,
-    legend,
-    level,
-    panel,
-    reach,
-)
+from fmuid.reports.interactive.sketch import ColumnDataSource
+from fmuid.reports.interactive.style import BLUE, GREY, INK, MAX_OUTPUTS, MAX_ROWS, RED, Panel, Units, below_each_other
 from fmuid.reports.thinning import extremes
 from fmuid.reports.words.diagnosis import change_name, change_size
 from fmuid.text import label
@@ -70,14 +56,14 @@ def evidence(found: Diagnosis) -> Any:
             }
         )
         bars = plot.hbar("name", bar, "d", LEAST_STATISTIC, source=source, fill_color=color, line_color=None)
-        hover(plot, bars, ("D", "@told{0.000}"), ("threshold", "@threshold{0.000}"), ("probability", "@p{0.0e}"))
+        plot.hover(bars, ("D", "@told{0.000}"), ("threshold", "@threshold{0.000}"), ("probability", "@p{0.0e}"))
         entries.append((text, [bars]))
     limits = ColumnDataSource({"name": names, "x": [each.threshold for each in kept]})
     marks = plot.scatter("x", "name", source=limits, marker="dash", angle=math.pi / 2, size=22, line_color=INK)
     marks.glyph.line_width = 2
     entries.append((f"threshold at a false-alarm level of {100 * found.level:g} %", [marks]))
-    legend(plot, entries)
-    reach(plot, x=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
+    plot.legend(entries)
+    plot.reach(x=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
     return plot
 
 
@@ -114,10 +100,10 @@ def _intervals(text: str, names: list[str], values: list[float], ends: list[tupl
     source = ColumnDataSource({"name": names, "value": values, **columns})
     plot.segment("low", "name", "high", "name", source=source, line_color=color, line_width=3)
     dots = plot.scatter("value", "name", source=source, size=9, fill_color=color, line_color=None)
-    hover(plot, dots, ("size", "@value{0.000000}"), ("interval", "@low{0.000000} to @high{0.000000}"))
-    level(plot, 0.0, vertical=True)
+    plot.hover(dots, ("size", "@value{0.000000}"), ("interval", "@low{0.000000} to @high{0.000000}"))
+    plot.level(0.0, vertical=True)
     low, high = min(0.0, *columns["low"]), max(0.0, *columns["high"])
-    reach(plot, x=(low - 0.05 * (high - low), high + 0.05 * (high - low)))
+    plot.reach(x=(low - 0.05 * (high - low), high + 0.05 * (high - low)))
     return plot
 
 
@@ -149,11 +135,11 @@ def causes(found: Evidence) -> Any:
             source = ColumnDataSource(columns)
             bars = plot.hbar("name", bar, "d", LEAST_STATISTIC, source=source, fill_color=color, line_color=None)
             numbers = (("D", "@told{0.000}"), ("probability by chance", "@p{0.0e}"))
-            hover(plot, bars, *numbers, ("size", "@size"), ("nearest signature", "@near"))
+            plot.hover(bars, *numbers, ("size", "@size"), ("nearest signature", "@near"))
             entries.append((text, [bars]))
-    legend(plot, entries)
+    plot.legend(entries)
     most = max((each.statistic for each in kept), default=1.0)
-    reach(plot, x=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
+    plot.reach(x=(LEAST_STATISTIC, 2.0 * max(most, 1.0)))
     return plot
 
 
@@ -200,14 +186,13 @@ def residuals(table: pd.DataFrame, fault: str, units: Units | None = None) -> An
     for k, name in enumerate(drawn):
         last = k == len(drawn) - 1
         text = label(f"residual of {name}", (units or {}).get(name))
-        plot = panel(x="time (s)" if last else "", y=text, height=190)
+        plot = Panel(x="time (s)" if last else "", y=text, height=190)
         without = plot.line("t", f"c{2 * k}", source=source, line_color=GREY, line_width=1)
         with_ = plot.line("t", f"c{2 * k + 1}", source=source, line_color=RED, line_width=1)
-        level(plot, 0.0)
+        plot.level(0.0)
         stds = _stds(columns[:, 2 * k : 2 * k + 2])
         unit = (units or {}).get(name) or ""
-        legend(
-            plot,
+        plot.legend(
             [
                 (f"healthy model, std {stds[0]:.3g} {unit}", [without]),
                 (f"with {fault}, std {stds[1]:.3g} {unit}", [with_]),
@@ -244,28 +229,28 @@ def timeline(table: pd.DataFrame, fault: str, content: Mapping[str, Any]) -> Any
     source = ColumnDataSource({"t": clock, **_estimates(table, ordered)})
     plots = []
     for k, name in enumerate(ordered):
-        plot = panel(y=label(name.removeprefix(f"{fault}."), content["units"].get(name)), height=170)
+        plot = Panel(y=label(name.removeprefix(f"{fault}."), content["units"].get(name)), height=170)
         area = plot.varea("t", f"low{k}", f"high{k}", source=source, fill_color=BLUE, fill_alpha=0.18)
         line = plot.line("t", f"v{k}", source=source, line_color=BLUE, line_width=1.4)
-        hover(plot, line, ("time", "@t{0.000}"), ("estimate", f"@v{k}{{0.000000}}"), ("record", "@record"))
+        plot.hover(line, ("time", "@t{0.000}"), ("estimate", f"@v{k}{{0.000000}}"), ("record", "@record"))
         hit = []
         if name in sized:
-            level(plot, 0.0)
+            plot.level(0.0)
             called = (table["significant"] == fault).to_numpy(bool)
             dots = ColumnDataSource({"t": clock[called], "v": source.data[f"v{k}"][called]})
             hit.append(plot.scatter("t", "v", source=dots, size=5, fill_color=RED, line_color=None))
-        legend(plot, [("estimate, with its interval of 95 %", [line, area]), ("significant", hit)])
+        plot.legend([("estimate, with its interval of 95 %", [line, area]), ("significant", hit)])
         plots.append(plot)
-    noise = panel(x=axis, y="variance / noise", height=170)
+    noise = Panel(x=axis, y="variance / noise", height=170)
     noise.line("t", "ratio", source=source, line_color=GREY, line_width=1.4)
-    level(noise, 1.0)
+    noise.level(1.0)
     plots.append(noise)
     for plot in plots:
         plot.x_range = plots[0].x_range
         plot.xaxis.visible = plot is noise
         _alarms(plot, clock, content["alarms"])
         for border in borders:
-            level(plot, border, color=GREY, vertical=True, dash="dotted")
+            plot.level(border, color=GREY, vertical=True, dash="dotted")
     return below_each_other(plots)
 
 
@@ -304,7 +289,5 @@ def _alarms(plot: Any, clock: Floats, alarms: list[Mapping[str, Any]]) -> None:
     half = 0.5 * float(np.median(np.diff(clock))) if clock.size > 1 else 0.5
     for alarm in alarms:
         begin, end = float(clock[alarm["first"]] + half), float(clock[alarm["last"]] + half)
-        plot.add_layout(
-            BoxAnnotation(left=begin - 2 * half, right=end, fill_color=RED, fill_alpha=0.1, line_color=None)
-        )
-        level(plot, begin, color=RED, vertical=True, dash="dashed")
+        plot.shade(RED, 0.1, left=begin - 2 * half, right=end)
+        plot.level(begin, color=RED, vertical=True, dash="dashed")

@@ -14,30 +14,13 @@ from fmuid.assessment import parabolas as parabolas_of
 from fmuid.estimation import SHIFT_LIMIT
 from fmuid.reports.interactive.rows import rows_of
 from fmuid.reports.interactive.sketch import (
-    BoxAnnotation,
     ColumnDataSource,
     FactorRange,
     Field,
     HoverTool,
     LinearColorMapper,
 )
-from fmuid.reports.interactive.style import (
-    AMBER,
-    BLUE,
-    FONT,
-    GREY,
-    INK,
-    MAX_PARAMETERS,
-    RED,
-    Units,
-    bare,
-    hover,
-    legend,
-    level,
-    named,
-    panel,
-    reach,
-)
+from fmuid.reports.interactive.style import AMBER, BLUE, FONT, GREY, INK, MAX_PARAMETERS, RED, Panel, Units, named
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,7 +57,7 @@ def belief(reading: pd.DataFrame, units: Units | None = None) -> list[Any]:
     """
     plots = []
     for row in reading.iloc[:MAX_PARAMETERS].to_dict("records"):
-        plot = panel(x=named(str(row["parameter"]), units), height=210)
+        plot = Panel(x=named(str(row["parameter"]), units), height=210)
         pairs = {
             "prior": (AMBER, row["prior"], row["prior_std"]),
             "data alone": (GREY, row["data"], row["data_std"]),
@@ -92,8 +75,8 @@ def belief(reading: pd.DataFrame, units: Units | None = None) -> list[Any]:
             area = plot.varea(grid, np.zeros(grid.size), density, fill_color=color, fill_alpha=0.14)
             line = plot.line(grid, density, line_color=color, line_width=2.0 if text == "both" else 1.4)
             entries.append((text, [area, line]))
-        bare(plot)
-        legend(plot, entries)
+        plot.bare()
+        plot.legend(entries)
         plot.xaxis.ticker.desired_num_ticks = 4
         plots.append(plot)
     return plots
@@ -119,7 +102,7 @@ def parabolas(reading: pd.DataFrame, names: Sequence[str] = (), units: Units | N
     plots = []
     for name in list(names or both_known(reading))[:MAX_PARAMETERS]:
         curves = parabolas_of(reading, name)
-        plot = panel(x=named(name, units), y="criterion", height=230)
+        plot = Panel(x=named(name, units), y="criterion", height=230)
         entries = []
         for part, text, color in (("prior", "prior", AMBER), ("data", "data alone", GREY), ("both", "both", BLUE)):
             if curves[part].notna().all():
@@ -130,8 +113,8 @@ def parabolas(reading: pd.DataFrame, names: Sequence[str] = (), units: Units | N
                     line_width=2.0 if part == "both" else 1.4,
                 )
                 entries.append((text, [line]))
-        reach(plot, y=(0.0, HEIGHT * float(curves["both"].max())))
-        legend(plot, entries)
+        plot.reach(y=(0.0, HEIGHT * float(curves["both"].max())))
+        plot.legend(entries)
         plots.append(plot)
     return plots
 
@@ -164,7 +147,7 @@ def correlation(matrix: pd.DataFrame) -> Any:
         }
     )
     tool = HoverTool(tooltips=[("", "@x, @y"), ("correlation", "@v{0.0000}")])
-    plot = panel(
+    plot = Panel(
         height=max(240, 60 + 34 * count),
         x_range=FactorRange(factors=names),
         y_range=FactorRange(factors=names[::-1]),
@@ -214,17 +197,17 @@ def ellipses(result: Result, units: Units | None = None, level_: float = 0.95) -
         freedom = result.test_freedom([result.names[i], result.names[j]])
         radius = math.sqrt(region_rise(level_, freedom))
         x, y = ellipse(result.values[[i, j]], result.covariance[np.ix_([i, j], [i, j])], radius)
-        plot = panel(x=named(result.names[i], units), y=named(result.names[j], units), height=260)
+        plot = Panel(x=named(result.names[i], units), y=named(result.names[j], units), height=260)
         drawn = plot.line(x, y, line_color=BLUE, line_width=2)
         area = plot.patch(x, y, fill_color=BLUE, fill_alpha=0.12, line_color=None)
         for k, vertical in ((i, True), (j, False)):
             for end in intervals.iloc[k].tolist():
-                level(plot, float(end), color=GREY, vertical=vertical, dash="dashed")
+                plot.level(float(end), color=GREY, vertical=vertical, dash="dashed")
         dot = plot.scatter(
             [result.values[i]], [result.values[j]], size=8, fill_color=AMBER, line_color=INK, line_width=0.8
         )
-        hover(plot, dot, ("estimate", "@x{0.000000}, @y{0.000000}"))
-        legend(plot, [(f"{100 * level_:g} % region, correlation {matrix[i, j]:+.2f}", [drawn, area])])
+        plot.hover(dot, ("estimate", "@x{0.000000}, @y{0.000000}"))
+        plot.legend([(f"{100 * level_:g} % region, correlation {matrix[i, j]:+.2f}", [drawn, area])])
         plot.xaxis.ticker.desired_num_ticks = 4
         plots.append(plot)
     return plots
@@ -252,10 +235,8 @@ def accuracy(estimates: pd.DataFrame) -> Any:
     known = estimates[np.isfinite(estimates["numerical_shift"].astype(float))].iloc[:MAX_PARAMETERS]
     names, shifts = [str(name) for name in known["parameter"]], known["numerical_shift"].to_numpy(np.float64)
     plot, _ = rows_of(names, "shift under the finer simulation (std of the estimate)", head=90)
-    plot.add_layout(
-        BoxAnnotation(left=-SHIFT_LIMIT, right=SHIFT_LIMIT, fill_color=BLUE, fill_alpha=0.14, line_color=None)
-    )
-    level(plot, 0.0, vertical=True)
+    plot.shade(BLUE, 0.14, left=-SHIFT_LIMIT, right=SHIFT_LIMIT)
+    plot.level(0.0, vertical=True)
     large, entries = np.abs(shifts) > SHIFT_LIMIT, []
     columns = {"name": np.array(names), "shift": shifts, "zero": np.zeros(len(names))}
     for mine, color, text in ((~large, BLUE, "harmless"), (large, RED, "larger than a tenth")):
@@ -264,9 +245,9 @@ def accuracy(estimates: pd.DataFrame) -> Any:
         part = ColumnDataSource({key: values[mine] for key, values in columns.items()})
         plot.segment("zero", "name", "shift", "name", source=part, line_color=color, line_width=2)
         dots = plot.scatter("shift", "name", source=part, size=8, fill_color=color, line_color=None)
-        hover(plot, dots, ("parameter", "@name"), ("shift", "@shift{0.000000} std"))
+        plot.hover(dots, ("parameter", "@name"), ("shift", "@shift{0.000000} std"))
         entries.append((text, [dots]))
-    legend(plot, entries)
+    plot.legend(entries)
     most = max(1.5 * SHIFT_LIMIT, 1.15 * float(np.abs(shifts).max(initial=0.0)))
-    reach(plot, x=(-most, most))
+    plot.reach(x=(-most, most))
     return plot

@@ -12,7 +12,6 @@ from fmuid.arrays import Floats, Indices
 from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.reports.interactive.sketch import (
     BasicTicker,
-    BoxAnnotation,
     ColumnDataSource,
     CrosshairTool,
     Range1d,
@@ -27,11 +26,8 @@ from fmuid.reports.interactive.style import (
     MAX_OUTPUTS,
     MAX_ROWS,
     RED,
+    Panel,
     below_each_other,
-    hover,
-    legend,
-    level,
-    panel,
 )
 from fmuid.reports.thinning import evenly, extremes
 from fmuid.text import label
@@ -153,25 +149,25 @@ def _short(values: Floats) -> Any:
 
 def _upper(record: Fit, j: int, given: tuple[Sketch, Sketch], across: Sketch, texts: tuple[str, str]) -> Any:
     (lines, dots), (said, band) = given, texts
-    plot = panel(y=label(record.outputs[j], record.units[j]), height=220, x_range=across, lod_threshold=None)
+    plot = Panel(y=label(record.outputs[j], record.units[j]), height=220, x_range=across, lod_threshold=None)
     size = 3 if len(dots.data["t"]) > 600 else 5
     area = [plot.varea("t", f"a{j}", f"b{j}", source=lines, fill_color=BLUE, fill_alpha=0.18)] if band else []
     seen = plot.scatter("t", f"m{j}", source=dots, size=size, fill_color=GREY, fill_alpha=0.6, line_color=None)
     line = plot.line("t", f"s{j}", source=lines, line_color=BLUE, line_width=1.8)
     numbers = [("measured", f"@m{j}{{0.00000}}"), ("simulated", f"@s{j}{{0.00000}}"), ("residual", f"@r{j}{{0.00000}}")]
-    hover(plot, line, ("time", "@t{0.0000} s"), *numbers, vertical=True)
-    legend(plot, [("measured", [seen]), (said, [line]), (band, area)])
+    plot.hover(line, ("time", "@t{0.0000} s"), *numbers, vertical=True)
+    plot.legend([("measured", [seen]), (said, [line]), (band, area)])
     plot.xaxis.visible = False
     return plot
 
 
 def _lower(record: Fit, j: int, lines: Sketch, across: Sketch, *, last: bool) -> Any:
     text = label("residual", record.units[j])
-    plot = panel(x="time (s)" if last else "", y=text, height=140 if last else 110, x_range=across, lod_threshold=None)
+    plot = Panel(x="time (s)" if last else "", y=text, height=140 if last else 110, x_range=across, lod_threshold=None)
     if f"w{j}" in lines.data:
         plot.varea("t", f"n{j}", f"w{j}", source=lines, fill_color=BLUE, fill_alpha=0.18)
     plot.line("t", f"r{j}", source=lines, line_color=RED, line_width=0.9)
-    level(plot, 0.0)
+    plot.level(0.0)
     plot.xaxis.visible = last
     plot.yaxis.ticker = BasicTicker(desired_num_ticks=3)
     return plot
@@ -182,4 +178,4 @@ def shade_uncounted(plot: Any, record: Fit) -> None:
     counted = np.asarray(record.counted.any(axis=1))
     if counted.any() and not counted[0]:
         end = float(record.times[int(counted.argmax())])
-        plot.add_layout(BoxAnnotation(right=end, fill_color=GREY, fill_alpha=0.18, line_color=None))
+        plot.shade(GREY, right=end)

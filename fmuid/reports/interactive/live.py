@@ -18,19 +18,7 @@ from bokeh.models import ColumnDataSource, Range1d
 from fmuid.arrays import Floats, Indices
 from fmuid.reports.interactive.fit import shade_uncounted
 from fmuid.reports.interactive.sketch import BasicTicker, Sketch, live
-from fmuid.reports.interactive.style import (
-    AMBER,
-    BLUE,
-    DARK,
-    GREY,
-    MAX_OUTPUTS,
-    RED,
-    below_each_other,
-    hover,
-    legend,
-    level,
-    panel,
-)
+from fmuid.reports.interactive.style import AMBER, BLUE, DARK, GREY, MAX_OUTPUTS, RED, Panel, below_each_other
 from fmuid.reports.thinning import evenly, extremes
 from fmuid.simulation import Fit
 from fmuid.text import label
@@ -138,15 +126,15 @@ class LiveFit:
 
     def _upper(self, j: int) -> Any:
         text = label(self.record.outputs[j], self.record.units[j])
-        plot = panel(y=text, height=230, x_range=self.across, y_range=self.uppers[j], lod_threshold=None)
+        plot = Panel(y=text, height=230, x_range=self.across, y_range=self.uppers[j], lod_threshold=None)
         size = 3 if len(self.record.times) > 600 else 5
         seen = plot.scatter("t", f"m{j}", source=self.dots, size=size, fill_color=GREY, fill_alpha=0.6, line_color=None)
         ghost = plot.line("t", f"g{j}", source=self.ghosts, line_color=AMBER, line_width=1.6, line_dash="dashed")
         line = plot.line("t", f"s{j}", source=self.lines, line_color=BLUE, line_width=1.8, level="overlay")
-        hover(
-            plot, line, ("time", "@t{0.0000} s"), ("simulated", f"@s{j}{{0.00000}}"), ("residual", f"@r{j}{{0.00000}}")
+        plot.hover(
+            line, ("time", "@t{0.0000} s"), ("simulated", f"@s{j}{{0.00000}}"), ("residual", f"@r{j}{{0.00000}}")
         )
-        legend(plot, [("measured", [seen]), ("simulated", [line]), ("last optimum", [ghost])])
+        plot.legend([("measured", [seen]), ("simulated", [line]), ("last optimum", [ghost])])
         plot.xaxis.visible = False
         return plot
 
@@ -154,9 +142,9 @@ class LiveFit:
         last = j == len(self.outputs) - 1
         text, height = label("residual", self.record.units[j]), 140 if last else 110
         time = "time (s)" if last else ""
-        plot = panel(x=time, y=text, height=height, x_range=self.across, y_range=self.lowers[j], lod_threshold=None)
+        plot = Panel(x=time, y=text, height=height, x_range=self.across, y_range=self.lowers[j], lod_threshold=None)
         plot.line("t", f"r{j}", source=self.lines, line_color=RED, line_width=0.9, level="overlay")
-        level(plot, 0.0)
+        plot.level(0.0)
         plot.xaxis.visible = last
         plot.yaxis.ticker = BasicTicker(desired_num_ticks=3)
         return plot

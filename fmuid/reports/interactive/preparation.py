@@ -8,17 +8,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.reports.interactive.sketch import ColumnDataSource, CrosshairTool, Range1d, Span
-from fmuid.reports.interactive.style import (
-    BLUE,
-    GREY,
-    MAX_OUTPUTS,
-    Units,
-    below_each_other,
-    hover,
-    legend,
-    named,
-    panel,
-)
+from fmuid.reports.interactive.style import BLUE, GREY, MAX_OUTPUTS, Panel, Units, below_each_other, named
 
 
 def preparation(table: pd.DataFrame, units: Units | None = None) -> Any:
@@ -48,14 +38,14 @@ def preparation(table: pd.DataFrame, units: Units | None = None) -> Any:
 
 
 def _column(name: str, rows: pd.DataFrame, units: Units | None, across: Any) -> Any:
-    plot = panel(x="time (s)", y=named(name, units), height=200, x_range=across, lod_threshold=None)
+    plot = Panel(x="time (s)", y=named(name, units), height=200, x_range=across, lod_threshold=None)
     entries = []
     for stage, text, color, width in (("before", "as recorded", GREY, 1.2), ("after", "as used", BLUE, 1.6)):
         part = rows[rows["stage"] == stage]
         if len(part):
             source = ColumnDataSource({"t": part["time"].to_numpy(np.float64), "v": part["value"].to_numpy(np.float32)})
             line = plot.line("t", "v", source=source, line_color=color, line_width=width)
-            hover(plot, line, (text, "@v{0.00000}"), ("time", "@t{0.0000} s"), vertical=True)
+            plot.hover(line, (text, "@v{0.00000}"), ("time", "@t{0.0000} s"), vertical=True)
             entries.append((text, [line]))
-    legend(plot, entries)
+    plot.legend(entries)
     return plot

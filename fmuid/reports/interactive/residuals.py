@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.reports.interactive.sketch import BoxAnnotation, ColumnDataSource
-from fmuid.reports.interactive.style import AMBER, BLUE, GREY, INK, RED, WHITE, bare, hover, legend, level, panel, reach
+from fmuid.reports.interactive.sketch import ColumnDataSource
+from fmuid.reports.interactive.style import AMBER, BLUE, GREY, INK, RED, WHITE, Panel
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,13 +36,13 @@ def histogram(residual: Floats, output: str) -> Any:
     scaled = (known - known.mean()) / (known.std() or 1.0)
     edges = np.linspace(-SHOWN_STDS, SHOWN_STDS, BARS if known.size > MANY_SAMPLES else FEW_BARS)
     density, _ = np.histogram(np.clip(scaled, -SHOWN_STDS, SHOWN_STDS), bins=edges, density=True)
-    plot = panel(x=f"residual of {output} / its std", height=220)
+    plot = Panel(x=f"residual of {output} / its std", height=220)
     source = ColumnDataSource({"left": edges[:-1], "right": edges[1:], "top": density})
     bars = plot.quad("left", "right", "top", 0, source=source, fill_color=RED, fill_alpha=0.45, line_color=WHITE)
     fine = np.linspace(-SHOWN_STDS, SHOWN_STDS, 121)
     line = plot.line(fine, np.exp(-(fine**2) / 2) / math.sqrt(2 * math.pi), line_color=INK, line_width=1.4)
-    bare(plot)
-    legend(plot, [("residual", [bars]), ("normal", [line])])
+    plot.bare()
+    plot.legend([("residual", [bars]), ("normal", [line])])
     return plot
 
 
@@ -56,13 +56,13 @@ def autocorrelation(table: pd.DataFrame, output: str) -> Any:
     output : str
     """
     lags, values = table["lag"].to_numpy(np.float64), table["correlation"].to_numpy(np.float64)
-    plot = panel(x=f"lag (samples), residual of {output}", y="autocorrelation", height=220)
+    plot = Panel(x=f"lag (samples), residual of {output}", y="autocorrelation", height=220)
     band = _band(plot, table)
     source = ColumnDataSource({"lag": lags, "value": values, "zero": np.zeros(lags.size), "time": table["time"]})
     plot.segment("lag", "zero", "lag", "value", source=source, line_color=RED, line_width=1.6)
     dots = plot.scatter("lag", "value", source=source, size=4, fill_color=RED, line_color=None)
-    hover(plot, dots, ("lag", "@lag samples, @time{0.00000} s"), ("autocorrelation", "@value{0.000}"))
-    legend(plot, [("residual; in the band 95 % of white noise", [dots])])
+    plot.hover(dots, ("lag", "@lag samples, @time{0.00000} s"), ("autocorrelation", "@value{0.000}"))
+    plot.legend([("residual; in the band 95 % of white noise", [dots])])
     _scale(plot, values, band)
     return plot
 
@@ -76,7 +76,7 @@ def with_inputs(table: pd.DataFrame, output: str) -> Any:
         The rows of ``correlations.csv`` of this residual with inputs.
     output : str
     """
-    plot = panel(x=f"input's lead (samples), residual of {output}", y="correlation", height=220)
+    plot = Panel(x=f"input's lead (samples), residual of {output}", y="correlation", height=220)
     band = _band(plot, table)
     largest = table.groupby("with", sort=False)["correlation"].apply(lambda one: float(one.abs().max()))
     names = [name for name in largest.index if name in set(largest.nlargest(len(INPUT_LOOKS)).index)]
@@ -85,20 +85,20 @@ def with_inputs(table: pd.DataFrame, output: str) -> Any:
         part = table[table["with"] == name]
         source = ColumnDataSource({key: part[key].to_numpy(np.float64) for key in ("lag", "time", "correlation")})
         line = plot.line("lag", "correlation", source=source, line_color=color, line_dash=dash, line_width=1.4)
-        hover(plot, line, ("lead", "@lag samples, @time{0.00000} s"), ("correlation", "@correlation{0.000}"))
+        plot.hover(line, ("lead", "@lag samples, @time{0.00000} s"), ("correlation", "@correlation{0.000}"))
         entries.append((str(name), [line]))
-    legend(plot, entries)
+    plot.legend(entries)
     _scale(plot, table["correlation"].to_numpy(np.float64), band)
     return plot
 
 
 def _band(plot: Any, table: pd.DataFrame) -> float:
     band = float(table["band"].max())
-    plot.add_layout(BoxAnnotation(bottom=-band, top=band, fill_color=BLUE, fill_alpha=0.14, line_color=None))
-    level(plot, 0.0)
+    plot.shade(BLUE, 0.14, bottom=-band, top=band)
+    plot.level(0.0)
     return band
 
 
 def _scale(plot: Any, values: Floats, band: float) -> None:
     most = min(1.15 * max(BANDS * band, float(np.nanmax(np.abs(values), initial=0.0))), 1.05)
-    reach(plot, y=(-most, most))
+    plot.reach(y=(-most, most))

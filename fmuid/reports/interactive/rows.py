@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.reports.interactive.sketch import ColumnDataSource, FactorRange, Field, LabelSet, Value
-from fmuid.reports.interactive.style import FONT, INK, NAME_SIZE, panel, wrapped
+from fmuid.reports.interactive.style import FONT, INK, NAME_SIZE, Panel, wrapped
 
 # Names of more characters leave the bars no room on a telephone.
 LONGEST_BESIDE = 14
@@ -34,12 +34,12 @@ def rows_of(names: Sequence[str], x: str, *, head: int = 80, **more: Any) -> tup
     """
     across = FactorRange(factors=list(names)[::-1])
     if max(map(len, names), default=0) <= LONGEST_BESIDE:
-        plot = panel(x=x, height=head + ROW * len(names), y_range=across, **more)
+        plot = Panel(x=x, height=head + ROW * len(names), y_range=across, **more)
         plot.yaxis.major_label_text_color = INK
         return plot, BAR
     texts = [wrapped(name) for name in names]
     row = ROW_BELOW + ROW_LINE * max(text.count("\n") + 1 for text in texts)
-    plot = panel(x=x, height=head + row * len(names), y_range=across, **more)
+    plot = Panel(x=x, height=head + row * len(names), y_range=across, **more)
     plot.yaxis.visible, plot.min_border_left = False, 12
     labels = LabelSet(
         source=ColumnDataSource({"name": np.array(names, dtype=object), "text": texts}),

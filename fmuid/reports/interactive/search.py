@@ -8,24 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.reports.interactive.sketch import BoxAnnotation, ColumnDataSource, Field, Range1d, Sketch
-from fmuid.reports.interactive.style import (
-    AMBER,
-    BLUE,
-    GREY,
-    INK,
-    MAX_PARAMETERS,
-    RED,
-    WHITE,
-    Units,
-    hover,
-    legend,
-    level,
-    named,
-    panel,
-    reach,
-    whole,
-)
+from fmuid.reports.interactive.sketch import ColumnDataSource, Field, Range1d, Sketch
+from fmuid.reports.interactive.style import AMBER, BLUE, GREY, INK, MAX_PARAMETERS, RED, WHITE, Panel, Units, named
 from fmuid.text import has_unit, label
 
 if TYPE_CHECKING:
@@ -52,26 +36,26 @@ def parameters(trace: pd.DataFrame, estimates: pd.DataFrame) -> list[Any]:
     plots = []
     for row in estimates.iloc[:MAX_PARAMETERS].to_dict("records"):
         values = accepted[str(row["parameter"])].to_numpy(np.float64)
-        plot = panel(x="iteration", y=label(str(row["parameter"]), row["unit"]), height=220, x_range=shared)
+        plot = Panel(x="iteration", y=label(str(row["parameter"]), row["unit"]), height=220, x_range=shared)
         half = 2.0 * float(row["prior_std"])
         if math.isfinite(half):
             _band(plot, row["prior_mean"] - half, row["prior_mean"] + half, AMBER)
         if math.isfinite(row["lower"]) and math.isfinite(row["upper"]):
             _band(plot, row["lower"], row["upper"], BLUE)
-        level(plot, float(row["value"]), color=BLUE, dash="dashed")
+        plot.level(float(row["value"]), color=BLUE, dash="dashed")
         source = ColumnDataSource({"k": iterations, "v": values, "c": accepted["criterion"]})
         plot.line("k", "v", source=source, line_color=BLUE, line_width=1.8)
         dots = plot.scatter("k", "v", source=source, size=6, fill_color=BLUE, line_color=None)
-        hover(plot, dots, ("iteration", "@k"), ("value", "@v{0.000000}"), ("criterion", "@c{0.000}"))
+        plot.hover(dots, ("iteration", "@k"), ("value", "@v{0.000000}"), ("criterion", "@c{0.000}"))
         plot.scatter(iterations[:1], values[:1], size=8, fill_color=WHITE, line_color=INK, line_width=1.2)
-        reach(plot, y=_room([*values, row["value"], row["prior_mean"]], row["std"]))
-        whole(plot)
+        plot.reach(y=_room([*values, row["value"], row["prior_mean"]], row["std"]))
+        plot.whole()
         plots.append(plot)
     return plots
 
 
 def _band(plot: Any, bottom: float, top: float, color: str) -> None:
-    plot.add_layout(BoxAnnotation(bottom=bottom, top=top, fill_color=color, fill_alpha=0.18, line_color=None))
+    plot.shade(color, bottom=bottom, top=top)
 
 
 def _iterations(trace: pd.DataFrame) -> Sketch:
@@ -106,7 +90,7 @@ def criterion(trace: pd.DataFrame) -> list[Any]:
 
 
 def _curve(trace: pd.DataFrame, column: str, text: str, shared: Sketch) -> Any:
-    plot = panel(x="iteration", y=text, height=220, x_range=shared, y_axis_type="log")
+    plot = Panel(x="iteration", y=text, height=220, x_range=shared, y_axis_type="log")
     lines, dots, crosses = [], [], []
     for number, (_, part) in enumerate(trace.groupby("round")):
         taken = part["accepted"].to_numpy(bool)
@@ -114,15 +98,15 @@ def _curve(trace: pd.DataFrame, column: str, text: str, shared: Sketch) -> Any:
         source = ColumnDataSource({key: values[taken] for key, values in data.items()})
         lines.append(plot.line("k", "v", source=source, line_color=BLUE, line_width=1.8))
         dots.append(plot.scatter("k", "v", source=source, size=6, fill_color=BLUE, line_color=None))
-        hover(plot, dots[-1], ("iteration", "@k"), (column, "@v{0.0000}"))
+        plot.hover(dots[-1], ("iteration", "@k"), (column, "@v{0.0000}"))
         refused = ~taken & np.isfinite(part[column].to_numpy(np.float64))
         if refused.any():
             away = ColumnDataSource({key: values[refused] for key, values in data.items()})
             crosses.append(plot.scatter("k", "v", source=away, marker="x", size=8, line_color=RED, line_width=1.6))
         if number and column == "criterion":
-            level(plot, float(part["iteration"].iloc[0]), color=AMBER, vertical=True, dash="dashed")
-    legend(plot, [("accepted", [*lines, *dots]), ("rejected trial", crosses)])
-    whole(plot)
+            plot.level(float(part["iteration"].iloc[0]), color=AMBER, vertical=True, dash="dashed")
+    plot.legend([("accepted", [*lines, *dots]), ("rejected trial", crosses)])
+    plot.whole()
     return plot
 
 
@@ -146,12 +130,12 @@ def rounds(found: pd.DataFrame, units: Units | None = None) -> list[Any]:
         unit = (units or {}).get(output)
         text = label(f"noise variance of {output}", f"{unit}²" if has_unit(unit) else None)
         wide = values.max() > WIDE_RANGE * values.min() > 0
-        plot = panel(x="round of the search", y=text, height=220, y_axis_type="log" if wide else "linear")
+        plot = Panel(x="round of the search", y=text, height=220, y_axis_type="log" if wide else "linear")
         source = ColumnDataSource({"k": np.arange(values.size), "v": values})
         plot.line("k", "v", source=source, line_color=BLUE, line_width=1.8)
         dots = plot.scatter("k", "v", source=source, size=6, fill_color=BLUE, line_color=None)
-        hover(plot, dots, ("round", "@k"), ("variance", "@v{0.00000000}"))
-        whole(plot)
+        plot.hover(dots, ("round", "@k"), ("variance", "@v{0.00000000}"))
+        plot.whole()
         plots.append(plot)
     return plots
 
@@ -173,13 +157,13 @@ def optima(table: pd.DataFrame, units: Units | None = None) -> list[Any]:
     kind = "log" if values.max() > WIDE_RANGE * values.min() > 0 else "linear"
     plots = []
     for name in names:
-        plot = panel(x=named(name, units), y="criterion", height=220, y_axis_type=kind)
+        plot = Panel(x=named(name, units), y="criterion", height=220, y_axis_type=kind)
         columns = {"x": table[name].to_numpy(np.float64), "c": values, "s": sizes, "n": hits}
         best = np.arange(len(table)) == 0
         shown = [_points(plot, columns, sure & ~best, BLUE), _points(plot, columns, ~sure, RED, marker="x")]
         shown.append(_points(plot, columns, best, AMBER))
         texts = ("optimum", "not converged", "best")
-        legend(plot, [(text, [one] if one else []) for text, one in zip(texts, shown, strict=True)])
+        plot.legend([(text, [one] if one else []) for text, one in zip(texts, shown, strict=True)])
         plots.append(plot)
     return plots
 
@@ -190,5 +174,5 @@ def _points(plot: Any, columns: dict[str, Floats], rows: Any, color: str, marker
     source = ColumnDataSource({key: values[rows] for key, values in columns.items()})
     line = GREY if marker == "circle" else color
     found = plot.scatter("x", "c", size=Field("s"), source=source, marker=marker, fill_color=color, line_color=line)
-    hover(plot, found, ("value", "@x{0.000000}"), ("criterion", "@c{0.000}"), ("searches", "@n"))
+    plot.hover(found, ("value", "@x{0.000000}"), ("criterion", "@c{0.000}"), ("searches", "@n"))
     return found

@@ -103,7 +103,6 @@ class Plot(Sketch):
     x_axis_type, y_axis_type : str
         ``"linear"`` or ``"log"``; of a range of names the axis has names.
     tools : sequence of Sketch
-    title : str
     **more
         Further properties.
     """
@@ -116,7 +115,6 @@ class Plot(Sketch):
         x_axis_type: str = "linear",
         y_axis_type: str = "linear",
         tools: Sequence[Sketch] = (),
-        title: str = "",
         **more: Any,
     ) -> None:
         super().__init__("Plot", **more)
@@ -132,7 +130,6 @@ class Plot(Sketch):
         self.center = [Sketch("Grid", axis=below), Sketch("Grid", axis=left, dimension=1)]
         self.renderers: list[Sketch] = []
         self.toolbar = Sketch("Toolbar", tools=list(tools))
-        self.title: Any = Sketch("Title", text=title) if title else None
 
     @property
     def xaxis(self) -> Sketch:

@@ -13,7 +13,7 @@ from fmuid.arrays import Floats
 from fmuid.batches import INTERVAL_STDS, Columns, data_sets, misfit, optimum_numbers
 from fmuid.reports.interactive.batch import outside
 from fmuid.reports.interactive.sketch import ColumnDataSource
-from fmuid.reports.interactive.style import AMBER, BLUE, MAX_DOTS, RED, Units, hover, legend, level, named, panel, reach
+from fmuid.reports.interactive.style import AMBER, BLUE, MAX_DOTS, RED, Panel, Units, named
 from fmuid.reports.thinning import evenly
 
 # Optima of which all is inside the picture.
@@ -46,17 +46,17 @@ def over_starts(
         limits = _limits(end, INTERVAL_STDS * frame[f"std.{name}"].to_numpy(np.float64), number)
         wide = np.nanmax(begin) > WIDE_RANGE * np.nanmin(begin) > 0  # NaN where the parameter is not free
         text = named(name, units)
-        plot = panel(x=f"start of {text}", y=text, height=220, x_axis_type="log" if wide else "linear")
+        plot = Panel(x=f"start of {text}", y=text, height=220, x_axis_type="log" if wide else "linear")
         entries = []
         for mine, color, words in _kinds(number):
             entries.append((words + outside(end[mine], limits), _points(plot, begin[mine], end[mine], color)))
         astray = lost & np.isfinite(end)
         clipped = np.clip(end[astray], *limits)
         entries.append(("not converged", _points(plot, begin[astray], clipped, AMBER, marker="x")))
-        legend(plot, entries)
+        plot.legend(entries)
         if name in truth:
-            level(plot, float(truth[name]), color=AMBER)
-        reach(plot, y=limits)
+            plot.level(float(truth[name]), color=AMBER)
+        plot.reach(y=limits)
         plots.append(plot)
     return plots
 
@@ -73,7 +73,7 @@ def _points(plot: Any, x: Floats, y: Floats, color: str, marker: str = "circle")
     look = {"line_color": color, "line_width": 1.6} if marker == "x" else {"fill_color": color, "line_color": None}
     source = ColumnDataSource({"x": x[some], "y": y[some]})
     dots = plot.scatter("x", "y", source=source, marker=marker, size=7 if marker == "x" else 5, **look)
-    hover(plot, dots, ("start", "@x{0.000000}"), ("end", "@y{0.000000}"))
+    plot.hover(dots, ("start", "@x{0.000000}"), ("end", "@y{0.000000}"))
     return [dots]
 
 
@@ -105,7 +105,7 @@ def _waterfall(excess: Floats, number: npt.NDArray[np.int64], lost: npt.NDArray[
     x, y = np.arange(1.0, order.size + 1), np.maximum(excess[order] * (1.0 if given_noise else 100.0), LEAST_EXCESS)
     text = "searches, the best first" + (f"; {lost.sum()} did not converge" if lost.any() else "")
     words = "criterion above the best" if given_noise else "residual above the best (%)"
-    plot = panel(x=text, y=words, height=220, y_axis_type="log")
-    legend(plot, [(words, _points(plot, x[mine], y[mine], color)) for mine, color, words in _kinds(number[order])])
-    reach(plot, y=(0.7 * LEAST_EXCESS, max(100 * LEAST_EXCESS, 1.5 * float(y.max(initial=0.0)))))
+    plot = Panel(x=text, y=words, height=220, y_axis_type="log")
+    plot.legend([(words, _points(plot, x[mine], y[mine], color)) for mine, color, words in _kinds(number[order])])
+    plot.reach(y=(0.7 * LEAST_EXCESS, max(100 * LEAST_EXCESS, 1.5 * float(y.max(initial=0.0)))))
     return plot

@@ -13,6 +13,7 @@ from typing import Any
 
 from fmuid.reports.interactive.sketch import (
     BasicTicker,
+    BoxAnnotation,
     BoxZoomTool,
     HoverTool,
     Legend,
@@ -62,10 +63,8 @@ NAME_SIZE = "11px"
 Units = Mapping[str, str | None]
 
 
-def panel(
-    x: str = "", y: str = "", *, height: int = 240, title: str = "", tools: Sequence[Any] = (), **more: Any
-) -> Any:
-    """Return an empty figure in the house's look.
+class Panel(Plot):
+    """An empty figure in the house's look.
 
     Parameters
     ----------
@@ -73,67 +72,40 @@ def panel(
         Labels of the axes, with their units.
     height : int
         In pixels; the width is that of the page.
-    title : str
-        Above it; of words of ours only.
     tools : sequence of Tool
         Instead of box zoom, reset and save: each tool takes time in the making of a page.
     **more
         Of `Plot`.
     """
-    zoom = BoxZoomTool()
-    kept = list(tools) or [zoom, ResetTool(), SaveTool()]
-    plot = Plot(
-        height=height,
-        sizing_mode="stretch_width",
-        title=title,
-        tools=kept,
-        toolbar_location="right",
-        min_border_left=58,
-        min_border_right=10,
-        **more,
-    )
-    plot.toolbar.logo, plot.toolbar.autohide = None, True
-    plot.toolbar.active_drag = zoom if zoom in kept else None
-    plot.outline_line_color = None
-    plot.background_fill_color = plot.border_fill_color = None  # that of the page
-    plot.ygrid.grid_line_color, plot.xgrid.grid_line_color = FAINT, None
-    for axis, text in ((plot.xaxis, x), (plot.yaxis, y)):
-        axis.axis_label = plain(wrapped(text) if axis is plot.xaxis else text)
-        axis.axis_line_color = axis.major_tick_line_color = LINE
-        axis.minor_tick_line_color = None
-        axis.major_tick_in, axis.major_tick_out = 0, 4
-        axis.major_label_text_font = axis.axis_label_text_font = FONT
-        axis.major_label_text_font_size, axis.axis_label_text_font_size = "11px", "12px"
-        axis.major_label_text_color, axis.axis_label_text_color = GREY, INK
-        axis.axis_label_text_font_style = "normal"
-    if plot.xaxis.kind != "CategoricalAxis":  # names are all written
-        plot.xaxis.ticker.desired_num_ticks = 5
-    if title:
-        plot.title.text_font, plot.title.text_font_size, plot.title.text_color = FONT, "13px", INK
-    return plot
 
+    def __init__(self, x: str = "", y: str = "", *, height: int = 240, tools: Sequence[Any] = (), **more: Any) -> None:
+        zoom = BoxZoomTool()
+        kept = list(tools) or [zoom, ResetTool(), SaveTool()]
+        look: dict[str, Any] = {"sizing_mode": "stretch_width", "toolbar_location": "right", "min_border_left": 58}
+        super().__init__(height=height, tools=kept, min_border_right=10, **look, **more)
+        self.toolbar.logo, self.toolbar.autohide = None, True
+        self.toolbar.active_drag = zoom if zoom in kept else None
+        self.outline_line_color = self.background_fill_color = self.border_fill_color = None  # that of the page
+        self.ygrid.grid_line_color, self.xgrid.grid_line_color = FAINT, None
+        for axis, text in ((self.xaxis, wrapped(x)), (self.yaxis, y)):
+            axis.axis_label = plain(text)
+            axis.axis_line_color = axis.major_tick_line_color = LINE
+            axis.minor_tick_line_color = None
+            axis.major_tick_in, axis.major_tick_out = 0, 4
+            axis.major_label_text_font = axis.axis_label_text_font = FONT
+            axis.major_label_text_font_size, axis.axis_label_text_font_size = "11px", "12px"
+            axis.major_label_text_color, axis.axis_label_text_color = GREY, INK
+            axis.axis_label_text_font_style = "normal"
+        if self.xaxis.kind != "CategoricalAxis":  # names are all written
+            self.xaxis.ticker.desired_num_ticks = 5
 
-def plain(text: str) -> str | Sketch:
-    """Return a text that is drawn as it is written, also where a name looks like mathematics."""
-    return PlainText(text=text) if any(mark in text for mark in _TEX) else text
-
-
-def wrapped(text: str) -> str:
-    """Return a text in lines that a telephone has room for."""
-    return "\n".join(textwrap.wrap(text, LONGEST_LINE))
-
-
-def named(name: str, units: Units | None) -> str:
-    """Return the label of a parameter or an output."""
-    return label(name, (units or {}).get(name))
-
-
-def legend(plot: Any, entries: Sequence[tuple[str, Sequence[Any]]]) -> None:
-    """Put a legend above a figure, in lines where one has no room: a click hides what an entry stands for."""
-    items = [LegendItem(label=Value(text), renderers=list(drawn)) for text, drawn in entries if drawn]
-    if items:
+    def legend(self, entries: Sequence[tuple[str, Sequence[Any]]]) -> None:
+        """Put a legend above, in lines where one has no room: a click hides what an entry stands for."""
+        items = [LegendItem(label=Value(text), renderers=list(drawn)) for text, drawn in entries if drawn]
+        if not items:
+            return
         long = sum(CHARACTER * len(item.label.value) + ENTRY for item in items) > LEGEND_ROOM
-        plot.height += LEGEND_LINE * (len(items) - 1) * long
+        self.height += LEGEND_LINE * (len(items) - 1) * long
         found = Legend(
             items=items,
             orientation="vertical" if long else "horizontal",
@@ -150,41 +122,53 @@ def legend(plot: Any, entries: Sequence[tuple[str, Sequence[Any]]]) -> None:
             glyph_height=12,
             inactive_fill_color=WHITE,
         )
-        plot.add_layout(found, "above")
+        self.add_layout(found, "above")
+
+    def hover(self, renderer: Any, *lines: tuple[str, str], vertical: bool = False) -> None:
+        """Show numbers where the pointer is: words of ours, and columns by their keys."""
+        mode = {"mode": "vline", "line_policy": "nearest", "point_policy": "snap_to_data"} if vertical else {}
+        self.add_tools(HoverTool(renderers=[renderer], tooltips=list(lines), **mode))
+
+    def level(self, place: float, *, color: str = INK, vertical: bool = False, dash: str = "solid") -> None:
+        """Draw a line across."""
+        dimension = "height" if vertical else "width"
+        self.add_layout(Span(dimension=dimension, location=place, line_color=color, line_width=1, line_dash=dash))
+
+    def shade(self, color: str, alpha: float = 0.18, **sides: float) -> None:
+        """Shade a part, by its ``left``, ``right``, ``bottom`` and ``top``."""
+        self.add_layout(BoxAnnotation(**sides, fill_color=color, fill_alpha=alpha, line_color=None))
+
+    def reach(self, *, x: tuple[float, float] | None = None, y: tuple[float, float] | None = None) -> None:
+        """Fix what is shown at first."""
+        if x is not None:
+            self.x_range = Range1d(*x)
+        if y is not None:
+            self.y_range = Range1d(*y)
+
+    def whole(self, axis: str = "x") -> None:
+        """Have an axis of counted things carry whole numbers only."""
+        found = self.xaxis if axis == "x" else self.yaxis
+        found.ticker = BasicTicker(min_interval=1, desired_num_ticks=6)
+
+    def bare(self) -> None:
+        """Leave out the ordinate of a density, which says nothing."""
+        self.yaxis.visible, self.ygrid.grid_line_color = False, None
+        self.y_range.start = 0
 
 
-def hover(plot: Any, renderer: Any, *lines: tuple[str, str], vertical: bool = False) -> None:
-    """Show numbers where the pointer is: words of ours, and columns by their keys."""
-    mode = {"mode": "vline", "line_policy": "nearest", "point_policy": "snap_to_data"} if vertical else {}
-    plot.add_tools(HoverTool(renderers=[renderer], tooltips=list(lines), **mode))
+def plain(text: str) -> str | Sketch:
+    """Return a text that is drawn as it is written, also where a name looks like mathematics."""
+    return PlainText(text=text) if any(mark in text for mark in _TEX) else text
 
 
-def level(plot: Any, place: float, *, color: str = INK, vertical: bool = False, dash: str = "solid") -> Any:
-    """Draw a line across a figure."""
-    dimension: Any = "height" if vertical else "width"
-    span = Span(dimension=dimension, location=place, line_color=color, line_width=1, line_dash=dash)
-    plot.add_layout(span)
-    return span
+def wrapped(text: str) -> str:
+    """Return a text in lines that a telephone has room for."""
+    return "\n".join(textwrap.wrap(text, LONGEST_LINE))
 
 
-def reach(plot: Any, *, x: tuple[float, float] | None = None, y: tuple[float, float] | None = None) -> None:
-    """Fix what a figure shows at first."""
-    if x is not None:
-        plot.x_range = Range1d(*x)
-    if y is not None:
-        plot.y_range = Range1d(*y)
-
-
-def whole(plot: Any, axis: str = "x") -> None:
-    """Have an axis of counted things carry whole numbers only."""
-    found = plot.xaxis if axis == "x" else plot.yaxis
-    found.ticker = BasicTicker(min_interval=1, desired_num_ticks=6)
-
-
-def bare(plot: Any) -> None:
-    """Leave out the ordinate of a density, which says nothing."""
-    plot.yaxis.visible, plot.ygrid.grid_line_color = False, None
-    plot.y_range.start = 0
+def named(name: str, units: Units | None) -> str:
+    """Return the label of a parameter or an output."""
+    return label(name, (units or {}).get(name))
 
 
 def below_each_other(plots: Sequence[Any]) -> Any:

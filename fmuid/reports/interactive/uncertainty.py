@@ -12,7 +12,6 @@ from contourpy import LineType, contour_generator
 from fmuid.arrays import Floats
 from fmuid.reports.interactive.estimates import ellipse
 from fmuid.reports.interactive.sketch import (
-    BoxAnnotation,
     ColorBar,
     ColumnDataSource,
     Field,
@@ -31,14 +30,9 @@ from fmuid.reports.interactive.style import (
     MAX_PARAMETERS,
     RED,
     WHITE,
+    Panel,
     Units,
-    bare,
-    hover,
-    legend,
-    level,
     named,
-    panel,
-    reach,
 )
 from fmuid.reports.thinning import evenly
 
@@ -100,10 +94,10 @@ def profile(
     rise = points["criterion"].to_numpy(np.float64) - float(points["criterion"].min())
     low, high = _window(places, (ends["lower"], ends["upper"]), value)
     threshold = ends["threshold"]
-    plot = panel(x=text, y="rise of the criterion", height=240)
+    plot = Panel(x=text, y="rise of the criterion", height=240)
     if not (math.isnan(ends["lower"]) or math.isnan(ends["upper"])):
         shade = {"left": max(ends["lower"], low), "right": min(ends["upper"], high)}
-        plot.add_layout(BoxAnnotation(**shade, fill_color=BLUE, fill_alpha=0.12, line_color=None))
+        plot.shade(BLUE, 0.12, **shade)
     border = [plot.line(np.array([low, high]), np.full(2, threshold), line_color=RED, line_width=1)]
     parabola = []
     if math.isfinite(std) and std > 0:
@@ -112,10 +106,10 @@ def profile(
     line = plot.line(*_curve(places, rise, value), line_color=BLUE, line_width=1.8)
     source = ColumnDataSource({"x": places, "y": rise})
     dots = plot.scatter("x", "y", source=source, size=5, fill_color=BLUE, line_color=None)
-    hover(plot, dots, ("value", "@x{0.000000}"), ("rise", "@y{0.000}"))
+    plot.hover(dots, ("value", "@x{0.000000}"), ("rise", "@y{0.000}"))
     reached = f"{100 * degree:.4g} % level: a rise of {threshold:.3g}"
-    legend(plot, [("profile", [line, dots]), ("local parabola", parabola), (reached, border)])
-    reach(plot, x=(low, high), y=(-0.04 * HEIGHT * threshold, HEIGHT * threshold))
+    plot.legend([("profile", [line, dots]), ("local parabola", parabola), (reached, border)])
+    plot.reach(x=(low, high), y=(-0.04 * HEIGHT * threshold, HEIGHT * threshold))
     return plot
 
 
@@ -166,7 +160,7 @@ def corner(samples: pd.DataFrame, result: Result | None = None, units: Units | N
             bottom, left = i == len(names) - 1, j == 0 and i > 0
             x, y = (named(names[j], units) if bottom else ""), (named(name, units) if left else "")
             more: dict[str, Any] = {} if i == j else {"y_range": ranges[i]}
-            plot = panel(x=x, y=y, height=190 if bottom else 160, x_range=ranges[j], **more)
+            plot = Panel(x=x, y=y, height=190 if bottom else 160, x_range=ranges[j], **more)
             plot.min_border_left = 52 if j == 0 else 12
             if i == j:
                 _single(plot, values[:, i], result, name, ranges[i])
@@ -192,14 +186,14 @@ def _single(plot: Any, samples: Floats, result: Result | None, name: str, across
     density, _ = np.histogram(samples, bins=edges, density=True)
     plot.quad(edges[:-1], edges[1:], density, 0, fill_color=BLUE, fill_alpha=0.4, line_color=None)
     for end in np.quantile(samples, [0.025, 0.975]):
-        level(plot, float(end), color=BLUE, vertical=True, dash="dashed")
+        plot.level(float(end), color=BLUE, vertical=True, dash="dashed")
     if result is not None and name in result.names:
         mean, std = result[name], float(result.std[result.names.index(name)])
         if math.isfinite(std) and std > 0:
             grid = np.linspace(edges[0], edges[-1], 121)
             density = np.exp(-0.5 * ((grid - mean) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
             plot.line(grid, density, line_color=RED, line_width=1.3)
-    bare(plot)
+    plot.bare()
 
 
 def _pair(plot: Any, samples: Floats, result: Result | None, names: tuple[str, str]) -> None:
@@ -253,11 +247,11 @@ def walkers(paths: pd.DataFrame, units: Units | None = None) -> list[Any]:
     steps, early = paths["step"].to_numpy(np.float64), paths.loc[~paths["counted"], "step"]
     plots = []
     for name in paths.columns[len(PATHS) :][:MAX_PARAMETERS]:
-        plot = panel(x="step", y=named(str(name), units), height=150)
+        plot = Panel(x="step", y=named(str(name), units), height=150)
         values = np.insert(paths[name].to_numpy(np.float64), begins, np.nan)  # a gap between the lines
         plot.line(np.insert(steps, begins, np.nan), values, line_color=BLUE, line_width=0.7, line_alpha=0.35)
         if len(early):
-            plot.add_layout(BoxAnnotation(right=float(early.max()), fill_color=GREY, fill_alpha=0.18, line_color=None))
+            plot.shade(GREY, right=float(early.max()))
         plots.append(plot)
     return plots
 
@@ -289,7 +283,7 @@ def criterion_map(
     excess = values - np.nanmin(values, initial=chart.criterion)
     rise = chart.rise(degree)
     kinds: list[Any] = ["log" if each else "linear" for each in chart.logarithmic]
-    plot = panel(
+    plot = Panel(
         x=named(chart.names[0], units),
         y=named(chart.names[1], units),
         height=420,
@@ -303,7 +297,7 @@ def criterion_map(
     shade = Field("v", colors)
     sides = ("left", "right", "top", "bottom")
     cells = plot.quad(*sides, source=_cells(chart, excess), fill_color=shade, line_color=shade)
-    hover(plot, cells, ("point", "@x{0.000000}, @y{0.000000}"), ("above the minimum", "@v{0.000}"))
+    plot.hover(cells, ("point", "@x{0.000000}, @y{0.000000}"), ("above the minimum", "@v{0.000}"))
     section = []
     if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
         look: dict[str, Any] = {"line_color": RED, "line_dash": "dashed", "line_width": 1.6}
@@ -315,7 +309,7 @@ def criterion_map(
     more = [plot.scatter(*places.T, size=9, fill_color=WHITE, line_color=INK)] if len(places) else []
     held = "".join(f", {name} = {value:.4g}" for name, value in list(chart.held.items())[:MAX_HELD])
     texts = (f"{100 * degree:g} % ellipse", f"criterion raised by {rise:.3g}{held}", "estimate", "other optima found")
-    legend(plot, list(zip(texts, (line, section, [dot], more), strict=True)))
+    plot.legend(list(zip(texts, (line, section, [dot], more), strict=True)))
     bar = ColorBar(
         color_mapper=colors, ticker=LogTicker(desired_num_ticks=6), width=12, title="criterion above its minimum"
     )
@@ -323,7 +317,7 @@ def criterion_map(
     bar.major_label_text_font = bar.title_text_font = FONT
     bar.title_text_font_style = "normal"
     plot.add_layout(bar, "right")
-    reach(plot, x=_ends(first, logarithmic=chart.logarithmic[0]), y=_ends(second, logarithmic=chart.logarithmic[1]))
+    plot.reach(x=_ends(first, logarithmic=chart.logarithmic[0]), y=_ends(second, logarithmic=chart.logarithmic[1]))
     return plot
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -16,6 +16,9 @@ from fmuid.assessment import CriterionMap
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.simulation import Fit
+
+if TYPE_CHECKING:
+    from fmuid.reports.findings import Findings
 
 # Columns of texts, which pandas would take for numbers or missing values where they look like it.
 _TEXTS = (
@@ -66,6 +69,11 @@ class Identification:
                 f"{folder} has tables that do not go with its result.json ({error}); identify the study again"
             ) from None
         return cls(content, result, tables, fits, maps)
+
+    @classmethod
+    def of(cls, found: Findings) -> Identification:
+        """Return what a folder would have of findings."""
+        return cls(found.to_json_dict(), found.result, found.tables(), found.fits, tuple(found.maps().values()))
 
     @property
     def units(self) -> dict[str, str | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +10,13 @@ import pandas as pd
 from fmuid.diagnosis import Diagnosis, Evidence
 from fmuid.errors import InputError
 from fmuid.files import is_file
+from fmuid.reports.console.diagnosis import faults_columns
 from fmuid.reports.interactive import diagnosis
 from fmuid.reports.page.contents import read_json, read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import Said
-from fmuid.reports.words.diagnosis import chance, diagnosis_words, explanation_words
-from fmuid.text import has_unit, rounded, with_std
+from fmuid.reports.words.diagnosis import diagnosis_words, explanation_words
 
 EVIDENCE = (
     "Each bar is how much better a fault explains the data than the healthy machine does. Beyond its threshold it is "
@@ -55,19 +54,23 @@ def part_of_diagnosis(folder: Path) -> Part:
     first, *others = diagnosis_words(found)
     proof = "evidence" if found.evidence is None else "causes"
     said = [Said(first, proof), *(Said(text, "sizes", doubtful=True) for text in others)]
-    sections = [
-        *([] if found.evidence is None else _causes(found.evidence)),
-        Section("evidence", "What decides", EVIDENCE, [diagnosis.evidence(found)], 1),
-        Section("sizes", "Sizes of the faults", SIZES, diagnosis.sizes(found), 2),
-    ]
+    sections = sections_of(found)
     residuals = folder / "diagnosis-residuals.csv"
     if is_file(residuals):
         best = found.named[0] if found.named else min(found.hypotheses, key=lambda each: each.probability).name
         drawn = [diagnosis.residuals(read_table(residuals), best, units)]
         sections.append(Section("explained", "What the fault explains", RESIDUAL, drawn, 1))
-    good = found.kind == "healthy"
-    shown = [each for each in sections if each.figures]
-    return Part("Diagnosis", found.kind, good, said, faults_table(found), shown, origin(content))
+    return Part("Diagnosis", found.kind, found.kind == "healthy", said, faults_table(found), sections, origin(content))
+
+
+def sections_of(found: Diagnosis) -> list[Section]:
+    """Return the sections of a page on a diagnosis."""
+    sections = [
+        *([] if found.evidence is None else _causes(found.evidence)),
+        Section("evidence", "What decides", EVIDENCE, [diagnosis.evidence(found)], 1),
+        Section("sizes", "Sizes of the faults", SIZES, diagnosis.sizes(found), 2),
+    ]
+    return [each for each in sections if each.figures]
 
 
 def _causes(found: Evidence) -> list[Section]:
@@ -85,19 +88,9 @@ def _causes(found: Evidence) -> list[Section]:
 
 def faults_table(found: Diagnosis) -> str:
     """Return the table of the faults that were looked for, as HTML."""
-    heads = ("fault", "size", "value", "unit", "95 % interval", "D", "threshold", "probability without")
-    columns: dict[str, list[str]] = {head: [] for head in heads}
-    for each in found.hypotheses:
-        for k, size in enumerate(each.sizes):
-            low, high = (rounded(end, size.std) for end in size.interval())
-            known = math.isfinite(size.std)
-            decides = (f"{each.statistic:.4g}", f"{each.threshold:.4g}", chance(each.adjusted)) if k == 0 else ("",) * 3
-            value = with_std(size.value, size.std) if known else "not determined"
-            unit = str(size.unit) if has_unit(size.unit) else ""
-            cells = (each.name if k == 0 else "", size.name, value, unit, f"{low} to {high}" if known else "", *decides)
-            for head, cell in zip(heads, cells, strict=True):
-                columns[head].append(cell)
-    return table(columns, numbers=("value", *heads[4:]))
+    columns = faults_columns(found)
+    shown = {head: cells for head, cells in columns.items() if any(cells)}
+    return table(shown, numbers=("value", "interval (95 %)", "D", "threshold", "probability"))
 
 
 def part_of_monitoring(folder: Path) -> Part:

@@ -64,10 +64,9 @@ def residual_section(records: Sequence[Fit], correlations: pd.DataFrame) -> Sect
     for record in fit.worst(records):
         for j, output in list(enumerate(record.outputs))[:MAX_OUTPUTS]:
             rows = correlations[(correlations["experiment"] == record.experiment) & (correlations["output"] == output)]
-            if not len(rows):
-                continue
             values = np.where(record.counted[:, j], record.measured[:, j] - record.simulated[:, j], np.nan)
             own, others = rows[rows["with"] == output], rows[rows["with"] != output]
-            figures += [residuals.histogram(values, output), residuals.autocorrelation(own, output)]
+            figures += [residuals.histogram(values, output)]
+            figures += [residuals.autocorrelation(own, output)] if len(own) else []
             figures += [residuals.with_inputs(others, output)] if len(others) else []
     return Section("residuals", "Residuals", RESIDUALS, figures)

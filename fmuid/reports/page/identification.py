@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from fmuid.assessment import CONFIDENCE_LEVEL
+from fmuid.assessment import CONFIDENCE_LEVEL, CORRELATIONS
 from fmuid.estimation import Result
 from fmuid.reports.interactive import estimates, search, uncertainty
 from fmuid.reports.interactive.style import MAX_PARAMETERS, Units, named
@@ -61,22 +61,28 @@ def part(folder: Path) -> Part:
     found = Identification.read(folder)
     result = found.result
     said = identification_words(found.content, result, found.fits)
+    state = "converged" if result.converged else result.outcome.value.replace("_", " ")
+    more = found.content.get("uncertainty") or {}
+    good = result.converged and bool(more.get("succeeded", True))
+    end = origin(found.content, {"search": _search_words(result)})
+    head = estimates_table(result, found.units, found.level)
+    return Part("Identification", state, good, said, head, sections_of(found), end)
+
+
+def sections_of(found: Identification) -> list[Section]:
+    """Return the sections of a page on an identification."""
+    correlations = found.tables.get("correlations", pd.DataFrame(columns=CORRELATIONS))
     sections = [
         *fit_sections("fit", "Measured and simulated", CAPTIONS["fit"], found.fits),
         *preparation.sections(found),
-        *([residual_section(found.fits, found.tables["correlations"])] if "correlations" in found.tables else []),
+        residual_section(found.fits, correlations),
         *_search(found),
         *_belief(found),
         *_correlation(found),
         *_accuracy(found),
         *_uncertainty(found),
     ]
-    state = "converged" if result.converged else result.outcome.value.replace("_", " ")
-    more = found.content.get("uncertainty") or {}
-    good = result.converged and bool(more.get("succeeded", True))
-    end = origin(found.content, {"search": _search_words(result)})
-    shown = [each for each in sections if each.figures]
-    return Part("Identification", state, good, said, estimates_table(result, found.units, found.level), shown, end)
+    return [each for each in sections if each.figures]
 
 
 def estimates_table(result: Result, units: Units, level: float = CONFIDENCE_LEVEL) -> str:

@@ -15,7 +15,7 @@ from bokeh.models import ColumnDataSource, Select, Spinner
 from fmuid.errors import InputError
 from fmuid.progress import Event, SearchStep
 from fmuid.reports.interactive.live import in_scheme
-from fmuid.reports.interactive.style import BLUE, MAX_PARAMETERS, RED, panel, whole
+from fmuid.reports.interactive.style import BLUE, MAX_PARAMETERS, RED, Panel
 from fmuid.reports.page import identification
 from fmuid.workbench.folder import Folder
 from fmuid.workbench.home import address, escaped, file_address
@@ -79,12 +79,12 @@ class Identifying:
     def _figures(self) -> Any:
         plots = []
         for key, text in [("c", "criterion"), *((f"v{i}", name) for i, name in enumerate(self.names))]:
-            plot = panel(x="iteration", y=text, height=190, y_axis_type="log" if key == "c" else "linear")
+            plot = Panel(x="iteration", y=text, height=190, y_axis_type="log" if key == "c" else "linear")
             plot.line("k", key, source=self.trace, line_color=BLUE, line_width=1.8)
             plot.scatter("k", key, source=self.trace, size=5, fill_color=BLUE, line_color=None)
             if key == "c":
                 plot.scatter("k", "c", source=self.refused, marker="x", size=8, line_color=RED)
-            whole(plot)
+            plot.whole()
             plots.append(in_scheme(plot, self.page.scheme))
         return side_by_side(plots)
 
