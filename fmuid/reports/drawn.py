@@ -11,10 +11,21 @@ FORMATS = ("png", "svg", "pdf")
 REPORT_FILE = "report.html"
 # What the figures of a run are called, before a hyphen where there are several of a kind.
 KINDS = (
-    *("fit", "preparation", "residuals", "parameters", "criterion", "optima", "belief", "parabolas", "correlation"),
+    *(
+        "fit",
+        "preparation",
+        "prepared",
+        "residuals",
+        "parameters",
+        "criterion",
+        "optima",
+        "belief",
+        "parabolas",
+        "correlation",
+    ),
     *("accuracy", "profiles", "maps", "posterior", "walkers", "causes", "changes", "evidence", "sizes", "explained"),
     *("timeline", "cases", "distributions", "spread", "over", "starts", "failures", "prediction", "criteria"),
-    *("misfits", "estimates", "excitations", "sensitivities"),
+    *("correlation", "misfits", "estimates", "excitations", "sensitivities"),
 )
 
 

@@ -17,7 +17,9 @@ from fmuid.reports.drawn import check_format
 from fmuid.reports.findings import write_diagnosis
 from fmuid.reports.origin import made_from
 from fmuid.reports.page.contents import read_json
+from fmuid.reports.page.faults import PREPARED_FILE
 from fmuid.reports.page.write import show_results
+from fmuid.reports.preparations import prepared
 from fmuid.reports.words.monitoring import monitoring_words
 from fmuid.studies import Study, monitor_of, records_of, rule_of
 
@@ -198,8 +200,12 @@ def _units(study: Study) -> dict[str, str | None]:
 
 def _written(folder: Path, study: Study, found: Diagnosis) -> list[Path]:
     """Write a diagnosis and, where it has them, the residuals without and with the fault that explains most."""
-    also = made_from(study) | {"units": _units(study)}
-    written = write_diagnosis(folder, found, also)
+    done, changed = prepared(study), folder / PREPARED_FILE
+    told = [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in done]
+    written = write_diagnosis(folder, found, made_from(study) | {"units": _units(study), "experiments": told})
+    changed.unlink(missing_ok=True)
+    if tables := [each.table for each in done if len(each.table)]:
+        written.append(files.write_table(changed, pd.concat(tables, ignore_index=True)))
     path = folder / RESIDUALS_FILE
     best = found[found.named[0]] if found.named else min(found.hypotheses, key=lambda each: each.probability)
     if found.result is None or best.result is None:

@@ -67,10 +67,12 @@ def digests(files: Iterable[Path], folder: Path) -> dict[str, str]:
 
 
 def _from(path: Path, folder: Path) -> str:
+    """Return the end of the way from a folder to a file: pages are mailed, and say nothing of whose machine it was."""
     try:
-        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+        way = Path(os.path.relpath(path.resolve(), folder.resolve()))
     except ValueError:  # on another drive
-        return path.as_posix()
+        way = path
+    return "/".join([part for part in way.parts if part != ".."][-3:])
 
 
 def _digest(path: Path) -> str:

@@ -8,7 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import fmuid
 from fmuid.reports.page.contents import Identification
+from fmuid.reports.page.faults import part_of_diagnosis
 from fmuid.reports.page.preparation import preparation_words, sections
 from fmuid.reports.preparations import prepared
 from fmuid.reports.run import run_study
@@ -113,7 +115,8 @@ def test_pieces_of_a_long_record_are_thinned_and_the_record_is_read_once(
 def test_the_report_draws_it_and_says_what_was_done(study: Study, tmp_path: Path) -> None:
     found = run_study(study, tmp_path, report=True)
     assert tmp_path / "preparation.csv" in found.files
-    cut, mean = sections(Identification.read(tmp_path))
+    read = Identification.read(tmp_path)
+    cut, mean = sections(read.tables["preparation"], read.content["experiments"])
     assert (cut.heading, cut.name) == ("What was done with the table first: cut", "preparation")
     assert (mean.heading, mean.name) == ("What was done with the table first: mean", "preparation-2")
     said = "The table was given the columns current = shunt / 50 and cut from 0.1 s to 0.4 s."
@@ -122,6 +125,19 @@ def test_the_report_draws_it_and_says_what_was_done(study: Study, tmp_path: Path
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert said in page
     assert 'id="preparation-2"' in page
+
+
+def test_the_page_of_a_diagnosis_draws_it_too(tmp_path: Path) -> None:
+    coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
+    run_study(Study.of(coil.study, tmp_path / "coil.toml"), tmp_path / "healthy")
+    faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
+    known = {"healthy": str(tmp_path / "healthy" / "result.json"), "faults": faults}
+    record = {**test.study["experiments"][0], "prepare": {"from": 0.1}}
+    words = coil.study | {"experiments": [record], "parameters": {}, "diagnosis": known}
+    found = fmuid.run_diagnosis(Study.of(words, tmp_path / "test.toml"), tmp_path / "out")
+    assert tmp_path / "out" / "diagnosis-preparation.csv" in found.files
+    drawn = {each.name: each for each in part_of_diagnosis(tmp_path / "out").sections}
+    assert drawn["prepared"].caption.startswith("The table was cut from 0.1 s.")
 
 
 def test_the_figure_shows_before_in_grey_and_after(study: Study, raw: pd.DataFrame) -> None:

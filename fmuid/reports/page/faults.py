@@ -12,12 +12,15 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.console.diagnosis import faults_columns
 from fmuid.reports.interactive import diagnosis
+from fmuid.reports.page import preparation
 from fmuid.reports.page.contents import read_json, read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.diagnosis import diagnosis_words, explanation_words
 
+PREPARED_FILE = "diagnosis-preparation.csv"
+"""What was done with the tables of a diagnosis, as in ``preparation.csv``."""
 EVIDENCE = (
     "Each bar is how much better a fault explains the data than the healthy machine does. Beyond its threshold it is "
     "significant: without a fault that happens with the false-alarm level."
@@ -60,6 +63,9 @@ def part_of_diagnosis(folder: Path) -> Part:
         best = found.named[0] if found.named else min(found.hypotheses, key=lambda each: each.probability).name
         drawn = [diagnosis.residuals(read_table(residuals), best, units)]
         sections.append(Section("explained", "What the fault explains", RESIDUAL, drawn, 1))
+    changed = folder / PREPARED_FILE
+    if is_file(changed):
+        sections += preparation.sections(read_table(changed), content.get("experiments", []), "prepared")
     return Part("Diagnosis", found.kind, found.kind == "healthy", said, faults_table(found), sections, origin(content))
 
 

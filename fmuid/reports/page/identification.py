@@ -71,10 +71,11 @@ def part(folder: Path) -> Part:
 
 def sections_of(found: Identification) -> list[Section]:
     """Return the sections of a page on an identification."""
+    told = found.content.get("experiments", [])
     correlations = found.tables.get("correlations", pd.DataFrame(columns=CORRELATIONS))
     sections = [
         *fit_sections("fit", "Measured and simulated", CAPTIONS["fit"], found.fits),
-        *preparation.sections(found),
+        *(preparation.sections(found.tables["preparation"], told) if "preparation" in found.tables else []),
         residual_section(found.fits, correlations),
         *_search(found),
         *_belief(found),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
+
+import pandas as pd
 
 from fmuid.reports.interactive.preparation import preparation
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS
-from fmuid.reports.page.contents import Identification
 from fmuid.reports.page.document import Section
 from fmuid.text import listed
 
@@ -18,20 +19,27 @@ CAPTION = (
 """How to read it."""
 
 
-def sections(found: Identification) -> list[Section]:
-    """Return a section for each experiment whose table was prepared; of more than are drawn, of the first."""
-    if "preparation" not in found.tables:
-        return []
-    table, several = found.tables["preparation"], len(found.content["experiments"]) > 1
+def sections(table: pd.DataFrame, experiments: Sequence[Mapping[str, Any]], name: str = "preparation") -> list[Section]:
+    """Return a section for each experiment whose table was prepared; of more than are drawn, of the first.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As in ``preparation.csv``.
+    experiments : sequence of mapping
+        With ``name``, and where they were prepared ``preparation`` and ``columns``.
+    name : str
+        Of the sections.
+    """
     shown: list[Section] = []
-    for each in found.content["experiments"]:
+    for each in experiments:
         rows, words = table[table["experiment"] == each["name"]], each.get("preparation")
         if not words or not len(rows) or len(shown) == MAX_EXPERIMENTS:
             continue
-        heading = "What was done with the table first" + (f": {each['name']}" if several else "")
+        heading = "What was done with the table first" + (f": {each['name']}" if len(experiments) > 1 else "")
         caption = f"{preparation_words(words)}." + ("" if shown else f" {CAPTION}")
-        name = "preparation" if not shown else f"preparation-{len(shown) + 1}"
-        shown.append(Section(name, heading, caption, [preparation(rows, each.get("columns"))], 1))
+        anchor = name if not shown else f"{name}-{len(shown) + 1}"
+        shown.append(Section(anchor, heading, caption, [preparation(rows, each.get("columns"))], 1))
     return shown
 
 
