@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 from scipy.linalg import blas, lapack
-from scipy.signal import lfilter
 
 from fmuid.arrays import Complexes, Floats
 from fmuid.estimation.colour.slow import slow_noise
@@ -104,6 +103,8 @@ class Autoregression:
         """The variance of the process against that of its innovation, Σ h²."""
         response = self._of_coefficients
         if self.pole:
+            from scipy.signal import lfilter  # slow to import
+
             pulse = np.concatenate([response, np.zeros(self.memory)])
             response = lfilter([1.0, -self.zero], [1.0, -self.pole], pulse)
         return float(response @ response)
