@@ -51,9 +51,9 @@ def test_tables_that_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert sentence in said
 
 
-def test_a_header_of_20000_names(tmp_path: Path) -> None:
-    names = ",".join(f"c{k}" for k in range(20_000))
-    rows = "".join(f"{k / 100},{k % 3},{np.sin(k)},{'1,' * 19_999}1\n" for k in range(8))
+def test_a_header_of_2000_names(tmp_path: Path) -> None:
+    names = ",".join(f"c{k}" for k in range(2000))
+    rows = "".join(f"{k / 100},{k % 3},{np.sin(k)},{'1,' * 1999}1\n" for k in range(8))
     (tmp_path / "bench.csv").write_text(f"time,u,i,{names}\n{rows}")
     assert fmuid_("init", COIL, tmp_path / "bench.csv", "-o", tmp_path / "study.toml") == DONE
 
