@@ -118,7 +118,7 @@ def test_full_disk(folder: Path, here: Any, monkeypatch: pytest.MonkeyPatch, cap
     assert "30 cases: 30 converged" in " ".join(out.split())
     told = json.loads((folder / "out" / "summary.json").read_text())
     digests = [hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in ("study.toml", "first.csv")]
-    assert [told["study"]["digest"], told["tables"]["first.csv"]] == digests
+    assert [told["study"]["digest"], told["files"]["first.csv"]] == digests
     assert told["date"].startswith("20")
 
 

@@ -47,7 +47,7 @@ def test_estimates_of_a_monte_carlo_scatter_as_the_closed_form_says(case_folder:
         values = frame[f"value.{name}"]
         assert abs(values.mean() - truth) < 4 * std / math.sqrt(draws)
         assert values.std() == pytest.approx(std, rel=4 / math.sqrt(2 * draws))
-        assert frame[f"std.{name}"].mean() == pytest.approx(std, rel=0.03)  # σ̂ scatters by 6 % a draw
+        assert frame[f"std.{name}"].median() == pytest.approx(std, rel=0.02)  # wider where slow noise is suspected
     assert frame["noise.i"].mean() == pytest.approx(STD**2, rel=0.05)
     assert truth_of(study_of(case_folder, {"noise": {"draws": 1, "std": STD, "truth": {"R": R}}})) == {"R": R, "L": 0.2}
 

@@ -191,11 +191,12 @@ def test_killed_again_and_again(plant: Path) -> None:
     text = dated(warming(30, to=4.0, fails=20.0, size=1.0, seed=5)).to_csv(index=False)
     log = plant / "records" / "log.csv"
     words = [sys.executable, "-m", "fmuid", "monitor", "study.toml", "records", "--follow", "-o", "out", "--no-report"]
-    for k in range(1, 9):
+    for k in range(1, 8):
         log.write_text(text[: k * len(text) // 8])
         with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as killed:
             time.sleep(2.0 + 0.45 * k)
             os.kill(killed.pid, signal.SIGKILL)
+    log.write_text(text)  # the last windows are those of the last process
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 60.0
         while time.monotonic() < deadline:

@@ -183,4 +183,4 @@ def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
     assert "The prediction" in page.said.text
     _, (part,) = contents(tmp_path / "results/prediction")
     assert "third" in part.table
-    assert len(part.sections) == 1
+    assert [each.name for each in part.sections] == ["prediction", "residuals"]
