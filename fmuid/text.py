@@ -26,6 +26,11 @@ def of_one_experiment(name: str) -> bool:
     return name.endswith("]") and _ELEMENT.fullmatch(name) is None
 
 
+def of_parameter(name: str, parameter: str) -> bool:
+    """Return whether a name is a parameter's, or that of one of a single experiment, ``R[cold]`` of ``R``."""
+    return name == parameter or name.startswith(f"{parameter}[")
+
+
 def visible(text: str) -> str:
     """Return a text without control characters and invisible characters."""
     return text if text.isprintable() else _INVISIBLE.sub("", text)

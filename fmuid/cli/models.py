@@ -68,16 +68,16 @@ def init(
 ) -> int:
     """Write a commented study file for an FMU and tables, to start from; in a terminal it asks what is in doubt."""
     from fmuid.reports.console.draft import asked_about, show_draft
-    from fmuid.studies import Asked, begin, check_output, draft, value_of, write_draft
+    from fmuid.studies import Asked, begin, check_output, draft, placed, value_of, write_draft
 
     check_output(output)
     columns = _pairs(map_ or (), "--map", "variable=column", "ids=Id_meas")
     words = _pairs(prepare or (), "--prepare", "word=value", "low_pass=100")
     asked = Asked(
-        _placed(time),
+        placed(time),
         time_unit,
         sample_rate,
-        None if sheet is None else _placed(sheet),
+        None if sheet is None else placed(sheet),
         columns,
         {word: value_of(text) for word, text in words.items()},
     )
@@ -86,11 +86,6 @@ def init(
     write_draft(made, output)
     show_draft(made, output)
     return DONE if made.runs else NOT_SUCCEEDED
-
-
-def _placed(name: str) -> str | int:
-    """Return a place where that is given and not a name."""
-    return int(name) if name.isdecimal() and int(name) > 0 else name
 
 
 def _pairs(given: Sequence[str], option: str, form: str, example: str) -> dict[str, str]:

@@ -35,6 +35,7 @@ from .tables import UNITS as UNITS
 from .tables import numeric_column as numeric_column
 from .tables import read_table as read_table
 from .tables import record_files as record_files
+from .tables import tables_in as tables_in
 from .times import column_of as column_of
 from .times import time_name as time_name
 from .transforms import concordia as concordia

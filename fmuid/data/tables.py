@@ -162,6 +162,11 @@ def _first_text(series: pd.Series[Any]) -> tuple[int, str]:
     return (cells[0][0], str(cells[0][1])) if cells else (1, "")
 
 
+def tables_in(folder: Path) -> list[Path]:
+    """Return the files in a folder that can be tables, in the order of their names."""
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in TABLE_SUFFIXES)
+
+
 def record_files(paths: Sequence[Path]) -> list[Path]:
     """Return tables, and those in folders in the order of their names.
 
@@ -172,11 +177,7 @@ def record_files(paths: Sequence[Path]) -> list[Path]:
     """
     found: list[Path] = []
     for path in paths:
-        inside = (
-            sorted(each for each in path.iterdir() if each.suffix.lower() in TABLE_SUFFIXES)
-            if path.is_dir()
-            else [path]
-        )
+        inside = tables_in(path) if path.is_dir() else [path]
         if not inside:
             raise InputError(f"{path} has no table: give a folder with files of the kinds {', '.join(TABLE_SUFFIXES)}")
         found += inside

@@ -97,7 +97,7 @@ def run_following(
         running = _Running(study, Path(place), target)
         with contextlib.suppress(KeyboardInterrupt):
             running.run(show, progress, until)
-        running.end()
+        running.write()  # unless the break was in the midst of something: that is done again then
         written = [target / name for name in running.written]
         shown = show_results(target, report=report) if written else []
         return MonitoringFindings(running.monitor, (*written, *shown))
@@ -203,10 +203,6 @@ class _Running:
             self.remarks += _told(command, self.waiting[0], self.folder)
             del self.waiting[0]
             self._write(())
-
-    def end(self) -> None:
-        """Write what there is, unless the break was in the midst of something: that is done again then."""
-        self.write()
 
 
 def _key(study: Study) -> str:

@@ -12,6 +12,7 @@ from .drafting.mapping import ColumnLink as ColumnLink
 from .drafting.mapping import Reason as Reason
 from .drafting.record import Asked as Asked
 from .drafting.record import Record as Record
+from .drafting.record import placed as placed
 from .drafting.survey import SHOWN_CHANGE as SHOWN_CHANGE
 from .drafting.survey import Candidate as Candidate
 from .drafting.survey import proposal as proposal

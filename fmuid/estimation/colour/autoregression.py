@@ -182,12 +182,14 @@ def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int,
         order -= 1
     left = variance * math.prod(1.0 - each**2 for each in reflections[:order])
     found = Autoregression(model, left, samples, response.size)
+    if not (slow and order):
+        return found
     scores = [0.0, *scores]
     best = scores[order]
     # what a long autoregression does for slow noise is in the way of the factor that does it better
     for own in {order, 1, 0} if order > 1 else {order}:
         model = _model(reflections[:own], samples)
-        beneath = slow_noise(columns, weights, there, model) if slow and order else None
+        beneath = slow_noise(columns, weights, there, model)
         if beneath is not None and scores[own] - beneath.gain < best:
             best = scores[own] - beneath.gain
             memory = min(longest, math.ceil(math.log(NEGLIGIBLE) / math.log(beneath.pole)))

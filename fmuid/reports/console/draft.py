@@ -29,13 +29,19 @@ QUESTION = "Is this right? Enter to go on, or variable=column to change it (vari
 
 def show_record(record: Record) -> None:
     """Print which columns are which variables, and what is wrong with the table."""
-    span = record.frame[record.time]
-    title = f"{record.path}: {len(record.frame)} samples, {span.min():.6g} to {span.max():.6g} s"
     out = console()
-    out.print(table_of(escape(title), columns_of(LINK_HEADS, map(link_cells, record.links))))
+    out.print(
+        table_of(escape(heading(record, str(record.path))), columns_of(LINK_HEADS, map(link_cells, record.links)))
+    )
     if record.unused:
         out.print(f"columns that are no input or output: {escape(', '.join(record.unused))}", soft_wrap=True)
     show_remarks(remarks(record))
+
+
+def heading(record: Record, name: str) -> str:
+    """Return what a table of this name has."""
+    span = record.frame[record.time]
+    return f"{name}: {len(record.frame)} samples, {span.min():.6g} to {span.max():.6g} s"
 
 
 def link_cells(link: ColumnLink) -> tuple[str, ...]:

@@ -205,7 +205,7 @@ class _Glyph:
         return np.asarray(values, dtype=np.float64)
 
 
-_PLACES = (*("x", "y", "x0", "y0", "x1", "y1", "y2", "left", "right", "top", "bottom", "width", "height"),)
+_PLACES = ("x", "y", "x0", "y0", "x1", "y1", "y2", "left", "right", "top", "bottom", "width", "height")
 _UP = ("y", "y0", "y1", "y2", "top", "bottom", "height")
 
 

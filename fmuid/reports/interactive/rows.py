@@ -30,7 +30,7 @@ def rows_of(names: Sequence[str], x: str, *, head: int = 80, **more: Any) -> tup
     head : int
         Pixels of what is above and below the rows.
     **more
-        Of `panel`.
+        Of `Panel`.
     """
     across = FactorRange(factors=list(names)[::-1])
     if max(map(len, names), default=0) <= LONGEST_BESIDE:

@@ -30,6 +30,11 @@ FAR = 10.0
 """A value that is so many times the range of all others away from them is no sample, but a mark."""
 
 
+def placed(name: str) -> str | int:
+    """Return a place where that is given and not a name."""
+    return int(name) if name.isdecimal() and int(name) > 0 else name
+
+
 @dataclass(frozen=True)
 class Asked:
     """What who begins a study knows of its tables; the words are those of ``[[experiments]]``.

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.data import TABLE_SUFFIXES, TEXT, Experiment, numeric_column, time_name
+from fmuid.data import TEXT, Experiment, numeric_column, tables_in, time_name
 from fmuid.errors import InputError
 from fmuid.studies.following.followed import Followed, moved
 from fmuid.studies.following.rows import MOST_BYTES, NewRows, good_rows
@@ -306,5 +306,4 @@ class Follower:
 
 def _tables(folder: Path) -> list[str]:
     """Return the names of the tables in a folder; those that begin with a dot are being written."""
-    names = (path.name for path in folder.iterdir() if path.suffix.lower() in TABLE_SUFFIXES)
-    return sorted(name for name in names if not name.startswith("."))
+    return [path.name for path in tables_in(folder) if not path.name.startswith(".")]

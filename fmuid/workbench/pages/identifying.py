@@ -17,6 +17,7 @@ from fmuid.progress import Event, SearchStep
 from fmuid.reports.interactive.live import in_scheme
 from fmuid.reports.interactive.style import BLUE, MAX_PARAMETERS, RED, Panel
 from fmuid.reports.page import identification
+from fmuid.text import of_parameter
 from fmuid.workbench.folder import Folder
 from fmuid.workbench.home import address, escaped, file_address
 from fmuid.workbench.jobs import Job
@@ -173,4 +174,4 @@ def _of(values: Mapping[str, float], name: str) -> float:
     """Return the value of a parameter, of one per experiment the first."""
     if name in values:
         return values[name]
-    return next((value for each, value in values.items() if each.startswith(f"{name}[")), math.nan)
+    return next((value for each, value in values.items() if of_parameter(each, name)), math.nan)

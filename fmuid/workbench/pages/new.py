@@ -10,11 +10,11 @@ from bokeh.models import Select, TextInput
 
 from fmuid.errors import FmuidError, InputError
 from fmuid.reports import prepared_columns
-from fmuid.reports.console.draft import LINK_HEADS, link_cells, remarks
+from fmuid.reports.console.draft import LINK_HEADS, heading, link_cells, remarks
 from fmuid.reports.interactive.live import in_scheme
 from fmuid.reports.interactive.preparation import preparation
 from fmuid.reports.page.document import details, table
-from fmuid.studies import Asked, Record, begin, value_of
+from fmuid.studies import Asked, Record, begin, placed, value_of
 from fmuid.units import TIME_UNITS
 from fmuid.workbench.access import SCHEME
 from fmuid.workbench.folder import Folder, choices, tables
@@ -25,9 +25,8 @@ from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, dress, several, w
 
 GUESSED, NONE = "(guess)", "(none)"
 """What stands for a column that is not said, and for none."""
-PREPARE = ("low_pass", "from", "to", "resample", "detrend")
-"""Words of ``[experiments.prepare]`` that are asked for; the file has room for all."""
 LABELS = {"low_pass": "low-pass (Hz)", "from": "from (s)", "to": "to (s)", "resample": "resample (s)"}
+"""Words of ``[experiments.prepare]`` that are asked for, beside detrend; the file has room for all."""
 ROWS = 5
 """Of a table that are shown."""
 CHARACTERS = 1200
@@ -96,8 +95,8 @@ class NewPage:
         given = {name: each.value for name, each in self.maps.items() if each.value != GUESSED}
         columns = {name: "" if value == NONE else value for name, value in given.items()}
         how = {word: value_of(each.value) for word, each in self.prepare.items() if each.value.strip()}
-        sheet = _placed(self.sheet.value) if self.sheet.value.strip() else None
-        return Asked(_placed(self.time.value or "time"), self.unit.value or None, rate, sheet, columns, how)
+        sheet = placed(self.sheet.value) if self.sheet.value.strip() else None
+        return Asked(placed(self.time.value or "time"), self.unit.value or None, rate, sheet, columns, how)
 
     def words(self) -> list[str]:
         """Return the command, to be given in the opened folder."""
@@ -175,15 +174,9 @@ def _typed(title: str, value: str, name: str) -> TextInput:
     return TextInput(title=title, value=value, name=name, width=150)
 
 
-def _placed(name: str) -> str | int:
-    """Return a place where that is given and not a name."""
-    return int(name) if name.isdecimal() and int(name) > 0 else name
-
-
 def _record(record: Record, folder: Folder) -> str:
     """Return what a table has and what it is taken for, as HTML."""
-    span, links = record.frame[record.time], [link_cells(link) for link in record.links]
-    heading = f"{folder.name(record.path)}: {len(record.frame)} samples, {span.min():.6g} to {span.max():.6g} s"
+    links = [link_cells(link) for link in record.links]
     taken = table({head: [cells[k] for cells in links] for k, head in enumerate(LINK_HEADS)})
     first = record.frame.head(ROWS)
     read = table(
@@ -196,7 +189,8 @@ def _record(record: Record, folder: Folder) -> str:
     file = details("The beginning of the file", file) if file else ""
     said = "".join(f"<li>{escaped(each)}</li>" for each in remarks(record))
     doubts = f"<ul class=doubts>{said}</ul>" if said else ""
-    return f"<h3>{escaped(heading)}</h3>{taken}{doubts}<p class=soft>As it is read, time in s:</p>{read}{file}"
+    title = escaped(heading(record, folder.name(record.path)))
+    return f"<h3>{title}</h3>{taken}{doubts}<p class=soft>As it is read, time in s:</p>{read}{file}"
 
 
 def _beginning(path: Path) -> str:

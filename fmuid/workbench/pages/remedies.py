@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from bokeh.layouts import column, row
 
 from fmuid.estimation import Result
+from fmuid.text import of_parameter
 from fmuid.workbench.folder import beside, tables
 from fmuid.workbench.home import address, escaped
 from fmuid.workbench.jobs import Job
@@ -75,7 +76,7 @@ class Remedies:
         """Offer what helps for each parameter that the result in a folder does not determine."""
         result = Result.from_json(folder / "result.json")
         names = undetermined(result)
-        rows = [each for each in self.page.rows if any(_is(each.name, name) for name in names)]
+        rows = [each for each in self.page.rows if any(of_parameter(name, each.name) for name in names)]
         if not rows:
             self.layout.children = []
             return
@@ -125,8 +126,3 @@ def undetermined(result: Result) -> list[str]:
     return list(
         dict.fromkeys([*open_, *(name for each in (*result.undetermined, *result.weak) for name in each.names)])
     )
-
-
-def _is(name: str, found: str) -> bool:
-    """Whether a parameter of a result is that of a study, of which there may be one per experiment."""
-    return found == name or found.startswith(f"{name}[")
