@@ -15,7 +15,8 @@ from fmuid.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.data import Experiment
 from fmuid.fmi import read_description
 from fmuid.studies import Study
-from fmuid.studies.drafting.survey import Use, _select, is_solver_setting, is_start, survey
+from fmuid.studies.drafting.starts import is_start
+from fmuid.studies.drafting.survey import Use, _select, is_solver_setting, survey
 from tests.support.coil_study import COIL, fmuid_, result
 from tests.support.exported import export_text
 from tests.support.fmu_texts import FMI2, write_fmu

@@ -209,7 +209,7 @@ def _parameters(description: Description, found: Survey, experiments: int) -> li
             "# their spread, at the FMU's values. A min of 0 that is not the FMU's is the sign of its value.",
         ]
     lines.append("[parameters]")
-    lines += [_candidate(each, description, experiments) for each in found.candidates]
+    lines += [_candidate(each, experiments) for each in found.candidates]
     if found.candidates:
         states = {name for name in description.states if name not in found.names}
         others = [v for v in free(description) if v.name not in found.names | states and not is_solver_setting(v)]
@@ -223,11 +223,10 @@ def _parameters(description: Description, found: Survey, experiments: int) -> li
     return lines
 
 
-def _candidate(given: Candidate, description: Description, experiments: int) -> str:
+def _candidate(given: Candidate, experiments: int) -> str:
     """Return the line of a parameter that was looked at."""
     said = [f"{100 * given.effect:.2g} %"] if given.effect else []
     said += [proposal(given)] if given.use is not Use.FREED else []
     more = "per_experiment = true" if given.use is Use.START_FREED and experiments > 1 else ""
-    limits = bounds(given.variable, given.start, description)
-    line = parameter_line(given.variable, given.start, limits, more, "; ".join(said))
+    line = parameter_line(given.variable, given.start, bounds(given), more, "; ".join(said))
     return line if given.use in FREE else "# " + line

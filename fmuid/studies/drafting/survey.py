@@ -20,6 +20,7 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError, SimulationError
+from fmuid.studies.drafting.starts import started, starts_of
 
 if TYPE_CHECKING:
     from fmuid.data import Experiment
@@ -42,9 +43,9 @@ STARTS_FLOOR = 1e-3
 MOST_FREED, MOST_LOOKED_AT = 12, 200
 # Settings of solvers that tools put among the parameters.
 _SOLVER = re.compile(r"^_|(^|[._])(nle|solver|tol|tolerance|[ar]tol|eps|max_?iter\w*|step_?size|log\w*)([._]|$)", re.I)
-_START = re.compile(r"([._](start|init|initial|0)|(?<=[a-z\d])(Start|Init)|(?<=[A-Za-z])0)$|^(start|init|initial)_")
 # Quantities with a sign or an origin that are chosen by whoever measures.
 _SIGNED = ("degC", "°C", "degF", "rad", "deg")
+_PLACE = re.compile(r"position|offset|bias|(^|[._])flange", re.I)
 
 
 class Use(Enum):
@@ -143,23 +144,32 @@ def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
     The FMU runs in a process of its own. A simulation that fails ends nothing, and neither does an FMU or a table that
     do not go together: `Survey.failure` says it.
     """
+    from fmuid.fmi import KINDS, read_description
+    from fmuid.models import Isolation, Numerics, System
+
+    failure, description = "", read_description(fmu)
+    # solvers inside FMUs are often too coarse for differences, so model exchange goes first
+    for interface in sorted(set(KINDS) & set(description.interfaces), reverse=True):
+        try:
+            with System(fmu, numerics=Numerics(interface), isolation=Isolation()) as system:
+                return _surveyed(system, description, experiments)
+        except (InputError, SimulationError) as error:
+            failure = str(error)
+    return Survey(failure=failure)
+
+
+def _surveyed(system: System, description: Description, experiments: Sequence[Experiment]) -> Survey:
     from fmuid.model_problem import doubt_of_time
-    from fmuid.models import Isolation, System
     from fmuid.simulation import Simulator
 
-    try:
-        with System(fmu, isolation=Isolation()) as system:
-            description = system.components[""].fmu.description
-            names = [v.name for v in candidates_of(description)][:MOST_LOOKED_AT]
-            changes = _changes(system, experiments, description, names, {})
-            begun = [k for k, v in enumerate(changes.variables) if is_start(v, description)]
-            freed = _freed_starts(changes, begun)
-            if freed:  # what a parameter changes may depend on where the record begins
-                changes = _changes(system, experiments, description, names, freed)
-            doubts = (doubt_of_time(Simulator(system, each), ()) for each in experiments)
-            return Survey(_proposed(description, changes, freed), tuple(each for each in doubts if each is not None))
-    except (InputError, SimulationError) as error:
-        return Survey(failure=str(error))
+    names = [v.name for v in candidates_of(description)][:MOST_LOOKED_AT]
+    changes = _changes(system, experiments, description, names, {})
+    begun = starts_of(system, experiments[0], description, names, _moved(changes.variables, changes.starts))
+    freed = _freed_starts(changes, begun)
+    if freed:  # what a parameter changes may depend on where the record begins
+        changes = _changes(system, experiments, description, names, freed)
+    doubts = (doubt_of_time(Simulator(system, each), ()) for each in experiments)
+    return Survey(_proposed(changes, begun, freed), tuple(each for each in doubts if each is not None))
 
 
 def candidates_of(description: Description) -> list[Variable]:
@@ -167,31 +177,14 @@ def candidates_of(description: Description) -> list[Variable]:
     variables = description.variables.values()
     parameters = [v for v in variables if v.type == "Real" and v.causality == "parameter" and v.settable]
     parameters = [v for v in parameters if not is_solver_setting(v) and _number(v.start) is not None]
-    fixed = {_origin(v.name).casefold() for v in parameters if is_start(v, description)}
+    fixed = {started(v, description) for v in parameters}
     states = [description.variables[name] for name in description.states]
-    return parameters + [v for v in states if v.settable and v.type == "Real" and v.name.casefold() not in fixed]
+    return parameters + [v for v in states if v.settable and v.type == "Real" and v.name not in fixed]
 
 
 def is_solver_setting(variable: Variable) -> bool:
     """Return whether a parameter is one of a tool's solver, and not of what is modelled."""
     return _SOLVER.search(variable.name) is not None
-
-
-def is_start(variable: Variable, description: Description) -> bool:
-    """Return whether a parameter is the value that something starts at, by its name or description."""
-    if variable.causality != "parameter":
-        return variable.is_state or variable.name in description.states
-    if not _START.search(variable.name):
-        return "initial" in variable.description.casefold().split()
-    if not variable.name.endswith("0"):
-        return True
-    changing = (v.name.casefold() for v in description.variables.values() if v.variability == "continuous")
-    return _origin(variable.name).casefold() in changing
-
-
-def _origin(name: str) -> str:
-    """Return what a start value is the start of: ``ids_start`` and ``ids0`` are of ``ids``."""
-    return _START.sub("", name).rstrip("_.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,11 +214,11 @@ def _changes(
 
     variables = tuple(description.variables[name] for name in names)
     starts = np.array([moved_starts.get(k, _number(v.start) or 0.0) for k, v in enumerate(variables)])
-    steps = np.array([_step(v, start) for v, start in zip(variables, starts, strict=True)])
-    relative = STEP * np.sign(steps)
+    thetas = _moved(variables, starts)
+    relative = STEP * np.sign(np.diag(thetas[1:] - starts))
     rows, first, changed, limits = [], [], [], []
     for experiment in experiments:
-        found = Simulator(system, experiment, names).many(np.vstack([starts, starts + np.diag(steps)]))
+        found = Simulator(system, experiment, names).many(thetas)
         if found.errors[0] is not None:
             raise found.errors[0]
         base, moved = found.outputs[0], found.outputs[1:]
@@ -244,7 +237,12 @@ def _changes(
     )
 
 
-def _proposed(description: Description, changes: _Changes, freed: Mapping[int, float]) -> tuple[Candidate, ...]:
+def _moved(variables: Sequence[Variable], starts: Floats) -> Floats:
+    """Return starts (1 + N, N), and with each of them moved by its step."""
+    return np.vstack([starts, starts + np.diag([_step(v, start) for v, start in zip(variables, starts, strict=True)])])
+
+
+def _proposed(changes: _Changes, begun: Sequence[int], freed: Mapping[int, float]) -> tuple[Candidate, ...]:
     """Return what is proposed for each variable, the strongest first."""
     variables, jacobian = changes.variables, changes.jacobian
     finite = [bool(np.isfinite(column).all()) for column in jacobian.T]
@@ -255,8 +253,8 @@ def _proposed(description: Description, changes: _Changes, freed: Mapping[int, f
         Use.FAILS if not finite[k] else Use.NO_EFFECT if effects[k] == 0 else Use.ZERO if starts[k] == 0 else None
         for k in range(len(variables))
     ]
-    for k, variable in enumerate(variables):
-        if is_start(variable, description) and uses[k] in (None, Use.ZERO):
+    for k in begun:
+        if uses[k] in (None, Use.ZERO):
             uses[k] = Use.START_FREED if k in freed else Use.START
     likes = _select(columns, effects, uses, list(freed))
     alike = [tuple(variables[i].name for i in like) for like in likes]
@@ -339,12 +337,13 @@ def _noise(experiment: Experiment, j: int) -> float:
     return float(np.median(np.abs(second)) / (0.6745 * math.sqrt(6.0))) if second.size else 0.0
 
 
-def bounds(variable: Variable, start: float, description: Description) -> dict[str, float]:
+def bounds(given: Candidate) -> dict[str, float]:
     """Return min and max of a parameter: the FMU's, else the sign that it has there, where the sign has a meaning."""
     from fmuid.studies.drafting.lines import declared_bounds
 
+    variable, start = given.variable, given.start
     found = declared_bounds(variable, start)
-    signed = is_start(variable, description) or (variable.unit or "") in _SIGNED
-    if found or signed or not start:
+    signed = (variable.unit or "") in _SIGNED or _PLACE.search(f"{variable.name} {variable.description}")
+    if found or signed or given.use in (Use.START, Use.START_FREED) or not start:
         return found
     return {"min": 0.0} if start > 0 else {"max": 0.0}
