@@ -254,17 +254,20 @@ class Kind:
             first = error.errors(include_url=False)[0]
             if first["type"] in (MUST_BE, KEY) and not first["loc"]:
                 raise PydanticCustomError(first["type"], "{text}", first["ctx"]) from None
-            raise must_be(self._expected(value, first["loc"], first.get("ctx", {}).get("text", ""))) from None
+            if self._leaves(first["loc"]):
+                raise
+            raise must_be(self.name if self.of_wrong is None else self.of_wrong(value)) from None
 
-    def _expected(self, value: Any, _where: tuple[int | str, ...], _text: str) -> str:
-        return self.name if self.of_wrong is None else self.of_wrong(value)
+    def _leaves(self, where: tuple[int | str, ...]) -> bool:  # noqa: ARG002
+        """Return whether an error below a value is left as it is: it names a key, not the value."""
+        return False
 
 
 class Entries(Kind):
-    """The kind of a table of names whose entries are of one kind."""
+    """The kind of a table of names whose entries are of one kind; what is wrong with one names it."""
 
-    def _expected(self, value: Any, where: tuple[int | str, ...], text: str) -> str:
-        return f"a table of which each entry is {text} ({where[0]} is {show(value[where[0]])})" if where else self.name
+    def _leaves(self, where: tuple[int | str, ...]) -> bool:
+        return bool(where)
 
 
 @dataclass(frozen=True)

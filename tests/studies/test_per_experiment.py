@@ -98,7 +98,7 @@ def test_hold_previous(u: Floats) -> None:
             '{ cold = ["run1", "run2"], warm = ["run2", "run3"] }',
             "'run2' in cold and warm: name each in one",
         ),
-        ('{ cold = "run1" }', "per_experiment must be a table of which each entry is a list of names"),
+        ('{ cold = "run1" }', r"per_experiment\] cold must be a list of names"),
         ('"cold"', "per_experiment must be"),
     ],
 )
@@ -118,7 +118,7 @@ def test_wrong_groups(tmp_path: Path, u: Floats, groups: str, said: str, capsys:
         ("i_start = 0.5", "L = 0.5", "'L' is both a parameter and held at a value"),
         ("i_start = 0.5", "u = 0.5", "'u' is an input"),
         ("i_start = 0.5", "i_start = [1]", r"'i_start' has 1 values and is one number in"),
-        ("i_start = 0.5", "i_start = { a = 1 }", "values must be a table of which each entry is"),
+        ("i_start = 0.5", "i_start = { a = 1 }", r"\[experiments.values\] i_start must be a number, true"),
         ('"hold"', '"hold_previous"', "hold-previous"),
     ],
 )

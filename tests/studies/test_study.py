@@ -224,12 +224,13 @@ REFUSED = {
     "date in values": (
         "n = 3",
         "n = 1979-05-27",
-        "[model] values must be a table of which each entry is a number, true",
+        "[model.values] n must be a number, true, false or a text, not 1979-05-27",
     ),
+    "empty value": ("n = 3", "n = {}", "[model.values.n] needs the key 'result': the result.json of an earlier"),
     "interpolation": (
         'u = "hold"',
         'u = "holds"',
-        '"hold-previous" or "cubic" (did you mean \'hold\' or \'hold-previous\'?) (u is "holds")',
+        '"hold-previous" or "cubic" (did you mean \'hold\' or \'hold-previous\'?), not "holds"',
     ),
     "interface": (
         'interface = "co-simulation"',
