@@ -15,6 +15,7 @@ import pandas as pd
 
 from fmuid.arrays import Floats
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
+from fmuid.data.preparation.sampling import missing_rows, usual_step
 from fmuid.data.tables import UNITS, numeric_column, read_table
 from fmuid.data.times import column_of, missing_column
 from fmuid.displays import Displayed
@@ -41,7 +42,8 @@ class Experiment(Displayed):
         FMU variables; a mapping gives the columns that have other names. Inputs must be finite throughout. Outputs
         may have NaN, which are samples that do not count. Without outputs the experiment can only be simulated.
     time : str
-        The time column, s: finite, never decreasing. A time given twice is a step of the inputs.
+        The time column, s: finite, never decreasing. A time given twice is a step of the inputs. Equal steps with one
+        of more than 20 of them in between are refused where there are inputs: rows are missing.
     interpolation : str or mapping of str to str
         ``"linear"``, ``"hold"``, ``"hold-previous"`` or ``"cubic"`` (`fmuid.data.interpolation`, docs/method.md section
         5), for all inputs or for each input named; the others are linear.
@@ -133,6 +135,8 @@ class Experiment(Displayed):
         times = _times(source, frame, self.time)
         output_values = _values(source, frame, times, "output", outputs, there)
         words = interpolation_words(source, self.interpolation, inputs)
+        if inputs and self.measured:
+            _check_rows(source, times, inputs, words)
         input_values = as_held(_values(source, frame, times, "input", inputs, inputs), words)
         curved = np.array([word == "cubic" for word in words], dtype=np.bool_)
         derived = {
@@ -317,6 +321,19 @@ def _times(source: str, frame: pd.DataFrame, time: str) -> Floats:
     if times.size < 2 or times[0] == times[-1]:
         raise InputError(f"{column} has fewer than two different times: give a longer record")
     return times
+
+
+def _check_rows(source: str, times: Floats, inputs: Mapping[str, str], words: Sequence[str]) -> None:
+    """Check that no rows are missing for long, in which nobody knows what drives the model."""
+    for row in missing_rows(times)[:1].tolist():
+        begin, end = times[row : row + 2]
+        between = zip(inputs.values(), words, strict=True)
+        fill = ", ".join(f'{json.dumps(name)} = "{"hold" if word in HELD else "linear"}"' for name, word in between)
+        raise InputError(
+            f"{source}: rows are missing between t = {begin:.9g} s (row {row + 1}) and {end:.9g} s, where most "
+            f"steps are {usual_step(times):.3g} s, and with them what drives the model: cut the table there, or fill "
+            f"the gap, prepare = {{ fill = {{ {fill} }}, longest_gap = {end - begin:.9g} }}"
+        )
 
 
 def _values(

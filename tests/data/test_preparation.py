@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -286,3 +287,49 @@ def test_gaps_outside_what_is_kept_do_not_matter() -> None:
     np.testing.assert_allclose(found["u"], 2 * T[:401], atol=1e-12)
     with pytest.raises(InputError, match=r"at t = 0\.5 s"):  # the last time that is kept is in the gap
         fmuid.reduce(gappy(), fill={"u": "linear"}, longest_gap=0.002, end=0.5)
+
+
+# --- rows that are missing ----------------------------------------------------------------
+
+
+def lacking(*without: tuple[float, float]) -> pd.DataFrame:
+    """Return a line 2 t without the rows between times."""
+    kept = np.all([(a >= T) | (b <= T) for a, b in without], axis=0)
+    return frame(u=2 * T, i=np.sin(T))[kept].reset_index(drop=True)
+
+
+def test_missing_rows_of_what_drives_a_model_are_refused_as_missing_samples_are() -> None:
+    table = lacking((0.5, 0.8))
+    with pytest.raises(InputError) as caught:
+        fmuid.Experiment(table, ["u"], ["i"], interpolation="hold")
+    said = r"rows are missing between t = 0\.5 s \(row 501\) and 0\.8 s, where most steps are 0\.001 s"
+    assert re.search(said, str(caught.value))
+    assert 'prepare = { fill = { "u" = "hold" }, longest_gap = 0.3 }' in str(caught.value)
+    assert fmuid.Experiment(table, [], ["i"]).times.size == table.shape[0]  # nothing drives it
+    assert fmuid.Experiment(table, ["u"], ["i"], measured=False).times.size == table.shape[0]  # a plan, not a record
+    for word, expected in (("linear", 2 * T), ("hold", np.where((T > 0.5) & (T < 0.7995), 1.0, 2 * T))):
+        whole = fmuid.reduce(table, fill={"u": word}, longest_gap=0.3)
+        np.testing.assert_allclose(whole["time"], T, atol=1e-12)
+        np.testing.assert_allclose(whole["u"], expected, atol=1e-12)
+        made = fmuid.Experiment(whole, ["u"], ["i"])
+        assert int(np.isnan(made.output_values).sum()) == 299  # nobody measured there
+    for longest in (None, 0.29):
+        with pytest.raises(InputError, match=r"no value at t = 0\.501 s, in a gap of 0\.3 s, more than"):
+            fmuid.reduce(table, fill={"u": "linear"}, longest_gap=longest)
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        pytest.param(np.delete(T, slice(500, 518)), id="a dropout"),
+        pytest.param(np.sort(np.concatenate([T[:300], 0.3 + 0.1 * np.arange(40)])), id="two rates"),
+        pytest.param(np.append(T, 60.0), id="one sample at the end"),
+        pytest.param(np.cumsum(np.tile([*[0.001] * 9, 0.1], 20)), id="bursts"),
+        pytest.param(np.geomspace(1e-3, 1e3, 300), id="times by decades"),
+        pytest.param(np.array([0.0, 1.0]), id="two samples"),
+        pytest.param(np.repeat(T[:50], 2), id="each twice"),
+    ],
+)
+def test_records_that_lack_no_rows(times: Floats) -> None:
+    table = pd.DataFrame({"time": times, "u": 1.0, "i": times})
+    assert fmuid.Experiment(table, ["u"], ["i"]).times.size == times.size

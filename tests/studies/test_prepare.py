@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.cli.options import WRONG_INPUT
+from fmuid.cli.options import DONE, WRONG_INPUT
 from fmuid.errors import InputError
 from fmuid.studies import Study
 from tests.support.coil_study import COIL, coil_table, fmuid_
@@ -87,7 +88,7 @@ def test_filtered_and_resampled(folder: Path) -> None:
         ("pieces = [[0.0, 0.2, 0.3]]", "pieces must be a list of pairs of times"),
         ("pieces = [[0.0, 0.2]]\nto = 3.0", "has both pieces and to: keep one of the two"),
         ("resample = 0", "resample must be a number above 0, not 0"),
-        ('fill = { u = "cubic" }', 'a table of which each entry is "linear" or "hold"'),
+        ('fill = { u = "cubic" }', r'prepare.fill\] u must be "linear" or "hold", not "cubic"'),
         ('fill = { current = "hold" }', "fills 'current', what was measured of the output 'i': leave it out of fill"),
         ("longest_gap = 0.1", "has longest_gap and nothing to fill: name the columns"),
         ('longest_gap = 0\nfill = { u = "hold" }', "longest_gap must be a number above 0, not 0"),
@@ -117,3 +118,22 @@ def test_an_input_with_a_gap_names_the_remedy_which_fills_it(folder: Path) -> No
     assert np.isfinite(study(folder, remedy).tables[0].input_values).all()
     filled = study(folder, 'fill = { u = "hold" }\nlongest_gap = 0.01').identify()
     np.testing.assert_array_equal(filled.values, whole.values)
+
+
+def test_missing_rows_are_said_and_filled_like_missing_samples(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = pd.read_csv(folder / "run.csv")
+    begin, end, whole = 100, 150, table["time"].to_numpy()
+    gap = f"between t = {table['time'][begin - 1]:.9g} s (row {begin}) and {table['time'][end]:.9g} s"
+    table.drop(index=range(begin, end)).to_csv(folder / "run.csv", index=False)
+    assert fmuid_("init", COIL, folder / "run.csv", "-o", folder / "begun.toml") != DONE
+    assert gap in capsys.readouterr().out
+    with pytest.raises(InputError) as caught:
+        _ = study(folder, "").tables
+    assert gap in str(caught.value)
+    words = re.search(r"prepare = { (fill = {.*}), (longest_gap = .*) }", str(caught.value))
+    assert words is not None
+    (record,) = study(folder, "\n".join(words.groups())).tables
+    np.testing.assert_allclose(record.times, whole, atol=1e-9)
+    assert np.isnan(record.output_values).sum() == end - begin

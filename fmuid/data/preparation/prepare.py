@@ -14,7 +14,7 @@ from fmuid.arrays import Floats
 from fmuid.data.experiment import Experiment
 from fmuid.data.interpolation import HELD, interpolation_words
 from fmuid.data.preparation.expressions import evaluate
-from fmuid.data.preparation.sampling import detrended, filled, low_passed, resampled
+from fmuid.data.preparation.sampling import detrended, filled, low_passed, resampled, with_missing_rows
 from fmuid.data.tables import UNITS, numeric_column
 from fmuid.data.times import column_of, missing_column
 from fmuid.data.transforms import inverse_park, park
@@ -83,7 +83,8 @@ class Preparation:
     detrend : "mean", "linear", mapping of str to these, or None
         What is taken from signals, or from some.
     fill : mapping of str to "linear" or "hold"
-        Columns whose missing samples are filled, after `columns` and before `axes`.
+        Columns whose missing samples are filled, after `columns` and before `axes`; rows that are missing, too
+        (`fmuid.data.preparation.sampling.missing_rows`).
     longest_gap : float or None
         s: a longer one is not filled; None: 20 usual steps (`fmuid.data.preparation.sampling.filled`).
     """
@@ -219,6 +220,10 @@ class _Work:
             self.put([name], np.where(np.isfinite(values), values, np.nan)[:, None])
 
     def fill(self, asked: Preparation) -> None:
+        if asked.fill:
+            times, rows = with_missing_rows(self.times, asked.longest_gap or 0.0)
+            self.frame = self.frame.reset_index(drop=True).reindex(rows).reset_index(drop=True)
+            self.put([self.time], times[:, None])
         within = _kept(self.times, asked.start, asked.end)
         for name, how in asked.fill.items():
             if how not in FILLS:
@@ -329,7 +334,8 @@ def reduce(
     detrend : "mean", "linear" or mapping of column to these
     fill : mapping of column to "linear" or "hold"
         Columns whose missing samples are filled, on straight lines or by the sample before; after `columns`, before
-        all else. Those of outputs do not count and need no filling.
+        all else. Those of outputs do not count and need no filling. Rows that are missing for more than 20 steps are
+        put in first.
     longest_gap : float
         s: a longer gap is refused; default: 20 usual steps.
     time : str

@@ -19,6 +19,8 @@ GAP = 1.5
 """A step longer than so many usual ones is a gap, in which samples are missing."""
 MOST_FILLED = 20
 """Usual steps that a gap may last to be filled where nobody says how long: a dropout of a logger, and no pause."""
+RARE = 0.02
+"""Share of the steps up to which long ones are gaps: a record with more of them is sampled so."""
 SHORTEST = 4
 """Samples in a row that can be filtered."""
 SAME = 1e-6
@@ -26,8 +28,35 @@ SAME = 1e-6
 
 
 def usual_step(times: Floats) -> float:
-    """Return the median of the steps of time, s."""
-    return float(np.median(np.diff(times)))
+    """Return the median of the steps of time that are none of a jump at one time, s."""
+    steps = np.diff(times)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+def missing_rows(times: Floats, most: float = MOST_FILLED) -> NDArray[np.intp]:
+    """Return the rows (from 0) after which rows are missing, by default for longer than a dropout.
+
+    A record that is sampled in equal steps on both sides of one that is longer than `most` of them lacks rows there;
+    where such steps are many, or follow each other, that is how it was sampled.
+    """
+    steps = np.diff(times)
+    usual = usual_step(times)
+    alone = (steps > 0) & (steps <= GAP * usual)
+    found = np.flatnonzero((steps[1:-1] > most * usual * (1 + SAME)) & alone[:-2] & alone[2:]) + 1
+    return found if found.size <= max(1.0, RARE * steps.size) else found[:0]
+
+
+def with_missing_rows(times: Floats, longest: float) -> tuple[Floats, NDArray[np.intp]]:
+    """Return times where none are missing, and the rows they are of, -1 for those put in.
+
+    A gap of more than `longest`, s, gets one row in place of all: it will not be filled.
+    """
+    usual, after = usual_step(times), missing_rows(times)
+    lengths = times[after + 1] - times[after]
+    counts = [round(each / usual) - 1 if each <= longest * (1 + SAME) else 1 for each in lengths.tolist()]
+    new = [times[row] + usual * np.arange(1, count + 1) for row, count in zip(after.tolist(), counts, strict=True)]
+    at = np.repeat(after + 1, counts)
+    return np.insert(times, at, np.concatenate([[], *new])), np.insert(np.arange(times.size), at, -1)
 
 
 def check_equal_steps(times: Floats, word: str, source: str) -> None:

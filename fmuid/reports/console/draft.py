@@ -70,11 +70,14 @@ def remarks(record: Record) -> list[str]:
             f"{record.path}: the FMU declares no outputs, and no column is called like one of its variables: say which "
             "is measured by --map VARIABLE=COLUMN"
         )
-    rows = len(record.frame)
+    rows = 0 if record.experiment is None else record.experiment.times.size
     said += [
         f"{record.path}: {count} of {rows} samples of {column!r} are missing; they do not count"
         for column, count in record.missing.items()
     ]
+    if record.dropouts:
+        some = ", ".join(f"{time:.6g}" for time in record.dropouts[:3]) + (", …" if len(record.dropouts) > 3 else "")
+        said.append(f"{record.path}: rows are missing after t = {some} s; inputs go on there as between any samples")
     said += [
         f"{record.path}: {count} samples of {column!r} are {value:g}, far from all others: if that stands for missing "
         "ones, leave those cells empty"

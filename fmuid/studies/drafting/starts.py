@@ -96,9 +96,7 @@ def _first_samples(
     times = experiment.times[0] + np.array([0.0, np.ptp(experiment.times) / experiment.times.size])
     frame = pd.DataFrame({"time": times, **inputs})
     try:
-        short = Experiment(
-            frame, columns, list(outputs), units=units, values=experiment.values, measured=False
-        )
+        short = Experiment(frame, columns, list(outputs), units=units, values=experiment.values, measured=False)
         found = Simulator(system, short, names).many(thetas)
     except (InputError, SimulationError):
         return None

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.data import TEXT, Experiment, numeric_column, tables_in, time_name
+from fmuid.data import TEXT, Experiment, missing_rows, numeric_column, tables_in, time_name
 from fmuid.errors import InputError
 from fmuid.studies.following.followed import Followed, moved
 from fmuid.studies.following.rows import MOST_BYTES, NewRows, good_rows
@@ -216,6 +216,7 @@ class Follower:
         times = numeric_column(rows.frame, time_name(self.words.time), str(path))
         steps = np.diff(times)
         jumps = np.flatnonzero(~(steps >= 0) | (steps > max(self.window, self.transient)))
+        jumps = jumps if jumps.size or times.size < 2 else missing_rows(times)
         count = int(jumps[0]) + 1 if jumps.size else times.size
         splits = bool(jumps.size) or rows.broken
         last = splits or (over and not rows.more)
