@@ -42,16 +42,13 @@ class Experiment(Displayed):
         FMU variables; a mapping gives the columns that have other names. Inputs must be finite throughout. Outputs
         may have NaN, which are samples that do not count. Without outputs the experiment can only be simulated.
     time : str
-        The time column, s: finite, never decreasing. A time given twice is a step of the inputs. Equal steps with one
-        of more than 20 of them in between are refused where there are inputs: rows are missing.
+        The time column, s: finite, never decreasing. A time twice is a step. No rows may be missing for 20 steps.
     interpolation : str or mapping of str to str
-        ``"linear"``, ``"hold"``, ``"hold-previous"`` or ``"cubic"`` (`fmuid.data.interpolation`, docs/method.md section
-        5), for all inputs or for each input named; the others are linear.
+        A word of `fmuid.data.interpolation` (docs/method.md section 5), for all inputs or for each; others are linear.
     discard : float
         Duration from the first time on that is simulated but not counted, s (1.32).
     units : mapping of str to str
-        FMU variable to the unit of its column, where that is neither the unit of the FMU nor the one that the table
-        says (`fmuid.read_table`).
+        FMU variable to the unit of its column, where it is neither the FMU's nor what the table says (`read_table`).
     values : mapping of str to float, int, bool or str
         FMU variables held at a value in this experiment.
     measured : bool
@@ -327,12 +324,12 @@ def _check_rows(source: str, times: Floats, inputs: Mapping[str, str], words: Se
     """Check that no rows are missing for long, in which nobody knows what drives the model."""
     for row in missing_rows(times)[:1].tolist():
         begin, end = times[row : row + 2]
-        between = zip(inputs.values(), words, strict=True)
-        fill = ", ".join(f'{json.dumps(name)} = "{"hold" if word in HELD else "linear"}"' for name, word in between)
+        how = zip(map(json.dumps, inputs.values()), words, strict=True)
+        fill = ", ".join(f'{name} = "{"hold" if word in HELD else "linear"}"' for name, word in how)
         raise InputError(
-            f"{source}: rows are missing between t = {begin:.9g} s (row {row + 1}) and {end:.9g} s, where most "
-            f"steps are {usual_step(times):.3g} s, and with them what drives the model: cut the table there, or fill "
-            f"the gap, prepare = {{ fill = {{ {fill} }}, longest_gap = {end - begin:.9g} }}"
+            f"{source}: rows are missing between t = {begin:.9g} s (row {row + 1}) and {end:.9g} s, where most steps "
+            f"are {usual_step(times):.3g} s, and with them what drives the model: cut the table there, or fill the "
+            f"gap, prepare = {{ fill = {{ {fill} }}, longest_gap = {end - begin:.9g} }}"
         )
 
 
