@@ -60,7 +60,7 @@ def test_linear_gaussian() -> None:
 def test_linear_student() -> None:
     """Variance estimated from few samples: the intervals are Student's, clearly wider than normal ones."""
     problem, phi = linear(samples=7)
-    posterior, result = sampled(problem, effective_size=8000)
+    posterior, result = sampled(problem, effective_size=5000)
     theta, square, *_ = np.linalg.lstsq(phi, problem.measured)
     std = np.sqrt(square[0] / 5 * np.diag(np.linalg.inv(phi.T @ phi)))
     student = stats.t(5)
@@ -100,7 +100,7 @@ def test_estimate_on_a_bound() -> None:
     problem = LeastSquares.from_function(
         lambda theta: theta[0] * np.ones(20), measured, {"a": Parameter(5.0, min=bound)}, noise=Noise(1.0)
     )
-    posterior, result = sampled(problem)
+    posterior, result = sampled(problem, effective_size=1000)
     assert result["a"] == bound
     exact = stats.truncnorm(1.0, np.inf, mean, std)
     assert posterior.converged
@@ -201,7 +201,7 @@ def test_prior_decides_what_data_leave_open() -> None:
 
 def test_bounds_alone_hold_what_data_leave_open() -> None:
     problem = sum_only(Parameter(1.0, min=0.0, max=2.0), Parameter(1.0, min=-100.0))
-    posterior, result = sampled(problem)
+    posterior, result = sampled(problem, effective_size=1000)
     assert not np.isfinite(result.std).any()
     assert posterior.converged
     assert "a and b cannot be told apart" in posterior_words(posterior)

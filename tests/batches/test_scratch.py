@@ -137,6 +137,7 @@ def test_workers_of_this_machine_do_not_watch_themselves() -> None:
     assert dask.config.get("distributed.admin.tick.interval") != CALM["distributed.admin.tick.interval"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("place")
 def test_tasks_that_nobody_asks() -> None:
     """What Dask's tasks come to when a scheduler is lost is told in our words, and not by asyncio at the very end."""

@@ -187,6 +187,7 @@ def test_what_was_always_so_is_no_news(look: Look) -> None:
         assert "Nothing new found at a false-alarm level of 1 %" in verdict(found)
 
 
+@pytest.mark.slow
 def test_trials_show_what_a_fault_model_leaves(coil: fmuid.System, faults: dict[str, fmuid.Fault]) -> None:
     """As much as an offset that a trial has beside its turns explains; chance alone leaves next to nothing."""
     random = np.random.default_rng(8)

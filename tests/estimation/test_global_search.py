@@ -121,7 +121,7 @@ def test_evolution_lists_secondary_optima_once() -> None:
 def test_criterion_of_estimated_variance_is_relative_to_the_best() -> None:
     """With σ̂² = J/(K − 1) of the best, its criterion is K − 1 and the others' are in proportion."""
     minima, squares = dense_minima()
-    found = searched(sinusoid(), GlobalSearch("multistart", starts=30))
+    found = searched(sinusoid(), GlobalSearch("multistart", starts=12))
     first, second = (squares[np.argmin(np.abs(minima - o.theta[0]))] for o in found.optima[:2])
     assert found.optima[0].criterion == pytest.approx(TIMES.size - 1, rel=1e-6)
     assert found.optima[1].criterion == pytest.approx((TIMES.size - 1) * second / first, rel=1e-4)
@@ -402,6 +402,7 @@ def test_interruption_before_anything_is_found() -> None:
         searched(interrupting(3)[0])
 
 
+@pytest.mark.slow
 def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fits get few iterations, but what they leave of the best one's way is gone after them."""
     monkeypatch.setattr(global_search, "FIT_ITERATIONS", 1)

@@ -99,8 +99,8 @@ def test_a_search_that_gains_nothing_ends() -> None:
 @pytest.mark.parametrize(
     ("std", "amplitude"),
     [
-        *((0.1, 1e-6), (0.1, 1e-4), (0.01, 1e-5)),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.1, 1e-5), (0.01, 1e-6), (0.01, 1e-4))),
+        *((0.1, 1e-6), (0.1, 1e-4)),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.01, 1e-6), (0.01, 1e-4))),
     ],
 )
 def test_noise_that_was_not_there_at_the_start(amplitude: float, std: float) -> None:

@@ -173,7 +173,8 @@ def drawn(known: fmuid.Baseline, committed: pd.DataFrame) -> Callable[[str], dic
     return again
 
 
-@pytest.mark.parametrize("case", ["healthy", pytest.param("warm", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["healthy", "warm"])
 def test_no_fault_no_alarm(drawn: Callable[[str], dict[str, Any]], case: str) -> None:
     row = drawn(case)
     assert row["verdict"] == "none"

@@ -172,6 +172,7 @@ def test_where_nothing_helps_the_error_is_that_of_the_start() -> None:
     assert str(guarded.value) == str(plain.value)
 
 
+@pytest.mark.slow
 def test_corrections_give_a_start_too(motor: Path, record: Record) -> None:
     whole = problem(motor, record, record.truth * 2.0)
     theta = corrected_start(whole, whole.parameters.start)
@@ -180,6 +181,7 @@ def test_corrections_give_a_start_too(motor: Path, record: Record) -> None:
     assert np.abs(np.log(theta[:6] / record.truth)).max() < np.log(3.0)
 
 
+@pytest.mark.slow
 def test_the_problem_is_simulated_as_before_after_corrections(motor: Path, record: Record) -> None:
     whole = problem(motor, record, record.truth)
     before = whole.predict(whole.parameters.start[None])
