@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 import json
 import re
@@ -24,7 +25,7 @@ from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 
 EVIL = '</script><script>alert(1)</script><img src=x onerror=alert(2)> & "quoted" $$x$$'
 # A report is no larger than this, bytes, of few samples and of a million.
-SMALL, LARGE = 2_000_000, 4_000_000
+SMALL, LARGE = 1_000_000, 2_000_000
 
 
 class Page(HTMLParser):
@@ -37,6 +38,8 @@ class Page(HTMLParser):
         self.words = ""
         self._open = ""
         self.feed(path.read_text(encoding="utf-8"))
+        packed, own = self.scripts
+        self.scripts = [gzip.decompress(base64.b64decode(packed)).decode(), own]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append((tag, dict(attrs)))
@@ -153,7 +156,7 @@ def test_a_browser_runs_its_scripts_and_nothing_else(results: Path, page: Page) 
     """The policy names the scripts by their digests, so that none that comes in by a name would run; and no host."""
     digests = {base64.b64encode(hashlib.sha256(each.encode()).digest()).decode() for each in page.scripts}
     assert set(re.findall(r"'sha256-([^']+)'", page.policy)) == digests
-    assert len(digests) == 3
+    assert len(digests) == 2
     assert page.policy.startswith("default-src 'none'; script-src 'sha256-")
     assert not {tag for tag, _ in page.tags} & {"link", "img", "iframe", "object", "form"}
     assert not page.values("src")
@@ -184,7 +187,7 @@ def test_names_and_texts_never_become_html(results: Path, tmp_path: Path) -> Non
     (folder / "result.json").write_text(json.dumps(content))
     page = Page(write_report(folder))
     assert page.words.count(EVIL) > 8
-    assert len(page.scripts) == 3
+    assert len([tag for tag, _ in page.tags if tag == "script"]) == 2
     assert not {tag for tag, _ in page.tags} & {"img", "b", "iframe"}
     assert not [name for _, attributes in page.tags for name in attributes if name.startswith("on")]
 

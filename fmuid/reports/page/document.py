@@ -1,12 +1,14 @@
 """A page of HTML that asks no host: sentences, tables, figures, and the library that draws them.
 
-Whatever comes from a study, a table or an FMU is escaped. Besides, the page's own policy lets a browser run the three
-scripts that were written into it, known by their digests, and load nothing from anywhere.
+Whatever comes from a study, a table or an FMU is escaped. Besides, the page's own policy lets a browser run the two
+scripts that were written into it, known by their digests, and load nothing from anywhere. One is the library with the
+figures, compressed to a third: the other unpacks it.
 """
 
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 import html
 import json
@@ -23,6 +25,10 @@ from typing import Any
 from fmuid.errors import InputError
 from fmuid.reports.page.verdict import Said
 from fmuid.text import visible
+
+
+# More takes longer than it makes smaller.
+PACKED = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +127,10 @@ def page(title: str, parts: Sequence[Part]) -> str:
 
     figures = [model for part in parts for section in part.sections for model in section.figures]
     library, script, places = drawn(figures) if figures else ("", "", ())
-    colors = f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
-    scripts = [each.replace("</script", "<\\/script") for each in (library, script, colors) if each]
+    program, own = f"{library}\n{script}", f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
     waiting = list(places)
     body = "".join(_part(part, waiting, several=len(parts) > 1) for part in parts)
-    digests = " ".join(f"'sha256-{_digest(each)}'" for each in scripts)
+    digests = " ".join(f"'sha256-{_digest(each)}'" for each in (program, own))
     policy = (
         f"default-src 'none'; script-src {digests}; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
         "base-uri 'none'; form-action 'none'"
@@ -138,7 +143,8 @@ def page(title: str, parts: Sequence[Part]) -> str:
     )
     ends = "".join(part.end for part in parts)
     end = f"<section class=end>{ends}</section>" if ends else ""
-    tail = "".join(f"<script>{each}</script>\n" for each in scripts)
+    packed = base64.b64encode(gzip.compress(program.encode(), compresslevel=PACKED, mtime=1)).decode()
+    tail = f'<script type="text/plain" id="packed">{packed}</script>\n<script>{own}</script>\n' if figures else ""
     return f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n{end}</main>\n{tail}</body></html>\n"
 
 

@@ -1,7 +1,16 @@
-// Figures are drawn in light colours; here each is exchanged for its twin where the page is dark.
-(function () {
+// Unpacks what draws the figures. They are drawn in light colours; each is exchanged for its twin where the page is dark.
+(async function () {
   "use strict";
-  if (typeof Bokeh === "undefined") return;
+  if (typeof DecompressionStream === "undefined") {
+    const said = "The figures are not drawn: they need a browser of 2023 or later.";
+    for (const each of document.querySelectorAll(".cells")) each.textContent = said;
+    return;
+  }
+  const packed = Uint8Array.from(atob(document.getElementById("packed").text), (each) => each.charCodeAt(0));
+  const program = document.createElement("script");
+  program.text = await new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+  document.body.append(program);
+
   const query = window.matchMedia("(prefers-color-scheme: dark)");
   const LIGHT = Object.fromEntries(Object.entries(DARK).map(([light, dark]) => [dark, light]));
   let shown = false;
