@@ -148,11 +148,12 @@ def test_timeline(windows: pd.DataFrame) -> None:
     figure = diagnosis.timeline(windows, "turns", content)
     size, common, noise = (plot for plot, *_ in sorted(figure.children, key=lambda child: child[1:]))
     assert [each.yaxis.axis_label for each in (size, common, noise)] == ["dR", "R (Ohm)", "variance / noise"]
-    dots = next(each for each in size.renderers if type(each.glyph).__name__ == "Scatter")
+    _, dots = (each for each in size.renderers if type(each.glyph).__name__ == "Scatter")
     np.testing.assert_array_equal(dots.data_source.data["t"], [19.0, 21.0])
     data = common.renderers[0].data_source.data
     assert math.isnan(data["v1"][0])  # what is not determined is not drawn
     np.testing.assert_allclose(data["high0"] - data["v0"], 0.196)
     (band,) = marks(size, BoxAnnotation)
     assert (band.left, band.right) == (20.0, 24.0)
+    assert (size.x_range.start, size.x_range.end) == (0.0, 24.0)
     assert sorted(each.location for each in marks(noise, Span)) == [1.0, 8.0, 16.0, 22.0]

@@ -19,6 +19,7 @@ from fmuid.reports.interactive.style import (
     BLUE,
     GREY,
     INK,
+    MAX_BARS,
     MAX_DOTS,
     MAX_PARAMETERS,
     RED,
@@ -29,8 +30,6 @@ from fmuid.reports.interactive.style import (
 )
 from fmuid.reports.thinning import evenly
 
-# Up to so many cases each has its interval.
-MAX_BARS = 60
 # Bars of a histogram, from few cases to many.
 MIN_BINS, MAX_BINS = 8, 60
 # A normal curve is drawn so many standard deviations wide.

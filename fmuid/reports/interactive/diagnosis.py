@@ -10,9 +10,21 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.reports.interactive.rows import rows_of
-from fmuid.reports.interactive.sketch import ColumnDataSource
-from fmuid.reports.interactive.style import BLUE, GREY, INK, MAX_OUTPUTS, MAX_ROWS, RED, Panel, Units, below_each_other
-from fmuid.reports.thinning import extremes
+from fmuid.reports.interactive.sketch import ColumnDataSource, Range1d
+from fmuid.reports.interactive.style import (
+    BLUE,
+    GREY,
+    INK,
+    MAX_BARS,
+    MAX_DOTS,
+    MAX_OUTPUTS,
+    MAX_ROWS,
+    RED,
+    Panel,
+    Units,
+    below_each_other,
+)
+from fmuid.reports.thinning import evenly, extremes
 from fmuid.reports.words.diagnosis import change_name, change_size
 from fmuid.text import label
 
@@ -226,29 +238,39 @@ def timeline(table: pd.DataFrame, fault: str, content: Mapping[str, Any]) -> Any
     clock, borders, axis = clock_of(table)
     sized = content["sizes"][fault]
     ordered = [*sized, *content["common"]][:MAX_OUTPUTS]
-    source = ColumnDataSource({"t": clock, **_estimates(table, ordered)})
-    plots = []
+    half = 0.5 * float((table["end"] - table["start"]).median())
+    columns = {"t": clock, **_estimates(table, ordered)}
+    kept = extremes(np.column_stack([columns[key] for key in columns if key not in ("t", "record")]), MAX_ROWS)
+    source = ColumnDataSource({key: np.asarray(values)[kept] for key, values in columns.items()})
+    across = Range1d(float(clock[0]) - half, float(clock[-1]) + half, bounds="auto")
+    plots, few = [], len(clock) <= MAX_BARS
     for k, name in enumerate(ordered):
-        plot = Panel(y=label(name.removeprefix(f"{fault}."), content["units"].get(name)), height=170)
-        area = plot.varea("t", f"low{k}", f"high{k}", source=source, fill_color=BLUE, fill_alpha=0.18)
-        line = plot.line("t", f"v{k}", source=source, line_color=BLUE, line_width=1.4)
+        plot = Panel(y=label(name.removeprefix(f"{fault}."), content["units"].get(name)), height=170, x_range=across)
+        if few:
+            area = plot.segment("t", f"low{k}", "t", f"high{k}", source=source, line_color=BLUE, line_alpha=0.5)
+            line = plot.scatter("t", f"v{k}", source=source, size=5, fill_color=BLUE, line_color=None)
+        else:
+            area = plot.varea("t", f"low{k}", f"high{k}", source=source, fill_color=BLUE, fill_alpha=0.18)
+            line = plot.line("t", f"v{k}", source=source, line_color=BLUE, line_width=1.4)
         plot.hover(line, ("time", "@t{0.000}"), ("estimate", f"@v{k}{{0.000000}}"), ("record", "@record"))
         hit = []
         if name in sized:
             plot.level(0.0)
             called = (table["significant"] == fault).to_numpy(bool)
-            dots = ColumnDataSource({"t": clock[called], "v": source.data[f"v{k}"][called]})
+            some = np.flatnonzero(called)[evenly(int(called.sum()), MAX_DOTS)]
+            dots = ColumnDataSource({"t": clock[some], "v": columns[f"v{k}"][some]})
             hit.append(plot.scatter("t", "v", source=dots, size=5, fill_color=RED, line_color=None))
         plot.legend([("estimate, with its interval of 95 %", [line, area]), ("significant", hit)])
         plots.append(plot)
-    noise = Panel(x=axis, y="variance / noise", height=170)
+    noise = Panel(x=axis, y="variance / noise", height=170, x_range=across)
     noise.line("t", "ratio", source=source, line_color=GREY, line_width=1.4)
+    if few:
+        noise.scatter("t", "ratio", source=source, size=4, fill_color=GREY, line_color=None)
     noise.level(1.0)
     plots.append(noise)
     for plot in plots:
-        plot.x_range = plots[0].x_range
         plot.xaxis.visible = plot is noise
-        _alarms(plot, clock, content["alarms"])
+        _alarms(plot, clock, half, content["alarms"])
         for border in borders:
             plot.level(border, color=GREY, vertical=True, dash="dotted")
     return below_each_other(plots)
@@ -285,8 +307,7 @@ def _estimates(table: pd.DataFrame, names: list[str]) -> dict[str, Any]:
     return found
 
 
-def _alarms(plot: Any, clock: Floats, alarms: list[Mapping[str, Any]]) -> None:
-    half = 0.5 * float(np.median(np.diff(clock))) if clock.size > 1 else 0.5
+def _alarms(plot: Any, clock: Floats, half: float, alarms: list[Mapping[str, Any]]) -> None:
     for alarm in alarms:
         begin, end = float(clock[alarm["first"]] + half), float(clock[alarm["last"]] + half)
         plot.shade(RED, 0.1, left=begin - 2 * half, right=end)

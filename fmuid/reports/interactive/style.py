@@ -48,6 +48,8 @@ DARK = {
 FONT = "Inter, system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', sans-serif"
 # Lines are thinned to about so many rows, dots to so many.
 MAX_ROWS, MAX_DOTS = 4000, 2500
+MAX_BARS = 60
+"""Up to so many estimates in a row each has its interval."""
 # More than these make a page nobody reads: the outputs and experiments that fit worst are kept.
 MAX_OUTPUTS, MAX_EXPERIMENTS, MAX_PARAMETERS = 8, 6, 24
 # Cells of a grid are at least so wide, pixels: on a telephone one stands below the other.

@@ -24,13 +24,13 @@ CASES = (
     "the lower edge are cases without an estimate."
 )
 DISTRIBUTIONS = (
-    "How the estimates are distributed. The black curve is what their stated standard deviations promise: wider bars "
+    "How the estimates are distributed. The curve is what their stated standard deviations promise: wider bars "
     "than the curve mean that the std are too small, bars beside the amber line, the truth, a bias."
 )
 SPREAD = "In the band the spread over the cases is what the stated std say; to the right of it they are too small."
 SETTING = (
-    "Each dot is a case, red are means, with the spread of the cases and, black, what their std promise. "
-    "A mean that moves with the setting depends on it."
+    "Each dot is a case, red are means, with the spread of the cases and, between the dashes, what their std "
+    "promise. A mean that moves with the setting depends on it."
 )
 STARTS = (
     "How much worse than the best each search fits, in order, and where it ended over where it began. A level line is "

@@ -26,7 +26,6 @@ from fmuid.errors import InputError
 from fmuid.reports.page.verdict import Said
 from fmuid.text import visible
 
-
 # More takes longer than it makes smaller.
 PACKED = 4
 
