@@ -108,7 +108,8 @@ def test_kills(folder: Path) -> None:
         assert process.returncode == 1
         partial.append(pd.read_parquet(folder / "out" / "cases"))
         assert len(partial[-2]) < len(partial[-1]) < draws
-        answer, last = said.splitlines()
+        answer, *others, last = said.splitlines()
+        assert others == []
         assert answer.startswith("interrupted: saving the finished cases, then ending the workers")
         assert last == f"interrupted: {len(partial[-1])} of {draws} cases are finished; the same command goes on"
 
