@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from fmuid.errors import InputError
+from fmuid.text import bounded
 
 Floats = NDArray[np.float64]
 """An array of double precision."""
@@ -13,3 +16,11 @@ Complexes = NDArray[np.complex128]
 
 Indices = NDArray[np.intp]
 """An array of indices."""
+
+
+def numbers(given: ArrayLike, what: str) -> Floats:
+    """Return what a user gave as a new array, of any shape; an `InputError` says what must be numbers and are none."""
+    try:
+        return np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} must be numbers in rows of one length, not {bounded(repr(given), 60)}") from None

@@ -1,4 +1,4 @@
-"""How findings are shown in a notebook: `fmuid/__init__.py` says by whom, as those who find know nothing of it."""
+"""How findings are shown, and predict: `fmuid/__init__.py` says by whom, as those who find know nothing of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _by: list[str] = []
 
 
 def shown_by(module: str) -> None:
-    """Say which module shows findings: its ``html(found)``, ``text(found)`` and ``plots(found)``."""
+    """Say which module has ``html(found)``, ``text(found)``, ``plots(found)`` and ``predicted(found, ...)``."""
     _by[:] = [module]
 
 
@@ -42,3 +42,38 @@ class Plotted(Displayed):
     def plot(self) -> Any:
         """Its figures, a method each: interactive in a notebook, HTML elsewhere."""
         return import_module(_by[0]).plots(self)
+
+
+class CanPredict(Plotted):
+    """What can be simulated over other records too."""
+
+    def predict(
+        self, experiment: Any, model: Any = None, *, values: Any = None, free: Any = (), level: float = 0.95
+    ) -> Any:
+        """Simulate it over a record that it was not made from, as `fmuid.predict` does.
+
+        Parameters
+        ----------
+        experiment : Experiment
+            The record.
+        model : System, FMU or path, optional
+            Default: what it was made with, also where it was read from a ``result.json`` that names its study.
+        values : mapping of str to float, int, bool or str, optional
+            FMU variables held at a value, where a model is given; beside those that it was made with, where none is.
+        free : sequence of str, or mapping of str to Parameter
+            Values that are estimated again on this record, such as initial states.
+        level : float
+            Of the band.
+
+        Returns
+        -------
+        Prediction
+
+        Raises
+        ------
+        InputError
+            If it does not know its model and none is given, or as `fmuid.predict`.
+        SimulationError
+            If the simulation fails.
+        """
+        return import_module(_by[0]).predicted(self, experiment, model, values=values, free=free, level=level)

@@ -34,6 +34,18 @@ class InputError(FmuidError):
     """
 
 
+NO_EXPERIMENT = "an experiment must be a fmuid.Experiment(table, inputs, outputs)"
+"""What `check_kind` says of something else."""
+
+
+def check_kind(given: object, kind: type | tuple[type, ...], what: str, remedy: str = "") -> None:
+    """Check that what a user gave is of a kind: an `InputError` with what it must be, and the remedy, if it is not."""
+    if not isinstance(given, kind):
+        name = type(given).__name__
+        article = "an" if name[0].lower() in "aeiou" else "a"
+        raise InputError(f"{what}, not {article} {name}" + (f": {remedy}" if remedy else ""))
+
+
 class ModelicaError(InputError):
     """A Modelica construct outside the exported subset.
 

@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from fmuid.errors import InputError
+from fmuid.errors import InputError, check_kind
 from fmuid.estimation import Result
 
 
@@ -204,6 +204,9 @@ def compare(candidates: Sequence[Compared]) -> Comparison:
     >>> [rank.name for rank in both.ranks]
     ['R, L', 'R']
     """
+    check_kind(candidates, (list, tuple), "what is compared must be a list of fmuid.Compared(name, result)")
+    for each in candidates:
+        check_kind(each, Compared, "what is compared must be fmuid.Compared(name, result)")
     _check(candidates)
     best_fit = max(candidates, key=lambda each: each.result.log_likelihood)
     dependence = max(1.0, np.nan_to_num(best_fit.dependence, nan=1.0))

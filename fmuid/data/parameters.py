@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmuid.arrays import Floats
-from fmuid.errors import InputError
+from fmuid.errors import InputError, check_kind
 from fmuid.text import nearest
 
 # A parameter near zero keeps this fraction of its start as its magnitude, so that steps do not vanish with it.
@@ -259,6 +259,8 @@ class ParameterSet:
         experiments: Sequence[str] = ("experiment",),
         joint_prior: JointPrior | None = None,
     ) -> None:
+        check_kind(parameters, Mapping, "parameters must be a mapping of names to fmuid.Parameter(start)")
+        check_kind(joint_prior, (JointPrior, type(None)), "joint_prior must be a fmuid.JointPrior")
         if not parameters:
             raise InputError("there are no parameters to estimate; name at least one, with its start")
         for name, parameter in parameters.items():

@@ -49,7 +49,7 @@ INVOLVED_SHARE = 1e-3
 
 def check_level(level: float, of: str = "an interval") -> None:
     """Check the level of an interval or a region: an `InputError` if it is not between 0 and 1."""
-    if not 0.0 < level < 1.0:
+    if not (isinstance(level, float | np.floating) and 0.0 < level < 1.0):
         raise InputError(f"the level of {of} must lie between 0 and 1, not {level!r}")
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Floats, numbers
 from fmuid.data import (
     FunctionPredictor,
     JointPrior,
@@ -25,7 +25,7 @@ from fmuid.data import (
     robust_variance,
 )
 from fmuid.data import Noise as Noise
-from fmuid.errors import InputError
+from fmuid.errors import InputError, check_kind
 from fmuid.estimation.model_derivatives import Sensitivity
 from fmuid.estimation.numerical_noise import LARGEST_VALUE
 
@@ -110,6 +110,9 @@ class LeastSquares:
     ) -> None:
         if not experiments:
             raise InputError("there are no experiments; give at least one table with measured outputs")
+        check_kind(
+            noise, (Noise, type(None)), "noise must be a fmuid.Noise", "its variances by the names of the outputs"
+        )
         self.parameters = ParameterSet(parameters, [e.name for e in experiments], joint_prior)
         self.experiments = tuple(experiments)
         self._predictors = tuple(predictors)
@@ -163,11 +166,11 @@ class LeastSquares:
         noise, joint_prior, loss
             As for `LeastSquares`.
         """
-        values = np.array(measured, dtype=np.float64)
+        values = numbers(measured, "measured")
         values = values[:, None] if values.ndim == 1 else values
         if values.ndim != 2 or values.shape[1] != len(outputs):
             raise InputError(f"measured needs one column for each of {', '.join(outputs)}; its shape is {values.shape}")
-        clock = np.arange(len(values), dtype=np.float64) if times is None else np.array(times, dtype=np.float64)
+        clock = np.arange(len(values), dtype=np.float64) if times is None else numbers(times, "times")
         if clock.shape != (len(values),):
             raise InputError(f"times must have {len(values)} values, one a sample; its shape is {clock.shape}")
         table = Table("experiment", clock, tuple(outputs), values, ~np.isnan(values))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from numpy.typing import ArrayLike
 
@@ -14,6 +14,7 @@ from fmuid.estimation.result import Result
 from fmuid.progress import Progress
 
 
+@runtime_checkable
 class Method(Protocol):
     """How the least of a criterion is searched: `Marquardt`, from one start, or `GlobalSearch`, in a whole box."""
 

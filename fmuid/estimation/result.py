@@ -16,7 +16,7 @@ from scipy import special
 
 from fmuid.arrays import Floats
 from fmuid.data import JointPrior, MeasuredSeries, Measurements, Normal, ParameterEstimate, measured_series
-from fmuid.displays import Plotted, Text, text_of
+from fmuid.displays import CanPredict, Text, text_of
 from fmuid.errors import InputError
 from fmuid.estimation import result_file
 from fmuid.estimation.accuracy.outcome import Accuracy
@@ -35,7 +35,7 @@ PRIOR_LEVEL = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Result(Plotted):
+class Result(CanPredict):
     """What an identification found.
 
     Attributes
@@ -104,6 +104,8 @@ class Result(Plotted):
         Of the values of parameters that take few: all that were tried, the best first, which the result is of.
     observer : float or None
         Time constant in samples of the observer whose predictions were fitted (`fmuid.model_problem.observed`).
+    made_with : object
+        What `predict` needs: a `fmuid.model_problem.MadeWith`, or the path of the file that this was read from.
 
     Examples
     --------
@@ -150,6 +152,7 @@ class Result(Plotted):
     units: Mapping[str, str] = field(default_factory=dict)
     combinations: tuple[ChoiceTried, ...] = ()
     observer: float | None = None
+    made_with: object = field(default=None, repr=False)
 
     @cached_property
     def trace(self) -> pd.DataFrame:
@@ -243,7 +246,7 @@ class Result(Plotted):
 
     def test_freedom(self, names: Sequence[str]) -> float:
         """Return the degrees of freedom of a test of parameters: the harmonic mean of theirs."""
-        inverse = float(np.mean([1.0 / self.freedom[self._index(name)] for name in names]))
+        inverse = float(np.mean(1.0 / self.freedom[[self._index(name) for name in names]]))
         return 1.0 / inverse if inverse > 0.0 else math.inf
 
     @property
@@ -282,11 +285,7 @@ class Result(Plotted):
 
         With Student's t for the degrees of freedom of each standard deviation (`freedom`), with the normal
         distribution where they are infinite. It ends at bounds, and is one-sided where the estimate stands on one.
-
-        Raises
-        ------
-        InputError
-            If the level is not between 0 and 1.
+        An `InputError` says that the level is not between 0 and 1.
         """
         check_level(level)
         half = self.reaches(level) * self.std
@@ -363,7 +362,7 @@ class Result(Plotted):
 
         An `InputError` says that it cannot be read or is not such a result.
         """
-        return cls(**result_file.read(Path(path)))
+        return cls(**result_file.read(Path(path)), made_with=Path(path).resolve())
 
     def _index(self, name: str) -> int:
         if name not in self.names:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import platform
 import sys
 from functools import cached_property
+from os import PathLike
 from pathlib import Path, PurePosixPath
 
 from fmuid.displays import Displayed
-from fmuid.errors import InputError
+from fmuid.errors import InputError, check_kind
 from fmuid.files import is_file
 from fmuid.fmi.files.archive import Zipped
 from fmuid.fmi.files.description import Description
@@ -50,6 +51,7 @@ class FMU(Displayed):
     """
 
     def __init__(self, path: str | Path) -> None:
+        check_kind(path, (str, PathLike), "a model must be a fmuid.System, a fmuid.FMU or the path of one")
         self.file = self.path = Path(path)
         self.description: Description = read_description(self.file)
 

@@ -6,6 +6,7 @@ from .prediction import OutputScore as OutputScore
 from .prediction import Prediction as Prediction
 from .prediction import estimates_for as estimates_for
 from .prediction import predict as predict
+from .problem import MadeWith as MadeWith
 from .problem import Problem as Problem
 from .problem import refinement_of as refinement_of
 from .region import CheckedRegion as CheckedRegion

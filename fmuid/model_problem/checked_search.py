@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Floats, numbers
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import (
     SHIFT_LIMIT,
@@ -141,7 +141,7 @@ class _CheckedSearch:
         """Compare at the start, search, check."""
         problem = self.problem
         if self.switching:
-            self._compare_start(problem.parameters.start if start is None else np.array(start, dtype=np.float64))
+            self._compare_start(problem.parameters.start if start is None else numbers(start, "start"))
         first = self.method.search(problem, self.progress, start)
         self.optima = first.optima or (Optimum(first.values, first.criterion, 1, first.outcome, first),)
         self.found = Accuracy(AccuracyOutcome.INTERRUPTED, np.full(len(first.names), np.nan))

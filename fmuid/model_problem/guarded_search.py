@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
-from fmuid.errors import FmuidError, InputError, SimulationError
+from fmuid.arrays import Floats, numbers
+from fmuid.errors import FmuidError, InputError, SimulationError, check_kind
 from fmuid.estimation import (
     LARGEST_MISFIT,
     Attempt,
@@ -111,10 +111,16 @@ def identify(
     >>> fmuid.identify(problem)
     Result(converged: R = 3.9989 ± 0.0015, L = 0.100016 ± 0.000050)
     """
+    check_kind(problem, LeastSquares, "what is identified must be a fmuid.Problem")
     method = settings or Marquardt()
-    if isinstance(problem, Problem) and problem.choices:
-        return identify_each(problem, lambda: _identify(problem, method, progress, start, accuracy, remedies, None))
-    return _identify(problem, method, progress, start, accuracy, remedies, region)
+    check_kind(method, Method, "settings must be fmuid.Marquardt() or fmuid.GlobalSearch()")
+    if not isinstance(problem, Problem):
+        return _identify(problem, method, progress, start, accuracy, remedies, region)
+    if problem.choices:
+        found = identify_each(problem, lambda: _identify(problem, method, progress, start, accuracy, remedies, None))
+    else:
+        found = _identify(problem, method, progress, start, accuracy, remedies, region)
+    return replace(found, made_with=problem.made_with)
 
 
 def _identify(
@@ -165,7 +171,7 @@ class _GuardedSearch:
     def run(self, start: ArrayLike | None) -> Result:
         """Try one start after the other until one leads to an end that fits, or two to the same."""
         problem = self.problem
-        given = problem.parameters.start if start is None else np.array(start, dtype=np.float64)
+        given = problem.parameters.start if start is None else numbers(start, "start")
         if given.shape != problem.parameters.start.shape:
             return self._search(given)  # which says what is wrong
         problem.check_measured()

@@ -34,7 +34,7 @@ from scipy import special
 from fmuid.arrays import Floats
 from fmuid.assessment import CONFIDENCE_LEVEL, Diagnostics, residuals_of
 from fmuid.data import Experiment, Noise, Parameter
-from fmuid.errors import InputError
+from fmuid.errors import NO_EXPERIMENT, InputError, check_kind
 from fmuid.estimation import Result, check_level
 from fmuid.fmi import FMU
 from fmuid.model_problem.checked_search import identify
@@ -210,28 +210,28 @@ def predict(
     ('i',)
     """
     check_level(level, "a band")
+    check_kind(result, Result, "what is predicted with must be a fmuid.Result")
+    check_kind(experiment, Experiment, NO_EXPERIMENT)
+    free, values = free or {}, values or {}
+    check_kind(free, Mapping, "free must be a mapping of names to fmuid.Parameter(start)")
+    check_kind(values, Mapping, "values must be a mapping of variables to what they are held at")
+    for name, parameter in free.items():
+        check_kind(parameter, Parameter, f"{name!r} is free and must be a fmuid.Parameter(start)")
     system = System.of(model)
-    free = {name: replace(each, prior=None, per_experiment=False) for name, each in (free or {}).items()}
+    free = {name: replace(each, prior=None, per_experiment=False) for name, each in free.items()}
     known = estimates_for(result, system, experiment, free)
-    record = _Record(system, result, experiment, {**(values or {}), **result.chosen}, known, free, step_size)
+    record = _Record(system, result, experiment, {**values, **result.chosen}, known, free, step_size)
     again = record.estimate() if free else None
     return record.predicted(again, level)
 
 
 def estimates_for(result: Result, system: System, experiment: Experiment, without: Collection[str]) -> dict[str, str]:
-    """Return which estimate each variable takes in an experiment: variable to name of the parameter.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Parameters per experiment have a value for it where the result was made from it.
-    without : collection of str
-        Variables that take none.
+    """Return which estimate each variable, but for some, takes in an experiment: variable to name of the parameter.
 
     Raises
     ------
     InputError
-        If the model has no such variable, or a parameter per experiment has no value for this one.
+        If the model has no such variable, or a parameter per experiment none for this one (the result is of others).
     """
     found: dict[str, str] = {}
     here = ("", experiment.name) if result.made_from(experiment) else ("",)

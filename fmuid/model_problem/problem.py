@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,28 @@ from fmuid.simulation import (
     refined,
 )
 from fmuid.text import nearest
+
+
+@dataclass(frozen=True, eq=False)
+class MadeWith:
+    """What a result was made with, by which it predicts; a result that is copied or sent elsewhere knows it no more.
+
+    Attributes
+    ----------
+    system : System
+    values : mapping of str to float, int, bool or str
+        Variables held at a value.
+    parameters : mapping of str to Parameter
+    step_size : float, optional
+    """
+
+    system: System
+    values: Mapping[str, Value]
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    step_size: float | None = None
+
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        return type(None), ()
 
 
 class Problem(LeastSquares):
@@ -102,13 +124,14 @@ class Problem(LeastSquares):
             near = nearest(sensitivity, SENSITIVITIES)
             raise InputError(f"sensitivity {sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
         self.system = System.of(model)
-        listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
+        # of what is no experiment a simulator says so
+        listed: list[Any] = list(experiments) if isinstance(experiments, list | tuple) else [experiments]
         self.choices = choices_of(self.system, choices or {})
         both = next((name for name in self.choices if name in parameters), None)
         if both is not None:
             raise InputError(f"{both!r} is to be identified and takes few values: keep one of the two")
         held = dict(values or {}) | {name: few[0] for name, few in self.choices.items()}
-        self._given = tuple(parameters), held, step_size
+        self._given, self._asked = (tuple(parameters), held, step_size), parameters
         self._simulators = list(simulators) or self._laid_out(listed, held)
         self.refinement = AS_ASKED
         self.observer: float | None = None
@@ -130,6 +153,11 @@ class Problem(LeastSquares):
     def _laid_out(self, experiments: Sequence[Experiment], held: Mapping[str, Value]) -> list[Simulator]:
         names, _, step_size = self._given
         return [Simulator(self.system, each, names, values=held, step_size=step_size) for each in experiments]
+
+    @property
+    def made_with(self) -> MadeWith:
+        """What its results are made with."""
+        return MadeWith(self.system, self._given[1], self._asked, self._given[2])
 
     def choose(self, values: Mapping[str, Value]) -> None:
         """Hold parameters that take few values at these from now on, simulated as was asked for."""

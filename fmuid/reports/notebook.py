@@ -28,6 +28,7 @@ from fmuid.reports.page.identification import estimates_table
 from fmuid.reports.words.describe import describe
 from fmuid.simulation import Fit
 from fmuid.studies import Study
+from fmuid.studies import predicted as predicted
 from fmuid.text import has_unit
 
 # Rows of a table; a notebook is no place for ten thousand variables.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmuid.data import Experiment
-from fmuid.errors import InputError, SimulationError
+from fmuid.errors import NO_EXPERIMENT, InputError, SimulationError, check_kind
 from fmuid.fmi import FMU, codes, new_reports
 from fmuid.models import Isolation, Numerics, System, Value, column_conversion
 from fmuid.simulation.executor import executor_of
@@ -89,6 +89,8 @@ class Simulator:
         isolation: Isolation | None = None,
     ) -> None:
         self.system = System.of(model, Numerics(interface, integrator, tolerance), isolation)
+        check_kind(experiment, Experiment, NO_EXPERIMENT)
+        check_kind(values or {}, Mapping, "values must be a mapping of variables to what they are held at")
         self.experiment = experiment
         self.parameters = tuple(parameters)
         repeated = {name for name in self.parameters if self.parameters.count(name) > 1}

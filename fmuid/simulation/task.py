@@ -130,8 +130,8 @@ def task_of(
         If a name is unknown or of the wrong causality or type, or is given twice, or the step is not positive.
     """
     check_roles(system, experiment, parameters, values)
-    if step_size is not None and not step_size > 0:
-        raise InputError(f"step_size must be a positive number of seconds, not {step_size:g}")
+    if step_size is not None and not (isinstance(step_size, int | float) and step_size > 0):
+        raise InputError(f"step_size must be a positive number of seconds, not {step_size!r}")
     targets = _targets(system, experiment)
     modes = {name: _mode(system, name, bool(experiment.held[each.column])) for name, each in targets.items()}
     known = _known_values(system, {*parameters, *targets, *system.connected_inputs}) | dict(values)

@@ -37,6 +37,7 @@ from .predicting.prediction import cross_validate as cross_validate
 from .predicting.prediction import fits_at as fits_at
 from .predicting.prediction import notes_of as notes_of
 from .predicting.prediction import predict_with as predict_with
+from .predicting.prediction import predicted as predicted
 from .predicting.prediction import records_like as records_like
 from .reference import schema_text as schema_text
 from .study import Study as Study

@@ -18,8 +18,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
-from fmuid.errors import InputError
+from fmuid.arrays import Floats, numbers
+from fmuid.errors import InputError, check_kind
 from fmuid.estimation.linear_models.estimate import Estimator, LinearEstimate, solve
 from fmuid.estimation.linear_models.filters import StateVariableFilter, Term
 from fmuid.text import nearest
@@ -127,9 +127,10 @@ def instrumental_variables(
     if start is None:
         theta = solve(Estimator.EQUATION_ERROR, equation.names, equation.rows, equation.values).values
     else:
-        theta = np.array(start, dtype=np.float64)
+        theta = numbers(start, "start")
         if theta.shape != (len(equation.names),):
             raise InputError(f"start needs {len(equation.names)} values, one a parameter; its shape is {theta.shape}")
+    check_kind(simulated, Callable, "simulated must be a function of theta that returns the terms")  # type: ignore[arg-type]
     kind, rounds, settled = Estimator.INSTRUMENTAL_VARIABLES, 0, False
     while not settled and rounds < MOST_ROUNDS:
         instruments = equation.made_of(simulated(theta.copy()), theta)
@@ -145,6 +146,8 @@ class _Equation:
     def __init__(
         self, times: ArrayLike, target: Term, terms: Mapping[str, Term], cutoff: float, order: int | None
     ) -> None:
+        _check_terms(terms, "terms")
+        check_kind(target, Term, "target must be a fmuid.Term(values)")
         if not terms:
             raise InputError("terms are missing: name each parameter with the term that stands behind it")
         highest = max(term.derivative for term in (target, *terms.values()))
@@ -156,10 +159,17 @@ class _Equation:
 
     def made_of(self, terms: Mapping[str, Term], theta: Floats) -> Floats:
         """Return the regressors (K, N + free) of other terms, simulated at theta (N,)."""
+        _check_terms(terms, "what simulated returns")
         for name in self.names:
             if name not in terms:
                 raise InputError(f"the simulated terms have none for {name!r}{nearest(name, terms)}")
-            if not np.isfinite(np.asarray(terms[name].values, dtype=np.float64)).all():
+            if not np.isfinite(numbers(terms[name].values, f"the simulated term of {name!r}")).all():
                 values = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.names, theta.tolist(), strict=True))
                 raise InputError(f"the simulated term of {name!r} is not finite with {values}: give another start")
         return np.column_stack([self.filter.columns([terms[name] for name in self.names]), self.free])
+
+
+def _check_terms(terms: Mapping[str, Term], what: str) -> None:
+    check_kind(terms, Mapping, f"{what} must be a mapping of parameters to fmuid.Term(values)")
+    for name, term in terms.items():
+        check_kind(term, Term, f"the term of {name!r} must be a fmuid.Term(values)")

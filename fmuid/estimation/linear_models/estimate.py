@@ -21,8 +21,8 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, linalg, special
 
-from fmuid.arrays import Floats
-from fmuid.errors import InputError
+from fmuid.arrays import Floats, numbers
+from fmuid.errors import InputError, check_kind
 from fmuid.estimation.covariance import check_level
 from fmuid.text import listed
 
@@ -138,7 +138,8 @@ def linear_least_squares(regressors: ArrayLike, measured: ArrayLike, names: Sequ
     >>> fmuid.linear_least_squares(np.column_stack([u, np.ones(4)]), y, ["slope", "offset"]).values.round(2)
     array([2., 1.])
     """
-    rows, values = np.array(regressors, dtype=np.float64), np.array(measured, dtype=np.float64)
+    rows, values = numbers(regressors, "regressors"), numbers(measured, "measured")
+    check_kind(names, (list, tuple), "names must be a list, one a regressor")
     if rows.ndim != 2 or not rows.size or values.shape != rows.shape[:1]:
         raise InputError(
             f"regressors need a row a sample and a column a parameter, measured a value a sample; "

@@ -23,11 +23,13 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import special
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Floats, numbers
 from fmuid.errors import InputError
 from fmuid.text import nearest
 
 INTERPOLATIONS = ("linear", "hold")
+# Higher derivatives than any record knows: an equation that has one is mistyped.
+MOST_DERIVATIVES = 20
 # What is interpolated over a hole of so many time constants of the filter says nothing of the equation.
 LONGEST_HOLE = 5.0
 
@@ -62,8 +64,9 @@ class Term:
         if self.interpolation not in INTERPOLATIONS:
             near = nearest(str(self.interpolation), INTERPOLATIONS)
             raise InputError(f"interpolation {self.interpolation!r} is not known{near}: give linear or hold")
-        if self.derivative < 0 or int(self.derivative) != self.derivative:
-            raise InputError(f"derivative must be 0, 1, 2, ..., not {self.derivative!r}")
+        if self.derivative not in range(MOST_DERIVATIVES + 1):
+            raise InputError(f"derivative must be 0, 1, ... {MOST_DERIVATIVES}, not {self.derivative!r}")
+        object.__setattr__(self, "derivative", int(self.derivative))
 
 
 class StateVariableFilter:
@@ -85,13 +88,13 @@ class StateVariableFilter:
     """
 
     def __init__(self, times: ArrayLike, cutoff: float, order: int) -> None:
-        clock = np.array(times, dtype=np.float64)
+        clock = numbers(times, "times")
         if clock.ndim != 1 or clock.size < 2 or not np.isfinite(clock).all() or not (np.diff(clock) > 0).all():
             raise InputError("times must be two or more finite numbers that increase from each to the next")
-        if not (math.isfinite(cutoff) and cutoff > 0):
+        if not (isinstance(cutoff, int | float | np.integer | np.floating) and math.isfinite(cutoff) and cutoff > 0):
             raise InputError(f"cutoff must be a positive number of rad/s, not {cutoff!r}")
-        if order < 1:
-            raise InputError(f"order must be at least 1, not {order!r}")
+        if order not in range(1, MOST_DERIVATIVES + 2):
+            raise InputError(f"order must be 1, 2, ... {MOST_DERIVATIVES + 1}, not {order!r}")
         self.times, self.cutoff, self.order = clock, float(cutoff), int(order)
         self._steps = self._transitions()
 
@@ -140,7 +143,7 @@ class StateVariableFilter:
             raise InputError(
                 f"a filter of order {self.order} knows no derivative {term.derivative}: give a higher order"
             )
-        values = np.array(term.values, dtype=np.float64)
+        values = numbers(term.values, "the values of a term")
         if values.shape != self.times.shape:
             raise InputError(
                 f"a term needs {self.times.size} values, one for each of the times; its shape is {values.shape}"

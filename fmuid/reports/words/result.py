@@ -109,7 +109,7 @@ def start_words(result: Result) -> tuple[str, ...]:
 def dependence_words(result: Result) -> tuple[str, ...]:
     """Return the sentences on estimates that depend on each other, on next to nothing, or on the prior."""
     pairs = [
-        f"{one} and {other} move together (correlation {share:+.3f}): their intervals do not hold one by one"
+        f"estimates of {one} and {other} move together (correlation {share:+.3f}): intervals do not hold one by one"
         for one, other, share in result.strong_correlations
     ]
     prior = [f"without the prior, {direction_words(each)}" for each in result.prior_determined]

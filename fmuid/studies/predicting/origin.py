@@ -46,7 +46,7 @@ def study_of(
     overrides, isolated
         As for `Study.read`.
     in_place : Path, optional
-        A table that stands for those of the study that are no longer there.
+        A file that stands for tables of the study that are no longer there.
 
     Raises
     ------

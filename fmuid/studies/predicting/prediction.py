@@ -10,11 +10,14 @@ from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.data import Experiment, Parameter, record_files
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.model_problem import Prediction, estimates_for, predict, refinement_of
+from fmuid.fmi import FMU
+from fmuid.model_problem import MadeWith, Prediction, estimates_for, predict, refinement_of
+from fmuid.models import System, Value
 from fmuid.progress import Progress
 from fmuid.simulation import Fit, Simulator, fit_of, refined
 from fmuid.studies.model import ExperimentSettings
 from fmuid.studies.parameters import Source, SourceNote
+from fmuid.studies.predicting.origin import study_of
 from fmuid.studies.study import Study
 from fmuid.text import nearest
 
@@ -94,7 +97,7 @@ def predict_with(
     SimulationError
         If the simulation fails.
     """
-    again = free_parameters(study, result, free)
+    again = _free(_of(study), result, free)
     taken = {name for name in result.names if name in study.system.variables}
     taken |= {name.rpartition("[")[0] for name in result.names if name not in taken}
     for name in study.parameters:
@@ -130,8 +133,40 @@ def fits_at(study: Study, result: Result) -> tuple[Fit, ...]:
     return tuple(found)
 
 
-def free_parameters(study: Study, result: Result, names: Sequence[str]) -> dict[str, Parameter]:
-    """Return how variables are estimated again on a record: from the value that is known, within the study's bounds.
+def predicted(
+    result: Result,
+    experiment: Experiment,
+    model: System | FMU | str | Path | None = None,
+    *,
+    values: Mapping[str, Value] | None = None,
+    free: Sequence[str] | Mapping[str, Parameter] = (),
+    level: float = CONFIDENCE_LEVEL,
+) -> Prediction:
+    """Simulate a result over a record by what it was made with, as `Result.predict` says."""
+    known = MadeWith(System.of(model), {}) if model is not None else _known(result)
+    again = free if isinstance(free, Mapping) else _free(known, result, [free] if isinstance(free, str) else free)
+    held = {**known.values, **(values or {})}
+    return predict(known.system, result, experiment, values=held, free=again, step_size=known.step_size, level=level)
+
+
+def _of(study: Study) -> MadeWith:
+    return MadeWith(study.system, study.model.values, study.parameters)
+
+
+def _known(result: Result) -> MadeWith:
+    remedy = "give the model: result.predict(experiment, model)"
+    if isinstance(result.made_with, MadeWith):
+        return result.made_with
+    if not isinstance(result.made_with, Path):
+        raise InputError(f"the result does not know what it was made with: {remedy}")
+    try:
+        return _of(study_of(result.made_with, in_place=result.made_with))
+    except InputError as error:
+        raise InputError(f"{error}, or {remedy}") from None
+
+
+def _free(known: MadeWith, result: Result, names: Sequence[str]) -> dict[str, Parameter]:
+    """Return how variables are estimated again on a record: from the value that is known, within the bounds there were.
 
     Raises
     ------
@@ -140,14 +175,14 @@ def free_parameters(study: Study, result: Result, names: Sequence[str]) -> dict[
     """
     found: dict[str, Parameter] = {}
     for name in names:
-        variable = study.system.variable(name, "parameter")
-        given = study.parameters.get(name)
+        variable = known.system.variable(name, "parameter")
+        given = known.parameters.get(name)
         if given is not None:
             start = result[name] if name in result.names else given.start
             nominal = given.nominal or abs(given.start)
             found[name] = replace(given, start=min(max(start, given.min), given.max), nominal=nominal)
             continue
-        value = result[name] if name in result.names else study.model.values.get(name, variable.start or 0.0)
+        value = result[name] if name in result.names else known.values.get(name, variable.start or 0.0)
         if isinstance(value, bool | str):
             raise InputError(f"{name!r} is held at {value!r}, which is no number: it cannot be estimated again")
         found[name] = Parameter(float(value), nominal=variable.nominal or abs(float(value)) or 1.0)

@@ -1,0 +1,86 @@
+"""Values of a wrong kind given to functions: one sentence each, that says what is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid import Parameter, Term
+
+COIL = fmuid.datasets.coil()
+EXPERIMENT, TIMES = COIL.experiment, np.linspace(0.0, 1.0, 20)
+FALLING = Term(np.exp(-TIMES))
+FRAME: Any = pd.DataFrame({"time": [0.0, 1.0], "u": [0.0, 1.0], "i": [0.0, 0.1]})
+TEXT: Any = "abc"
+
+
+@cache
+def result() -> fmuid.Result:
+    return fmuid.identify(COIL.problem())
+
+
+def equation(target: Any = FALLING, terms: Any = None, cutoff: Any = 1.0, **more: Any) -> object:
+    known = {"a": FALLING} if terms is None else terms
+    return fmuid.equation_error(TIMES, target, known, cutoff=cutoff, **more)
+
+
+def instruments(simulated: Any, **more: Any) -> object:
+    return fmuid.instrumental_variables(TIMES, Term(FALLING.values, 1), {"a": FALLING}, simulated, cutoff=1.0, **more)
+
+
+WRONG: dict[str, tuple[Callable[[], object], str]] = {
+    "record": (lambda: fmuid.predict(COIL.fmu, result(), FRAME), "must be a fmuid.Experiment.*, not a DataFrame"),
+    "record, predict": (lambda: result().predict(FRAME), "must be a fmuid.Experiment.*, not a DataFrame"),
+    "result": (lambda: fmuid.predict(COIL.fmu, TEXT, EXPERIMENT), "must be a fmuid.Result, not a str"),
+    "model": (lambda: fmuid.predict(FRAME, result(), EXPERIMENT), "the path of one, not a DataFrame"),
+    "level": (lambda: fmuid.predict(COIL.fmu, result(), EXPERIMENT, level=TEXT), "level of a band must lie between"),
+    "free": (lambda: fmuid.predict(COIL.fmu, result(), EXPERIMENT, free=["L"]), "free must be a mapping"),  # type: ignore[arg-type]
+    "free value": (lambda: fmuid.predict(COIL.fmu, result(), EXPERIMENT, free={"L": 1.0}), "'L' is free and must be"),  # type: ignore[dict-item]
+    "values": (lambda: fmuid.predict(COIL.fmu, result(), EXPERIMENT, values=["L"]), "values must be a mapping"),  # type: ignore[arg-type]
+    "step": (lambda: fmuid.predict(COIL.fmu, result(), EXPERIMENT, step_size=TEXT), "step_size must be a positive"),
+    "table": (lambda: fmuid.Problem(COIL.fmu, FRAME, COIL.parameters), "an experiment must be a fmuid.Experiment"),
+    "parameters": (lambda: fmuid.Problem(COIL.fmu, EXPERIMENT, ["R"]), "parameters must be a mapping of names"),  # type: ignore[arg-type]
+    "noise": (lambda: fmuid.Problem(COIL.fmu, EXPERIMENT, COIL.parameters, noise=TEXT), "noise must be a fmuid.Noise"),
+    "joint prior": (
+        lambda: fmuid.Problem(COIL.fmu, EXPERIMENT, COIL.parameters, joint_prior=TEXT),
+        "joint_prior must be a fmuid.JointPrior, not a str",
+    ),
+    "simulated": (lambda: fmuid.Simulator(COIL.fmu, FRAME), "an experiment must be a fmuid.Experiment"),
+    "identified": (lambda: fmuid.identify(FRAME), "must be a fmuid.Problem, not a DataFrame"),
+    "start": (lambda: fmuid.identify(COIL.problem(), start=TEXT), "start must be numbers .*, not 'abc'"),
+    "settings": (lambda: fmuid.identify(COIL.problem(), TEXT), "settings must be fmuid.Marquardt"),
+    "compared": (lambda: fmuid.compare([result(), result()]), "must be fmuid.Compared.*, not a Result"),  # type: ignore[list-item]
+    "function": (
+        lambda: fmuid.LeastSquares.from_function(abs, TEXT, {"a": Parameter(1.0)}),
+        "measured must be numbers",
+    ),
+    "regressors": (lambda: fmuid.linear_least_squares(TEXT, [1.0]), "regressors must be numbers .*, not 'abc'"),
+    "ragged": (lambda: fmuid.linear_least_squares([[1.0], [1.0, 2.0]], [1.0, 2.0]), "rows of one length"),
+    "measured": (lambda: fmuid.linear_least_squares([[1.0], [2.0]], TEXT), "measured must be numbers"),
+    "names": (lambda: fmuid.linear_least_squares([[1.0], [2.0]], [1.0, 2.0], TEXT), "names must be a list"),
+    "interval": (lambda: fmuid.linear_least_squares(np.eye(3)[:, :1] + 1, [1.0, 2.0, 3.0]).intervals(TEXT), "level"),
+    "cutoff": (lambda: equation(cutoff=TEXT), "cutoff must be a positive number of rad/s, not 'abc'"),
+    "order": (lambda: equation(order=1.5), "order must be 1, 2"),
+    "target": (lambda: equation(TIMES), "target must be a fmuid.Term"),
+    "terms": (lambda: equation(terms=[FALLING]), "terms must be a mapping of parameters"),
+    "term": (lambda: equation(terms={"a": TIMES}), "the term of 'a' must be a fmuid.Term"),
+    "term values": (lambda: equation(Term(TEXT)), "the values of a term must be numbers"),
+    "derivative": (lambda: Term(TIMES, derivative=TEXT), "derivative must be 0, 1"),
+    "no function": (lambda: instruments(3), "simulated must be a function of theta"),
+    "no mapping": (lambda: instruments(lambda _: [FALLING]), "what simulated returns must be a mapping"),
+    "no term": (lambda: instruments(lambda _: {"a": TIMES}), "the term of 'a' must be a fmuid.Term"),
+    "theta": (lambda: instruments(abs, start=TEXT), "start must be numbers"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_one_sentence_says_what_is_wanted(case: str) -> None:
+    call, words = WRONG[case]
+    with pytest.raises(fmuid.InputError, match=words):
+        call()
