@@ -1,0 +1,47 @@
+"""Each row of a table in docs that promises something to a newcomer, and that it comes true."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.support.paths import ROOT
+
+PAGE = ROOT / "fmuid" / "reports" / "page"
+# Names of parts that are made up where they are drawn, by the module and how it writes them there.
+MADE_UP = {
+    ("preparation", "anchor"): {"preparation", "prepared"},
+    ("faults", "name"): {"timeline"},
+    ("fits", "anchor"): {"fit", "prediction"},
+    ("validation", "name"): {"criteria", "misfits"},
+    ("validation", "anchor"): {"sensitivities"},
+    ("batches", "f'over-{k + 1}'"): {"over"},
+}
+
+
+def rows(page: str, width: int) -> list[tuple[str, ...]]:
+    """Return the cells of the rows of all tables of a page, without their heads."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    heads = {text[: text.index(rule)].splitlines()[-1] for rule in re.findall(r"^\|---.*$", text, re.MULTILINE)}
+    cells = [tuple(cell.strip() for cell in line.strip("|").split(" | ")) for line in lines if line not in heads]
+    assert all(len(each) == width for each in cells)
+    return cells
+
+
+def drawn(module: Path) -> set[str]:
+    """Return the names of the parts of a report that a module draws."""
+    calls = [node for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    first = [node.args[0] for node in calls if isinstance(node.func, ast.Name) and node.func.id == "Section"]
+    fixed = {node.value for node in first if isinstance(node, ast.Constant)}
+    made_up = [MADE_UP[module.stem, ast.unparse(node)] for node in first if not isinstance(node, ast.Constant)]
+    return fixed.union(*made_up)
+
+
+def test_each_figure_says_how_it_is_read() -> None:
+    """The names on the page are those that a report can draw, each of them and no other."""
+    said = {name for names, *_ in rows("report.md", 4) for name in re.findall(r"`(\w+)`", names)}
+    assert said == set().union(*(drawn(module) for module in PAGE.glob("*.py")))
