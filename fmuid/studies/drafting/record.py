@@ -146,8 +146,8 @@ class Record:
 
     @property
     def interpolation(self) -> str | dict[str, str]:
-        """The interpolation of the inputs, as far as they show it."""
-        if not self.held:
+        """The interpolation of the inputs, as far as they show it; what is low-passed does not hold."""
+        if not self.held or "low_pass" in self.asked.prepare:
             return "linear"
         return "hold" if len(self.held) == len(self.roles("input")) else dict.fromkeys(self.held, "hold")
 
