@@ -6,8 +6,6 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
-
 from tests.support.paths import ROOT
 
 PAGE = ROOT / "fmuid" / "reports" / "page"
@@ -36,7 +34,7 @@ def drawn(module: Path) -> set[str]:
     """Return the names of the parts of a report that a module draws."""
     calls = [node for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
     first = [node.args[0] for node in calls if isinstance(node.func, ast.Name) and node.func.id == "Section"]
-    fixed = {node.value for node in first if isinstance(node, ast.Constant)}
+    fixed = {str(node.value) for node in first if isinstance(node, ast.Constant)}
     made_up = [MADE_UP[module.stem, ast.unparse(node)] for node in first if not isinstance(node, ast.Constant)]
     return fixed.union(*made_up)
 

@@ -28,9 +28,9 @@ PLAIN = pd.DataFrame({"time": T, "u": np.where(T < 0.05, 12.0, 0.0), "i": np.sin
 MS = PLAIN.assign(time=1e3 * T)
 
 
-def row(head: str) -> Callable[[Check], Check]:
+def row(head: str) -> Callable[[Check], None]:
     """Take a function for the check of the row with this first cell."""
-    return lambda check: ROWS.setdefault(head, check)
+    return lambda check: ROWS.update({head: check})
 
 
 def written(folder: Path, table: pd.DataFrame = PLAIN, name: str = "run.csv") -> Path:
@@ -173,7 +173,7 @@ def _units(folder: Path, _: pytest.MonkeyPatch) -> None:
     path.write_text(path.read_text().replace("w (rpm),ids [mA],iqs [A]\n", "w,ids,iqs\ns,V,V,rpm,mA,A\n"))
     (below,) = begin(FMUS / "InductionMachine/InductionMachine.fmu", [path])
     assert below.experiment is not None
-    assert below.experiment.units == record.experiment.units | {"uds": "V", "uqs": "V"}
+    assert below.experiment.units == {**record.experiment.units, "uds": "V", "uqs": "V"}
 
 
 @row("rpm, and nothing says so")
