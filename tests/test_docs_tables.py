@@ -17,9 +17,9 @@ from fmuid.errors import InputError
 from fmuid.fmi import read_description
 from fmuid.studies import Asked, Study, begin
 from tests.support.coil_study import COIL
+from tests.support.docs_rows import rows
 from tests.support.paths import FMUS
 from tests.support.table_variants import FILES
-from tests.test_docs_rows import rows
 
 Check = Callable[[Path, pytest.MonkeyPatch], None]
 ROWS: dict[str, Check] = {}

@@ -23,9 +23,9 @@ from fmuid.fmi.instance import _missing_library
 from fmuid.reports.console.layout import warn_unfed
 from fmuid.reports.words.accuracy import passed_words
 from tests.support.coil_study import COIL
+from tests.support.docs_rows import rows
 from tests.support.fmu_texts import FMI2, write_fmu
 from tests.support.paths import FMUS
-from tests.test_docs_rows import rows
 
 Check = Callable[[Path, pytest.CaptureFixture[str]], None]
 ROWS: dict[str, Check | str] = {}

@@ -1,4 +1,4 @@
-"""Each row of a table in docs that promises something to a newcomer, and that it comes true."""
+"""Each figure of a report is on the page that says how to read it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import ast
 import re
 from pathlib import Path
 
+from tests.support.docs_rows import rows
 from tests.support.paths import ROOT
 
 PAGE = ROOT / "fmuid" / "reports" / "page"
@@ -18,16 +19,6 @@ MADE_UP = {
     ("validation", "anchor"): {"sensitivities"},
     ("batches", "f'over-{k + 1}'"): {"over"},
 }
-
-
-def rows(page: str, width: int) -> list[tuple[str, ...]]:
-    """Return the cells of the rows of all tables of a page, without their heads."""
-    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if line.startswith("| ")]
-    heads = set(re.findall(r"^(\| .*)\n\|---", text, re.MULTILINE))
-    cells = [tuple(cell.strip() for cell in line.strip("|").split(" | ")) for line in lines if line not in heads]
-    assert all(len(each) == width for each in cells)
-    return cells
 
 
 def drawn(module: Path) -> set[str]:

@@ -1,0 +1,17 @@
+"""The rows of tables on pages of docs."""
+
+from __future__ import annotations
+
+import re
+
+from tests.support.paths import ROOT
+
+
+def rows(page: str, width: int) -> list[tuple[str, ...]]:
+    """Return the cells of the rows of all tables of a page, without their heads."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    heads = set(re.findall(r"^(\| .*)\n\|---", text, re.MULTILINE))
+    cells = [tuple(cell.strip() for cell in line.strip("|").split(" | ")) for line in lines if line not in heads]
+    assert all(len(each) == width for each in cells)
+    return cells
