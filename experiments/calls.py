@@ -24,7 +24,7 @@ from fmuid.diagnosis.comparison import whitening_of
 from fmuid.diagnosis.coordinates import DIFFERENCE_STEP, CauseKind, Coordinates
 from fmuid.diagnosis.decision import UNEXPLAINED_SHARE
 from fmuid.diagnosis.evidence.naming import CauseSet
-from fmuid.diagnosis.examination import Examination, examine, healthy_of
+from fmuid.diagnosis.examination import Examination, examine, healthy_of, shown_by
 from fmuid.diagnosis.linearisation import Machine
 
 LEVEL, SEED = 0.01, 17
@@ -167,7 +167,8 @@ class Campaign:
             for at, clean in enumerate(setting.records(case, rng))
         )
         whitening = whitening_of([healthy], setting.coordinates)
-        known = healthy_of([healthy], whitening, setting.coordinates, setting.drift)
+        shown = shown_by([healthy], whitening, setting.coordinates)
+        known = healthy_of(shown, setting.coordinates, setting.drift)
         return examine([new], known, setting.coordinates, LEVEL)
 
     def _of(self, case: str, new: int) -> Shared:

@@ -1,4 +1,4 @@
-from .baseline import Baseline as Baseline
+from .comparison import show as show
 from .coordinates import CauseKind as CauseKind
 from .coordinates import Causes as Causes
 from .coordinates import Range as Range
@@ -14,6 +14,9 @@ from .findings import Change as Change
 from .findings import Evidence as Evidence
 from .findings import Explanation as Explanation
 from .findings import Suspect as Suspect
+from .healthy.baseline import Baseline as Baseline
+from .healthy.shown import Basis as Basis
+from .healthy.shown import Shown as Shown
 from .hypothesis import Hypothesis as Hypothesis
 from .hypothesis import Size as Size
 from .hypothesis import Strain as Strain

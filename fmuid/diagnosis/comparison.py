@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.coordinates import OPEN, Causes, Coordinates, coordinates_of
 from fmuid.diagnosis.evidence.information import Known
-from fmuid.diagnosis.examination import Healthy, error_of, examine, healthy_of
+from fmuid.diagnosis.examination import Healthy, error_of, examine, healthy_of, shown_by
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.findings import Evidence
+from fmuid.diagnosis.healthy.baseline import Baseline
+from fmuid.diagnosis.healthy.shown import Basis, Kept, Shown
+from fmuid.diagnosis.healthy.whitening import Whitening
 from fmuid.diagnosis.linearisation import Machine
-from fmuid.diagnosis.whitening import Whitening
 from fmuid.errors import InputError
 from fmuid.models import System
 from fmuid.text import nearest
@@ -37,6 +38,10 @@ class Juxtaposition:
     faults : mapping of str to Fault
     coordinates : Coordinates
     healthy : Healthy
+    basis : Basis
+        Where the healthy machine is from.
+    shown : Shown or None
+        What the healthy records showed.
     """
 
     system: System
@@ -44,6 +49,8 @@ class Juxtaposition:
     faults: Mapping[str, Fault]
     coordinates: Coordinates
     healthy: Healthy
+    basis: Basis = Basis.RECORDS
+    shown: Shown | None = None
 
     @classmethod
     def of(
@@ -55,6 +62,7 @@ class Juxtaposition:
         experiments: Sequence[Experiment],
         *,
         planned: bool = False,
+        fewer: bool = False,
     ) -> Juxtaposition:
         """Return that of a baseline with its records; without them, of its result alone and with the faults as causes.
 
@@ -70,11 +78,14 @@ class Juxtaposition:
             To be compared.
         planned : bool
             Whether there will be a healthy record, and all causes are looked at.
+        fewer : bool
+            Whether what was kept beside more causes serves, too: not for what the residual owes to the inputs.
 
         Raises
         ------
         InputError
-            If the records have other inputs or outputs than the first one, or parameters are one per experiment.
+            If the records have other inputs or outputs than the first one, parameters are one per experiment, or there
+            are no healthy records and what others showed is of another machine.
         SimulationError
             If the healthy machine cannot be simulated.
         """
@@ -84,15 +95,14 @@ class Juxtaposition:
             fault.check_beside([fault.names.get(name, name) for name in baseline.common])
         variance = baseline.variance(first.output_names)
         noise = {name: math.sqrt(value) for name, value in variance.items()}
-        beside = causes if baseline.records or planned else NOTHING_BESIDE
+        beside = causes if baseline.beside or planned else NOTHING_BESIDE
         coordinates = coordinates_of(system, baseline.common, faults, first, noise, beside)
         drift = _drift(baseline, coordinates)
-        if not baseline.records:
+        if not baseline.beside:
             healthy = Healthy(_by_result(baseline, coordinates), Whitening.white(variance), drift)
             return cls(system, baseline, faults, coordinates, healthy)
-        records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
-        whitening = whitening_of(records, coordinates, variance if baseline.noise_variance is not None else None)
-        return cls(system, baseline, faults, coordinates, healthy_of(records, whitening, coordinates, drift))
+        basis, shown = _shown(system, baseline, faults, coordinates, variance, fewer=fewer)
+        return cls(system, baseline, faults, coordinates, healthy_of(shown, coordinates, drift), basis, shown)
 
     def model_error(self, stated: float, level: float) -> float:
         """Return κ: the largest that the trials of the baseline show, or without them what is stated.
@@ -148,7 +158,48 @@ def compare(
     made = Juxtaposition.of(system, baseline, faults, causes, experiments)
     machines = [made.machine(each) for each in experiments]
     kappa = made.model_error(model_error, level)
-    return Evidence.of(examine(machines, made.healthy, made.coordinates, level, kappa), faults)
+    return Evidence.of(examine(machines, made.healthy, made.coordinates, level, kappa), faults, made.basis)
+
+
+def show(baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes) -> Shown:
+    """Return what the records of a baseline show of the healthy machine and of all causes.
+
+    Raises
+    ------
+    InputError, SimulationError
+        As `Juxtaposition.of`.
+    """
+    shown = Juxtaposition.of(system, baseline, faults, causes, []).shown
+    assert shown is not None  # there are records
+    return shown
+
+
+def _shown(
+    system: System,
+    baseline: Baseline,
+    faults: Mapping[str, Fault],
+    coordinates: Coordinates,
+    variance: Mapping[str, float],
+    *,
+    fewer: bool,
+) -> tuple[Basis, Shown]:
+    """Return what healthy records showed, of the file where that fits, and where it is from."""
+    given, known, basis = baseline.noise_variance, baseline.shown, Basis.RECORDS
+    how = system, baseline.values, baseline.refinement
+    asked = Kept.of(how, faults, coordinates, given, baseline.records)
+    if known is not None and known.kept is not None:
+        unlike = known.kept.unlike(asked, fewer=fewer)
+        if unlike is None:
+            return Basis.FILE, known.kept.among(known, asked)
+        if not baseline.records:
+            raise InputError(
+                f"{known.path} is of {unlike.value} than this study: identify the healthy study again with these, or "
+                "name its tables as records"
+            )
+        basis = unlike
+    records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
+    whitening = whitening_of(records, coordinates, None if given is None else variance)
+    return basis, replace(shown_by(records, whitening, coordinates), kept=asked)
 
 
 def _machine(

@@ -19,7 +19,6 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.comparison import Juxtaposition
 from fmuid.diagnosis.coordinates import CauseKind, Causes
 from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL
@@ -29,6 +28,7 @@ from fmuid.diagnosis.evidence.information import Information, Known, News
 from fmuid.diagnosis.evidence.naming import MODEL_ERROR, angle, told_apart_from
 from fmuid.diagnosis.evidence.watch import LEAST
 from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.healthy.baseline import Baseline
 from fmuid.errors import InputError
 from fmuid.estimation import Result, check_level
 from fmuid.fmi import FMU
@@ -149,8 +149,9 @@ class Design:
         SimulationError
             If the simulation of the healthy machine fails.
         """
+        planned = healthy is not None
         made = Juxtaposition.of(
-            self.system, self.baseline, self.faults, self.causes, [excitation], planned=healthy is not None
+            self.system, self.baseline, self.faults, self.causes, [excitation], planned=planned, fewer=True
         )
         _, columns = made.machine(excitation).linearise(made.coordinates.healthy)
         white = made.healthy.whitening(excitation, columns)

@@ -22,8 +22,9 @@ from fmuid.diagnosis.evidence.detection import Chance, fit
 from fmuid.diagnosis.evidence.information import Information, Known, News
 from fmuid.diagnosis.evidence.naming import MODEL_ERROR, Naming, name
 from fmuid.diagnosis.evidence.remainder import NOTHING_LEFT, Remainder, change, lagged, probability, regression
+from fmuid.diagnosis.healthy.shown import Shown
+from fmuid.diagnosis.healthy.whitening import Whitening
 from fmuid.diagnosis.linearisation import Machine
-from fmuid.diagnosis.whitening import Whitening
 from fmuid.errors import SimulationError
 
 # The null estimate and the name are found again at most so often; a name that alternates ends there too.
@@ -93,8 +94,8 @@ class Healthy:
     owed: Information | None = None
 
 
-def healthy_of(records: Sequence[Machine], whitening: Whitening, coordinates: Coordinates, drift: Floats) -> Healthy:
-    """Return what healthy records leave known.
+def shown_by(records: Sequence[Machine], whitening: Whitening, coordinates: Coordinates) -> Shown:
+    """Return what healthy records showed.
 
     Parameters
     ----------
@@ -102,8 +103,6 @@ def healthy_of(records: Sequence[Machine], whitening: Whitening, coordinates: Co
         Over at least one healthy record.
     whitening : Whitening
     coordinates : Coordinates
-    drift : (N,) array
-        As the class has it.
 
     Raises
     ------
@@ -111,8 +110,12 @@ def healthy_of(records: Sequence[Machine], whitening: Whitening, coordinates: Co
         If the healthy machine cannot be simulated.
     """
     said = [_information(machine, whitening, coordinates.healthy, coordinates.healthy) for machine in records]
-    owed = _owed(records, whitening, coordinates.healthy)
-    return Healthy(Known.after_several(said, coordinates.normal), whitening, drift, owed)
+    return Shown(tuple(said), _owed(records, whitening, coordinates.healthy), whitening)
+
+
+def healthy_of(shown: Shown, coordinates: Coordinates, drift: Floats) -> Healthy:
+    """Return what healthy records leave known; `drift` (N,) as the class has it."""
+    return Healthy(Known.after_several(shown.said, coordinates.normal), shown.whitening, drift, shown.owed)
 
 
 def examine(

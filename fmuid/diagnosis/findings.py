@@ -17,6 +17,7 @@ from fmuid.diagnosis.evidence.naming import angle
 from fmuid.diagnosis.evidence.remainder import Remainder
 from fmuid.diagnosis.examination import Examination
 from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.healthy.shown import Basis
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,8 @@ class Evidence:
         Whether the name stayed when the models were linearised there.
     remainder : Remainder
         What no cause explains.
+    basis : Basis
+        Where the healthy machine is from.
     """
 
     probability: float
@@ -149,6 +152,7 @@ class Evidence:
     samples: int
     steady: bool
     remainder: Remainder
+    basis: Basis = Basis.RECORDS
 
     @property
     def explained(self) -> float:
@@ -163,7 +167,7 @@ class Evidence:
         return tuple(dict.fromkeys(name for each in self.explanations for name in each.faults))
 
     @classmethod
-    def of(cls, found: Examination, faults: Mapping[str, Fault]) -> Evidence:
+    def of(cls, found: Examination, faults: Mapping[str, Fault], basis: Basis) -> Evidence:
         """Return the numbers of an examination."""
         naming, coordinates = found.naming, found.coordinates
         return cls(
@@ -178,6 +182,7 @@ class Evidence:
             found.samples,
             found.steady,
             found.remainder,
+            basis,
         )
 
     @classmethod
@@ -196,7 +201,8 @@ class Evidence:
         explanations = tuple(map(Explanation.of_json, data["explanations"]))
         suspects = tuple(Suspect(**each | {"change": _change(each["change"])}) for each in data["suspects"])
         remainder = Remainder(**data["remainder"])
-        return cls(explanations=explanations, suspects=suspects, remainder=remainder, **plain)
+        basis = Basis(data["basis"])
+        return cls(explanations=explanations, suspects=suspects, remainder=remainder, basis=basis, **plain)
 
 
 def _change(data: Mapping[str, Any]) -> Change:

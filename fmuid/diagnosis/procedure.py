@@ -19,7 +19,6 @@ from scipy import special
 
 from fmuid.assessment import SAME_VARIANCE_RATIO, SIGNIFICANCE_LEVEL, Reading, VarianceTest, read_result
 from fmuid.data import Experiment, Noise, Parameter
-from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.comparison import compare
 from fmuid.diagnosis.coordinates import Causes
 from fmuid.diagnosis.decision import (
@@ -34,6 +33,7 @@ from fmuid.diagnosis.evidence.naming import MODEL_ERROR
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.findings import Evidence
 from fmuid.diagnosis.fits import Checked, fit_both
+from fmuid.diagnosis.healthy.baseline import Baseline
 from fmuid.diagnosis.hypothesis import Hypothesis, Size, Strain
 from fmuid.diagnosis.verdict import Diagnosis, Test
 from fmuid.errors import InputError
@@ -150,7 +150,7 @@ def diagnose(
             found.append(work.fit_fault(name, fault, nominal))
         except InputError as error:
             raise InputError(f"fault {name!r}: {error}") from None
-    return work.decided(nominal, found, work.beside(system, hypotheses) if work.baseline.records else None)
+    return work.decided(nominal, found, work.beside(system, hypotheses) if work.baseline.beside else None)
 
 
 class _Diagnosing:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fmuid import files
 from fmuid.assessment import examine_residuals, explore, read_result
@@ -17,7 +19,10 @@ from fmuid.reports.findings import Findings, at_minimum, result_fits, resumed_st
 from fmuid.reports.origin import made_from
 from fmuid.reports.page.write import show_results
 from fmuid.reports.preparations import Prepared, prepared
-from fmuid.studies import Study, origin_of
+from fmuid.studies import BASELINE_FILE, Study, origin_of
+
+if TYPE_CHECKING:
+    from fmuid.diagnosis import Shown
 
 # A search that took longer than this, s, is not repeated with the data alone without a word.
 QUICK_SECONDS = 2.0
@@ -122,6 +127,7 @@ class _Run:
 
     def run(self, *, resume: bool) -> Findings:
         problem, start = self.study.problem(), None
+        shown = self._shown()
         if self.folder is not None:
             start = resumed_start(self.folder / "result.json", problem.parameters) if resume else None
             files.make_folder(self.folder)
@@ -135,6 +141,10 @@ class _Run:
             raise SearchInterruptedError(result, tuple(self.files))
         found = self._examined(problem, result)
         self._write(found)
+        if self.folder is not None:
+            (self.folder / BASELINE_FILE).unlink(missing_ok=True)
+            if shown is not None and result.converged:
+                self.files.append(shown(result).write(self.folder / BASELINE_FILE))
         self._tell(Identified(findings=replace(found, files=tuple(self.files))))
         self._draw()
         if self.study.uncertainty_settings.any and at_minimum(result):
@@ -144,6 +154,14 @@ class _Run:
             self._write(found)
             self._draw()
         return replace(found, files=tuple(dict.fromkeys(self.files)))
+
+    def _shown(self) -> Callable[[Result], Shown] | None:
+        """Return what says what a healthy study shows of faults, None of another."""
+        if self.study.diagnosis is None:
+            return None
+        from fmuid.studies import shown_by  # and all that decides
+
+        return shown_by(self.study)
 
     def _examined(self, problem: Problem, result: Result) -> Findings:
         """Look at residuals, and at what prior and data say."""

@@ -2,6 +2,7 @@ from .batch import BatchSettings as BatchSettings
 from .batch import NoiseDraws as NoiseDraws
 from .batch import Sample as Sample
 from .batch import Value as Value
+from .diagnosis import BASELINE_FILE as BASELINE_FILE
 from .drafting.draft import Draft as Draft
 from .drafting.draft import begin as begin
 from .drafting.draft import check_output as check_output
@@ -22,6 +23,7 @@ from .model import ExperimentSettings as ExperimentSettings
 from .monitoring import monitor_of as monitor_of
 from .monitoring import records_of as records_of
 from .monitoring import rule_of as rule_of
+from .monitoring import shown_by as shown_by
 from .overrides import value_of as value_of
 from .parameters import SourceDoubt as SourceDoubt
 from .parameters import SourceNote as SourceNote

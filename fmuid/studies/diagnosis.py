@@ -14,6 +14,7 @@ from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis import MODEL_ERROR, Causes, Range, Rule
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt, Result
+from fmuid.files import is_file
 from fmuid.models import System
 from fmuid.studies.arrays import by_element, check_shapes
 from fmuid.studies.model import ModelSettings, ModelWords
@@ -43,6 +44,9 @@ from fmuid.text import of_one_experiment
 if TYPE_CHECKING:
     from fmuid.diagnosis import Angle, Baseline, DiagnosisSettings, Fault
 
+BASELINE_FILE = "baseline.npz"
+"""Beside the ``result.json`` of a healthy study with faults: what its tables show."""
+
 RULE = Rule()
 """What is not said of a test."""
 
@@ -56,8 +60,6 @@ def _factor(value: float) -> float:
 FACTOR = "a number above 0, inf for no prior"
 Factor = Annotated[float, AfterValidator(_factor), Kind(FACTOR)]
 Factors = Annotated[dict[str, Factor], Entries("a table { parameter = number }")]
-Command = Annotated[list[Text], Kind('a list of a program and its arguments, ["python", "tell.py"]')]
-Limits = Annotated[dict[str, Number], Entries("a table { fault.size = number }")]
 
 
 class AngleWords(Words):
@@ -136,40 +138,6 @@ class FaultWords(ModelWords):
         return {name: Angle(each.size, each.period) for name, each in self.angle.items()}
 
 
-class MonitoringWords(Words):
-    """The same in windows of long records, one after the other."""
-
-    window: Positive | None = word(None, "length of a window, s; default: each record is one")
-    transient: NotNegative | None = word(None, "simulated before each window, s; default: what the study discards")
-    level: Share | None = word(
-        None, "probability of a false alarm in a record, or in the horizon; default: that of [diagnosis]"
-    )
-    horizon: Positive | None = word(None, "in which the level holds, s; default: each record")
-    command: Command = word(
-        [], 'a program and its arguments, run for each line of alarms.jsonl with --follow: ["python", "tell.py"]', []
-    )
-    limits: Limits = word({}, 'sizes that must not be reached, as in { "turns.dR" = 0.5 }')
-
-    def rule(self, discard: float, level: float) -> Rule:
-        """Return the rule of a study with a transient that it discards and a level of its diagnosis.
-
-        Raises
-        ------
-        InputError
-            If a record is to be cut and nothing says how long the transient is, or the words do not fit together.
-        """
-        if self.transient is None and self.window is not None and not discard:
-            raise self.error(
-                "needs the key 'transient': the study discards nothing, and windows begin anywhere; say how long the "
-                "model takes to forget its initial state, 0 for one without states"
-            )
-        transient = discard if self.transient is None else self.transient
-        try:
-            return Rule(self.window, transient, self.level or level, self.horizon, self.limits)
-        except InputError as error:
-            raise InputError(f"{self.place}: {error}") from None
-
-
 class CauseRangeWords(Words):
     """How far something may be off."""
 
@@ -219,7 +187,12 @@ class CausesWords(Words):
 class DiagnosisWords(Words):
     """Which fault, and how large."""
 
-    healthy: File = word(..., "the result.json of an identification of the healthy machine", "healthy/result.json")
+    healthy: File | None = word(
+        None,
+        "the result.json of an identification of the healthy machine; without, fmuid identify keeps beside its "
+        "result.json what the tables of this study, all of the healthy machine, show of the faults",
+        "healthy/result.json",
+    )
     inflate: Annotated[Annotated[Factor, Tag(VALUE_TAG)] | Annotated[Factors, Tag(TABLE_TAG)], BY_SHAPE] = word(
         1.0, "factor on its standard deviations, or one for each parameter: for changes that are no fault"
     )
@@ -247,15 +220,11 @@ class DiagnosisWords(Words):
         ):
             if there:
                 raise self.error(f"does not go with {said} in this version: remove one of the two")
-        try:
-            result = Result.from_json(self.healthy)
-        except InputError as error:
-            raise self.error(f"healthy: {error}") from None
         if not self.faults:
             raise self.error("has no faults: describe at least one as [diagnosis.faults.<name>]")
-        names = tuple(name for name in result.names if not of_one_experiment(name) and name not in model.values)
         return FaultSearch(
-            Source(str(self.place), self.healthy, result, names),
+            str(self.place),
+            self._source(model),
             self.inflate,
             self.level,
             {name: each.fault() for name, each in self.faults.items()},
@@ -264,6 +233,18 @@ class DiagnosisWords(Words):
             self.model_error,
             {name: tuple(tables) for name, tables in self.trials.items()},
         )
+
+    def _source(self, model: ModelSettings) -> Source | None:
+        if self.healthy is None:
+            for key in {"records", "trials"} & self.model_fields_set:
+                raise self.error(f"has {key} and no healthy: give the result.json of the healthy machine, too")
+            return None
+        try:
+            result = Result.from_json(self.healthy)
+        except InputError as error:
+            raise self.error(f"healthy: {error}") from None
+        names = tuple(name for name in result.names if not of_one_experiment(name) and name not in model.values)
+        return Source(str(self.place), self.healthy, result, names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,8 +311,10 @@ class FaultSearch:
 
     Attributes
     ----------
-    source : Source
-        The healthy result and where it comes from.
+    where : str
+        The study file and the table, for messages.
+    source : Source or None
+        The healthy result and where it comes from; None where the study itself is of the healthy machine.
     inflate : float or mapping of str to float
         Factor on its standard deviations.
     level : float
@@ -345,7 +328,8 @@ class FaultSearch:
         Cause to tables in which it alone is new.
     """
 
-    source: Source
+    where: str
+    source: Source | None
     inflate: float | Mapping[str, float]
     level: float
     faults: Mapping[str, FaultSettings]
@@ -356,8 +340,15 @@ class FaultSearch:
 
     @property
     def tables(self) -> tuple[Path, ...]:
-        """All records of the healthy machine and of trials."""
-        return (*self.records, *(path for paths in self.trials.values() for path in paths))
+        """All records of the healthy machine and of trials, and what was kept of its identification."""
+        kept = () if self.kept is None else (self.kept,)
+        return (*kept, *self.records, *(path for paths in self.trials.values() for path in paths))
+
+    @property
+    def kept(self) -> Path | None:
+        """What the identification of the healthy machine has kept of its tables, None for nothing."""
+        path = None if self.source is None else self.source.path.with_name(BASELINE_FILE)
+        return path if path is not None and is_file(path) else None
 
     def hypotheses(self, system: System, model: ModelSettings, data: Mapping[str, Any]) -> dict[str, Fault]:
         """Return the faults; `system` and `model` are the study's own, `data` the content of its file.
@@ -392,9 +383,12 @@ class FaultSearch:
         InputError
             If the healthy result does not fit them.
         """
-        from fmuid.diagnosis import Baseline
+        from fmuid.diagnosis import Baseline, Shown
 
+        if self.source is None:
+            raise InputError('there is no healthy machine: give healthy = "healthy/result.json", of its identification')
         records = [read(path) for path in self.records]
         trials = {name: [read(path) for path in paths] for name, paths in self.trials.items()}
         variance = noise.given_variance()
-        return Baseline(self.source.result, self.inflate, variance, parameters, model.values, records, trials)
+        shown = None if self.kept is None else Shown.read(self.kept)
+        return Baseline(self.source.result, self.inflate, variance, parameters, model.values, records, trials, shown)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from fmuid.data import Experiment, record_files
-from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Baseline, Design, Monitor, Rule
+from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Baseline, Design, Monitor, Rule, Shown, show
 from fmuid.errors import InputError
+from fmuid.estimation import Result
 from fmuid.studies.diagnosis import FaultSearch
 from fmuid.studies.study import Study
 
@@ -44,7 +45,7 @@ def monitor_of(study: Study, rule: Rule) -> Monitor:
             settings.model_error,
         )
     except InputError as error:
-        raise InputError(f"{settings.source.where}: {error}") from None
+        raise InputError(f"{settings.where}: {error}") from None
 
 
 def design_of(
@@ -59,7 +60,7 @@ def design_of(
     """
     settings = _settings(study)
     if fault not in settings.faults:
-        raise InputError(f"{settings.source.where} has no fault {fault!r}, only {', '.join(settings.faults)}")
+        raise InputError(f"{settings.where} has no fault {fault!r}, only {', '.join(settings.faults)}")
     model = settings.faults[fault].fault(study.system, study.model)
     return Design(
         {fault: model},
@@ -70,6 +71,32 @@ def design_of(
         miss=miss,
         model_error=settings.model_error,
     )
+
+
+def shown_by(study: Study) -> Callable[[Result], Shown] | None:
+    """Return what says what a healthy study's tables show of faults, by its result; None of a study of another kind.
+
+    Raises
+    ------
+    InputError
+        If models, faults and noise do not go together.
+    """
+    settings = study.diagnosis
+    if settings is None or settings.source is not None:
+        return None
+    for name, parameter in study.parameters.items():
+        if parameter.per_experiment:
+            raise InputError(f"{settings.where}: {name} is one per experiment, which does not go with a diagnosis")
+    faults = settings.hypotheses(study.system, study.model, study.data)
+    variance = study.noise.given_variance()
+
+    def shown(result: Result) -> Shown:
+        healthy = Baseline(
+            result, settings.inflate, noise_variance=variance, values=study.model.values, records=study.tables
+        )
+        return show(healthy, faults, study.system, settings.causes)
+
+    return shown
 
 
 def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -> Iterator[Experiment]:

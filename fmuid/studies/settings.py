@@ -1,4 +1,4 @@
-"""The tables ``[isolation]``, ``[noise]``, ``[estimator]`` and ``[uncertainty]`` of a study file."""
+"""The tables ``[isolation]``, ``[noise]``, ``[estimator]``, ``[uncertainty]`` and ``[monitoring]`` of a study file."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, Tag
 
 from fmuid.assessment import CONFIDENCE_LEVEL, UncertaintySettings
 from fmuid.data import LOSSES, Noise
+from fmuid.diagnosis import Rule
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
 from fmuid.model_problem import ACCURACIES, Problem, observed
@@ -28,6 +29,7 @@ from fmuid.studies.words import (
     Names,
     Natural,
     NotNegative,
+    Number,
     Place,
     Positive,
     PositiveOrEach,
@@ -47,6 +49,9 @@ if TYPE_CHECKING:
 
 SEARCH = Marquardt()
 """What is not said of Marquardt's search."""
+
+Command = Annotated[list[Text], Kind('a list of a program and its arguments, ["python", "tell.py"]')]
+Limits = Annotated[dict[str, Number], Entries("a table { fault.size = number }")]
 
 
 # --- [isolation], [noise], [estimator] --------------------------------------------------
@@ -318,3 +323,40 @@ class UncertaintyWords(Words):
             return Sampling(**self.posterior.model_dump(exclude_unset=True))
         except InputError as error:
             raise self.posterior.error(f"is refused: {error}") from None
+
+
+# --- [monitoring] -----------------------------------------------------------------------
+
+
+class MonitoringWords(Words):
+    """The same in windows of long records, one after the other."""
+
+    window: Positive | None = word(None, "length of a window, s; default: each record is one")
+    transient: NotNegative | None = word(None, "simulated before each window, s; default: what the study discards")
+    level: Share | None = word(
+        None, "probability of a false alarm in a record, or in the horizon; default: that of [diagnosis]"
+    )
+    horizon: Positive | None = word(None, "in which the level holds, s; default: each record")
+    command: Command = word(
+        [], 'a program and its arguments, run for each line of alarms.jsonl with --follow: ["python", "tell.py"]', []
+    )
+    limits: Limits = word({}, 'sizes that must not be reached, as in { "turns.dR" = 0.5 }')
+
+    def rule(self, discard: float, level: float) -> Rule:
+        """Return the rule of a study with a transient that it discards and a level of its diagnosis.
+
+        Raises
+        ------
+        InputError
+            If a record is to be cut and nothing says how long the transient is, or the words do not fit together.
+        """
+        if self.transient is None and self.window is not None and not discard:
+            raise self.error(
+                "needs the key 'transient': the study discards nothing, and windows begin anywhere; say how long the "
+                "model takes to forget its initial state, 0 for one without states"
+            )
+        transient = discard if self.transient is None else self.transient
+        try:
+            return Rule(self.window, transient, self.level or level, self.horizon, self.limits)
+        except InputError as error:
+            raise InputError(f"{self.place}: {error}") from None

@@ -23,11 +23,11 @@ from fmuid.models import System
 from fmuid.progress import Progress
 from fmuid.simulation import Fit, Simulator, fit_of
 from fmuid.studies.arrays import check_shapes
-from fmuid.studies.diagnosis import FaultSearch, MonitoringWords
+from fmuid.studies.diagnosis import FaultSearch
 from fmuid.studies.model import ExperimentSettings, ModelSettings, named
 from fmuid.studies.overrides import override
 from fmuid.studies.parameters import Reader, Source, SourceNote
-from fmuid.studies.settings import observed_by
+from fmuid.studies.settings import MonitoringWords, observed_by
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import read_toml
 from fmuid.studies.words import Place
@@ -210,7 +210,8 @@ class Study(Displayed):
 
     @property
     def _all_sources(self) -> tuple[Source, ...]:
-        return (*self.model.sources, *self.sources, *(() if self.diagnosis is None else (self.diagnosis.source,)))
+        healthy = None if self.diagnosis is None else self.diagnosis.source
+        return (*self.model.sources, *self.sources, *(() if healthy is None else (healthy,)))
 
     @cached_property
     def system(self) -> System:
@@ -350,7 +351,7 @@ class Study(Displayed):
             healthy = settings.baseline(self.model, self.parameters, self.noise, read)
             return diagnose(self.tables, healthy, hypotheses, self.system, how, progress)
         except InputError as error:
-            raise InputError(f"{settings.source.where}: {error}") from None
+            raise InputError(f"{settings.where}: {error}") from None
 
     def uncertainty(self, result: Result, progress: Progress | None = None) -> Uncertainty:
         """Do what ``[uncertainty]`` asks for around a result of this study: maps, profiles, posterior.

@@ -8,10 +8,10 @@ from pydantic import BeforeValidator
 
 from fmuid.studies.arrays import by_element
 from fmuid.studies.batch import BatchSettings
-from fmuid.studies.diagnosis import DiagnosisWords, MonitoringWords
+from fmuid.studies.diagnosis import DiagnosisWords
 from fmuid.studies.model import ExperimentSettings, ModelWords
 from fmuid.studies.parameters import JointPriorWords, ParameterWords
-from fmuid.studies.settings import EstimatorWords, IsolationWords, NoiseWords, UncertaintyWords
+from fmuid.studies.settings import EstimatorWords, IsolationWords, MonitoringWords, NoiseWords, UncertaintyWords
 from fmuid.studies.words import Text, Words, word
 
 

@@ -14,8 +14,8 @@ from scipy.signal import lfilter
 import fmuid
 from experiments.coil import study as coil
 from fmuid.data.excitation import multisine, prbs, steps
-from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.design import Design, trial
+from fmuid.diagnosis.healthy.baseline import Baseline
 from fmuid.diagnosis.monitoring.alarms import Rule
 from fmuid.diagnosis.monitoring.monitor import Monitor
 from fmuid.studies.monitoring import design_of

@@ -15,8 +15,8 @@ import fmuid
 from fmuid.cli.app import run
 from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, Evidence, Range
 from fmuid.diagnosis.coordinates import Coordinates, coordinates_of
+from fmuid.diagnosis.healthy.whitening import Whitening
 from fmuid.diagnosis.linearisation import Machine
-from fmuid.diagnosis.whitening import Whitening
 from fmuid.errors import InputError
 from fmuid.reports.words.diagnosis import verdict
 from tests.support.closed_forms import coil_response

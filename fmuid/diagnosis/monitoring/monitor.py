@@ -21,13 +21,14 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.comparison import Juxtaposition
 from fmuid.diagnosis.coordinates import CauseKind, Causes, Coordinates
 from fmuid.diagnosis.evidence.information import Known
 from fmuid.diagnosis.evidence.naming import MODEL_ERROR
 from fmuid.diagnosis.evidence.watch import Watch
 from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.healthy.baseline import Baseline
+from fmuid.diagnosis.healthy.shown import Basis
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.diagnosis.monitoring.alarms import Alarm, Moment, Rule
 from fmuid.diagnosis.monitoring.judging import judged
@@ -309,6 +310,11 @@ class Monitor:
         return None if self._made is None else self._made.coordinates
 
     @property
+    def basis(self) -> Basis:
+        """Where the healthy machine is from."""
+        return Basis.RECORDS if self._made is None else self._made.basis
+
+    @property
     def units(self) -> dict[str, str]:
         """The unit of each column of sizes and parameters, "" without."""
         each = () if self.coordinates is None else self.coordinates.each
@@ -369,6 +375,7 @@ class Monitor:
             "parameters": common,
             "faults": {name: list(fault.parameters) for name, fault in self.faults.items()},
             "records": [each.name for each in self.baseline.records],
+            "shown": None if self.baseline.shown is None or self.baseline.records else self.baseline.shown.kept,
             "causes": self.causes,
         }
         return {"rule": replace(self.rule, limits={}), "healthy": healthy}

@@ -11,9 +11,9 @@ from fmuid.arrays import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.evidence.information import Information
 from fmuid.diagnosis.evidence.watch import Blocks
+from fmuid.diagnosis.healthy.whitening import Whitening
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.diagnosis.monitoring.windows import Window
-from fmuid.diagnosis.whitening import Whitening
 
 # A window is cut into so many blocks at most, each of so many samples at least: an onset is dated to a block.
 MOST_BLOCKS, BLOCK_SAMPLES = 20, 20

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from fmuid.reports.console.layout import TERMINAL_ROWS, columns_of, console, table_of, unit_text
+from fmuid.reports.words.diagnosis import basis_notes
 from fmuid.reports.words.monitoring import alarm_words, gap_words, monitoring_words
 from fmuid.text import rounded, with_std
 
@@ -25,6 +26,8 @@ def show_monitoring(found: Monitor) -> None:
     if found.alarms:
         _show_alarms(found)
     _show_parameters(found)
+    for note in basis_notes(found.basis):
+        out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
     for gap in found.gaps:
         out.print(f"[yellow]note:[/] {escape(gap_words(gap))}", soft_wrap=True)
 

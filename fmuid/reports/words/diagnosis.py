@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from fmuid.assessment import LEAST_STD_FACTOR
+from fmuid.diagnosis import Basis
 from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
 from fmuid.text import has_unit, listed, with_std
@@ -180,9 +181,31 @@ def scope_notes(found: Diagnosis) -> list[str]:
             "errors of sensors and of the supply were not looked at, and may look like a fault: name the tables of the "
             "healthy machine as [diagnosis] records"
         ]
+    said = basis_notes(found.evidence.basis)
     if found.evidence.alarm and not found.evidence.steady:
-        return ["the name changes with the point where the models are linearised: take it for one of several"]
-    return []
+        said.append("the name changes with the point where the models are linearised: take it for one of several")
+    return said
+
+
+# What the file of the healthy study is of, where it does not serve.
+UNLIKE = {
+    Basis.OTHER_MODELS: "other models or values",
+    Basis.OTHER_CAUSES: "other faults or causes",
+    Basis.OTHER_NOISE: "another noise variance",
+    Basis.OTHER_RECORDS: "other records",
+}
+
+
+def basis_notes(basis: Basis) -> list[str]:
+    """Say where the healthy machine is from, nothing where only records can be."""
+    if basis is Basis.RECORDS:
+        return []
+    if basis is Basis.FILE:
+        return ["what the healthy records show is from the baseline.npz beside the healthy result"]
+    return [
+        f"the baseline.npz beside the healthy result is of {UNLIKE[basis]} and was not used: "
+        "the healthy records were examined again"
+    ]
 
 
 def strain_words(strain: Strain | None) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Self
 
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.faults import common_mode
+from fmuid.diagnosis.healthy.shown import Shown
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.model_problem import refinement_of
@@ -37,6 +38,11 @@ class Baseline:
         The healthy records, with the inputs and outputs of those to be diagnosed. With them errors of sensors and
         supply are told from faults, and those that the machine always had are no news; four or more at different
         operating points show the healthy model's own error, too.
+    trials : mapping of str to sequence of Experiment
+        Cause to records in which it alone is new: they show the fault models' error.
+    shown : Shown, optional
+        What the healthy records showed when the healthy machine was identified: taken where it is of the same machine,
+        faults and records, or none are given.
 
     Attributes
     ----------
@@ -64,10 +70,11 @@ class Baseline:
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     records: Sequence[Experiment] = ()
     trials: Mapping[str, Sequence[Experiment]] = field(default_factory=dict)
+    shown: Shown | None = None
     common: dict[str, Parameter] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.trials and not self.records:
+        if self.trials and not self.beside:
             raise InputError("trials are compared with healthy records: name the tables of the healthy machine, too")
         object.__setattr__(self, "common", common_mode(self.result, self.inflate, self.parameters, self.values))
 
@@ -83,6 +90,11 @@ class Baseline:
         if isinstance(given, cls):
             return given
         return cls(given if isinstance(given, Result) else Result.from_json(given))  # type: ignore[arg-type]
+
+    @property
+    def beside(self) -> bool:
+        """Whether healthy records say what the sensors and the supply are like, too."""
+        return bool(self.records) or self.shown is not None
 
     @property
     def refinement(self) -> Refinement:

@@ -1,0 +1,1 @@
+"""The healthy machine, as records are compared with it."""

@@ -1,0 +1,136 @@
+"""What fmuid identify of a healthy study keeps of faults and sensors: the records, examined once for all diagnoses."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.cli.app import run
+from fmuid.diagnosis import Basis
+from fmuid.diagnosis.comparison import Juxtaposition
+from fmuid.reports.words.diagnosis import UNLIKE, basis_notes
+from tests.support.paths import FMUS
+
+COIL = Path(__file__).parents[2] / "experiments" / "coil"
+WORDS: dict[str, Any] = {
+    "model": {"fmu": str(FMUS / "Coil/Coil.fmu")},
+    "experiments": [{"table": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "hold"}],
+}
+FAULTS = {
+    "turns": {"fmu": str(FMUS / "CoilTurns/CoilTurns.fmu"), "parameters": {"lost": {"nominal": 0.1, "max": 0.9}}},
+}
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder in which the healthy coil was identified with the faults to look for later."""
+    folder = tmp_path_factory.mktemp("kept")
+    for name in ("healthy.csv", "test1.csv", "test2.csv"):
+        pd.read_csv(COIL / name).head(400).to_csv(folder / name, index=False)
+    words = WORDS | {"parameters": {"R": {"start": 3.0}, "L": {"start": 0.2}}, "diagnosis": {"faults": FAULTS}}
+    found = fmuid.run_study(fmuid.Study.of(words, folder / "healthy.toml"), folder / "healthy")
+    assert folder / "healthy" / "baseline.npz" in found.files
+    return folder
+
+
+def asked(folder: Path, **said: Any) -> fmuid.Study:
+    known = {"healthy": "healthy/result.json", "faults": FAULTS, "inflate": {"R": 10.0}}
+    tested = {"experiments": [WORDS["experiments"][0] | {"table": "test1.csv"}], "diagnosis": known | said}
+    return fmuid.Study.of(WORDS | tested, folder / "test.toml")
+
+
+def made(study: fmuid.Study) -> Juxtaposition:
+    """Return what a diagnosis compares records with."""
+    search = study.diagnosis
+    assert search is not None
+    faults = search.hypotheses(study.system, study.model, study.data)
+    baseline = search.baseline(study.model, study.parameters, study.noise, study.experiments[0].read_experiment)
+    return Juxtaposition.of(study.system, baseline, faults, search.causes, study.tables)
+
+
+def test_the_file_says_what_the_records_say(kept: Path) -> None:
+    from_file, records = made(asked(kept)), made(asked(kept, records=["test2.csv"]))
+    assert (from_file.basis, records.basis) == (Basis.FILE, Basis.OTHER_RECORDS)
+    wider = {"offset": {"normal": 0.5, "size": 1.0}}
+    assert made(asked(kept, causes=wider, records=["healthy.csv"])).basis is Basis.FILE  # no matter of the healthy one
+    shutil.move(kept / "healthy/baseline.npz", kept / "baseline.npz")
+    examined = made(asked(kept, records=["healthy.csv"]))
+    few = made(asked(kept, causes={"gain": False, "delay": False}, records=["healthy.csv"]))
+    shutil.move(kept / "baseline.npz", kept / "healthy/baseline.npz")
+    assert examined.basis is Basis.RECORDS
+    assert from_file.healthy.known.mean == pytest.approx(examined.healthy.known.mean, rel=1e-9)
+    assert from_file.healthy.known.covariance == pytest.approx(examined.healthy.known.covariance, rel=1e-9)
+    # of fewer causes: the noise is what all of them leave
+    assert from_file.shown is not None
+    assert few.shown is not None
+    assert from_file.shown.kept is not None
+    assert few.shown.kept is not None
+    among = from_file.shown.kept.among(from_file.shown, few.shown.kept)
+    assert among.said[0].matrix == pytest.approx(few.shown.said[0].matrix, rel=0.02, abs=1e-6)
+
+
+def test_a_diagnosis_and_a_monitoring_take_it(kept: Path) -> None:
+    found = asked(kept).diagnose()
+    assert found.evidence is not None
+    assert found.evidence.basis is Basis.FILE
+    assert {"turns.lost", "gain(i)", "delay(i)"} <= {each.change.label for each in found.evidence.suspects}
+    assert "What the healthy records show is from the baseline.npz beside the healthy result" in fmuid.describe(found)
+    again = fmuid.Diagnosis.from_json(found.to_json(kept / "diagnosis.json"))
+    assert again.evidence == found.evidence
+    monitor = fmuid.run_monitoring(asked(kept), [kept / "test1.csv"]).monitor
+    assert monitor.basis is Basis.FILE
+    assert "baseline.npz" in fmuid.describe(monitor)
+
+
+@pytest.mark.parametrize(
+    ("said", "basis"),
+    [
+        ({"faults": FAULTS | {"other": FAULTS["turns"]}}, Basis.OTHER_MODELS),
+        ({"faults": {"turns": FAULTS["turns"] | {"values": {"i_start": 0.1}}}}, Basis.OTHER_MODELS),
+        ({"model": WORDS["model"] | {"values": {"i_start": 0.1}}}, Basis.OTHER_MODELS),
+        ({"causes": {"gain": False}}, Basis.OTHER_CAUSES),
+        ({"noise": {"variance": {"i": 1e-3}}}, Basis.OTHER_NOISE),
+    ],
+)
+def test_a_file_that_does_not_fit(kept: Path, said: dict[str, Any], basis: Basis) -> None:
+    top = {key: value for key, value in said.items() if key not in ("faults", "causes")}
+    own = {key: value for key, value in said.items() if key in ("faults", "causes")}
+    study = asked(kept, **own)
+    with pytest.raises(fmuid.InputError, match=f"baseline.npz is of {basis.value} than this study: identify"):
+        made(fmuid.Study.of({**study.data, **top}, study.path))
+    study = asked(kept, records=["healthy.csv"], **own)
+    found = made(fmuid.Study.of({**study.data, **top}, study.path))
+    assert found.basis is basis
+    assert f"is of {UNLIKE[basis]} and was not used" in basis_notes(found.basis)[0]
+
+
+def test_wrong_words(kept: Path) -> None:
+    for words, message in (
+        ({"records": ["healthy.csv"], "faults": FAULTS}, "has records and no healthy"),
+        ({"faults": FAULTS}, "there is no healthy machine: give healthy"),
+    ):
+        with pytest.raises(fmuid.InputError, match=message):
+            fmuid.Study.of(WORDS | {"diagnosis": words}, kept / "test.toml").diagnose()
+    whole = (kept / "healthy/baseline.npz").read_bytes()
+    (kept / "healthy/baseline.npz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(fmuid.InputError, match="is not of fmuid identify, or not whole"):
+        made(asked(kept))
+    (kept / "healthy/baseline.npz").write_bytes(whole)
+
+
+def test_a_later_run_without_faults_leaves_no_file(kept: Path, tmp_path: Path) -> None:
+    shutil.copytree(kept, tmp_path / "a")
+    (tmp_path / "a/healthy.toml").write_text(
+        f'[model]\nfmu = "{WORDS["model"]["fmu"]}"\n[[experiments]]\ntable = "healthy.csv"\ninputs = ["u"]\n'
+        'outputs = ["i"]\ninterpolation = "hold"\n[parameters]\nR = { start = 3.0 }\nL = { start = 0.2 }\n'
+    )
+    assert (tmp_path / "a/healthy/baseline.npz").is_file()
+    assert run(["identify", str(tmp_path / "a/healthy.toml"), "-o", str(tmp_path / "a/healthy"), "--no-report"]) == 0
+    assert not (tmp_path / "a/healthy/baseline.npz").is_file()
+    assert np.isfinite(fmuid.Result.from_json(tmp_path / "a/healthy/result.json").values).all()
