@@ -384,7 +384,7 @@ def test_the_command_finds_nothing_in_a_sound_machine(study: Path, capsys: pytes
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('healthy = "result.json"', "", "[diagnosis] needs the key 'healthy'"),
+        ('healthy = "result.json"', "", "there is no healthy machine: give healthy"),
         ('healthy = "result.json"', 'healthy = "none.json"', "there is no file"),
         ('healthy = "result.json"', 'healthy = "table.csv"', "is not JSON"),
         ("ea = { nominal = 0.01, min = 0 }", "ea = { min = 0 }", "[diagnosis.faults.stator.parameters.ea] is refused"),
