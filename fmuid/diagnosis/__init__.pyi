@@ -16,7 +16,7 @@ from .findings import Explanation as Explanation
 from .findings import Suspect as Suspect
 from .healthy.baseline import Baseline as Baseline
 from .healthy.shown import Basis as Basis
-from .healthy.shown import Shown as Shown
+from .healthy.shown import HealthyEvidence as HealthyEvidence
 from .hypothesis import Hypothesis as Hypothesis
 from .hypothesis import Size as Size
 from .hypothesis import Strain as Strain

@@ -16,7 +16,7 @@ from fmuid.diagnosis.examination import Healthy, error_of, examine, healthy_of, 
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.findings import Evidence
 from fmuid.diagnosis.healthy.baseline import Baseline
-from fmuid.diagnosis.healthy.shown import Basis, Kept, Shown
+from fmuid.diagnosis.healthy.shown import Basis, HealthyEvidence, MachineDigest
 from fmuid.diagnosis.healthy.whitening import Whitening
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.errors import InputError
@@ -40,7 +40,7 @@ class Juxtaposition:
     healthy : Healthy
     basis : Basis
         Where the healthy machine is from.
-    shown : Shown or None
+    shown : HealthyEvidence or None
         What the healthy records showed.
     """
 
@@ -50,7 +50,7 @@ class Juxtaposition:
     coordinates: Coordinates
     healthy: Healthy
     basis: Basis = Basis.RECORDS
-    shown: Shown | None = None
+    shown: HealthyEvidence | None = None
 
     @classmethod
     def of(
@@ -161,7 +161,7 @@ def compare(
     return Evidence.of(examine(machines, made.healthy, made.coordinates, level, kappa), faults, made.basis)
 
 
-def show(baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes) -> Shown:
+def show(baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes) -> HealthyEvidence:
     """Return what the records of a baseline show of the healthy machine and of all causes.
 
     Raises
@@ -182,15 +182,15 @@ def _shown(
     variance: Mapping[str, float],
     *,
     fewer: bool,
-) -> tuple[Basis, Shown]:
+) -> tuple[Basis, HealthyEvidence]:
     """Return what healthy records showed, of the file where that fits, and where it is from."""
     given, known, basis = baseline.noise_variance, baseline.shown, Basis.RECORDS
     how = system, baseline.values, baseline.refinement
-    asked = Kept.of(how, faults, coordinates, given, baseline.records)
-    if known is not None and known.kept is not None:
-        unlike = known.kept.unlike(asked, fewer=fewer)
+    asked = MachineDigest.of(how, faults, coordinates, given, baseline.records)
+    if known is not None and known.subject is not None:
+        unlike = known.subject.unlike(asked, fewer=fewer)
         if unlike is None:
-            return Basis.FILE, known.kept.among(known, asked)
+            return Basis.FILE, known.subject.among(known, asked)
         if not baseline.records:
             raise InputError(
                 f"{known.path} is of {unlike.value} than this study: identify the healthy study again with these, or "
@@ -199,7 +199,7 @@ def _shown(
         basis = unlike
     records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
     whitening = whitening_of(records, coordinates, None if given is None else variance)
-    return basis, replace(shown_by(records, whitening, coordinates), kept=asked)
+    return basis, replace(shown_by(records, whitening, coordinates), subject=asked)
 
 
 def _machine(

@@ -22,7 +22,7 @@ from fmuid.diagnosis.evidence.detection import Chance, fit
 from fmuid.diagnosis.evidence.information import Information, Known, News
 from fmuid.diagnosis.evidence.naming import MODEL_ERROR, Naming, name
 from fmuid.diagnosis.evidence.remainder import NOTHING_LEFT, Remainder, change, lagged, probability, regression
-from fmuid.diagnosis.healthy.shown import Shown
+from fmuid.diagnosis.healthy.shown import HealthyEvidence
 from fmuid.diagnosis.healthy.whitening import Whitening
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.errors import SimulationError
@@ -94,7 +94,7 @@ class Healthy:
     owed: Information | None = None
 
 
-def shown_by(records: Sequence[Machine], whitening: Whitening, coordinates: Coordinates) -> Shown:
+def shown_by(records: Sequence[Machine], whitening: Whitening, coordinates: Coordinates) -> HealthyEvidence:
     """Return what healthy records showed.
 
     Parameters
@@ -110,10 +110,10 @@ def shown_by(records: Sequence[Machine], whitening: Whitening, coordinates: Coor
         If the healthy machine cannot be simulated.
     """
     said = [_information(machine, whitening, coordinates.healthy, coordinates.healthy) for machine in records]
-    return Shown(tuple(said), _owed(records, whitening, coordinates.healthy), whitening)
+    return HealthyEvidence(tuple(said), _owed(records, whitening, coordinates.healthy), whitening)
 
 
-def healthy_of(shown: Shown, coordinates: Coordinates, drift: Floats) -> Healthy:
+def healthy_of(shown: HealthyEvidence, coordinates: Coordinates, drift: Floats) -> Healthy:
     """Return what healthy records leave known; `drift` (N,) as the class has it."""
     return Healthy(Known.after_several(shown.said, coordinates.normal), shown.whitening, drift, shown.owed)
 

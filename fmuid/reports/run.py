@@ -22,7 +22,7 @@ from fmuid.reports.preparations import Prepared, prepared
 from fmuid.studies import BASELINE_FILE, Study, origin_of
 
 if TYPE_CHECKING:
-    from fmuid.diagnosis import Shown
+    from fmuid.diagnosis import HealthyEvidence
 
 # A search that took longer than this, s, is not repeated with the data alone without a word.
 QUICK_SECONDS = 2.0
@@ -155,7 +155,7 @@ class _Run:
             self._draw()
         return replace(found, files=tuple(dict.fromkeys(self.files)))
 
-    def _shown(self) -> Callable[[Result], Shown] | None:
+    def _shown(self) -> Callable[[Result], HealthyEvidence] | None:
         """Return what says what a healthy study shows of faults, None of another."""
         if self.study.diagnosis is None:
             return None

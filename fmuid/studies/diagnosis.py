@@ -383,12 +383,12 @@ class FaultSearch:
         InputError
             If the healthy result does not fit them.
         """
-        from fmuid.diagnosis import Baseline, Shown
+        from fmuid.diagnosis import Baseline, HealthyEvidence
 
         if self.source is None:
             raise InputError('there is no healthy machine: give healthy = "healthy/result.json", of its identification')
         records = [read(path) for path in self.records]
         trials = {name: [read(path) for path in paths] for name, paths in self.trials.items()}
         variance = noise.given_variance()
-        shown = None if self.kept is None else Shown.read(self.kept)
+        shown = None if self.kept is None else HealthyEvidence.read(self.kept)
         return Baseline(self.source.result, self.inflate, variance, parameters, model.values, records, trials, shown)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from fmuid.data import Experiment, record_files
-from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Baseline, Design, Monitor, Rule, Shown, show
+from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Baseline, Design, HealthyEvidence, Monitor, Rule, show
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.studies.diagnosis import FaultSearch
@@ -73,7 +73,7 @@ def design_of(
     )
 
 
-def shown_by(study: Study) -> Callable[[Result], Shown] | None:
+def shown_by(study: Study) -> Callable[[Result], HealthyEvidence] | None:
     """Return what says what a healthy study's tables show of faults, by its result; None of a study of another kind.
 
     Raises
@@ -90,7 +90,7 @@ def shown_by(study: Study) -> Callable[[Result], Shown] | None:
     faults = settings.hypotheses(study.system, study.model, study.data)
     variance = study.noise.given_variance()
 
-    def shown(result: Result) -> Shown:
+    def shown(result: Result) -> HealthyEvidence:
         healthy = Baseline(
             result, settings.inflate, noise_variance=variance, values=study.model.values, records=study.tables
         )

@@ -69,9 +69,9 @@ def test_the_file_says_what_the_records_say(kept: Path) -> None:
     # of fewer causes: the noise is what all of them leave
     assert from_file.shown is not None
     assert few.shown is not None
-    assert from_file.shown.kept is not None
-    assert few.shown.kept is not None
-    among = from_file.shown.kept.among(from_file.shown, few.shown.kept)
+    assert from_file.shown.subject is not None
+    assert few.shown.subject is not None
+    among = from_file.shown.subject.among(from_file.shown, few.shown.subject)
     assert among.said[0].matrix == pytest.approx(few.shown.said[0].matrix, rel=0.02, abs=1e-6)
 
 

@@ -10,7 +10,7 @@ from typing import Self
 
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.faults import common_mode
-from fmuid.diagnosis.healthy.shown import Shown
+from fmuid.diagnosis.healthy.shown import HealthyEvidence
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.model_problem import refinement_of
@@ -40,7 +40,7 @@ class Baseline:
         operating points show the healthy model's own error, too.
     trials : mapping of str to sequence of Experiment
         Cause to records in which it alone is new: they show the fault models' error.
-    shown : Shown, optional
+    shown : HealthyEvidence, optional
         What the healthy records showed when the healthy machine was identified: taken where it is of the same machine,
         faults and records, or none are given.
 
@@ -70,7 +70,7 @@ class Baseline:
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     records: Sequence[Experiment] = ()
     trials: Mapping[str, Sequence[Experiment]] = field(default_factory=dict)
-    shown: Shown | None = None
+    shown: HealthyEvidence | None = None
     common: dict[str, Parameter] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -45,7 +45,7 @@ class Basis(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class MachineDigest:
     """What a file of healthy records is of.
 
     Attributes
@@ -74,7 +74,7 @@ class Kept:
         coordinates: Coordinates,
         noise: Any,
         records: Sequence[Experiment],
-    ) -> Kept:
+    ) -> MachineDigest:
         """Return that of a machine: its model, the values that it is held at, and how finely it is simulated."""
         models = {"": _digest(_model(machine[0]), machine[1:])}
         for name, fault in faults.items():
@@ -83,7 +83,7 @@ class Kept:
         names = tuple(f"{each.name}{' across' * each.second}" for each in coordinates.each)
         return cls(models, names, coordinates.healthy, as_json(noise), tuple(map(_of_record, records)))
 
-    def unlike(self, asked: Kept, *, fewer: bool) -> Basis | None:
+    def unlike(self, asked: MachineDigest, *, fewer: bool) -> Basis | None:
         """Return why it does not serve where something is asked, of `fewer` causes or of the same; None if it does."""
         if any(self.models.get(name) != digest for name, digest in asked.models.items()):
             return Basis.OTHER_MODELS
@@ -98,10 +98,10 @@ class Kept:
             return Basis.OTHER_RECORDS
         return None
 
-    def _places(self, asked: Kept) -> list[int]:
+    def _places(self, asked: MachineDigest) -> list[int]:
         return [self.coordinates.index(name) for name in asked.coordinates]
 
-    def among(self, shown: Shown, asked: Kept) -> Shown:
+    def among(self, shown: HealthyEvidence, asked: MachineDigest) -> HealthyEvidence:
         """Return what was shown of the coordinates asked for, in their order, without a change of the others."""
         at = self._places(asked)
         said = tuple(Information(each.matrix[np.ix_(at, at)], each.score[at]) for each in shown.said)
@@ -109,7 +109,7 @@ class Kept:
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class HealthyEvidence:
     """What healthy records showed.
 
     Attributes
@@ -120,7 +120,7 @@ class Shown:
         What the residuals owe to the inputs.
     whitening : Whitening
         By which all of it is white.
-    kept : Kept or None
+    subject : MachineDigest or None
         What a file of it is of.
     path : Path or None
         That file.
@@ -129,13 +129,13 @@ class Shown:
     said: tuple[Information, ...]
     owed: Information
     whitening: Whitening
-    kept: Kept | None = None
+    subject: MachineDigest | None = None
     path: Path | None = field(default=None)
 
     def write(self, path: Path) -> Path:
         """Write ``baseline.npz`` and return its path."""
-        assert self.kept is not None
-        text = {"version": __version__, "kept": self.kept, "noise": self.whitening.models}
+        assert self.subject is not None
+        text = {"version": __version__, "of": self.subject, "noise": self.whitening.models}
         with replacing(path) as draft, draft.open("wb") as file:
             np.savez(
                 file,
@@ -148,7 +148,7 @@ class Shown:
         return path
 
     @classmethod
-    def read(cls, path: Path) -> Shown:
+    def read(cls, path: Path) -> HealthyEvidence:
         """Read a ``baseline.npz``.
 
         Raises
@@ -165,14 +165,14 @@ class Shown:
         except (OSError, ValueError, EOFError, KeyError, BadZipFile) as error:
             raise InputError(f"{path} is not of fmuid identify, or not whole ({error}): {REMEDY}") from None
         with read_content(text, path, KIND, REMEDY) as content:
-            own, noise = content["kept"], content["noise"]
+            own, noise = content["of"], content["noise"]
             names, records = tuple(own["coordinates"]), tuple(own["records"])
-            kept = Kept(own["models"], names, np.array(own["healthy"], dtype=float), own["noise"], records)
+            subject = MachineDigest(own["models"], names, np.array(own["healthy"], dtype=float), own["noise"], records)
             models = {
                 name: Autoregression(**each | {"coefficients": np.array(each["coefficients"], dtype=float)})
                 for name, each in noise.items()
             }
-        return cls(said, owed, Whitening(models), kept, path)
+        return cls(said, owed, Whitening(models), subject, path)
 
 
 def _model(system: System) -> Any:

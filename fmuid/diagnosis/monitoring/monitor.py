@@ -375,7 +375,7 @@ class Monitor:
             "parameters": common,
             "faults": {name: list(fault.parameters) for name, fault in self.faults.items()},
             "records": [each.name for each in self.baseline.records],
-            "shown": None if self.baseline.shown is None or self.baseline.records else self.baseline.shown.kept,
+            "shown": None if self.baseline.shown is None or self.baseline.records else self.baseline.shown.subject,
             "causes": self.causes,
         }
         return {"rule": replace(self.rule, limits={}), "healthy": healthy}
