@@ -41,6 +41,9 @@ VOLATILE = ("checked", "elapsed_s", "finished", "worker")
 SYSTEMS_KEPT = 4
 """Tables, and simulations of the truth, that are kept for the cases that follow."""
 
+AT_START = 2
+"""Calls of a simulator that do not depend on what was measured: the start, and the noise of its simulation."""
+
 WHOLE, NUMBER, TEXT, FLAG, TIMESTAMP = "int64", "float64", "string", "bool", "datetime64[us, UTC]"
 
 
@@ -147,8 +150,12 @@ class CaseRunner:
         if case.draw is not None and self._drawn is not None:
             experiments = self._disturbed(case, case.draw, self._drawn, experiments)
         key = case.table, case.free, tuple(case.held.items())
-        problem = problem_of(self.study, experiments, case.free, case.held, case.starts, self._simulators.get(key, ()))
+        known = self._simulators.get(key, ())
+        problem = problem_of(self.study, experiments, case.free, case.held, case.starts, known)
         self._simulators = {key: problem.simulators}
+        if not known and self.cases.settings.starts is None:  # only measurements differ in the cases that follow
+            for each in problem.simulators:
+                each.remember(AT_START)
         return problem
 
     def _identify(self, case: Case, problem: Problem) -> dict[str, object]:

@@ -226,7 +226,8 @@ def local_covariance(
     inverse = np.where(zero, 0.0, 1.0 / np.where(zero, 1.0, values))
     root = magnitudes[:, None] * directions.T * inverse
     with np.errstate(over="ignore"):  # an infinite variance is what it says
-        covariance = root @ _gram(jacobian @ root, spread, unseen, prior_rows) @ root.T
+        middle = np.eye(len(names)) if spread is None else _gram(jacobian @ root, spread, unseen, prior_rows)
+        covariance = root @ middle @ root.T
     null = directions[zero]
     lost = (np.abs(null) > INVOLVED_SHARE).any(axis=0) if zero.any() else np.zeros(len(names), dtype=np.bool_)
     covariance[lost, :] = covariance[:, lost] = np.nan
@@ -254,13 +255,11 @@ def _lost_in_effect(std: Floats, magnitudes: Floats, scale: Floats) -> bool:
     return bool((beyond | astray).any())
 
 
-def _gram(rows: Floats, spread: Floats | None, unseen: NDArray[np.bool_], prior_rows: int) -> Floats:
-    """Return (J R)ᵀ spread² J R (N, N): the identity where every row's spread is 1.
+def _gram(rows: Floats, spread: Floats, unseen: NDArray[np.bool_], prior_rows: int) -> Floats:
+    """Return (J R)ᵀ spread² J R (N, N), which is the identity where every row's spread is 1.
 
     Along directions that only the prior determines, what the data's rows show is error.
     """
-    if spread is None:
-        return np.eye(unseen.size)
     rows = rows * spread[:, None]
     rows[: len(rows) - prior_rows, unseen] = 0.0
     return np.asarray(rows.T @ rows, dtype=np.float64)

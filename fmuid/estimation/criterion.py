@@ -73,6 +73,7 @@ class Criterion:
         self._size = _rms(start * self._weights)
         rows = noise.outputs[problem.groups] * self._weights
         self.noise = _rms(rows)
+        self._shrunk: tuple[Floats, float] | None = None  # a residual, and what became of the outputs against the start
         if derivatives is None:
             self._derivatives = self._chosen_derivatives(rows)
         else:
@@ -197,7 +198,7 @@ class Criterion:
             self.least_variance = np.maximum(self.least_variance, outputs**2)
             self._level = NoiseLevel(outputs, self._level.simulations + len(table) - 1)
             weighed = outputs[problem.groups] * self._weights
-            self._start, self._size = base, _rms(base * self._weights)
+            self._start, self._size, self._shrunk = base, _rms(base * self._weights), None
             self.noise, self._derivatives = _rms(weighed), self._derivatives.renoised(weighed, self._size)
         return float(of_square[0]), larger
 
@@ -206,9 +207,10 @@ class Criterion:
 
         Where the outputs are smaller than at the start, so is what noise there was in proportion to them.
         """
-        outputs = self.problem.measured * self._weights - self._whitened(residual)
-        shrunk = min(1.0, _rms(outputs) / self._size) if self._size > 0 else 1.0
-        return shrunk * self._derivatives.error(theta, central=central)
+        if self._shrunk is None or self._shrunk[0] is not residual:  # asked for several times at each point
+            outputs = self.problem.measured * self._weights - self._whitened(residual)
+            self._shrunk = residual, min(1.0, _rms(outputs) / self._size) if self._size > 0 else 1.0
+        return self._shrunk[1] * self._derivatives.error(theta, central=central)
 
     def evaluate(self, theta: ArrayLike) -> Evaluation:
         """Return residual and (central) Jacobian at theta (N,).

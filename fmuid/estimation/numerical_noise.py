@@ -34,7 +34,7 @@ NEGLIGIBLE_NOISE = 1e-13
 CLOSER_FACTOR = 1.0 / 30.0
 # ... at most this often.
 MOST_NOISE_TABLES = 3
-# A value whose derivatives' squares would overflow counts as a simulation that failed.
+# Values so large together that squares of their derivatives would overflow count as a simulation that failed.
 LARGEST_VALUE = 1e100
 # Rounding of a stored output, half a unit in the last place of double precision.
 ROUNDING_SHARE = 2.0**-53
@@ -172,4 +172,4 @@ def _difference_table(table: Floats, shares: Floats) -> Floats:
 
 def usable(values: Floats) -> NDArray[np.bool_]:
     """Return whether all values (..., n) are finite, and small enough that their squares are (...)."""
-    return np.asarray((values.max(axis=-1) < LARGEST_VALUE) & (values.min(axis=-1) > -LARGEST_VALUE))
+    return np.asarray(np.einsum("...n,...n->...", values, values) < LARGEST_VALUE**2)

@@ -363,5 +363,4 @@ class _Descent:
 
 
 def _square(residual: Floats) -> float:
-    with np.errstate(over="ignore"):  # an overflow is a point to reject
-        return float(residual @ residual)
+    return float(np.vdot(residual, residual))  # without a warning where it overflows: a point to reject

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +53,12 @@ def triangle(jacobian: Floats, residual: Floats) -> Floats:
     both = np.empty((rows, count + 1), order="F")
     both[:, :count], both[:, count] = jacobian, residual
     reduced = lapack.dgeqrf(both, overwrite_a=True)[0]
-    return np.triu(reduced[: count + 1])
+    return np.where(_upper(*reduced[: count + 1].shape), reduced[: count + 1], 0.0)
+
+
+@cache
+def _upper(rows: int, columns: int) -> NDArray[np.bool_]:
+    return np.triu(np.ones((rows, columns), dtype=np.bool_))
 
 
 def best_step(
