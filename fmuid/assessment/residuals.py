@@ -16,6 +16,7 @@ those of `fmuid.assessment.series`.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -28,7 +29,7 @@ from fmuid.assessment.residual_series import InputCorrelation, ResidualSeries, e
 from fmuid.assessment.series import Taken
 from fmuid.data import Measurements
 from fmuid.errors import InputError
-from fmuid.estimation import LeastSquares, Result
+from fmuid.estimation import ColouredNoise, LeastSquares, Result
 from fmuid.files import as_json
 
 CORRELATIONS = ("experiment", "output", "with", "lag", "time", "correlation", "band")
@@ -93,6 +94,42 @@ def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[Finding
     return found
 
 
+@dataclass(frozen=True)
+class SlowResidual:
+    """Slow noise found beneath the rest of a residual (`fmuid.estimation.colour.slow`), too weak for other tests.
+
+    Attributes
+    ----------
+    output : str
+    experiments : tuple of str
+        Which share one model of it.
+    time_constant : float
+        s.
+    share : float
+        Of the residual's variance.
+    """
+
+    output: str
+    experiments: tuple[str, ...]
+    time_constant: float
+    share: float
+
+
+def _slow(noise: ColouredNoise) -> tuple[SlowResidual, ...]:
+    """Return the slow noise of each model that has some."""
+    pools: dict[int, list[int]] = {}
+    for index, (series, model) in enumerate(zip(noise.series, noise.models, strict=True)):
+        if model.pole:
+            pools.setdefault(series.pool, []).append(index)
+    found = []
+    for members in pools.values():
+        series, model = noise.series[members[0]], noise.models[members[0]]
+        names = tuple(dict.fromkeys(noise.series[i].experiment for i in members))
+        constant = -series.step / math.log(model.pole)
+        found.append(SlowResidual(series.output, names, constant, model.slow_share))
+    return tuple(found)
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnostics:
     """All residuals of a result.
@@ -107,11 +144,14 @@ class Diagnostics:
     off_grid : tuple of (str, str)
         Experiments and outputs whose samples stand on no grid: the colour of their noise is taken as if they were
         equally spaced.
+    slow : tuple of SlowResidual
+        Where the standard deviations allow for weak slow noise.
     """
 
     series: tuple[ResidualSeries, ...]
     widening: dict[str, float]
     off_grid: tuple[tuple[str, str], ...] = ()
+    slow: tuple[SlowResidual, ...] = ()
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -173,8 +213,8 @@ class Diagnostics:
             for found in self.findings
         ]
         off_grid = [list(each) for each in self.off_grid]
-        content = {"findings": findings, "widening": self.widening, "off_grid": off_grid, "residuals": rows}
-        plain: dict[str, Any] = as_json(content)
+        content = {"findings": findings, "widening": self.widening, "off_grid": off_grid, "slow": self.slow}
+        plain: dict[str, Any] = as_json(content | {"residuals": rows})
         return plain
 
 
@@ -210,7 +250,8 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
         series += residuals_of(experiment, simulated, first, taken, problem.levels.scale)
         first += int(experiment.counted.sum())
     off_grid = tuple((each.experiment, each.output) for each in result.noise.series if not each.regular)
-    return Diagnostics(tuple(series), dict(zip(result.names, result.widening.tolist(), strict=True)), off_grid)
+    widening = dict(zip(result.names, result.widening.tolist(), strict=True))
+    return Diagnostics(tuple(series), widening, off_grid, _slow(result.noise))
 
 
 def residuals_of(

@@ -163,6 +163,20 @@ def test_samples_on_no_grid_are_said() -> None:
     assert any(line.startswith("The samples of y stand on no grid: ") for line in residual_words(found))
 
 
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_slow_noise_is_said_where_the_intervals_allow_for_it(share: float) -> None:
+    """Of 98 % from sample to sample: a time constant of 50 samples, 0.5 s, and 20 % of the variance."""
+    rng = np.random.default_rng(3)
+    noise = np.sqrt(1.0 - share) * white(23) + np.sqrt(share) * ar1(rng, 0.98, COUNT)
+    found = examined(noise)
+    said = [line for line in residual_words(found) if line.startswith("In the residual of y there is slow noise")]
+    assert len(said) == len(found.slow) == (share > 0.0)
+    for each in found.slow:
+        assert each.time_constant == pytest.approx(0.5, rel=0.5)
+        assert each.share == pytest.approx(share, abs=0.08)
+        assert found.to_json_dict()["slow"][0]["output"] == "y"
+
+
 def test_standard_deviations_that_are_smaller_for_the_colour() -> None:
     """A sine of ω radians a sample meets noise of the spectral density (1 − a²)/(1 + a² − 2 a cos ω)."""
     share = -0.8

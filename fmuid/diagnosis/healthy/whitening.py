@@ -6,13 +6,13 @@ A model of the noise taken from the new record would whiten the fault away with 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fmuid.arrays import Floats, Indices
 from fmuid.data import Experiment
-from fmuid.estimation import Autoregression, autoregression, series_of
+from fmuid.estimation import Autoregression, autoregression, innovations_matrix, series_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Whitening:
             whole = np.concatenate([np.append(each, np.nan) for each in placed])  # a gap between records
             found = autoregression(whole, np.isfinite(whole))
             if variances is not None and name in variances:
-                found = Autoregression(found.coefficients, variances[name] / found.gain, found.samples, found.memory)
+                found = replace(found, variance=variances[name] / found.gain)
             models[name] = found
         return cls(models)
 
@@ -64,7 +64,7 @@ class Whitening:
     def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
         """Return the innovations of columns (K, n_outputs, m) at the counted samples, in units of their std (n, m).
 
-        A sample whose predecessors are missing, the first ones of a record too, has the variance of the process.
+        A sample is foretold by those before it that there are (`fmuid.estimation.colour.innovations`).
         """
         return np.vstack([white for _, white in self.of_outputs(experiment, columns)])
 
@@ -74,19 +74,7 @@ class Whitening:
             model = self.models[series.output]
             j = experiment.output_names.index(series.output)
             rows = np.flatnonzero(experiment.counted[:, j])
-            if not model.coefficients.size:
-                yield rows, columns[rows, j] / model.variance**0.5
-                continue
-            grid = np.full((1 + int(series.places[-1]), columns.shape[2]), np.nan)
-            grid[series.places] = columns[rows, j]
-            innovation = grid.copy()
-            for lag, coefficient in enumerate(model.coefficients.tolist(), 1):
-                innovation[lag:] -= coefficient * grid[:-lag]
-                innovation[:lag] = np.nan
-            std = np.full((len(grid), 1), model.variance**0.5)
-            alone = np.isnan(innovation).any(axis=1)
-            innovation[alone], std[alone] = grid[alone], (model.variance * model.gain) ** 0.5
-            yield rows, (innovation / std)[series.places]
+            yield rows, innovations_matrix(model, series.places) @ columns[rows, j] / self.std(series.output)
 
 
 def _placed(experiment: Experiment, residual: Floats, name: str) -> Floats:

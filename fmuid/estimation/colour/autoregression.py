@@ -109,6 +109,14 @@ class Autoregression:
             response = lfilter([1.0, -self.zero], [1.0, -self.pole], pulse)
         return float(response @ response)
 
+    @property
+    def slow_share(self) -> float:
+        """The share of the variance of the process that its slow noise has."""
+        if not self.pole:
+            return 0.0
+        # the innovations without it have variance · θ/φ (`fmuid.estimation.colour.slow`)
+        return 1.0 - self.zero / self.pole * float(self._of_coefficients @ self._of_coefficients) / self.gain
+
     def scatter(self) -> Floats:
         """Return the covariance of log σ², all φ_j, and φ and θ where they are, times the number of samples."""
         order = self.coefficients.size
@@ -148,11 +156,11 @@ def most_orders(samples: int, length: int) -> int:
 
 
 def autoregression(values: Floats, there: NDArray[np.bool_]) -> Autoregression:
-    """Fit an autoregression, without slow noise, to a series on a grid (n,), False in `there` (n,) where one misses."""
-    return fit(np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size), False)
+    """Fit an autoregressive model to a series on a grid (n,), False in `there` (n,) where a sample misses."""
+    return fit(np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size))
 
 
-def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int, slow: bool = True) -> Autoregression:
+def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int) -> Autoregression:
     """Fit an autoregressive model to the second moments Σ weight_i x_i x_iᵀ of columns x_i.
 
     Parameters
@@ -165,8 +173,6 @@ def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int,
         Of either sign.
     orders : int
         The highest order.
-    slow : bool
-        Whether to look for slow noise beneath.
     """
     samples = int(there.sum())
     variance = max(float(weights @ np.einsum("it,it->i", columns, columns)) / samples, LEAST_VARIANCE)
@@ -182,7 +188,7 @@ def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int,
         order -= 1
     left = variance * math.prod(1.0 - each**2 for each in reflections[:order])
     found = Autoregression(model, left, samples, response.size)
-    if not (slow and order):
+    if not order:
         return found
     scores = [0.0, *scores]
     best = scores[order]

@@ -26,7 +26,8 @@ def residual_words(found: Diagnostics) -> tuple[str, ...]:
     said += _widening(found, coloured=bool(coloured))
     said += [_large(found, each) for each in large if each.trait is not Trait.COLOURED]
     said += _off_grid(found)
-    return tuple(said + _summary(found, quiet=not said))
+    quiet = not said
+    return tuple(said + _slow(found) + _summary(found, quiet=quiet))
 
 
 def _name(found: Diagnostics, series: ResidualSeries) -> str:
@@ -84,6 +85,18 @@ def _widening(found: Diagnostics, *, coloured: bool) -> list[str]:
     return [f"{why} standard deviations are {about} those that white noise of this size would give"]
 
 
+def _slow(found: Diagnostics) -> list[str]:
+    """Say where the standard deviations allow for weak slow noise."""
+    several = len({each.experiment for each in found.series}) > 1
+    return [
+        f"In the residual of {each.output}{f' in {listed(each.experiments)}' if several else ''} there is slow noise "
+        f"beneath the rest ({100 * each.share:.2g} % of its variance, with a time constant of about "
+        f"{each.time_constant:.1g} s), for which the standard deviations allow; one white residual in a hundred looks "
+        "so by chance"
+        for each in found.slow
+    ]
+
+
 def _off_grid(found: Diagnostics) -> list[str]:
     if not found.off_grid:
         return []
@@ -108,11 +121,12 @@ def _summary(found: Diagnostics, *, quiet: bool) -> list[str]:
     lines += [f"The residual of {name} has {listed(traits)}: {said}" for name, traits in slight.items()]
     names = [_name(found, each) for each in examined]
     which = f"residual of {names[0]} looks" if len(names) == 1 else f"residuals of {listed(names)} look"
+    like = "otherwise like" if slight or found.slow else "like"
     return [
         *lines,
-        f"The {which} {'otherwise like' if slight else 'like'} white normal noise that has nothing to do with the "
-        f"inputs, as far as was tested: {_tested(examined)}; nothing more was tested, and an error of the model that "
-        "the parameters make up for does not show there",
+        f"The {which} {like} white normal noise that has nothing to do with the inputs, as far as was tested: "
+        f"{_tested(examined)}; nothing more was tested, and an error of the model that the parameters make up for does "
+        "not show there",
     ]
 
 
