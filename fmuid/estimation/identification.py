@@ -38,31 +38,17 @@ def identify(
     progress: Progress | None = None,
     start: ArrayLike | None = None,
 ) -> Result:
-    """Identify the parameters of a problem by Marquardt's search.
+    """Identify the parameters of a problem by Marquardt's search alone.
 
     Parameters
     ----------
-    problem : LeastSquares
-    settings : Marquardt, optional
-    progress : callable, optional
-        Called with every `fmuid.progress.SearchStep`.
-    start : (N,) array, optional
-        Start elsewhere than the parameters say.
-
-    Returns
-    -------
-    Result
-        Also where the search did not converge or was interrupted from the keyboard: its `outcome` says so. Then
-        nothing more is simulated, and samples that do not count are NaN in `Result.fit`.
+    problem, settings, progress, start
+        As for `fmuid.identify`.
 
     Raises
     ------
-    SimulationError
-        If the simulation at the start fails.
-    InputError
-        If a parameter without prior acts on no output, neither at the start nor at some points of its box.
-    KeyboardInterrupt
-        If that comes before the first step: there is no better point than the start then.
+    SimulationError, InputError, KeyboardInterrupt
+        Likewise.
     """
     return _Identification(problem, settings or MarquardtSettings(), progress, start).run()
 

@@ -10,52 +10,18 @@ WIRES = (
 FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, BOOLEAN, STRING = range(len(WIRES))
 N_WIRES = len(WIRES)
 
-# What an operation does and what a report names: a setting function for each wire, a getting one for each, and these.
-FAILURES = (
-    *("SET_DERIVATIVES", "DO_STEP", "RESET", "SETUP", "ENTER_INITIALIZATION", "EXIT_INITIALIZATION"),
-    *("ENTER_EVENT_MODE", "UPDATE_DISCRETE_STATES", "ENTER_STEP_MODE", "SET_TIME", "SET_STATES", "GET_STATES"),
-    *("GET_NOMINALS", "GET_DERIVATIVES", "GET_INDICATORS", "ENTER_CONTINUOUS_TIME_MODE", "COMPLETED_STEP"),
-    *("DIRECTIONAL_DERIVATIVE", "COPY", "SENSITIVITIES", "LOOP", "ENDED", "OUT_OF_RANGE", "STUCK", "ENDLESS_EVENT"),
-    *("TOO_MANY_EVENTS", "TOO_MANY_STEPS", "STEP_TOO_SMALL", "STATE_NOT_FINITE", "STIFF", "CVODE_FAILED"),
-    *("JUMP_UNKNOWN", "JUMP_REFUSED", "CANCELLED"),
-)
-(
-    SET_DERIVATIVES,
-    DO_STEP,
-    RESET,
-    SETUP,
-    ENTER_INITIALIZATION,
-    EXIT_INITIALIZATION,
-    ENTER_EVENT_MODE,
-    UPDATE_DISCRETE_STATES,
-    ENTER_STEP_MODE,
-    SET_TIME,
-    SET_STATES,
-    GET_STATES,
-    GET_NOMINALS,
-    GET_DERIVATIVES,
-    GET_INDICATORS,
-    ENTER_CONTINUOUS_TIME_MODE,
-    COMPLETED_STEP,
-    DIRECTIONAL_DERIVATIVE,
-    COPY,  # not a call: one signal to another
-    SENSITIVITIES,  # not a call but of the integrator's memory: sensitivities of outputs
-    LOOP,  # of direct feed-through, not solved; the component is its number
-    ENDED,  # by the FMU
-    OUT_OF_RANGE,  # a value that the type of its variable cannot hold
-    STUCK,  # steps return early again and again
-    ENDLESS_EVENT,
-    TOO_MANY_EVENTS,
-    TOO_MANY_STEPS,
-    STEP_TOO_SMALL,
-    STATE_NOT_FINITE,
-    STIFF,
-    CVODE_FAILED,
-    JUMP_UNKNOWN,
-    JUMP_REFUSED,
-    CANCELLED,
-) = range(2 * N_WIRES, 2 * N_WIRES + len(FAILURES))
-PROCESS = CANCELLED + 1  # the process that ran the FMU came to an end, or was ended
+# What an operation does and what a report names: a setting function for each wire, a getting one for each, other
+# functions of the FMI, and what else there is to do or may go wrong. `fmuid.fmi.native` holds them against the core's.
+SET_DERIVATIVES, DO_STEP, RESET, SETUP, ENTER_INITIALIZATION, EXIT_INITIALIZATION = range(24, 30)
+ENTER_EVENT_MODE, UPDATE_DISCRETE_STATES, ENTER_STEP_MODE, SET_TIME, SET_STATES, GET_STATES = range(30, 36)
+GET_NOMINALS, GET_DERIVATIVES, GET_INDICATORS, ENTER_CONTINUOUS_TIME_MODE, COMPLETED_STEP = range(36, 41)
+DIRECTIONAL_DERIVATIVE = 41
+COPY, SENSITIVITIES = 42, 43  # no calls: one signal to another; sensitivities of outputs, from the integrator's memory
+LOOP = 44  # of direct feed-through, not solved; the component is its number
+ENDED, OUT_OF_RANGE, STUCK = 45, 46, 47  # by the FMU; for the type of its variable; steps return early for ever
+ENDLESS_EVENT, TOO_MANY_EVENTS, TOO_MANY_STEPS, STEP_TOO_SMALL, STATE_NOT_FINITE, STIFF, CVODE_FAILED = range(48, 55)
+JUMP_UNKNOWN, JUMP_REFUSED, CANCELLED = 55, 56, 57
+PROCESS = 58  # that ran the FMU came to an end, or was ended: none of the core's
 
 REPORT = 7
 """Words of the report of a simulation: failure (-1 without), component, status, sample, state; time and step as reals.

@@ -13,22 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.errors import InputError
+from fmuid.fmi import codes as k
 from fmuid.fmi import native
-from fmuid.fmi.layout import MOST_STEPS, Sensitivities
+from fmuid.fmi.layout import Integration, Sensitivities
 
 NO_REFERENCES: NDArray[np.uint32] = np.zeros(0, np.uint32)
-NAMES = {
-    2: (
-        *("SetTime", "SetReal", "SetContinuousStates", "GetDerivatives", "GetEventIndicators", "GetContinuousStates"),
-        *("GetNominalsOfContinuousStates", "EnterEventMode", "NewDiscreteStates", "EnterContinuousTimeMode"),
-    ),
-    3: (
-        *("SetTime", "SetFloat64", "SetContinuousStates", "GetContinuousStateDerivatives", "GetEventIndicators"),
-        *("GetContinuousStates", "GetNominalsOfContinuousStates", "EnterEventMode", "UpdateDiscreteStates"),
-        "EnterContinuousTimeMode",
-    ),
-}
-"""The functions that model exchange requires, by version."""
+REQUIRED = (
+    *(k.SET_TIME, k.FLOAT64, k.SET_STATES, k.GET_DERIVATIVES, k.GET_INDICATORS, k.GET_STATES, k.GET_NOMINALS),
+    *(k.ENTER_EVENT_MODE, k.UPDATE_DISCRETE_STATES, k.ENTER_CONTINUOUS_TIME_MODE),
+)
+"""The functions that model exchange requires."""
 
 
 def function_table(version: int, address_of: Callable[[str], int]) -> ctypes.Structure:
@@ -57,29 +51,14 @@ class Integrator:
         Its functions; without the optional CompletedIntegratorStep and GetDirectionalDerivative where they are not
         to be called.
     n_states, n_indicators : int
-    integrator : {"rk45", "rk4", "cvode"}
-        Dormand and Prince's method with step-size control, the classical method with equal steps, or CVODE's BDF.
-    tolerance : float
-        Relative tolerance of "rk45" and "cvode"; the absolute one of a state is that times its nominal value.
-    step_size : float, optional
-        Largest step, s; by default there is no bound but the wanted times.
-    most_steps : int
-        From one wanted time to the next, of "rk45" and "cvode"; an integration that needs more fails.
+    given : Integration
+        Its arrays of sensitivities may be filled in anew before each simulation.
     limit : float
         Steps may go beyond the wanted time up to here, s.
-    input_references : array of uint32, optional
-        Value references of the inputs that have polynomials, one for an array of FMI 3.0.
-    input_starts : (n_u,) array, optional
-        One value for each element of these inputs, in their order: what those keep that are given no polynomial.
-        Default: zero, one element a reference.
     state_references, derivative_references : (n_states,) array of uint32, optional
         Value references of states and derivatives, in their order, for directional derivatives.
     straight : bool
         Whether the polynomials of the inputs are of first order at most.
-    follows : bool
-        Whether it is the twin of another, and not integrated.
-    sensitivities : Sensitivities, optional
-        To parameters, integrated with the states; its arrays may be filled in anew before each simulation.
     twins : sequence of Integrator
         Those whose differences give the sensitivities.
 
@@ -105,29 +84,22 @@ class Integrator:
         table: ctypes.Structure,
         n_states: int,
         n_indicators: int,
+        given: Integration,
         *,
-        integrator: str = "rk45",
-        tolerance: float = 1e-6,
-        step_size: float | None = None,
-        most_steps: int = MOST_STEPS,
         limit: float = -math.inf,
-        input_references: NDArray[np.uint32] = NO_REFERENCES,
-        input_starts: NDArray[np.float64] | None = None,
         state_references: NDArray[np.uint32] = NO_REFERENCES,
         derivative_references: NDArray[np.uint32] = NO_REFERENCES,
         straight: bool = False,
-        follows: bool = False,
-        sensitivities: Sensitivities | None = None,
         twins: Sequence[Integrator] = (),
     ) -> None:
-        _check(integrator, tolerance, step_size)
-        starts = np.zeros(len(input_references)) if input_starts is None else input_starts
-        self.curves: NDArray[np.float64] = np.zeros((len(starts), 4))
-        self.curves[:, 0] = starts
-        references = (input_references, state_references, derivative_references)
+        _check(given.integrator, given.tolerance, given.step_size)
+        sensitivities = given.sensitivities
+        self.curves: NDArray[np.float64] = np.zeros((len(given.input_starts), 4))
+        self.curves[:, 0] = given.input_starts
+        references = (given.inputs, state_references, derivative_references)
         inputs, states, derivatives = (np.ascontiguousarray(values, np.uint32) for values in references)
         known = n_states > 0 and len(states) == len(derivatives) == n_states
-        sundials = sundials_table() if integrator == "cvode" and n_states else None
+        sundials = sundials_table() if given.integrator == "cvode" and n_states else None
         core = native.core()
         extension = None if sensitivities is None else self._extension(sensitivities, states, n_states, twins)
         self._kept: list[Any] = [inputs, states, derivatives, list(twins), sensitivities, table, extension, sundials]
@@ -135,19 +107,19 @@ class Integrator:
             instance=handle,
             n_states=n_states,
             n_indicators=n_indicators,
-            n_inputs=len(starts),
+            n_inputs=len(self.curves),
             n_input_references=len(inputs),
             input_references=address(inputs),
             curves=address(self.curves),
             state_references=address(states) if known else None,
             derivative_references=address(derivatives) if known else None,
-            tolerance=tolerance,
-            largest_step=math.inf if step_size is None else step_size,
+            tolerance=given.tolerance,
+            largest_step=math.inf if given.step_size is None else given.step_size,
             limit=limit,
-            most_steps=most_steps,
-            method=native.METHODS[integrator],
+            most_steps=given.most_steps,
+            method=native.METHODS[given.integrator],
             straight=straight,
-            follows=follows,
+            follows=given.follows,
             sensitivities=address(extension),
             sundials=address(sundials),
             **{f"fmi{version}": address(table)},

@@ -62,15 +62,17 @@ class Integration(NamedTuple):
     `input_starts` has one value for each of their elements (an array of FMI 3.0 has one reference for all). Components
     that are `autonomous` have no varying inputs at all, so that steps may go beyond the samples. A component that
     `follows` is not integrated: it is the twin of one that is. A simulation that needs more than `most_steps` between
-    two samples fails, but by fixed steps.
+    two samples fails, but by fixed steps. "rk45" is Dormand and Prince's method with step-size control, "rk4" the
+    classical one with equal steps, "cvode" CVODE's BDF; `tolerance` is relative, the absolute one of a state that times
+    its nominal value; there is no bound on a step but `step_size`, s, and the wanted times.
     """
 
-    integrator: str
-    tolerance: float
-    step_size: float | None
-    inputs: NDArray[np.uint32]
-    input_starts: NDArray[np.float64]
-    autonomous: bool
+    integrator: str = "rk45"
+    tolerance: float = 1e-6
+    step_size: float | None = None
+    inputs: NDArray[np.uint32] = np.zeros(0, np.uint32)
+    input_starts: NDArray[np.float64] = np.zeros(0)
+    autonomous: bool = False
     follows: bool = False
     sensitivities: Sensitivities | None = None
     most_steps: int = MOST_STEPS

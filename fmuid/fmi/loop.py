@@ -16,7 +16,7 @@ from fmuid.fmi.checks import check_arrays, check_plan
 from fmuid.fmi.failures import function_name
 from fmuid.fmi.files.description import Description
 from fmuid.fmi.instance import Instance
-from fmuid.fmi.integrator import NAMES, Integrator, address, function_table
+from fmuid.fmi.integrator import REQUIRED, Integrator, address, function_table
 from fmuid.fmi.layout import Operation, Plan, TimeGrid
 
 
@@ -143,8 +143,8 @@ class Loop:
         instance, integration = self._instances[number], plan.integrations[number]
         if integration is None:
             return None
-        for name in NAMES[instance.version]:
-            instance.required(name)
+        for code in REQUIRED:
+            instance.required(function_name(instance.version, code) or "")
         description = instance.fmu.description
         wanted = integration.sensitivities.twins if integration.sensitivities else ()
         return Integrator(
@@ -153,18 +153,11 @@ class Loop:
             self._tables[number],
             len(description.derivatives),
             description.indicators,
-            integrator=integration.integrator,
-            tolerance=integration.tolerance,
-            step_size=integration.step_size,
-            most_steps=integration.most_steps,
+            integration,
             limit=float(grid.times[-1]) if integration.autonomous else -np.inf,
-            input_references=integration.inputs,
-            input_starts=integration.input_starts,
             state_references=_references(description, description.states),
             derivative_references=_references(description, description.derivatives),
             straight=grid.slopes is None,
-            follows=integration.follows,
-            sensitivities=integration.sensitivities,
             twins=[twin for twin in (self._integrators[i] for i in wanted) if twin is not None],
         )
 

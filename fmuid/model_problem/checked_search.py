@@ -68,43 +68,14 @@ def identify(
     region: CheckedRegion | None = None,
     start_limit: float = START_LIMIT,
 ) -> Result:
-    """Identify the parameters of a problem, and check what the error of the simulation does to them.
+    """Identify as `fmuid.identify` does, without remedies.
 
     Parameters
     ----------
-    problem : LeastSquares
-        Only a `Problem`, whose predictors run FMUs, has a simulation to check. It is simulated in a finer way from then
-        on where the search has to go on by one.
-    settings : Marquardt or GlobalSearch, optional
-        Default: Marquardt's search from the parameters' starts.
-    progress : callable, optional
-        Called with every `fmuid.progress.SearchStep`, and `GlobalStep` of a search of the box.
-    start : (N,) array, optional
-        Start elsewhere than the parameters say.
-    accuracy : "switch", "check" or "off"
-        Go on by a finer simulation where the error moves an estimate by more than `SHIFT_LIMIT` of its standard
-        deviation, if that goes against nothing that was asked for; just say what it does; or do not look. Optima of a
-        box that are as good as the best, and that a finer simulation does not bear out, are no optima.
-    region : CheckedRegion, optional
-        What is known of the simulation from other searches on like data, of the same parameters.
+    problem, settings, progress, start, accuracy, region
+        As there.
     start_limit : float
         The search goes by model exchange where the outputs at the start differ by more than this share of their spread.
-
-    Returns
-    -------
-    Result
-        With `Result.accuracy`. Also where the search did not converge or was interrupted from the keyboard: its
-        `outcome` says so. Then nothing more is simulated, and samples that do not count are NaN in `Result.fit`.
-
-    Raises
-    ------
-    SimulationError
-        If the simulation at the start fails.
-    InputError
-        If a parameter without prior acts on no output, neither at the start nor at some points of its box, or a search
-        of the box lacks bounds.
-    KeyboardInterrupt
-        If that comes before the first step: there is no better point than the start then.
     """
     if accuracy not in ACCURACIES:
         raise InputError(

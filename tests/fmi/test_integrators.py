@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp.rk import RK45
 
-from fmuid.fmi import codes
+from fmuid.fmi import Integration, codes
 from fmuid.fmi.integrator import Integrator, function_table
 from fmuid.fmi.native import core
 from tests.support.closed_forms import park_rates
@@ -76,10 +76,13 @@ def test_induction_machine_against_dop853(settings: dict[str, Any], tmp_path: Pa
         function_table(2, lambda name: ctypes.cast(getattr(fmu.dll, f"fmi2{name}"), ctypes.c_void_p).value or 0),
         len(slopes),
         description.numberOfEventIndicators,
-        input_references=np.array([references[name] for name in ("uds", "uqs", "w")], np.uint32),
+        Integration(
+            inputs=np.array([references[name] for name in ("uds", "uqs", "w")], np.uint32),
+            input_starts=np.zeros(3),
+            **settings | {"step_size": 1e-4},
+        ),
         state_references=np.array([slope.derivative.valueReference for slope in slopes], np.uint32),
         derivative_references=np.array([slope.valueReference for slope in slopes], np.uint32),
-        **settings | {"step_size": 1e-4},
     )
     for function in (core().integrator_begin, core().integrator_leave_events):
         assert function(memory.handle, 0.0) == 0

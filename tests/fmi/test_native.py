@@ -90,8 +90,11 @@ def test_a_library_of_other_sources_is_refused(monkeypatch: pytest.MonkeyPatch) 
     with monkeypatch.context() as patch:
         patch.setattr(native, "__version__", "0.0.9")
         assert native._difference(library) == __version__
-    monkeypatch.setattr(codes, "FAILURES", (*codes.FAILURES[:2], "MORE", *codes.FAILURES[2:]))
-    assert native._difference(library) == "MORE"
+    monkeypatch.setattr(codes, "DO_STEP", codes.RESET)
+    assert native._difference(library) == "DO_STEP"
+    monkeypatch.undo()
+    monkeypatch.setattr(codes, "PROCESS", codes.PROCESS + 1)
+    assert native._difference(library) == "CANCELLED"
 
 
 def test_structures_are_laid_out_as_the_compiler_did() -> None:

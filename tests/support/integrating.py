@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 from fmuid.fmi.failures import describe
 from fmuid.fmi.integrator import Integrator, function_table
+from fmuid.fmi.layout import Integration
 from fmuid.fmi.native import core
 
 # As in probe/hybrid.c.
@@ -47,6 +48,7 @@ class Trial:
         *,
         n_inputs: int = 0,
         without: tuple[str, ...] = ("GetDirectionalDerivative",),
+        straight: bool = False,
         **settings: Any,
     ) -> None:
         self.library = library
@@ -61,16 +63,17 @@ class Trial:
         self.numbers[P : P + np.size(p)] = p
         n = library.n_states(self.handle)
         self.integrator = settings.get("integrator", "rk45")
+        inputs = np.arange(U, U + n_inputs, dtype=np.uint32)
         self.memory = Integrator(
             version,
             self.handle.value or 0,
             function_table(version, address_of),
             n,
             library.n_indicators(self.handle),
-            input_references=np.arange(U, U + n_inputs, dtype=np.uint32),
+            Integration(inputs=inputs, input_starts=np.zeros(n_inputs), **settings),
+            straight=straight,
             state_references=np.arange(X, X + n, dtype=np.uint32),
             derivative_references=np.arange(DX, DX + n, dtype=np.uint32),
-            **settings,
         )
 
     def begin(self, t: float = 0.0) -> Trial:

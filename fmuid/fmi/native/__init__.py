@@ -123,9 +123,8 @@ def _difference(library: Any) -> str:
     version = library.version().decode()
     if version != __version__:
         return str(version)
-    wires = [wire.upper() for wire in codes.WIRES]
-    names: list[str] = [*wires, *wires, *codes.FAILURES]
     told = library.code_names()
-    theirs = [name.decode() for name in itertools.takewhile(bool, map(told.__getitem__, itertools.count()))]
-    wrong = [name or other for name, other in itertools.zip_longest(names, theirs, fillvalue="") if name != other]
-    return wrong[0] if wrong else ""
+    names = [name.decode() for name in itertools.takewhile(bool, map(told.__getitem__, itertools.count()))]
+    numbers = [*range(codes.N_WIRES), *range(2 * codes.N_WIRES, codes.PROCESS)]
+    wrong = (name for name, number in zip(names, numbers, strict=False) if getattr(codes, name, None) != number)
+    return next(wrong, "") or ("" if len(names) == len(numbers) else names[-1])

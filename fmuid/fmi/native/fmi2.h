@@ -27,42 +27,49 @@ typedef struct {
   fmi2Real nextEventTime;
 } fmi2EventInfo;
 
-/* The functions of one binary; NULL where it has none. */
+/* The functions of one binary: name, what it takes. */
+/* clang-format off */
+#define FMI2_FUNCTIONS(X) \
+  X(Reset, (fmi2Component)) \
+  X(SetupExperiment, (fmi2Component, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime, \
+        fmi2Boolean stopTimeDefined, fmi2Real stopTime)) \
+  X(EnterInitializationMode, (fmi2Component)) \
+  X(ExitInitializationMode, (fmi2Component)) \
+  X(SetReal, (fmi2Component, const fmi2ValueReference *, size_t, const fmi2Real *)) \
+  X(SetInteger, (fmi2Component, const fmi2ValueReference *, size_t, const fmi2Integer *)) \
+  X(SetBoolean, (fmi2Component, const fmi2ValueReference *, size_t, const fmi2Boolean *)) \
+  X(SetString, (fmi2Component, const fmi2ValueReference *, size_t, const fmi2String *)) \
+  X(GetReal, (fmi2Component, const fmi2ValueReference *, size_t, fmi2Real *)) \
+  X(GetInteger, (fmi2Component, const fmi2ValueReference *, size_t, fmi2Integer *)) \
+  X(GetBoolean, (fmi2Component, const fmi2ValueReference *, size_t, fmi2Boolean *)) \
+  X(GetDirectionalDerivative, (fmi2Component, const fmi2ValueReference *unknowns, size_t, \
+        const fmi2ValueReference *knowns, size_t, const fmi2Real *seeds, fmi2Real *derivatives)) \
+  /* co-simulation */ \
+  X(SetRealInputDerivatives, (fmi2Component, const fmi2ValueReference *, size_t, const fmi2Integer *orders, \
+        const fmi2Real *)) \
+  X(DoStep, (fmi2Component, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize, \
+        fmi2Boolean noSetFMUStatePriorToCurrentPoint)) \
+  X(GetRealStatus, (fmi2Component, fmi2StatusKind, fmi2Real *)) \
+  X(GetBooleanStatus, (fmi2Component, fmi2StatusKind, fmi2Boolean *)) \
+  /* model exchange */ \
+  X(SetTime, (fmi2Component, fmi2Real)) \
+  X(SetContinuousStates, (fmi2Component, const fmi2Real *, size_t)) \
+  X(GetContinuousStates, (fmi2Component, fmi2Real *, size_t)) \
+  X(GetNominalsOfContinuousStates, (fmi2Component, fmi2Real *, size_t)) \
+  X(GetDerivatives, (fmi2Component, fmi2Real *, size_t)) \
+  X(GetEventIndicators, (fmi2Component, fmi2Real *, size_t)) \
+  X(EnterEventMode, (fmi2Component)) \
+  X(NewDiscreteStates, (fmi2Component, fmi2EventInfo *)) \
+  X(EnterContinuousTimeMode, (fmi2Component)) \
+  X(CompletedIntegratorStep, (fmi2Component, fmi2Boolean noSetFMUStatePriorToCurrentPoint, \
+        fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation))
+/* clang-format on */
+
+/* Their addresses; NULL where a binary has none. */
 typedef struct {
-  fmi2Status (*Reset)(fmi2Component);
-  fmi2Status (*SetupExperiment)(fmi2Component, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
-                                fmi2Boolean stopTimeDefined, fmi2Real stopTime);
-  fmi2Status (*EnterInitializationMode)(fmi2Component);
-  fmi2Status (*ExitInitializationMode)(fmi2Component);
-  fmi2Status (*SetReal)(fmi2Component, const fmi2ValueReference *, size_t, const fmi2Real *);
-  fmi2Status (*SetInteger)(fmi2Component, const fmi2ValueReference *, size_t, const fmi2Integer *);
-  fmi2Status (*SetBoolean)(fmi2Component, const fmi2ValueReference *, size_t, const fmi2Boolean *);
-  fmi2Status (*SetString)(fmi2Component, const fmi2ValueReference *, size_t, const fmi2String *);
-  fmi2Status (*GetReal)(fmi2Component, const fmi2ValueReference *, size_t, fmi2Real *);
-  fmi2Status (*GetInteger)(fmi2Component, const fmi2ValueReference *, size_t, fmi2Integer *);
-  fmi2Status (*GetBoolean)(fmi2Component, const fmi2ValueReference *, size_t, fmi2Boolean *);
-  fmi2Status (*GetDirectionalDerivative)(fmi2Component, const fmi2ValueReference *unknowns, size_t,
-                                         const fmi2ValueReference *knowns, size_t, const fmi2Real *seeds,
-                                         fmi2Real *derivatives);
-  /* co-simulation */
-  fmi2Status (*SetRealInputDerivatives)(fmi2Component, const fmi2ValueReference *, size_t, const fmi2Integer *orders,
-                                        const fmi2Real *);
-  fmi2Status (*DoStep)(fmi2Component, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
-                       fmi2Boolean noSetFMUStatePriorToCurrentPoint);
-  fmi2Status (*GetRealStatus)(fmi2Component, fmi2StatusKind, fmi2Real *);
-  fmi2Status (*GetBooleanStatus)(fmi2Component, fmi2StatusKind, fmi2Boolean *);
-  /* model exchange */
-  fmi2Status (*SetTime)(fmi2Component, fmi2Real);
-  fmi2Status (*SetContinuousStates)(fmi2Component, const fmi2Real *, size_t);
-  fmi2Status (*GetContinuousStates)(fmi2Component, fmi2Real *, size_t);
-  fmi2Status (*GetNominalsOfContinuousStates)(fmi2Component, fmi2Real *, size_t);
-  fmi2Status (*GetDerivatives)(fmi2Component, fmi2Real *, size_t);
-  fmi2Status (*GetEventIndicators)(fmi2Component, fmi2Real *, size_t);
-  fmi2Status (*EnterEventMode)(fmi2Component);
-  fmi2Status (*NewDiscreteStates)(fmi2Component, fmi2EventInfo *);
-  fmi2Status (*EnterContinuousTimeMode)(fmi2Component);
-  fmi2Status (*CompletedIntegratorStep)(fmi2Component, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
-                                        fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation);
+#define FUNCTION(name, takes) fmi2Status(*name) takes;
+  FMI2_FUNCTIONS(FUNCTION)
+#undef FUNCTION
 } Fmi2;
 
 #endif

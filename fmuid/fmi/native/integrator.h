@@ -8,33 +8,40 @@ typedef enum { RK4, RK45, CVODE } Method;
 
 /* The functions of SUNDIALS 7 that are called, and of its vectors and matrices only what gives access to their numbers:
  * their types are opaque here. `sunindextype` is int64_t, `sunrealtype` double. */
+/* clang-format off */
+#define SUNDIALS_FUNCTIONS(X) \
+  X(int, SUNContext_Create, (int communicator, void **context)) \
+  X(int, SUNContext_ClearErrHandlers, (void *context)) \
+  X(int, SUNContext_Free, (void **context)) \
+  X(void *, N_VMake_Serial, (int64_t n, double *numbers, void *context)) \
+  X(double *, N_VGetArrayPointer, (void *vector)) \
+  X(void, N_VDestroy, (void *vector)) \
+  X(void *, SUNDenseMatrix, (int64_t rows, int64_t columns, void *context)) \
+  X(double *, SUNDenseMatrix_Data, (void *matrix)) \
+  X(void, SUNMatDestroy, (void *matrix)) \
+  X(void *, SUNLinSol_Dense, (void *vector, void *matrix, void *context)) \
+  X(int, SUNLinSolFree, (void *solver)) \
+  X(void *, CVodeCreate, (int method, void *context)) \
+  X(int, CVodeInit, (void *memory, int (*slopes)(double t, void *y, void *dy, void *data), double t, void *y)) \
+  X(int, CVodeReInit, (void *memory, double t, void *y)) \
+  X(int, CVodeSetUserData, (void *memory, void *data)) \
+  X(int, CVodeSVtolerances, (void *memory, double relative, void *absolute)) \
+  X(int, CVodeSetLinearSolver, (void *memory, void *solver, void *matrix)) \
+  X(int, CVodeSetJacFn, (void *memory, int (*jacobian)(double t, void *y, void *dy, void *matrix, void *data, \
+        void *work1, void *work2, void *work3))) \
+  X(int, CVodeSetMaxHnilWarns, (void *memory, int count)) \
+  X(int, CVodeSetMaxStep, (void *memory, double length)) \
+  X(int, CVodeSetStopTime, (void *memory, double t)) \
+  X(int, CVodeSetInitStep, (void *memory, double length)) \
+  X(int, CVode, (void *memory, double until, void *y, double *reached, int task)) \
+  X(int, CVodeGetDky, (void *memory, double t, int derivative, void *y)) \
+  X(void, CVodeFree, (void **memory))
+/* clang-format on */
+
 typedef struct {
-  int (*SUNContext_Create)(int communicator, void **context);
-  int (*SUNContext_ClearErrHandlers)(void *context);
-  int (*SUNContext_Free)(void **context);
-  void *(*N_VMake_Serial)(int64_t n, double *numbers, void *context);
-  double *(*N_VGetArrayPointer)(void *vector);
-  void (*N_VDestroy)(void *vector);
-  void *(*SUNDenseMatrix)(int64_t rows, int64_t columns, void *context);
-  double *(*SUNDenseMatrix_Data)(void *matrix);
-  void (*SUNMatDestroy)(void *matrix);
-  void *(*SUNLinSol_Dense)(void *vector, void *matrix, void *context);
-  int (*SUNLinSolFree)(void *solver);
-  void *(*CVodeCreate)(int method, void *context);
-  int (*CVodeInit)(void *memory, int (*slopes)(double t, void *y, void *dy, void *data), double t, void *y);
-  int (*CVodeReInit)(void *memory, double t, void *y);
-  int (*CVodeSetUserData)(void *memory, void *data);
-  int (*CVodeSVtolerances)(void *memory, double relative, void *absolute);
-  int (*CVodeSetLinearSolver)(void *memory, void *solver, void *matrix);
-  int (*CVodeSetJacFn)(void *memory, int (*jacobian)(double t, void *y, void *dy, void *matrix, void *data, void *work1,
-                                                     void *work2, void *work3));
-  int (*CVodeSetMaxHnilWarns)(void *memory, int count);
-  int (*CVodeSetMaxStep)(void *memory, double length);
-  int (*CVodeSetStopTime)(void *memory, double t);
-  int (*CVodeSetInitStep)(void *memory, double length);
-  int (*CVode)(void *memory, double until, void *y, double *reached, int task);
-  int (*CVodeGetDky)(void *memory, double t, int derivative, void *y);
-  void (*CVodeFree)(void **memory);
+#define FUNCTION(gives, name, takes) gives(*name) takes;
+  SUNDIALS_FUNCTIONS(FUNCTION)
+#undef FUNCTION
 } Sundials;
 
 /* The sensitivities of the states to `count` parameters, integrated with the n states. With directional derivatives

@@ -21,25 +21,16 @@ typedef struct {
 #define PART(type, field, part) {#type, #field, part, offsetof(type, field), sizeof(MEMBER(type, field))},
 #define FIELD(type, field) PART(type, field, TYPE(MEMBER(type, field)))
 
-#define SET_OF_3(name, type) FIELD(Fmi3, Set##name)
-#define GET_OF_3(name, type) FIELD(Fmi3, Get##name)
+#define OF_2(name, takes) FIELD(Fmi2, name)
+#define OF_3(name, takes) FIELD(Fmi3, name)
+#define SET_OF_3(name, type, wire) FIELD(Fmi3, Set##name)
+#define GET_OF_3(name, type, wire) FIELD(Fmi3, Get##name)
+#define OF_SUNDIALS(gives, name, takes) FIELD(Sundials, name)
 
 /* clang-format off */
 static const Place places[] = {
-    FIELD(Fmi2, Reset) FIELD(Fmi2, SetupExperiment) FIELD(Fmi2, EnterInitializationMode)
-    FIELD(Fmi2, ExitInitializationMode) FIELD(Fmi2, SetReal) FIELD(Fmi2, SetInteger) FIELD(Fmi2, SetBoolean)
-    FIELD(Fmi2, SetString) FIELD(Fmi2, GetReal) FIELD(Fmi2, GetInteger) FIELD(Fmi2, GetBoolean)
-    FIELD(Fmi2, GetDirectionalDerivative) FIELD(Fmi2, SetRealInputDerivatives) FIELD(Fmi2, DoStep)
-    FIELD(Fmi2, GetRealStatus) FIELD(Fmi2, GetBooleanStatus) FIELD(Fmi2, SetTime) FIELD(Fmi2, SetContinuousStates)
-    FIELD(Fmi2, GetContinuousStates) FIELD(Fmi2, GetNominalsOfContinuousStates) FIELD(Fmi2, GetDerivatives)
-    FIELD(Fmi2, GetEventIndicators) FIELD(Fmi2, EnterEventMode) FIELD(Fmi2, NewDiscreteStates)
-    FIELD(Fmi2, EnterContinuousTimeMode) FIELD(Fmi2, CompletedIntegratorStep) WHOLE(Fmi2)
-    FIELD(Fmi3, Reset) FIELD(Fmi3, EnterInitializationMode) FIELD(Fmi3, ExitInitializationMode) FMI3_TYPES(SET_OF_3)
-    FIELD(Fmi3, SetString) FMI3_TYPES(GET_OF_3) FIELD(Fmi3, GetDirectionalDerivative) FIELD(Fmi3, EnterEventMode)
-    FIELD(Fmi3, UpdateDiscreteStates) FIELD(Fmi3, EnterStepMode) FIELD(Fmi3, DoStep) FIELD(Fmi3, SetTime)
-    FIELD(Fmi3, SetContinuousStates) FIELD(Fmi3, GetContinuousStates) FIELD(Fmi3, GetNominalsOfContinuousStates)
-    FIELD(Fmi3, GetContinuousStateDerivatives) FIELD(Fmi3, GetEventIndicators) FIELD(Fmi3, EnterContinuousTimeMode)
-    FIELD(Fmi3, CompletedIntegratorStep) WHOLE(Fmi3)
+    FMI2_FUNCTIONS(OF_2) WHOLE(Fmi2)
+    FMI3_TYPES(SET_OF_3) SET_OF_3(String, , ) FMI3_TYPES(GET_OF_3) FMI3_FUNCTIONS(OF_3) WHOLE(Fmi3)
     FIELD(Report, failure) FIELD(Report, component) FIELD(Report, status) FIELD(Report, sample) FIELD(Report, state)
     FIELD(Report, time) FIELD(Report, step) WHOLE(Report)
     FIELD(Component, instance) FIELD(Component, fmi2) FIELD(Component, fmi3) FIELD(Component, integrator)
@@ -64,15 +55,7 @@ static const Place places[] = {
     FIELD(Plan, midpoints) FIELD(Plan, by_rows) WHOLE(Plan)
     FIELD(Grid, n_times) FIELD(Grid, times) FIELD(Grid, inputs) FIELD(Grid, slopes) FIELD(Grid, substeps)
     FIELD(Grid, strides) FIELD(Grid, states) FIELD(Grid, gain) FIELD(Grid, measured) WHOLE(Grid)
-    FIELD(Sundials, SUNContext_Create) FIELD(Sundials, SUNContext_ClearErrHandlers) FIELD(Sundials, SUNContext_Free)
-    FIELD(Sundials, N_VMake_Serial) FIELD(Sundials, N_VGetArrayPointer) FIELD(Sundials, N_VDestroy)
-    FIELD(Sundials, SUNDenseMatrix) FIELD(Sundials, SUNDenseMatrix_Data) FIELD(Sundials, SUNMatDestroy)
-    FIELD(Sundials, SUNLinSol_Dense) FIELD(Sundials, SUNLinSolFree) FIELD(Sundials, CVodeCreate)
-    FIELD(Sundials, CVodeInit) FIELD(Sundials, CVodeReInit) FIELD(Sundials, CVodeSetUserData)
-    FIELD(Sundials, CVodeSVtolerances) FIELD(Sundials, CVodeSetLinearSolver) FIELD(Sundials, CVodeSetJacFn)
-    FIELD(Sundials, CVodeSetMaxHnilWarns) FIELD(Sundials, CVodeSetMaxStep) FIELD(Sundials, CVodeSetStopTime)
-    FIELD(Sundials, CVodeSetInitStep) FIELD(Sundials, CVode) FIELD(Sundials, CVodeGetDky) FIELD(Sundials, CVodeFree)
-    WHOLE(Sundials)
+    SUNDIALS_FUNCTIONS(OF_SUNDIALS) WHOLE(Sundials)
     FIELD(Sensitivities, count) FIELD(Sensitivities, magnitudes) FIELD(Sensitivities, initial)
     FIELD(Sensitivities, steps) FIELD(Sensitivities, knowns) FIELD(Sensitivities, twins) WHOLE(Sensitivities)
     FIELD(Integration, instance) FIELD(Integration, fmi2) FIELD(Integration, fmi3) FIELD(Integration, n_states)
@@ -96,7 +79,7 @@ const Place *layout(void) { return places; }
 const char *version(void) { return FMUID_VERSION; }
 
 #define QUOTED(name) #name,
-static const char *const names[] = {WIRES(QUOTED) WIRES(QUOTED) FAILURES(QUOTED) NULL};
+static const char *const names[] = {WIRES(QUOTED) FAILURES(QUOTED) NULL};
 
-/* The wires, twice (setting and getting), and the failures, as they are numbered. */
+/* The wires and the failures, in the order of their numbers. */
 const char *const *code_names(void) { return names; }

@@ -10,22 +10,9 @@ static const double INPUT_JUMP = 1e-9;  /* of an input's magnitude: less is roun
 
 /* ---- memory ---- */
 
-static Calls calls2(const Fmi2 *fmi) {
-  return (Calls){
-      fmi->SetTime,        fmi->SetContinuousStates, fmi->GetContinuousStates, fmi->GetNominalsOfContinuousStates,
-      fmi->GetDerivatives, fmi->GetEventIndicators,  fmi->EnterEventMode,      fmi->EnterContinuousTimeMode};
-}
-
-static Calls calls3(const Fmi3 *fmi) {
-  return (Calls){fmi->SetTime,
-                 fmi->SetContinuousStates,
-                 fmi->GetContinuousStates,
-                 fmi->GetNominalsOfContinuousStates,
-                 fmi->GetContinuousStateDerivatives,
-                 fmi->GetEventIndicators,
-                 fmi->EnterEventMode,
-                 fmi->EnterContinuousTimeMode};
-}
+#define CALLS_OF(fmi, Derivatives)                                                                               \
+  ((Calls){fmi->SetTime, fmi->SetContinuousStates, fmi->GetContinuousStates, fmi->GetNominalsOfContinuousStates, \
+           fmi->Derivatives, fmi->GetEventIndicators, fmi->EnterEventMode, fmi->EnterContinuousTimeMode})
 
 /* Take n numbers from the memory at *rest. */
 static double *take(double **rest, size_t n) {
@@ -58,7 +45,7 @@ Integrator *integrator_create(const Integration *how) {
   if (!self) return NULL;
   const size_t count = how->sensitivities ? how->sensitivities->count : 0;
   self->how = *how;
-  self->call = how->fmi2 ? calls2(how->fmi2) : calls3(how->fmi3);
+  self->call = how->fmi2 ? CALLS_OF(how->fmi2, GetDerivatives) : CALLS_OF(how->fmi3, GetContinuousStateDerivatives);
   self->n_total = how->n_states * (1 + count);
   self->report.failure = NOTHING;
   if (how->sensitivities)

@@ -78,26 +78,12 @@ static int32_t call2(const Fmi2 *fmi, const Operation *o) {
   }
 }
 
-enum { /* the wires by the names of FMI 3.0 */
-       W_Float64 = FLOAT64,
-       W_Float32 = FLOAT32,
-       W_Int8 = INT8,
-       W_UInt8 = UINT8,
-       W_Int16 = INT16,
-       W_UInt16 = UINT16,
-       W_Int32 = INT32,
-       W_UInt32 = UINT32,
-       W_Int64 = INT64,
-       W_UInt64 = UINT64,
-       W_Boolean = BOOLEAN
-};
-
 static int32_t call3(const Fmi3 *fmi, const Operation *o) {
   switch (o->function) {
-#define CALLS(name, type)                                                                \
-  case W_##name:                                                                         \
+#define CALLS(name, type, wire)                                                          \
+  case wire:                                                                             \
     return fmi->Set##name(o->instance, o->references, o->count, o->values, o->n_values); \
-  case N_WIRES + W_##name:                                                               \
+  case N_WIRES + wire:                                                                   \
     return fmi->Get##name(o->instance, o->references, o->count, o->values, o->n_values);
     FMI3_TYPES(CALLS)
     case STRING:
