@@ -57,8 +57,10 @@ def check_result(problem: LeastSquares, result: Result) -> None:
     Raises
     ------
     InputError
-        If their parameters or outputs differ.
+        If their parameters or outputs differ, or the problem does not know the weights of its samples.
     """
+    if problem.noise.coloured and problem.weights is None:
+        raise InputError("the weights of noise.coloured follow from residuals: identify this very problem first")
     pairs = (
         ("parameters", result.names, problem.parameters.names),
         ("outputs", tuple(result.noise_variance), problem.output_names),

@@ -146,12 +146,15 @@ class Diagnostics:
         equally spaced.
     slow : tuple of SlowResidual
         Where the standard deviations allow for weak slow noise.
+    weighed : bool
+        Whether samples were weighed by the colour of their noise: `widening` is against noise of that colour then.
     """
 
     series: tuple[ResidualSeries, ...]
     widening: dict[str, float]
     off_grid: tuple[tuple[str, str], ...] = ()
     slow: tuple[SlowResidual, ...] = ()
+    weighed: bool = False
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -214,7 +217,7 @@ class Diagnostics:
         ]
         off_grid = [list(each) for each in self.off_grid]
         content = {"findings": findings, "widening": self.widening, "off_grid": off_grid, "slow": self.slow}
-        plain: dict[str, Any] = as_json(content | {"residuals": rows})
+        plain: dict[str, Any] = as_json(content | {"weighed": self.weighed, "residuals": rows})
         return plain
 
 
@@ -251,7 +254,7 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
         first += int(experiment.counted.sum())
     off_grid = tuple((each.experiment, each.output) for each in result.noise.series if not each.regular)
     widening = dict(zip(result.names, result.widening.tolist(), strict=True))
-    return Diagnostics(tuple(series), widening, off_grid, _slow(result.noise))
+    return Diagnostics(tuple(series), widening, off_grid, _slow(result.noise), result.noise.weights is not None)
 
 
 def residuals_of(

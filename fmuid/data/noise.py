@@ -46,6 +46,9 @@ class Noise:
         A sample of weight w has the variance σ²/w, with one σ² for all outputs that have weights, which is estimated.
     common : bool or sequence of str
         Outputs (True: all) that share one estimated variance, the σ̂_b² of (1.61), as if each had the weight 1.
+    coloured : bool
+        Whether estimates weigh the samples by the colour of each output's noise, as the residual of a first search
+        shows it (generalised least squares): they are sharper where noise is slow and records are long.
     experiments : mapping of str to Noise
         What holds in an experiment of that name in place of all this; only the four forms.
 
@@ -68,6 +71,7 @@ class Noise:
     relative: float | Mapping[str, float] | None = None
     weights: Level | Mapping[str, Level] | None = None
     common: bool | Sequence[str] = False
+    coloured: bool = False
     experiments: Mapping[str, Noise] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -79,7 +83,7 @@ class Noise:
             found = {output: _checked(word, output, value) for output, value in entries}
             object.__setattr__(self, word, found if isinstance(given, Mapping) else found[""])
         for name, own in self.experiments.items():
-            if own.start is not None or own.common or own.experiments:
+            if own.start is not None or own.common or own.coloured or own.experiments:
                 raise InputError(f"the noise of experiment {name!r} has {', '.join(FORMS)} only: say the rest of all")
 
     def form(self, output: str) -> tuple[str, Any]:
@@ -108,7 +112,7 @@ class Noise:
         InputError
             If the noise is said in another form.
         """
-        for word in ("std", "relative", "weights", "common", "experiments"):
+        for word in ("std", "relative", "weights", "common", "coloured", "experiments"):
             if getattr(self, word):
                 raise InputError(f"a diagnosis takes the noise as noise.variance alone: leave noise.{word} out")
         return None if isinstance(self.variance, str) else self.variance

@@ -13,6 +13,7 @@ from .accuracy.outcome import SwitchCause as SwitchCause
 from .colour.autoregression import Autoregression as Autoregression
 from .colour.autoregression import autoregression as autoregression
 from .colour.grid import Rows as Rows
+from .colour.innovations import Weights as Weights
 from .colour.innovations import innovations_matrix as innovations_matrix
 from .colour.sandwich import ColouredNoise as ColouredNoise
 from .colour.sandwich import Sandwich as Sandwich

@@ -26,6 +26,7 @@ from fmuid.data import (
 )
 from fmuid.data import Noise as Noise
 from fmuid.errors import InputError, check_kind
+from fmuid.estimation.colour.innovations import Weights
 from fmuid.estimation.model_derivatives import Sensitivity
 from fmuid.estimation.numerical_noise import LARGEST_VALUE
 
@@ -76,6 +77,8 @@ class LeastSquares:
         Where the estimation of the variances starts, NaN where the residual decides.
     loss : Loss or None
         None for the plain sum of squares.
+    weights : Weights or None
+        Where samples are weighed by the colour of their noise: what makes it white in `measured` and all predictions.
     simulations : int
         How many simulations of an experiment were made so far.
     failures : int
@@ -122,6 +125,7 @@ class LeastSquares:
         noise = noise or Noise()
         self.noise, self.loss = noise, loss_of(loss)
         self.simulations = self.failures = 0
+        self.weights: Weights | None = None
         self._reasons: dict[int, tuple[Floats, Exception | None]] = {}  # of the last failure, by experiment
         self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
         if not self.output_names:
@@ -136,6 +140,8 @@ class LeastSquares:
         self.counts = np.bincount(self.groups, minlength=len(self.output_names))
         self.variance, self.first_variance = self.levels.variance, self.levels.first
         self._check_counts()
+        if noise.coloured and self.loss is not None:
+            raise InputError(f'noise.coloured goes with loss = "linear", not "{loss}": leave one of the two out')
 
     @staticmethod
     def from_function(
@@ -212,13 +218,7 @@ class LeastSquares:
             )
 
     def check_measured(self) -> None:
-        """Check that all outputs have been measured; without that a problem can be checked and simulated only.
-
-        Raises
-        ------
-        InputError
-            If one has not.
-        """
+        """Check that all outputs have been measured (`InputError`); without that a problem can be simulated only."""
         missing = self.groups[np.isnan(self.measured)]
         if missing.size:
             name = self.output_names[missing[0]]
@@ -227,7 +227,17 @@ class LeastSquares:
     def stacked(self, tables: Sequence[Floats]) -> Floats:
         """Return the counted samples (n,) of the outputs (K, n_outputs) of each experiment, as `measured` has them."""
         rows = np.concatenate([own.ravel()[kept] for own, kept in zip(tables, self._counted, strict=True)])
-        return rows if self.levels.scale is None else rows / self.levels.scale
+        return self._weighed(rows)
+
+    def _weighed(self, rows: Floats) -> Floats:
+        """Return rows (..., n) with noise of one variance for each output, and white where that is known."""
+        rows = rows if self.levels.scale is None else rows / self.levels.scale
+        return rows if self.weights is None else self.weights(rows.T).T
+
+    def weigh(self, weights: Weights | None) -> None:
+        """Weigh samples by the colour of their noise from now on, alike without."""
+        raw = self.measured if self.weights is None else self.weights.undone(self.measured)
+        self.weights, self.measured = weights, raw if weights is None else weights(raw)
 
     def tables(self, rows: Floats) -> list[Floats]:
         """Return counted samples (n,) where they stand in the tables (K, n_outputs), NaN where none counts."""
@@ -253,7 +263,7 @@ class LeastSquares:
         self.failures += int(failed.sum())
         stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
         stacked[failed] = np.nan
-        return stacked if self.levels.scale is None else stacked / self.levels.scale
+        return self._weighed(stacked)
 
     def derivatives(self, theta: Floats) -> Floats:
         """Return the derivatives (N, n) of all counted samples by the parameters at theta (N,), from the model.
@@ -271,7 +281,7 @@ class LeastSquares:
             np.add.at(block, columns, derivatives(theta[columns]).reshape(columns.size, -1)[:, kept])
             blocks.append(block)
         found = np.concatenate(blocks, axis=1)
-        return found if self.levels.scale is None else found / self.levels.scale
+        return self._weighed(found)
 
     def refuse_derivatives(self, reason: str) -> None:
         """Note why differences serve in place of the derivatives of the model."""
@@ -297,7 +307,8 @@ class LeastSquares:
         thetas = np.array(theta, dtype=np.float64)[None]
         if predicted is None:
             return [self._outputs(index, thetas)[0] for index in range(len(self.experiments))]
-        known = self.tables(predicted if self.levels.scale is None else predicted * self.levels.scale)
+        raw = predicted if self.weights is None else self.weights.undone(predicted)
+        known = self.tables(raw if self.levels.scale is None else raw * self.levels.scale)
         for index, (experiment, kept) in enumerate(zip(self.experiments, self._counted, strict=True)):
             if simulate and kept.size < experiment.output_values.size:
                 known[index] = self._outputs(index, thetas)[0]
@@ -368,17 +379,13 @@ class LeastSquares:
         implied = np.maximum(self.levels.pooled(sums, self.counts) / self.counts, least)
         variance = np.where(np.isnan(self.variance), implied, self.variance)
         scale = 0.0 if self.levels.scale is None else float(np.log(self.levels.scale).sum())
+        scale -= 0.0 if self.weights is None else self.weights.log_determinant
         return -0.5 * float(np.sum(self.counts * np.log(2.0 * math.pi * variance) + sums / variance)) - scale
 
     def noise_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
         """Return the noise variance of each output that a residual tells of, (n_outputs,).
 
         That of `output_variances`; with a robust loss Huber's proposal 2, which outliers do not inflate either.
-
-        Parameters
-        ----------
-        residual, shares
-            As for `output_variances`.
         """
         if self.loss is None:
             return self.output_variances(residual, shares)

@@ -29,6 +29,7 @@ from fmuid.estimation import (
     Remedy,
     Result,
     Trouble,
+    Weights,
     second_difference_noise,
 )
 from fmuid.model_problem import checked_search
@@ -132,7 +133,42 @@ def _identify(
     remedies: bool,
     region: CheckedRegion | None,
 ) -> Result:
-    """Identify the parameters of a problem whose other values are all known."""
+    """Identify the parameters of a problem whose other values are all known; then, if asked, by the noise's colour."""
+    problem.weigh(None)
+    first = _unweighed(problem, method, progress, start, accuracy, remedies, region)
+    if not problem.noise.coloured or not first.converged or first.noise is None:
+        return first
+    problem.weigh(Weights.of(first.noise.series, first.noise.models))
+    found = checked_search.identify(problem, method.marquardt, progress, first.values, accuracy=accuracy)
+    known, before = found.accuracy, first.accuracy
+    if known is not None and before is not None:
+        known = replace(
+            known,
+            switches=before.switches + known.switches,
+            refused=before.refused,
+            simulations=before.simulations + known.simulations,
+        )
+    return replace(
+        found.after(first),
+        simulations=first.simulations + found.simulations,
+        elapsed_s=first.elapsed_s + found.elapsed_s,
+        accuracy=known,
+        attempts=first.attempts,
+        optima=first.optima,
+        fits=first.fits,
+    )
+
+
+def _unweighed(
+    problem: LeastSquares,
+    method: Method,
+    progress: Progress | None,
+    start: ArrayLike | None,
+    accuracy: str,
+    remedies: bool,
+    region: CheckedRegion | None,
+) -> Result:
+    """Identify the parameters of a problem whose samples all count alike."""
     if isinstance(problem, Problem) and problem.corrected:
         return replace(method.search(problem, progress, start), observer=problem.observer)
     if not remedies or method.whole_box or not isinstance(problem, Problem):

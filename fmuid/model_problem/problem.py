@@ -14,7 +14,7 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.data import Experiment, JointPrior, Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation import SENSITIVITIES, LeastSquares, Result
+from fmuid.estimation import SENSITIVITIES, LeastSquares, Result, Weights
 from fmuid.fmi import FMU
 from fmuid.model_problem.choices import Given, choices_of
 from fmuid.models import System, Value
@@ -167,11 +167,17 @@ class Problem(LeastSquares):
         self._derivatives = tuple(_derivatives(self._simulators, self.sensitivity))
         self.refinement, self._finer, self._known, self._reasons = AS_ASKED, {}, None, {}
 
+    def weigh(self, weights: Weights | None) -> None:
+        """Weigh samples as `LeastSquares.weigh` does; what is known was not weighed like that."""
+        super().weigh(weights)
+        self._finer, self._known = {}, None
+
     def become(self, result: Result) -> None:
         """Simulate as a result of this problem was, with the values that it has chosen."""
         if result.chosen:
             self.choose(result.chosen)
         self.simulate_by(refinement_of(result))
+        self.weigh(None if result.noise is None else result.noise.weights)
 
     @property
     def models(self) -> dict[str, dict[str, Any]]:

@@ -38,6 +38,9 @@ class Rows:
         Outputs whose whitened noise has the variance 1, as it was given.
     white : (n_outputs,) array of bool
         Outputs whose residual is nothing but rounding, of which nothing can be told: white, of variance 1.
+    weighed : (n, m) array, optional
+        B of the projector A Bᵀ, A the `basis`, by which the fit has taken it out; default A, where samples were not
+        weighed by a colour of their noise.
     """
 
     residual: Floats
@@ -47,6 +50,12 @@ class Rows:
     prior: Floats
     given: NDArray[np.bool_]
     white: NDArray[np.bool_]
+    weighed: Floats | None = None
+
+    @property
+    def pull(self) -> Floats:
+        """B (n, m)."""
+        return self.basis if self.weighed is None else self.weighed
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,11 @@ innovations' variances, 2σ⁴/n, they have ν_i = 2/var(log V_ii) degrees of fr
 an estimate is θ_i ± t(ν_i) √V_ii. Where an output's variance is given, its noise has that variance and the residual's
 correlation.
 
+Where samples are weighed by a colour of their noise, L (`fmuid.estimation.colour.innovations`), the rows of the fit are
+those of LJ, C is LᵀLJR, and the projector is A Bᵀ, A = L⁻¹Q and B = LᵀQ, Q a basis of LJ: what is missing is
+A Hᵀ + H Aᵀ, H = ΓB − A(BᵀΓB)/2. Γ is that of the residual of this fit, before it is weighed, so that V holds whatever
+the weights are.
+
 With a robust loss the rows are those of its influence function (`fmuid.estimation.covariance`), and Γ is theirs.
 
 References
@@ -46,6 +51,7 @@ from numpy.typing import NDArray
 from fmuid.arrays import Floats
 from fmuid.estimation.colour.autoregression import Autoregression, fit, most_orders
 from fmuid.estimation.colour.grid import Grid, Rows, Spectra
+from fmuid.estimation.colour.innovations import Weights
 from fmuid.estimation.colour.series import Series, series_of
 from fmuid.estimation.least_squares import LeastSquares
 
@@ -73,14 +79,18 @@ class ColouredNoise:
         The noise of each of them.
     innovations : tuple of (m, m) arrays
         The covariance S of the innovations of the series of each grid, in the order of the series.
+    weights : Weights or None
+        By which the samples were weighed (`LeastSquares.weigh`).
     """
 
     series: tuple[Series, ...]
     models: tuple[Autoregression, ...]
     innovations: tuple[Floats, ...]
+    weights: Weights | None = None
 
     def gram(self, columns: Floats) -> Floats:
         """Return XᵀΓX (k, k) of columns X (n, k) over the rows, Γ the covariance of their whitened noise."""
+        columns = columns if self.weights is None else self.weights.transposed(columns)
         total = np.zeros((columns.shape[1], columns.shape[1]))
         for members, common in zip(_members([each.grid for each in self.series]), self.innovations, strict=True):
             spectra = Spectra.of(columns, [self.series[i] for i in members], [self.models[i] for i in members])
@@ -126,7 +136,14 @@ def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: NDArray[np.b
         basis = local.data_basis
         residual = residual - basis @ (basis.T @ residual)
     rows = Rows(residual, basis, columns, root, own.T @ own, given, rounding)
+    weights = problem.weights
+    if weights is not None:
+        weighed = weights.transposed(basis)
+        raw = weights.undone(np.column_stack([residual, basis]))
+        columns = weighed if columns is basis else weights.transposed(columns)
+        rows = replace(rows, residual=raw[:, 0], basis=raw[:, 1:], columns=columns, weighed=weighed)
     found = sandwich(rows, series_of(problem.experiments, problem.output_names))
+    found = replace(found, noise=replace(found.noise, weights=weights))
     lost = ~np.isfinite(np.diag(local.combined.covariance))
     covariance = found.covariance.copy()
     covariance[lost, :] = covariance[:, lost] = np.nan
@@ -148,7 +165,7 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
     rounds, spread = _rounds(rows), np.full(rows.basis.shape[1], math.inf)
     for done in range(rounds + 1):
         models = _models(rows, series, parts, pools)
-        gram = np.sum([part.take([models[i] for i in part.members], rows.basis) for part in parts], axis=0)
+        gram = np.sum([part.take([models[i] for i in part.members], rows.pull) for part in parts], axis=0)
         before, spread = spread, np.diag(gram)
         if done == rounds or (np.abs(spread - before) <= SETTLED * spread).all():
             break
@@ -156,7 +173,7 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
             break
         for part in parts:
             part.add_removed(gram)
-    if rows.columns is not rows.basis:
+    if rows.columns is not rows.pull:
         gram = np.sum([part.take(part.models, rows.columns, part.innovations) for part in parts], axis=0)
     inner = gram + rows.prior
     covariance = rows.root @ inner @ rows.root.T
@@ -220,7 +237,7 @@ def _freedom(
     rows: Rows, variances: Floats, series: Sequence[Series], parts: Sequence[Grid], pools: Sequence[Sequence[int]]
 ) -> Floats:
     """Return the degrees of freedom of the variances (N,), from the scatter of the models they rest on."""
-    taken = np.einsum("ij,ij->i", rows.basis, rows.basis)
+    taken = np.einsum("ij,ij->i", rows.basis, rows.pull)
     slopes = {index: own for part in parts for index, own in zip(part.members, part.slopes(), strict=True)}
     model = {index: own for part in parts for index, own in zip(part.members, part.models, strict=True)}
     scatter = np.zeros(len(variances))
