@@ -27,17 +27,15 @@ bool prepare(Simulation *self, size_t c) {
   void *instance = component->instance;
   if (*component->used) {
     const int32_t status = component->fmi2 ? component->fmi2->Reset(instance) : component->fmi3->Reset(instance);
-    if (!good(status)) return fail(self, RESET, c, status);
+    if (!did(self, RESET, c, status)) return false;
   }
   *component->used = 1;
   component->mode = INITIALIZING;
   component->time = component->begun = self->grid->times[0];
   if (component->integrator) component->integrator->cancel = self->cancel;
   if (component->fmi3) return true;
-  const double tolerance = component->tolerance;
-  const int32_t status =
-      component->fmi2->SetupExperiment(instance, tolerance > 0.0, tolerance, component->time, 0, 0.0);
-  return good(status) || fail(self, SETUP, c, status);
+  const double tolerance = component->tolerance, start = component->time;
+  return did(self, SETUP, c, component->fmi2->SetupExperiment(instance, tolerance > 0.0, tolerance, start, 0, 0.0));
 }
 
 bool enter_initialization(Simulation *self, size_t c) {
@@ -47,7 +45,7 @@ bool enter_initialization(Simulation *self, size_t c) {
                              ? component->fmi2->EnterInitializationMode(component->instance)
                              : component->fmi3->EnterInitializationMode(component->instance, tolerance > 0.0, tolerance,
                                                                         component->time, 0, 0.0);
-  return good(status) || fail(self, ENTER_INITIALIZATION, c, status);
+  return did(self, ENTER_INITIALIZATION, c, status);
 }
 
 bool exit_initialization(Simulation *self, size_t c) {
@@ -55,7 +53,7 @@ bool exit_initialization(Simulation *self, size_t c) {
   void *instance = component->instance;
   const int32_t status = component->fmi2 ? component->fmi2->ExitInitializationMode(instance)
                                          : component->fmi3->ExitInitializationMode(instance);
-  if (!good(status)) return fail(self, EXIT_INITIALIZATION, c, status);
+  if (!did(self, EXIT_INITIALIZATION, c, status)) return false;
   /* Co-simulation by FMI 2.0 has no Event Mode. */
   component->mode = component->fmi2 && !component->integrator ? RUNNING : IN_EVENTS;
   return !component->integrator || integrated(self, c, integrator_begin(component->integrator, component->time));
@@ -67,9 +65,7 @@ bool enter_events(Simulation *self, size_t c) {
   Component *component = &self->plan->components[c];
   component->mode = IN_EVENTS;
   if (component->integrator) return integrated(self, c, integrator_enter_events(component->integrator, self->now));
-  if (!component->event_mode) return true;
-  const int32_t status = component->fmi3->EnterEventMode(component->instance);
-  return good(status) || fail(self, ENTER_EVENT_MODE, c, status);
+  return !component->event_mode || did(self, ENTER_EVENT_MODE, c, component->fmi3->EnterEventMode(component->instance));
 }
 
 /* Iterate the discrete states of a co-simulation by FMI 3.0 until they rest, and enter Step Mode. */
@@ -78,13 +74,11 @@ static bool leave_event_mode3(Simulation *self, size_t c) {
   for (int i = 0; i < EVENT_ITERATIONS; i++) {
     fmi3Boolean again = 0, terminate = 0, nominals = 0, values = 0, defined = 0;
     double next = 0.0;
-    int32_t status = component->fmi3->UpdateDiscreteStates(component->instance, &again, &terminate, &nominals, &values,
-                                                           &defined, &next);
-    if (!good(status)) return fail(self, UPDATE_DISCRETE_STATES, c, status);
+    const int32_t status = component->fmi3->UpdateDiscreteStates(component->instance, &again, &terminate, &nominals,
+                                                                 &values, &defined, &next);
+    if (!did(self, UPDATE_DISCRETE_STATES, c, status)) return false;
     if (terminate) return fail(self, ENDED, c, fmi2OK);
-    if (again) continue;
-    status = component->fmi3->EnterStepMode(component->instance);
-    return good(status) || fail(self, ENTER_STEP_MODE, c, status);
+    if (!again) return did(self, ENTER_STEP_MODE, c, component->fmi3->EnterStepMode(component->instance));
   }
   return fail(self, ENDLESS_EVENT, c, fmi2OK);
 }
@@ -135,15 +129,14 @@ static bool step3(Simulation *self, size_t c, double until) {
     if (!(now < until)) return true;
     fmi3Boolean event = 0, terminate = 0, early = 0;
     double reached = until;
-    int32_t status =
+    const int32_t status =
         component->fmi3->DoStep(component->instance, now, until - now, 1, &event, &terminate, &early, &reached);
-    if (!good(status)) return fail(self, DO_STEP, c, status);
+    if (!did(self, DO_STEP, c, status)) return false;
     if (terminate) return fail(self, ENDED, c, fmi2OK);
     if (!early) reached = until;
     component->time = reached;
     if (event && component->event_mode) {
-      status = component->fmi3->EnterEventMode(component->instance);
-      if (!good(status)) return fail(self, ENTER_EVENT_MODE, c, status);
+      if (!did(self, ENTER_EVENT_MODE, c, component->fmi3->EnterEventMode(component->instance))) return false;
       if (!leave_event_mode3(self, c)) return false;
     } else if (reached <= now) {
       break;

@@ -29,6 +29,11 @@ INLINE bool good(int32_t status) { return status == fmi2OK || status == fmi2Warn
 /* Write what failed into the report; return false. */
 bool fail(Simulation *self, Failure failure, size_t component, int32_t status);
 
+/* Return whether a function of a component did well; if not, write it into the report. */
+INLINE bool did(Simulation *self, Failure function, size_t component, int32_t status) {
+  return good(status) || fail(self, function, component, status);
+}
+
 /* transfer.c */
 bool perform_other(Simulation *self, Operation *operation);
 

@@ -157,9 +157,9 @@ static bool walk_rows(Simulation *self) {
     self->report->sample = (int64_t)k;
     self->now = times[k];
     int32_t status = fmi.SetReal(in.instance, in.references, in.count, row);
-    if (!good(status)) return fail(self, (Failure)in.function, 0, status);
+    if (!did(self, (Failure)in.function, 0, status)) return false;
     status = fmi.GetReal(in.instance, out.references, out.count, self->outputs + k * plan->n_outputs);
-    if (!good(status)) return fail(self, (Failure)out.function, 0, status);
+    if (!did(self, (Failure)out.function, 0, status)) return false;
     if (k + 1 == n_times) return true;
     const double length = times[k + 1] - times[k];
     if (length <= 0.0) continue; /* a time given twice: a step of the inputs */
@@ -167,7 +167,7 @@ static bool walk_rows(Simulation *self) {
       double *values = slopes->values;
       for (size_t j = 0; j < n_u; j++) values[j] = (row[n_u + j] - row[j]) / length;
       status = fmi.SetRealInputDerivatives(in.instance, slopes->references, slopes->count, plan->ones, values);
-      if (!good(status)) return fail(self, SET_DERIVATIVES, 0, status);
+      if (!did(self, SET_DERIVATIVES, 0, status)) return false;
     }
     if (!advance(self, 0, times[k], length, times[k + 1])) return false;
   }

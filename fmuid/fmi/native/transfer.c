@@ -133,8 +133,7 @@ bool perform_other(Simulation *self, Operation *o) {
   const size_t c = (size_t)o->component;
   const Component *component = &plan->components[c];
   if (o->kind == GET_SENSITIVITIES) {
-    const int32_t status = output_sensitivities(component->integrator, o->references, o->count, o->values);
-    return good(status) || fail(self, SENSITIVITIES, c, status);
+    return did(self, SENSITIVITIES, c, output_sensitivities(component->integrator, o->references, o->count, o->values));
   }
   if (o->when != ALWAYS) {
     const Verdict verdict = before_setting(self, o);
@@ -144,7 +143,7 @@ bool perform_other(Simulation *self, Operation *o) {
   double *signals = plan->signals + o->signal;
   if (converted && sets && !pack(o->wire, signals, o->n_values, o->values)) return fail(self, OUT_OF_RANGE, c, fmi2OK);
   const int32_t status = component->fmi2 ? call2(component->fmi2, o) : call3(component->fmi3, o);
-  if (!good(status)) return fail(self, (Failure)o->function, c, status);
+  if (!did(self, (Failure)o->function, c, status)) return false;
   if (converted && !sets) unpack(o->wire, o->values, o->n_values, signals);
   return true;
 }
