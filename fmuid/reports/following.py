@@ -22,7 +22,7 @@ from fmuid.reports.fault_runs import MonitoringFindings
 from fmuid.reports.origin import made_from, made_now
 from fmuid.reports.page.write import show_results
 from fmuid.reports.words.diagnosis import basis_notes
-from fmuid.reports.words.monitoring import monitoring_words
+from fmuid.reports.words.monitoring import gap_words, monitoring_words
 from fmuid.studies import Follower, Piece, Study, monitor_of, rule_of
 
 # It is looked so often for what is new, s.
@@ -161,7 +161,7 @@ class _Running:
     def examine(self, piece: Piece, progress: Progress | None) -> None:
         """Examine a piece; what is wrong with it is said, and what follows goes on."""
         self.sound = False  # until both know of it
-        name = piece.record.name
+        name, told = piece.record.name, len(self.monitor.gaps)
         if name in self.monitor.records and not self.monitor.goes_on(name):
             self.follower.refused(piece)  # of an earlier run without --follow
         else:
@@ -171,6 +171,7 @@ class _Running:
             except (InputError, SimulationError) as error:
                 self.follower.refused(piece)
                 self.remarks.append(str(error))
+        self.remarks += gap_words(self.monitor.gaps[told:])
         self.lines += self.alarms.new(self.monitor)
         self.sound = self.changed = True
 

@@ -20,7 +20,7 @@ import fmuid
 from experiments.coil import study as coil
 from fmuid.cli.app import run
 from fmuid.data import BEGIN
-from fmuid.diagnosis import Shape
+from fmuid.diagnosis import Gap, Shape
 from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Rule, Trend
 from fmuid.diagnosis.monitoring.monitor import Monitor
 from fmuid.diagnosis.monitoring.seeing import Seen
@@ -187,7 +187,10 @@ def test_a_gap_is_passed_over(healthy: fmuid.Result) -> None:
     assert found.table["start"].tolist() == pytest.approx([0.0, 2.0, 3.0])
     assert found.table["samples"].tolist() == [700, 899, 1000]
     assert [gap.time for gap in found.gaps] == pytest.approx([1.0])
-    assert "no sample counts from 1 s on" in gap_words(found.gaps[0])
+    (said,) = gap_words(found.gaps)
+    assert "the windows from 1 s on are left out" in said
+    (many,) = gap_words([Gap("a", float(k)) for k in range(8)])
+    assert "from 0 s, 1 s, 2 s, 3 s, 4 s and 3 more on are" in many
 
 
 def test_coloured_noise_is_no_fault(healthy: fmuid.Result) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -21,6 +22,8 @@ from experiments.coil import study as coil
 from fmuid.cli.app import run
 from fmuid.files import locked
 from fmuid.reports import following, run_following
+from fmuid.reports.console.following import state
+from fmuid.reports.console.layout import console
 from fmuid.reports.following import Watching
 from fmuid.studies.following import follower
 from tests.support.coil_records import warming
@@ -109,6 +112,21 @@ def test_records_in_files_and_an_alarm_that_ends(plant: Path) -> None:
     ]
 
 
+def test_the_console_says_since_when_and_whether_records_come(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    warming(4, to=4.0, fails=1.0, size=1.0).to_parquet(plant / "records" / "r.parquet")
+    seen: list[Watching] = []
+    run_following("study.toml", "records", "out", show=seen.append, until=idle)
+    console().print(state(seen[-1], 8.0), state(seen[-1], 1.0))
+    late, soon = capsys.readouterr().out.split("examined")[1:]
+    assert "no new window for 8 s" in late
+    assert "no new window" not in soon
+    said = " ".join(soon.split())
+    assert re.search(
+        r"4 windows, up to r, 4 s now ALARM: turns since (1|0\.9\d|1\.0\d) s of r how large turns, dR = ", said
+    )
+    assert re.search(r"last window turns\.dR \S+ ± \S+ Ohm R ", said)
+
+
 def test_a_command_is_told_again_after_a_break_in_it(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     warming(6, to=4.0, fails=0.0, size=1.0).to_csv(plant / "records" / "a.csv", index=False)
 
@@ -150,9 +168,16 @@ def test_a_command_that_fails_is_said(
 
 def test_memory_is_of_the_latest_windows(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(following, "KEPT_ROWS", 5)
+    remarks: list[str] = []
     for k in range(4):
-        warming(4, to=4.0, seed=k).to_csv(plant / "records" / f"r{k}.csv", index=False)
-        found = run_following("study.toml", "records", "out", until=idle)
+        table = warming(5, to=4.0, seed=k)
+        table.loc[table["time"].between(1.9, 3.1), "i"] = math.nan
+        table.to_csv(plant / "records" / f"r{k}.csv", index=False)
+        found = run_following(
+            "study.toml", "records", "out", show=lambda each: remarks.extend(each.remarks), until=idle
+        )
+        assert found.monitor.gaps == ()
+        assert "the windows from 2 s on are left out" in remarks[k]
     assert len(found.monitor.table) == 5
     assert found.monitor.table.index[-1] == 15
     assert len(pd.read_csv(plant / "out" / "monitoring.csv")) == 16

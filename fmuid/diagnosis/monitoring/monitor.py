@@ -72,7 +72,7 @@ class Monitor:
     rule : Rule
     faults : dict of str to Fault
     gaps : tuple of Gap
-        Windows that are left out.
+        Windows that are left out, those that are held (`forget`).
 
     Raises
     ------
@@ -164,8 +164,8 @@ class Monitor:
         return last.begin + (self.rule.window or 0.0) * last.windows - self.rule.transient
 
     def forget(self, rows: int, alarms: int) -> None:
-        """Keep so many rows and alarms, the latest, and of records those in which an onset may lie."""
-        self._now = self._now.without(rows, alarms)
+        """Keep so many rows and alarms, the latest, no gaps, and of records those in which an onset may lie."""
+        self._now, self.gaps = self._now.without(rows, alarms), ()
 
     def _comparison(self, record: Experiment) -> Juxtaposition:
         if self._made is None:

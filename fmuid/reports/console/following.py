@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -15,12 +16,15 @@ from rich.table import Table
 from rich.text import Text
 
 from fmuid.reports.console.layout import console, show_remarks, unit_text
+from fmuid.reports.words.monitoring import alarm_words
 from fmuid.text import with_std
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Monitor
     from fmuid.reports import Watching
 
+# Records that were silent for longer than this, s, are said to be.
+SILENT = 5.0
 COLOURS = {"raised": "bold red", "changed": "red", "ended": "green"}
 
 
@@ -30,6 +34,7 @@ class FollowingDisplay:
     def __init__(self) -> None:
         self._console = console()
         self._live: Live | None = None
+        self._windows, self._since = -1, 0.0
 
     def __enter__(self) -> Self:
         if sys.stdout.isatty():
@@ -54,11 +59,15 @@ class FollowingDisplay:
         if self._live is None:
             sys.stdout.flush()
         else:
-            self._live.update(Group(_state(watching), Text("Ctrl-C ends it; the same command goes on", style="dim")))
+            if watching.monitor.windows != self._windows:
+                self._windows, self._since = watching.monitor.windows, time.monotonic()
+            silent = time.monotonic() - self._since
+            hint = Text("Ctrl-C ends it; the same command goes on", style="dim")
+            self._live.update(Group(state(watching, silent), hint))
 
 
-def _state(watching: Watching) -> Table:
-    """Return where it stands: the last window, what it shows, and whether there is an alarm."""
+def state(watching: Watching, silent: float) -> Table:
+    """Return where it stands: the last window, what it shows, whether there is an alarm, and since when."""
     found = watching.monitor
     table = Table.grid(padding=(0, 3))
     if not found.windows:
@@ -68,12 +77,18 @@ def _state(watching: Watching) -> Table:
     at = found.moment(str(row["record"]), float(row["end"]))
     when = f"{row['record']}, {row['end']:.6g} s" + (f", {at.date[:19].replace('T', ' ')}" if at.date else "")
     table.add_row("examined", f"{found.windows} windows, up to {escape(when)}{'' if watching.idle else ' ...'}")
-    alarm = f"[bold red]ALARM: {escape(row['alarm'])}[/]" if row["alarm"] else "[green]no alarm[/]"
-    table.add_row("now", alarm)
+    if watching.idle and silent >= SILENT:
+        table.add_row("", f"[yellow]no new window for {silent:.0f} s[/]")
+    table.add_row("now", f"[bold red]ALARM: {escape(row['alarm'])}[/]" if row["alarm"] else "[green]no alarm[/]")
+    if row["alarm"] and found.alarms[-1].onset is not None:
+        since, sizes = alarm_words(found.alarms[-1])
+        table.add_row("since", escape(since))
+        table.add_row("how large", escape(sizes))
+    table.add_row("last window", "")
     for name in _columns(found):
         std = float(row[f"{name}.std"])
         size = with_std(float(row[name]), std) if math.isfinite(std) else "not determined"
-        table.add_row(escape(name), f"{size} {escape(unit_text(found.units.get(name)))}")
+        table.add_row(escape(f"  {name}"), f"{size} {escape(unit_text(found.units.get(name)))}")
     return table
 
 

@@ -26,10 +26,8 @@ def show_monitoring(found: Monitor) -> None:
     if found.alarms:
         _show_alarms(found)
     _show_parameters(found)
-    for note in basis_notes(found.basis):
+    for note in (*basis_notes(found.basis), *gap_words(found.gaps)):
         out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
-    for gap in found.gaps:
-        out.print(f"[yellow]note:[/] {escape(gap_words(gap))}", soft_wrap=True)
 
 
 def _show_alarms(found: Monitor) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from fmuid.diagnosis import SOMETHING_ELSE, Shape
@@ -12,6 +12,9 @@ from fmuid.text import listed, with_std
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Alarm, Gap, Moment, Monitor, Onset, Trend
+
+# Of more windows that are left out, the first are named.
+MOST_GAPS = 5
 
 
 def monitoring_words(found: Monitor) -> str:
@@ -79,6 +82,11 @@ def alarm_words(alarm: Alarm) -> tuple[str, str]:
     return onset, "; or ".join(map(explanation_words, alarm.explanations))
 
 
-def gap_words(gap: Gap) -> str:
-    """Return which window is left out."""
-    return f"{gap.source}: no sample counts from {gap.time:.9g} s on for a window"
+def gap_words(gaps: Sequence[Gap]) -> list[str]:
+    """Return which windows are left out, a sentence a record."""
+    said = []
+    for source in dict.fromkeys(gap.source for gap in gaps):
+        times = [f"{gap.time:.9g} s" for gap in gaps if gap.source == source]
+        shown = listed(times if len(times) <= MOST_GAPS else [*times[:MOST_GAPS], f"{len(times) - MOST_GAPS} more"])
+        said.append(f"{source}: the windows from {shown} on are left out, as no sample of some output counts in them")
+    return said

@@ -18,8 +18,8 @@ from fmuid.studies.model import ExperimentSettings
 if TYPE_CHECKING:
     import pandas as pd
 
-# So many bytes are read at once: a day at 1 kHz is some gigabytes.
-MOST_BYTES = 1 << 25
+# So many bytes are read at once: a day at 1 kHz is some gigabytes, and what is read takes thirty times its room.
+MOST_BYTES = 1 << 21
 HEAD_BYTES = 1 << 16
 
 
