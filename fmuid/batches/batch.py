@@ -25,7 +25,7 @@ from fmuid.batches.parcel import Bundle, changes
 from fmuid.batches.run_case import CaseRunner
 from fmuid.batches.summary import Summary, condensed, summarize
 from fmuid.batches.worker import GroupResult, versions
-from fmuid.displays import Plotted
+from fmuid.displays import Displayed, Plotted
 from fmuid.errors import InputError
 from fmuid.progress import BatchStep, Progress
 from fmuid.simulation import parameter_units
@@ -97,7 +97,7 @@ class BatchResult(Plotted):
         return found, frame
 
 
-class Batch:
+class Batch(Displayed):
     """The identifications that a study's ``[batch]`` spans, and the folder that their rows go to.
 
     Parameters
@@ -156,6 +156,9 @@ class Batch:
         self._scheduler, self._workers, self._resume, self._isolated = scheduler, workers, resume, isolated
         self._columns: Mapping[str, str] = CaseRunner(self.study).columns
         self.dataset = Dataset(self.folder, self._columns)
+
+    def __repr__(self) -> str:
+        return f"Batch({len(self.cases)} cases over {', '.join(self.cases.columns)}, {str(self.folder)!r})"
 
     @property
     def pending(self) -> NDArray[np.intp]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.batches import BatchResult
+from fmuid.batches import Batch, BatchResult
 from fmuid.data import Experiment
 from fmuid.diagnosis import Diagnosis
 from fmuid.errors import InputError
@@ -53,6 +53,8 @@ def html(found: object) -> str | None:
             return _fmu(found)
         case Experiment():
             return _experiment(found)
+        case Batch():
+            return _batch(found)
         case BatchResult():
             head = _heading(f"{found.finished} of {found.total} cases", str(found.folder))
             return head + summary_table(noted(found.summary()[0].parameters))
@@ -87,6 +89,16 @@ def _study(study: Study) -> str:
         f"{each.name} ({', '.join(each.inputs)} → {', '.join(each.outputs)})" for each in study.experiments
     )
     return _heading(study.title, tables) + table(columns, numbers=("start", "bounds"))
+
+
+def _batch(found: Batch) -> str:
+    """Return how many cases there are, and what changes from the first of them to the last."""
+    cases = found.cases
+    ends = [cases[k].settings for k in (0, len(cases) - 1)]
+    columns = {"varies": list(cases.columns)}
+    for head, end in zip(("from", "to"), ends, strict=True):
+        columns[head] = [str(end[name]) for name in cases.columns]
+    return _heading(f"{len(cases) - found.pending.size} of {len(cases)} cases done", str(found.folder)) + table(columns)
 
 
 def _fmu(fmu: FMU) -> str:

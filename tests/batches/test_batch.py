@@ -34,6 +34,9 @@ def test_rows_do_not_depend_on_groups(folder: Path, here: Any, seed: int) -> Non
     assert (found.total, found.interrupted, found.lost, found.given_noise) == (DRAWS, False, (), False)
     assert len(list((folder / "out" / "cases").iterdir())) == 1
     assert "<th scope=row>L</th>" in (found._repr_html_() or "")
+    again = Batch(folder / "study.toml", folder / "out")
+    assert repr(again) == f"Batch({DRAWS} cases over draw, {str(folder / 'out')!r})"
+    assert f"<b>{DRAWS} of {DRAWS} cases done</b>" in (again._repr_html_() or "")
 
 
 def test_messages_name_the_users_own_files(fleet: Path, here: Any) -> None:
