@@ -180,12 +180,53 @@ def test_what_acts_alike_is_left_out() -> None:
     a, b, c = rng.standard_normal((3, 50))
     columns = np.column_stack([a, 3 * b, a + 3 * b, 1e-5 * c, 0.1 * c])
     uses: list[Use | None] = [None] * 5
-    likes = _select(columns, np.linalg.norm(columns, axis=0), uses, [])
+    likes = _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 1e-9)
     assert uses.count(Use.ALIKE) == 1
     assert uses[:3].count(Use.FREED) == 2
     assert uses[3:] == [Use.WEAK, Use.FREED]
     (out,) = (k for k in (0, 1, 2) if uses[k] is Use.ALIKE)
     assert sorted(likes[out]) == [k for k in (0, 1, 2) if k != out]
+
+
+def test_what_the_noise_hides_is_left_out() -> None:
+    """The second column is as strong as the noise lets it be seen by one standard deviation."""
+    a, b = np.random.default_rng(5).standard_normal((2, 50))
+    b -= (a @ b) / (a @ a) * a
+    for share, use in ((0.9, Use.NOISE), (1.1, Use.FREED)):
+        columns = np.column_stack([a, a + share * 0.1 * b / np.linalg.norm(b)])
+        uses: list[Use | None] = [None, None]
+        _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 0.1)
+        assert sorted(each.value for each in uses if each) == sorted([Use.FREED.value, use.value])
+
+
+SPRING = """
+model Pendulum "a mass on a spring"
+  parameter Real c(unit="N/m") = 10.0 "stiffness";
+  parameter Real m(unit="kg", min=0) = 1.0 "mass";
+  parameter Real s_rel0(unit="m") = 1.0 "length at rest";
+  parameter Real s0(unit="m") = 0.5 "position at the beginning";
+  parameter Real fixed(unit="m") = 0.1 "position of the wall";
+  Real s_rel(unit="m");
+  output Real s(unit="m", start=s0, fixed=true);
+  Real v(unit="m/s", start=0, fixed=true);
+equation
+  s_rel = s - fixed;
+  der(s) = v;
+  m*der(v) = -c*(s_rel - s_rel0);
+end Pendulum;
+"""
+
+
+def test_a_length_at_rest_is_no_start_value(tmp_path: Path) -> None:
+    """What nothing begins at is none, whatever its name; all begins with the start values, as there is no input."""
+    t = np.linspace(0.0, 8.0, 200)
+    s = 1.0 - 0.5 * np.cos(np.sqrt(10.9) * t) + 0.002 * np.random.default_rng(1).standard_normal(t.size)
+    record = Experiment(pd.DataFrame({"time": t, "s": s}), [], ["s"])
+    found = {each.variable.name: each for each in survey(export_text(tmp_path, SPRING), [record]).candidates}
+    uses = {name: each.use for name, each in found.items()}
+    assert [uses[name] for name in ("c", "m")] in ([Use.FREED, Use.ALIKE], [Use.ALIKE, Use.FREED])
+    assert sorted([uses["s_rel0"].value, uses["fixed"].value]) == [Use.ALIKE.value, Use.FREED.value]
+    assert uses["s0"] is Use.START_OPEN
 
 
 def experiment(table: pd.DataFrame) -> Experiment:

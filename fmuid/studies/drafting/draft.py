@@ -227,6 +227,6 @@ def _candidate(given: Candidate, experiments: int) -> str:
     """Return the line of a parameter that was looked at."""
     said = [f"{100 * given.effect:.2g} %"] if given.effect else []
     said += [proposal(given)] if given.use is not Use.FREED else []
-    more = "per_experiment = true" if given.use is Use.START_FREED and experiments > 1 else ""
+    more = "per_experiment = true" if given.use in (Use.START_FREED, Use.START_OPEN) and experiments > 1 else ""
     line = parameter_line(given.variable, given.start, bounds(given), more, "; ".join(said))
     return line if given.use in FREE else "# " + line

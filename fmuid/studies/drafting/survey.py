@@ -3,7 +3,8 @@
 The columns of one Jacobian, for relative changes of the parameters and in the spread of each measured output, are
 taken one by one, the one first of which the most is left once those before it are projected out: QR with column
 pivoting (G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed., section 5.4.2, and subset selection, 5.5.7). A
-column of which next to nothing is left acts as others do.
+column of which next to nothing is left acts as others do; one of which less is left than the noise of the records has
+would be estimated with a standard deviation of more than its magnitude.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ STARTS_OFF = 4.0
 """Standard deviations of the noise by which a first sample must differ before start values are freed ..."""
 STARTS_FLOOR = 1e-3
 """... and the share of an output's spread, where there is hardly noise."""
+LEAST_NOISE = 1e-6
+"""Share of an output's spread that counts as noise where there is none."""
 MOST_FREED, MOST_LOOKED_AT = 12, 200
 # Settings of solvers that tools put among the parameters.
 _SOLVER = re.compile(r"^_|(^|[._])(nle|solver|tol|tolerance|[ar]tol|eps|max_?iter\w*|step_?size|log\w*)([._]|$)", re.I)
@@ -54,12 +57,16 @@ class Use(Enum):
     FREED = "freed"
     START_FREED = "start_freed"
     """A start value, freed because the records begin elsewhere."""
+    START_OPEN = "start_open"
+    """A start value, freed because the model has no input: what it does is what it begins with."""
     START = "start"
     """A start value, which the records do not contradict."""
     WEAK = "weak"
     NO_EFFECT = "no_effect"
     ALIKE = "alike"
     """It acts as others do."""
+    NOISE = "noise"
+    """What it does that others do not is less than the noise of the records."""
     ZERO = "zero"
     """It is 0 in the FMU: most often something that is not there."""
     FAILS = "fails"
@@ -68,7 +75,7 @@ class Use(Enum):
     """There are as many free ones as can be looked over."""
 
 
-FREE = (Use.FREED, Use.START_FREED)
+FREE = (Use.FREED, Use.START_FREED, Use.START_OPEN)
 
 
 @dataclass(frozen=True)
@@ -97,6 +104,8 @@ class Candidate:
 _PROPOSALS = {
     Use.FREED: "free",
     Use.START_FREED: "free: the records begin elsewhere",
+    Use.START_OPEN: "free: without inputs all begins with it",
+    Use.NOISE: "lost in the noise",
     Use.START: "a start value that the records do not contradict",
     Use.WEAK: "next to no effect",
     Use.NO_EFFECT: "no effect",
@@ -169,7 +178,8 @@ def _surveyed(system: System, description: Description, experiments: Sequence[Ex
     if freed:  # what a parameter changes may depend on where the record begins
         changes = _changes(system, experiments, description, names, freed)
     doubts = (doubt_of_time(Simulator(system, each), ()) for each in experiments)
-    return Survey(_proposed(changes, begun, freed), tuple(each for each in doubts if each is not None))
+    driven = any(each.input_names for each in experiments)
+    return Survey(_proposed(changes, begun, freed, driven=driven), tuple(each for each in doubts if each is not None))
 
 
 def candidates_of(description: Description) -> list[Variable]:
@@ -191,13 +201,15 @@ def is_solver_setting(variable: Variable) -> bool:
 class _Changes:
     """Samples (n,) at the FMU's values and how they change (n, N) with each relative change, in spreads of the outputs.
 
-    `first`, `first_changes`: of the outputs that have a first sample, how far the measured ones are from the simulated,
-    (m,), (m, N), and what counts as a difference (m,).
+    `weights` (n,) has the spreads in standard deviations of the noise. `first`, `first_changes`: of the outputs that
+    have a first sample, how far the measured ones are from the simulated, (m,), (m, N), and what counts as a
+    difference (m,).
     """
 
     variables: tuple[Variable, ...]
     starts: Floats
     jacobian: Floats
+    weights: Floats
     first: Floats
     first_changes: Floats
     first_limits: Floats
@@ -216,7 +228,7 @@ def _changes(
     starts = np.array([moved_starts.get(k, _number(v.start) or 0.0) for k, v in enumerate(variables)])
     thetas = _moved(variables, starts)
     relative = STEP * np.sign(np.diag(thetas[1:] - starts))
-    rows, first, changed, limits = [], [], [], []
+    rows, weights, first, changed, limits = [], [], [], [], []
     for experiment in experiments:
         found = Simulator(system, experiment, names).many(thetas)
         if found.errors[0] is not None:
@@ -226,14 +238,17 @@ def _changes(
             spread = _spread(experiment, j)
             counted = experiment.counted[:, j]
             rows.append((moved[:, counted, j] - base[counted, j]).T / (relative * spread))
+            noise = max(_noise(experiment, j) / spread, LEAST_NOISE)
+            weights.append(np.full(int(counted.sum()), 1.0 / noise))
             measured = experiment.output_values[0, j]
             if np.isfinite(measured):
                 first.append((measured - base[0, j]) / spread)
                 changed.append((moved[:, 0, j] - base[0, j]) / (relative * spread))
-                limits.append(max(STARTS_OFF * _noise(experiment, j) / spread, STARTS_FLOOR))
+                limits.append(max(STARTS_OFF * noise, STARTS_FLOOR))
     shape = (len(first), len(names))
+    jacobian, weight = np.vstack(rows), np.concatenate(weights)
     return _Changes(
-        variables, starts, np.vstack(rows), np.array(first), np.array(changed).reshape(shape), np.array(limits)
+        variables, starts, jacobian, weight, np.array(first), np.array(changed).reshape(shape), np.array(limits)
     )
 
 
@@ -242,7 +257,9 @@ def _moved(variables: Sequence[Variable], starts: Floats) -> Floats:
     return np.vstack([starts, starts + np.diag([_step(v, start) for v, start in zip(variables, starts, strict=True)])])
 
 
-def _proposed(changes: _Changes, begun: Sequence[int], freed: Mapping[int, float]) -> tuple[Candidate, ...]:
+def _proposed(
+    changes: _Changes, begun: Sequence[int], freed: Mapping[int, float], *, driven: bool
+) -> tuple[Candidate, ...]:
     """Return what is proposed for each variable, the strongest first."""
     variables, jacobian = changes.variables, changes.jacobian
     finite = [bool(np.isfinite(column).all()) for column in jacobian.T]
@@ -255,8 +272,11 @@ def _proposed(changes: _Changes, begun: Sequence[int], freed: Mapping[int, float
     ]
     for k in begun:
         if uses[k] in (None, Use.ZERO):
-            uses[k] = Use.START_FREED if k in freed else Use.START
-    likes = _select(columns, effects, uses, list(freed))
+            uses[k] = Use.START_FREED if k in freed else Use.START if driven else None
+    weighted = np.where(finite, jacobian, 0.0) * changes.weights[:, None]
+    likes = _select(columns, effects, uses, list(freed), weighted)
+    for k in begun:
+        uses[k] = Use.START_OPEN if uses[k] is Use.FREED else uses[k]
     alike = [tuple(variables[i].name for i in like) for like in likes]
     found = [
         Candidate(v, uses[k] or Use.ENOUGH, starts[k], SHOWN_CHANGE * float(effects[k]), alike[k])
@@ -282,10 +302,16 @@ def _freed_starts(changes: _Changes, which: Sequence[int]) -> dict[int, float]:
     return found
 
 
-def _select(columns: Floats, effects: Floats, uses: list[Use | None], first: Sequence[int]) -> list[list[int]]:
-    """Decide on the parameters on which nothing is decided yet, and return which of the freed ones each acts like."""
+def _select(
+    columns: Floats, effects: Floats, uses: list[Use | None], first: Sequence[int], weighted: Floats
+) -> list[list[int]]:
+    """Decide on the parameters on which nothing is decided yet, and return which of the freed ones each acts like.
+
+    `weighted` has the columns in standard deviations of the noise, not divided by the number of samples.
+    """
     likes: list[list[int]] = [[] for _ in uses]
     r: Floats = np.asarray(np.linalg.qr(columns, mode="r"))
+    own: Floats = np.asarray(np.linalg.qr(weighted, mode="r"))
     rest, chosen = r.copy(), list(first)
     for k in chosen:
         _project_out(rest, k)
@@ -299,6 +325,8 @@ def _select(columns: Floats, effects: Floats, uses: list[Use | None], first: Seq
             uses[k] = Use.ALIKE
             shares = np.abs(np.linalg.lstsq(r[:, chosen], r[:, k])[0]) * effects[chosen]
             likes[k] = [i for i, share in zip(chosen, shares, strict=True) if share > 0.1 * shares.max()]
+        elif np.linalg.norm(own[:, k] - own[:, chosen] @ np.linalg.lstsq(own[:, chosen], own[:, k])[0]) < 1.0:
+            uses[k] = Use.NOISE  # its standard deviation would be more than its magnitude
         else:
             uses[k] = Use.FREED
             chosen.append(k)
@@ -344,6 +372,6 @@ def bounds(given: Candidate) -> dict[str, float]:
     variable, start = given.variable, given.start
     found = declared_bounds(variable, start)
     signed = (variable.unit or "") in _SIGNED or _PLACE.search(f"{variable.name} {variable.description}")
-    if found or signed or given.use in (Use.START, Use.START_FREED) or not start:
+    if found or signed or given.use in (Use.START, Use.START_FREED, Use.START_OPEN) or not start:
         return found
     return {"min": 0.0} if start > 0 else {"max": 0.0}
