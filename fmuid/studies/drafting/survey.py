@@ -325,7 +325,9 @@ def _select(
             uses[k] = Use.ALIKE
             shares = np.abs(np.linalg.lstsq(r[:, chosen], r[:, k])[0]) * effects[chosen]
             likes[k] = [i for i, share in zip(chosen, shares, strict=True) if share > 0.1 * shares.max()]
-        elif np.linalg.norm(own[:, k] - own[:, chosen] @ np.linalg.lstsq(own[:, chosen], own[:, k])[0]) < 1.0:
+        elif (
+            chosen and np.linalg.norm(own[:, k] - own[:, chosen] @ np.linalg.lstsq(own[:, chosen], own[:, k])[0]) < 1.0
+        ):
             uses[k] = Use.NOISE  # its standard deviation would be more than its magnitude
         else:
             uses[k] = Use.FREED
