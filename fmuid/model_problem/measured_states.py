@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_banded
+import scipy
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
@@ -84,7 +84,7 @@ def _marched(begins: Floats, ends: Floats, defect: Floats) -> Floats:
         bands[size - 1 + i - j, j::size] = one[i, j] - ends[:, i, j]
         bands[2 * size - 1 + i - j, j:-size:size] = -one[i, j] - begins[1:, i, j]
     try:
-        found = solve_banded((2 * size - 1, size - 1), bands, defect.ravel(), check_finite=False)
+        found = scipy.linalg.solve_banded((2 * size - 1, size - 1), bands, defect.ravel(), check_finite=False)
     except np.linalg.LinAlgError:
         return np.full(defect.shape, np.nan)
     return np.asarray(found.reshape(defect.shape), dtype=np.float64)

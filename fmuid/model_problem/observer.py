@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
@@ -99,7 +99,7 @@ def observer_gain(slopes: Floats, output: Floats, interval: float, samples: floa
         If the output does not observe all states.
     """
     count = len(slopes)
-    step = expm(slopes * interval)
+    step = scipy.linalg.expm(slopes * interval)
     powers = [np.linalg.matrix_power(step, k) for k in range(count + 1)]
     rows = np.array([output @ power for power in powers[1:]])
     values = np.linalg.svd(rows / np.maximum(np.abs(rows).max(axis=0), TINY), compute_uv=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
 from typing import NamedTuple
 
 from fmuid.errors import InputError
@@ -43,9 +44,6 @@ def exchange_order(
     """
     if not connections:
         return ()
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     feeding = {connection.target: i for i, connection in enumerate(connections)}
     needs = [
         {
@@ -55,12 +53,8 @@ def exchange_order(
         }
         for connection in connections
     ]
-    n = len(needs)
-    edges = [(i, j) for i, needed in enumerate(needs) for j in needed]
-    rows, columns = ([edge[side] for edge in edges] for side in (0, 1))
-    _, labels = connected_components(coo_array(([1] * len(edges), (rows, columns)), (n, n)), connection="strong")
     members: dict[int, list[int]] = {}
-    for i, label in enumerate(labels.tolist()):
+    for i, label in enumerate(_loops(needs)):
         members.setdefault(label, []).append(i)
     groups: list[tuple[tuple[Connection, ...], bool]] = []
     waiting, done = dict(members), set[int]()
@@ -75,6 +69,21 @@ def exchange_order(
             if some[0] not in plain:
                 groups.append((_loop([connections[i] for i in some], descriptions), True))
     return tuple(groups)
+
+
+def _loops(needs: Sequence[set[int]]) -> list[int]:
+    """Return of each connection the number of the loop that it is in, one of its own where it is in none."""
+    try:
+        TopologicalSorter(dict(enumerate(needs))).prepare()
+        return list(range(len(needs)))
+    except CycleError:
+        from scipy.sparse import coo_array  # slow to import
+        from scipy.sparse.csgraph import connected_components
+    edges = [(i, j) for i, needed in enumerate(needs) for j in needed]
+    rows, columns = ([edge[side] for edge in edges] for side in (0, 1))
+    graph = coo_array(([1] * len(edges), (rows, columns)), (len(needs), len(needs)))
+    labels: list[int] = connected_components(graph, connection="strong")[1].tolist()
+    return labels
 
 
 def _loop(loop: Sequence[Connection], descriptions: Mapping[str, Description]) -> tuple[Connection, ...]:

@@ -98,7 +98,7 @@ class Place:
 class Words(BaseModel):
     """One table of a study file; its fields are the keys that it may have."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
     _place: Place = PrivateAttr(default=Place("the study", Path()))
 
     @property

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
@@ -71,7 +71,7 @@ class Known:
             raise InputError("what is normal must be positive and finite for every coordinate of a diagnosis")
         # scaled by what is normal, so that neither units nor wide ranges spoil the solution
         scaled = record.matrix * np.outer(normal, normal) + np.eye(normal.size)
-        inverse = linalg.inv(scaled, check_finite=False)
+        inverse = scipy.linalg.inv(scaled, check_finite=False)
         covariance = (inverse + inverse.T) / 2.0 * np.outer(normal, normal)
         return cls(covariance @ record.score, covariance)
 
@@ -112,7 +112,7 @@ def _excess(scatter: Floats, inside: Floats) -> Floats:
     """Return the positive part of scatter − inside in the metric of the latter: directions that scatter more."""
     std = np.sqrt(np.diag(inside))
     scale = np.outer(std, std)
-    values, vectors = linalg.eigh(scatter / scale, inside / scale)
+    values, vectors = scipy.linalg.eigh(scatter / scale, inside / scale)
     root = (inside / scale) @ vectors  # the inverse transpose of the vectors, which are orthonormal in that metric
     return np.asarray((root * np.maximum(values - 1.0, 0.0)) @ root.T * scale)
 

@@ -24,9 +24,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.linalg import blas, lapack
 
 from fmuid.arrays import Complexes, Floats
 from fmuid.estimation.colour.slow import slow_noise
@@ -234,8 +234,8 @@ def _burg(columns: Floats, weights: Floats, there: NDArray[np.bool_], orders: in
             break
         for x, y in zip(ahead, behind, strict=True):
             before = x.copy()
-            blas.daxpy(y, x, a=-reflection)
-            blas.daxpy(before, y, a=-reflection)
+            scipy.linalg.blas.daxpy(y, x, a=-reflection)
+            scipy.linalg.blas.daxpy(before, y, a=-reflection)
         ahead, behind = [x[1:] for x in ahead], [y[:-1] for y in behind]
         mask = mask[1:] & mask[:-1] if gaps else mask[1:]
     return reflections, scores
@@ -263,7 +263,7 @@ def impulse_response(coefficients: Floats, longest: int) -> Floats:
     for t in range(order):
         first[t, t:] = coefficients[t:][::-1]
     band = np.tile(np.concatenate([[1.0], -coefficients])[:, None], block)
-    follow = lapack.dtbtrs(band, first, uplo="L", diag="U")[0]
+    follow = scipy.linalg.lapack.dtbtrs(band, first, uplo="L", diag="U")[0]
     parts, before, loudest = [np.ones(1)], np.concatenate([np.zeros(order - 1), [1.0]]), 1.0
     length = 1
     while length < longest and loudest < LOUDEST:

@@ -18,8 +18,9 @@ from enum import Enum
 
 import numpy as np
 import pandas as pd
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft, linalg, special
+from scipy import fft, special
 
 from fmuid.arrays import Floats, numbers
 from fmuid.errors import InputError, check_kind
@@ -183,8 +184,8 @@ def solve(
         raise InputError(f"{y.size} samples are too few for {width} coefficients: measure more")
     lengths = _lengths(names, phi)
     z = phi if instruments is None else instruments[there]
-    basis = np.asarray(linalg.qr(z / _lengths(names, z), mode="economic")[0], dtype=np.float64)
-    inverse = linalg.pinv(basis.T @ (phi / lengths)) / lengths[:, None]
+    basis = np.asarray(scipy.linalg.qr(z / _lengths(names, z), mode="economic")[0], dtype=np.float64)
+    inverse = scipy.linalg.pinv(basis.T @ (phi / lengths)) / lengths[:, None]
     theta = inverse @ (basis.T @ y)
     left = np.asarray(y - phi @ theta, dtype=np.float64)
     variance = float(left @ left) / freedom

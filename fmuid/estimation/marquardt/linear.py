@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_triangular
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
@@ -63,7 +63,7 @@ def linear_least_squares(regressors: ArrayLike, measured: ArrayLike) -> LinearFi
     q, r = np.linalg.qr(phi / np.where(lengths > 0, lengths, 1.0))
     if np.linalg.svd(r, compute_uv=False)[-1] <= np.finfo(float).eps * rows:
         raise InputError("the columns of the regressors are linearly dependent; leave one of them out")
-    inverse = solve_triangular(r, np.eye(count)) / lengths[:, None]
+    inverse = scipy.linalg.solve_triangular(r, np.eye(count)) / lengths[:, None]
     theta = inverse @ (q.T @ y)
     residual = y - phi @ theta
     criterion = float(residual @ residual)

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from fmuid.arrays import Floats
 
@@ -52,7 +52,7 @@ def triangle(jacobian: Floats, residual: Floats) -> Floats:
     rows, count = jacobian.shape
     both = np.empty((rows, count + 1), order="F")
     both[:, :count], both[:, count] = jacobian, residual
-    reduced = lapack.dgeqrf(both, overwrite_a=True)[0]
+    reduced = scipy.linalg.lapack.dgeqrf(both, overwrite_a=True)[0]
     return np.where(_upper(*reduced[: count + 1].shape), reduced[: count + 1], 0.0)
 
 

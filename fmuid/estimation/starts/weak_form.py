@@ -13,8 +13,8 @@ M. Shinbrot, "On the analysis of linear and nonlinear dynamical systems from tra
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import sparse
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError
@@ -63,10 +63,10 @@ class WeakForm:
         left, right = inside[:, :-1].ravel(), inside[:, 1:].ravel()
         slope = 0.5 * np.diff(weight, axis=1).ravel()
         of_samples, of_intervals = (firsts.size, last + 1), (firsts.size, last)
-        self._states = sparse.csr_array((slope, (rows, left)), of_samples)
-        self._states = self._states + sparse.csr_array((slope, (rows, right)), of_samples)
-        self._begins = sparse.csr_array(((half * weight[:, :-1]).ravel(), (rows, left)), of_intervals)
-        self._ends = sparse.csr_array(((half * weight[:, 1:]).ravel(), (rows, left)), of_intervals)
+        self._states = scipy.sparse.csr_array((slope, (rows, left)), of_samples)
+        self._states = self._states + scipy.sparse.csr_array((slope, (rows, right)), of_samples)
+        self._begins = scipy.sparse.csr_array(((half * weight[:, :-1]).ravel(), (rows, left)), of_intervals)
+        self._ends = scipy.sparse.csr_array(((half * weight[:, 1:]).ravel(), (rows, left)), of_intervals)
         self.noise = np.sqrt(np.asarray((self._states**2).sum(axis=1))).reshape(-1, 1)
         """Standard deviation of each window's residual for white noise of variance 1 on the states (windows, 1)."""
 
