@@ -121,11 +121,13 @@ def test_descriptions_that_are_refused(tmp_path: Path, old: str, new: str, said:
         FMU(write_fmu(tmp_path / "a.fmu", FMI3.replace(old, new)))
 
 
-@pytest.mark.parametrize("factor", ["0", "nan", "INF"])
+@pytest.mark.parametrize("factor", ["0", "nan", "INF", "twice"])
 def test_units_that_do_not_convert(tmp_path: Path, factor: str) -> None:
     for old in ('factor="1000"', 'factor="9.549296585513721"'):
         with pytest.raises(InputError, match="which no calculation can use"):
             FMU(write_fmu(tmp_path / "a.fmu", FMI2.replace(old, f'factor="{factor}"')))
+    with pytest.raises(InputError, match="has a unit 'A' with an exponent that is none"):
+        FMU(write_fmu(tmp_path / "a.fmu", FMI2.replace('<BaseUnit A="1"/>', '<BaseUnit A="1.5"/>')))
 
 
 def test_a_large_array_is_read_in_time_proportional_to_it(tmp_path: Path) -> None:
