@@ -41,7 +41,7 @@ def opened(driver: Any, report: Path) -> None:
     from selenium.webdriver.support.ui import WebDriverWait
 
     driver.get(report.as_uri())
-    idle = "return typeof Bokeh !== 'undefined' && Bokeh.documents.length > 0 && Bokeh.documents.every(d => d.is_idle)"
+    idle = "return document.documentElement.dataset.drawn === 'all' && Bokeh.documents.every(d => d.is_idle)"
     WebDriverWait(driver, PATIENCE).until(lambda it: it.execute_script(idle))
 
 
@@ -73,8 +73,8 @@ def test_a_report_is_as_wide_as_its_window_and_follows_its_colours(browser: Any,
     opened(browser, report)
     from selenium.webdriver.support.ui import WebDriverWait
 
-    of_labels = "[...Bokeh.documents[0].all_models].map(model => model.axis_label_text_color).filter(color => color)"
-    colors = f"return [...new Set({of_labels})]"
+    models = "Bokeh.documents.flatMap(each => [...each.all_models])"
+    colors = f"return [...new Set({models}.map(each => each.axis_label_text_color).filter(color => color))]"
     assert browser.execute_script(colors) == ["#24292f"]
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", dark)

@@ -1,8 +1,8 @@
 """A page of HTML that asks no host: sentences, tables, figures, and the library that draws them.
 
 Whatever comes from a study, a table or an FMU is escaped. Besides, the page's own policy lets a browser run the two
-scripts that were written into it, known by their digests, and load nothing from anywhere. One is the library with the
-figures, compressed to a third: the other unpacks it.
+scripts that were written into it, known by their digests, and load nothing from anywhere. One is the library,
+compressed to a third as the figures are: the other unpacks it, and draws one section after the other.
 """
 
 from __future__ import annotations
@@ -124,12 +124,12 @@ def page(title: str, parts: Sequence[Part]) -> str:
     """Return a page."""
     from fmuid.reports.interactive.style import DARK
 
-    figures = [model for part in parts for section in part.sections for model in section.figures]
-    library, script, places = drawn(figures) if figures else ("", "", ())
-    program, own = f"{library}\n{script}", f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
-    waiting = list(places)
+    sections = [section for part in parts for section in part.sections if section.figures]
+    documents = [_document(section.figures) for section in sections]
+    library, own = _library(), f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
+    waiting = [place for *_, places in documents for place in places]
     body = "".join(_part(part, waiting, several=len(parts) > 1) for part in parts)
-    digests = " ".join(f"'sha256-{_digest(each)}'" for each in (program, own))
+    digests = " ".join(f"'sha256-{_digest(each)}'" for each in (library, own))
     policy = (
         f"default-src 'none'; script-src {digests}; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
         "base-uri 'none'; form-action 'none'"
@@ -142,8 +142,8 @@ def page(title: str, parts: Sequence[Part]) -> str:
     )
     ends = "".join(part.end for part in parts)
     end = f"<section class=end>{ends}</section>" if ends else ""
-    packed = base64.b64encode(gzip.compress(program.encode(), compresslevel=PACKED, mtime=1)).decode()
-    tail = f'<script type="text/plain" id="packed">{packed}</script>\n<script>{own}</script>\n' if figures else ""
+    told = json.dumps([(content, places) for content, places, _ in documents], separators=(",", ":"))
+    tail = f"{_packed('library', library)}{_packed('figures', told)}<script>{own}</script>\n" if documents else ""
     return f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n{end}</main>\n{tail}</body></html>\n"
 
 
@@ -157,19 +157,30 @@ def pieces(parts: Sequence[Part]) -> tuple[list[str], list[Any]]:
 
 def drawn(figures: Sequence[Any]) -> tuple[str, str, Sequence[str]]:
     """Return the library, the script that draws figures, and the elements in which each of them appears."""
+    content, where, divisions = _document(figures)
+    texts = (json.dumps(each, separators=(",", ":")).replace("<", "\\u003c") for each in (content, where))
+    return _library(), DRAW % tuple(texts), divisions
+
+
+def _document(figures: Sequence[Any]) -> tuple[dict[str, Any], list[Any], list[str]]:
+    """Return what Bokeh's library is told of figures and of their places, and the elements for these places."""
     from fmuid.reports.interactive.sketch import written
 
     roots, ids = written(figures)
     document = f"d{uuid.uuid4().hex}"
     elements = [f"{document}-{k}" for k in range(len(ids))]
-    told = {document: {"version": version("bokeh"), "title": "", "roots": roots}}
+    content = {document: {"version": version("bokeh"), "title": "", "roots": roots}}
     places = [{"docid": document, "roots": dict(zip(ids, elements, strict=True)), "root_ids": ids}]
-    content, where = (json.dumps(each, separators=(",", ":")).replace("<", "\\u003c") for each in (told, places))
     divisions = [
         f'<div id="{element}" data-root-id="{name}" style="display:contents"></div>'
         for element, name in zip(elements, ids, strict=True)
     ]
-    return _library(), DRAW % (content, where), divisions
+    return content, places, divisions
+
+
+def _packed(name: str, content: str) -> str:
+    packed = base64.b64encode(gzip.compress(content.encode(), compresslevel=PACKED, mtime=1)).decode()
+    return f'<script type="text/plain" id="{name}">{packed}</script>\n'
 
 
 DRAW = """(function draw(left) {

@@ -1,4 +1,5 @@
-// Unpacks what draws the figures. They are drawn in light colours; each is exchanged for its twin where the page is dark.
+// Unpacks the library and the figures, and draws one section after the other, so that the first is there at once. Figures
+// have light colours; each is exchanged for its twin where the page is dark.
 (async function () {
   "use strict";
   if (typeof DecompressionStream === "undefined") {
@@ -6,14 +7,14 @@
     for (const each of document.querySelectorAll(".cells")) each.textContent = said;
     return;
   }
-  const packed = Uint8Array.from(atob(document.getElementById("packed").text), (each) => each.charCodeAt(0));
-  const program = document.createElement("script");
-  program.text = await new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
-  document.body.append(program);
-
   const query = window.matchMedia("(prefers-color-scheme: dark)");
   const LIGHT = Object.fromEntries(Object.entries(DARK).map(([light, dark]) => [dark, light]));
-  let shown = false;
+  let shown = query.matches;
+
+  function unpacked(name) {
+    const packed = Uint8Array.from(atob(document.getElementById(name).text), (each) => each.charCodeAt(0));
+    return new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+  }
 
   function exchanged(value, map) {
     if (typeof value === "string") return map[value];
@@ -35,14 +36,18 @@
     shown = dark;
   }
 
-  function begin() {
-    const waiting = Bokeh.documents.length === 0 || !Bokeh.documents.every((doc) => doc.is_idle);
-    if (waiting && Bokeh.documents.length === 0) return void setTimeout(begin, 30);
-    paint(query.matches);
+  const program = document.createElement("script");
+  program.text = await unpacked("library");
+  document.body.append(program);
+  const map = shown ? DARK : {};
+  const colored = (name, value) => (/color$/.test(name) && exchanged(value, map)) || value;
+  for (const [content, places] of JSON.parse(await unpacked("figures"), colored)) {
+    await Bokeh.embed.embed_items(content, places);
+    await new Promise((done) => setTimeout(done)); // what the reader does comes first
   }
-
   query.addEventListener("change", () => paint(query.matches));
   window.addEventListener("beforeprint", () => paint(false));
   window.addEventListener("afterprint", () => paint(query.matches));
-  begin();
+  paint(query.matches); // it may have changed meanwhile
+  document.documentElement.dataset.drawn = "all";
 })();
