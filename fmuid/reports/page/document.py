@@ -140,10 +140,11 @@ def page(title: str, parts: Sequence[Part]) -> str:
         f'<meta http-equiv="Content-Security-Policy" content="{policy}"><meta name="referrer" content="no-referrer">'
         f"<title>{text(title)}</title><style>{_file('page.css')}</style></head>\n"
     )
-    ends = "".join(part.end for part in parts)
+    told = [part for part in parts if part.end]
+    ends = "".join(f"<h3>{text(each.heading)}</h3>{each.end}" if len(told) > 1 else each.end for each in told)
     end = f"<section class=end>{ends}</section>" if ends else ""
-    told = json.dumps([(content, places) for content, places, _ in documents], separators=(",", ":"))
-    tail = f"{_packed('library', library)}{_packed('figures', told)}<script>{own}</script>\n" if documents else ""
+    drawings = json.dumps([(content, places) for content, places, _ in documents], separators=(",", ":"))
+    tail = f"{_packed('library', library)}{_packed('figures', drawings)}<script>{own}</script>\n" if documents else ""
     return f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n{end}</main>\n{tail}</body></html>\n"
 
 

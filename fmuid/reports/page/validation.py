@@ -46,8 +46,10 @@ HEADS = {
     "bic": "BIC",
     "corrected_aic": "corrected AIC",
     "corrected_bic": "corrected BIC",
+    "duration": "duration (s)",
+    "log_determinant": "log-determinant",
 }
-"""What columns of ``comparison.csv`` are called."""
+"""What columns of ``comparison.csv`` and ``design.csv`` are called."""
 
 
 def part_of_prediction(folder: Path) -> Part:
@@ -158,11 +160,13 @@ def part_of_design(folder: Path) -> Part:
     rows = read_table(folder / "design.csv")
     names, accuracy = [str(name) for name in rows["excitation"]], "log_determinant" in rows
     text, caption = ("largest relative std", WORST) if accuracy else ("smallest fault found / its magnitude", FOUND)
-    worst = rows["worst"].to_numpy(np.float64)
+    worst = 100.0 * rows["worst"].to_numpy(np.float64)
     what = "leaves no relative std above" if accuracy else "shows faults from this share of their magnitude on:"
-    said = [Said(f"{names[0]} is the best of {len(names)} excitations: it {what} {worst[0]:.3g}", "excitations")]
-    shown = table({str(key): [_cell(each) for each in rows[key]] for key in rows}, numbers=list(rows.columns[1:]))
-    section = Section("excitations", "Excitations, the best first", caption, [comparison.bars(names, worst, text)], 1)
+    one = f"{names[0]} is the best of {len(names)} excitations: it" if len(names) > 1 else names[0]
+    said = [Said(f"{one} {what} {worst[0]:.3g} %", "excitations")]
+    columns = {HEADS.get(str(key), str(key)): [_cell(each) for each in rows[key]] for key in rows}
+    shown = table(columns, numbers=list(columns)[1:])
+    section = Section("excitations", "Excitations, the best first", caption, [comparison.bars(names, worst, f"{text} (%)")], 1)
     return Part("Design", f"best: {names[0]}", True, said, shown, [section], _origin_beside(folder / "design.json"))
 
 

@@ -63,7 +63,8 @@ def contents(folder: Path, files: Sequence[str] = FILES) -> tuple[str, list[Part
         raise InputError(f"{folder} has no {listed(FILES)}: give the folder that a command has written into")
     from fmuid.reports.page.contents import read_json
 
-    first = read_json(folder / there[0]) if there[0].endswith(".json") else {}
+    beside = (folder / there[0]).with_suffix(".json")
+    first = read_json(beside) if is_file(beside) else {}
     title = str(first.get("title", "")) or folder.absolute().parent.name
     return title, [_part(folder, name) for name in there]
 
