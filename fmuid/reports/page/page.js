@@ -9,6 +9,7 @@
   }
   const query = window.matchMedia("(prefers-color-scheme: dark)");
   const LIGHT = Object.fromEntries(Object.entries(DARK).map(([light, dark]) => [dark, light]));
+  const PAPER = 690; // pixels between the margins of A4 and Letter
   let shown = query.matches;
 
   function unpacked(name) {
@@ -36,6 +37,21 @@
     shown = dark;
   }
 
+  const plots = (view) => [view.model.type === "Plot" ? [view] : [], ...[...(view.children?.() ?? [])].map(plots)].flat();
+
+  // Paper is white, and is laid out before a figure could follow: figures are painted at once, in the width they have.
+  function print() {
+    const width = document.querySelector("main").offsetWidth;
+    document.documentElement.style.setProperty("--printed", `${width}px`);
+    document.documentElement.style.setProperty("--zoom", Math.min(1, PAPER / width));
+    if (!shown) return;
+    paint(false);
+    for (const view of [...(Bokeh.index.roots ?? Object.values(Bokeh.index))].flatMap(plots)) {
+      view.invalidate_painters();
+      view.repaint();
+    }
+  }
+
   const program = document.createElement("script");
   program.text = await unpacked("library");
   document.body.append(program);
@@ -46,7 +62,7 @@
     await new Promise((done) => setTimeout(done)); // what the reader does comes first
   }
   query.addEventListener("change", () => paint(query.matches));
-  window.addEventListener("beforeprint", () => paint(false));
+  window.addEventListener("beforeprint", print);
   window.addEventListener("afterprint", () => paint(query.matches));
   paint(query.matches); // it may have changed meanwhile
   document.documentElement.dataset.drawn = "all";
