@@ -229,9 +229,11 @@ class Batch(Displayed):
         self.dataset.clear()
         told = {"cases": len(self.cases), "begun": datetime.now(UTC).isoformat(timespec="seconds")}
         told |= {"truth": truth_of(self.study)}
-        text = json.dumps(bundle.manifest() | told, indent=1, ensure_ascii=False, default=str)
-        self.dataset.write_manifest(text + "\n")
+        self._write_manifest(bundle.manifest() | told)
         return ()
+
+    def _write_manifest(self, content: Mapping[str, Any]) -> None:
+        self.dataset.write_manifest(json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n")
 
     def _work(self, bundle: Bundle, pending: NDArray[np.intp], progress: Progress | None) -> bool:
         """Run cases; return whether Ctrl-C ended it."""
@@ -241,6 +243,8 @@ class Batch(Displayed):
         counter = _Counter(len(self.cases), known)
         try:
             with crew(self._scheduler, self._workers) as there, contextlib.closing(writer):
+                if there.dashboard:
+                    self._write_manifest(_read_manifest(self.folder / MANIFEST) | {"dashboard": there.dashboard})
                 results = there.run(bundle.parcel, pending, lambda case: record(self.cases.table_of(case)))
                 with contextlib.closing(results):
                     for result in results:

@@ -86,10 +86,16 @@ class Crew:
         Of the scheduler, for messages.
     local : _LocalWorkers or None
         What keeps workers of this machine; None where the scheduler has its own.
+
+    Attributes
+    ----------
+    dashboard : str
+        Address of the page on which Dask shows what a scheduler's workers do; "" where there is none.
     """
 
     def __init__(self, client: Client, address: str, local: _LocalWorkers | None) -> None:
         self._client, self._local, self._address = client, local, address
+        self.dashboard = "" if local is not None else str(client.dashboard_link or "")
         self._looked, self.threads = 0.0, 0
         self._flying: dict[Future, list[int]] = {}
         self._done: queue.SimpleQueue[Future] = queue.SimpleQueue()

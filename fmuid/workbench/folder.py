@@ -74,6 +74,14 @@ class FoundResult:
     kind: str
     study: Path | None
 
+    @classmethod
+    def of(cls, path: Path) -> FoundResult:
+        """Return what a file of `RESULTS` is."""
+        given = _content(path).get("study")
+        file = given.get("file") if isinstance(given, dict) else given
+        study = (path.parent / file).resolve() if isinstance(file, str) and file else None
+        return cls(path, RESULTS[path.name], study if study is not None and is_file(study) else None)
+
     @property
     def folder(self) -> Path:
         """Where its files are."""
@@ -135,7 +143,7 @@ class Folder:
                 found = read_study(path)
                 studies += [found] if found is not None else []
             elif path.name in RESULTS:
-                results += [_result(path)]
+                results += [FoundResult.of(path)]
         return studies, results
 
     def files(self, kinds: tuple[str, ...]) -> Iterator[Path]:
@@ -192,13 +200,6 @@ def read_study(path: Path) -> FoundStudy | None:
     asks = tuple(word for word in ("diagnosis", "batch") if isinstance(data.get(word), dict))
     title = str(data.get("title") or path.stem)
     return FoundStudy(path, title, "", tables, tuple(names) if isinstance(names, dict) else (), asks)
-
-
-def _result(path: Path) -> FoundResult:
-    given = _content(path).get("study")
-    file = given.get("file") if isinstance(given, dict) else given
-    study = (path.parent / file).resolve() if isinstance(file, str) and file else None
-    return FoundResult(path, RESULTS[path.name], study if study is not None and is_file(study) else None)
 
 
 def _content(path: Path) -> Mapping[str, Any]:

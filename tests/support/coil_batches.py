@@ -59,6 +59,7 @@ class Here:
     """Stands for a cluster: runs groups in this process, of drawn sizes and in a drawn order."""
 
     threads = 1
+    dashboard = "http://127.0.0.1:8787/status"
 
     def __init__(self, seed: int = 0, stop_after: int | None = None, error: BaseException | None = None) -> None:
         self.rng, self.stop_after, self.error = np.random.default_rng(seed), stop_after, error

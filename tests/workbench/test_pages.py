@@ -3,29 +3,37 @@
 from __future__ import annotations
 
 import base64
+import html
 import json
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pandas as pd
 import pytest
 from bokeh.document import Document
+from bokeh.events import ButtonClick
 from bokeh.models import FileInput
 
+import fmuid
+from fmuid.batches import Cases
 from fmuid.cli.options import DONE, WRONG_INPUT
+from fmuid.estimation import Result
 from fmuid.progress import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
 from fmuid.reports import run_study
 from fmuid.reports.console.progress import Display
 from fmuid.reports.page.write import contents
+from fmuid.studies import Study, read_toml
 from fmuid.workbench import Folder
 from fmuid.workbench.home import _results, _studies
 from fmuid.workbench.jobs import Jobs
 from fmuid.workbench.pages.batch import BatchPage
-from fmuid.workbench.pages.results import Predicting, _compared, build
-from tests.support.coil_study import STUDY, coil_table
+from fmuid.workbench.pages.results import Predicting, Writing, _compared, build
+from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
 
@@ -142,6 +150,64 @@ def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
     page.source.selected.indices = [0]
     assert "hit &lt;b&gt;a wall" in page.case.text
     assert "the FMU said &lt;so&gt;" in page.case.text
+
+
+def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path) -> None:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    (tmp_path / "records").mkdir()
+    for k in range(2):
+        coil_table(tmp_path / f"records/r{k}.csv", 0.0, seed=k)
+    words = '[batch]\ntables = "records/*.csv"\nvalues = { L = [0.1, 0.2] }\n'
+    (tmp_path / "study.toml").write_text(STUDY + words)
+    batch(tmp_path / "out", 3)
+    manifest = json.loads((tmp_path / "out/batch.json").read_text())
+    manifest |= {"study": read_toml(tmp_path / "study.toml"), "dashboard": "http://host:8787/status?a=<b>"}
+    (tmp_path / "out/batch.json").write_text(json.dumps(manifest))
+    doc: Any = Document()
+    page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
+    page.source.selected.indices = [2]
+    link = re.search(r'href="([^"]*)">What if', page.case.text)
+    assert link is not None
+    asked = parse_qs(urlsplit(html.unescape(link[1])).query)
+    assert asked["file"] == ["study.toml"]
+    study = Study.read(tmp_path / "study.toml", asked["set"])
+    case = Cases(Study.read(tmp_path / "study.toml"))[2]
+    assert case.table is not None
+    assert Path(study.path.parent, study.experiments[0].table).resolve() == case.table.resolve()
+    assert study.model.values["L"] == case.held["L"]
+    assert {name: each.start for name, each in study.parameters.items()} == {"R": 4.02}
+    told = " ".join(text for text, _ in doc.template_variables["pieces"])
+    assert 'href="http://host:8787/status?a=&lt;b&gt;"' in told
+    (tmp_path / "out/batch.json").write_text(json.dumps(manifest | {"dashboard": "javascript:alert(1)", "study": {}}))
+    doc = Document()
+    page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
+    page.source.selected.indices = [2]
+    assert "javascript" not in " ".join(text for text, _ in doc.template_variables["pieces"])
+    assert "What if" not in page.case.text
+
+
+@pytest.mark.slow
+def test_a_result_is_passed_on_by_commands(tmp_path: Path) -> None:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    (tmp_path / "study.toml").write_text(STUDY)
+    assert run_study(tmp_path / "study.toml", tmp_path / "results").succeeded
+    doc: Any = Document()
+    page = Writing(doc, Folder(tmp_path), Jobs(), tmp_path / "results")
+    assert page.fmus[page.fmu.value] == COIL.resolve()
+    assert "fmuid report" in page.command.text
+    assert "fmuid apply" in page.command.text
+    for act, written in (("Write the report", "report.html"), ("Apply to the FMU", "Coil-identified.fmu")):
+        (tmp_path / "results" / written).unlink(missing_ok=True)
+        pressed = next(each for each in page.run.buttons if each.label == act)
+        pressed._trigger_event(ButtonClick(pressed))
+        assert page.run.job is not None
+        page.run.job.close(PATIENCE)
+        page.run.look()
+        assert page.run.job.code == DONE
+        assert (tmp_path / "results" / written).is_file()
+        assert f"results/{written}<" in page.said.text
+    found = fmuid.FMU(tmp_path / "results/Coil-identified.fmu").description.variables["R"].start
+    assert found == pytest.approx(float(Result.from_json(tmp_path / "results/result.json")["R"]))
 
 
 def test_a_command_is_run_and_what_it_printed_kept(tmp_path: Path) -> None:

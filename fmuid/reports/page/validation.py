@@ -166,7 +166,9 @@ def part_of_design(folder: Path) -> Part:
     said = [Said(f"{one} {what} {worst[0]:.3g} %", "excitations")]
     columns = {HEADS.get(str(key), str(key)): [_cell(each) for each in rows[key]] for key in rows}
     shown = table(columns, numbers=list(columns)[1:])
-    section = Section("excitations", "Excitations, the best first", caption, [comparison.bars(names, worst, f"{text} (%)")], 1)
+    section = Section(
+        "excitations", "Excitations, the best first", caption, [comparison.bars(names, worst, f"{text} (%)")], 1
+    )
     return Part("Design", f"best: {names[0]}", True, said, shown, [section], _origin_beside(folder / "design.json"))
 
 

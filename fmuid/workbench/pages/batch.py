@@ -7,20 +7,23 @@ import json
 import math
 import time
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, urlsplit
 
 import pandas as pd
 from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, Select, TableColumn, TextInput
 
-from fmuid.batches import Columns
+from fmuid.batches import Cases, Columns
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import batch as figures
 from fmuid.reports.interactive.live import in_scheme
+from fmuid.studies import Study, read_toml
 from fmuid.workbench.access import SCHEME
-from fmuid.workbench.folder import Folder
+from fmuid.workbench.folder import Folder, beside
 from fmuid.workbench.home import address, escaped
 from fmuid.workbench.pages.shown import EVERY, side_by_side
 from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, dress, words
@@ -74,6 +77,8 @@ class BatchPage:
         title = str((self.manifest.get("study") or {}).get("title") or self.place.name)
         link = address("results", self.folder, self.place)
         more = f'<p><a href="{link}">All figures</a></p>' if is_file(self.place / "summary.json") else ""
+        if urlsplit(dashboard := str(self.manifest.get("dashboard") or "")).scheme in ("http", "https"):
+            more += f'<p><a href="{escaped(dashboard)}" target="_blank" rel="noreferrer">What the workers do</a></p>'
         pieces = [
             ("<section>", "state"),
             (f"{more}</section><section><h3>Estimates</h3>", "drawn"),
@@ -169,7 +174,63 @@ class BatchPage:
         said = ""
         with contextlib.suppress(OSError):
             said = f"<h3>What it printed</h3><pre>{escaped(log.read_text(errors='replace'))}</pre>"
-        self.case.text = f"<div class=scroll><table><tbody>{cells}</tbody></table></div>{said}"
+        self.case.text = f"{self._what_if(found)}<div class=scroll><table><tbody>{cells}</tbody></table></div>{said}"
+
+    def _what_if(self, found: pd.Series[Any]) -> str:
+        """Return the link to the study with what a case has been given and has found."""
+        study = self.study
+        if study is None:
+            return ""
+        try:
+            given = case_settings(study, int(found["case"]), found)
+        except InputError as error:
+            return f"<p class=error>{escaped(error)}</p>"
+        link = address("study", self.folder, study) + "".join(f"&set={quote(each, safe='')}" for each in given)
+        drawn = " (with the table itself: what was drawn for a case is not kept)" if "draw" in found else ""
+        return f'<p><a href="{escaped(link)}">What if, from this case on</a>{drawn}</p>'
+
+    @cached_property
+    def study(self) -> Path | None:
+        """The study file of the folder that the batch is of; None where it was changed since, or is elsewhere."""
+        asked = (each.path for each in self.folder.look()[0] if "batch" in each.asks)
+        return next((path for path in asked if read_toml(path) == self.manifest.get("study")), None)
+
+
+def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
+    """Return what ``--set`` has to say for a study to be a case of its batch, at the estimates of the case.
+
+    Parameters
+    ----------
+    path : Path
+        The study file.
+    number : int
+        Of the case.
+    found : Series
+        Its row.
+
+    Raises
+    ------
+    InputError
+        If there is no such case.
+    """
+    study = Study.read(path)
+    cases = Cases(study)
+    if not 0 <= number < len(cases):
+        raise InputError(f"{path} has no case {number} any more")
+    case = cases[number]
+    table = [] if case.table is None else [f"experiments.0.table={json.dumps(beside(case.table, path))}"]
+    held = [
+        f'{"parameters" if name in study.parameters else "model.values"}."{name}"={json.dumps(value)}'
+        for name, value in case.held.items()
+    ]
+    starts = []
+    for name, parameter in study.parameters.items():
+        if name in case.held:
+            continue
+        value = float(found.get(f"value.{name}", math.nan))
+        value = value if math.isfinite(value) else float(case.starts.get(name, parameter.start))
+        starts += [f'parameters."{name}"' + (f".start={value:.9g}" if name in case.free else f"={value:.9g}")]
+    return [*table, *held, *starts]
 
 
 def _columns(frame: pd.DataFrame) -> list[str]:

@@ -22,9 +22,10 @@ from fmuid.reports.interactive import comparison
 from fmuid.reports.interactive.live import in_scheme
 from fmuid.reports.page.document import Part, Section, pieces, table
 from fmuid.reports.page.write import contents
+from fmuid.studies import read_toml
 from fmuid.text import with_std
 from fmuid.workbench.access import SCHEME
-from fmuid.workbench.folder import TABLES, Folder, tables
+from fmuid.workbench.folder import TABLES, Folder, FoundResult, choices, tables
 from fmuid.workbench.home import address, escaped, file_address
 from fmuid.workbench.jobs import Job, Jobs, command_text
 from fmuid.workbench.pages.running import Run
@@ -48,6 +49,9 @@ def build(doc: Any, bench: Any) -> None:
     if len(places) == 1 and is_file(places[0] / "result.json"):
         doc.add_root(Predicting(doc, folder, bench.jobs, places[0]).layout)
         shown += [("<section><h3>Predict another record</h3>", "predict"), ("</section>", "")]
+    if len(places) == 1:
+        doc.add_root(Writing(doc, folder, bench.jobs, places[0]).layout)
+        shown += [("<section><h3>Pass it on</h3>", "writing"), ("</section>", "")]
     if len(places) == 1 and is_file(places[0] / "report.html"):
         link = file_address(folder, places[0] / "report.html")
         shown.insert(0, (f'<p><a href="{link}">The same as a page to be mailed</a></p>', ""))
@@ -140,3 +144,77 @@ class Predicting:
     def _end(self, job: Job) -> None:
         link = address("results", self.folder, self.place / "prediction")
         self.said.text = f'<p><a href="{link}">The prediction</a></p>' if job.code == 0 else ""
+
+
+class Writing:
+    """What writes the report of a result, by ``fmuid report``, and its values into an FMU, by ``fmuid apply``.
+
+    Parameters
+    ----------
+    doc : Document
+    folder : Folder
+    jobs : Jobs
+    place : Path
+        The folder of the result.
+
+    Attributes
+    ----------
+    layout : Bokeh model
+    """
+
+    def __init__(self, doc: Any, folder: Folder, jobs: Jobs, place: Path) -> None:
+        self.folder, self.place = folder, place
+        acts = {"Write the report": lambda: self.begin(self.reporting)}
+        self.fmus = _fmus(folder, place) if is_file(place / "result.json") else {}
+        names = list(self.fmus)
+        self.fmu = Select(title="FMU", options=names, value=names[0] if names else "", name="fmu", stylesheets=[SHEET])
+        self.fmu.on_change("value", lambda _attr, _old, _new: self._tell())
+        self.command, self.said = words("commands"), words("written")
+        if names:
+            acts["Apply to the FMU"] = lambda: self.begin(self.applying)
+        self.run = Run(doc, jobs, place, acts, ended=self._end)
+        parts = [self.fmu, self.run.layout] if names else [self.run.layout]
+        self.layout = column(*parts, self.said, self.command, name="writing", sizing_mode="stretch_width")
+        self._tell()
+
+    @property
+    def reporting(self) -> list[str]:
+        """The command that writes the report."""
+        return ["report", str(self.place)]
+
+    @property
+    def applying(self) -> list[str]:
+        """The command that writes a copy of the FMU."""
+        fmu = self.fmus[self.fmu.value]
+        return ["apply", str(self.place), str(fmu), "--output", str(self.place / f"{fmu.stem}{APPLIED}")]
+
+    def begin(self, given: list[str]) -> None:
+        """Begin one of the commands."""
+        self.run.begin(self.place / "result.json", given)
+
+    def _tell(self) -> None:
+        lines = [command_text(self.reporting)] + ([command_text(self.applying)] if self.fmu.value in self.fmus else [])
+        self.command.text = f"<pre>{'<br>'.join(map(escaped, lines))}</pre>"
+
+    def _end(self, job: Job) -> None:
+        report = self.place / "report.html"
+        said = f'<a href="{file_address(self.folder, report)}">{escaped(self.folder.name(report))}</a>'
+        if job.words[0] == "apply":
+            said = escaped(self.folder.name(Path(job.words[-1])))
+        self.said.text = f"<p>Written: {said}</p>" if job.code == 0 else ""
+
+
+APPLIED = "-identified.fmu"
+"""How the copy of an FMU ends that has the values of a result."""
+
+
+def _fmus(folder: Folder, place: Path) -> dict[str, Path]:
+    """Return the FMUs that the values of a result may go into, by their names: first that of its study."""
+    study = FoundResult.of(place / "result.json").study
+    try:
+        model = read_toml(study)["model"] if study is not None else {}
+        own = [(study.parent / str(model["fmu"])).resolve()] if study is not None and "fmu" in model else []
+    except (InputError, KeyError, TypeError):
+        own = []
+    known = [*(path for path in own if is_file(path)), *choices(folder, (".fmu",))]
+    return {folder.name(path): path for path in known if not path.name.endswith(APPLIED)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -26,7 +27,7 @@ from fmuid.workbench.jobs import Jobs, command_text
 from fmuid.workbench.pages.identifying import Identifying
 from fmuid.workbench.pages.newest import Newest
 from fmuid.workbench.pages.sliders import ParameterRow, stacked
-from fmuid.workbench.shell import SHEET, WIDE, argument, button, dress, words
+from fmuid.workbench.shell import SHEET, WIDE, argument, arguments, button, dress, words
 
 if TYPE_CHECKING:
     from fmuid.data import Parameter
@@ -44,17 +45,20 @@ class Bench(Protocol):
 
 def build(doc: Any, bench: Bench) -> None:
     """Fill a document with the page of the study that its address names."""
-    path = bench.folder.path(argument(doc, "file"))
-    StudyPage(doc, bench, path, Study.read(path, isolated=AVAILABLE), argument(doc, SCHEME))
+    path, given = bench.folder.path(argument(doc, "file")), arguments(doc, "set")
+    StudyPage(doc, bench, path, Study.read(path, given, isolated=AVAILABLE), argument(doc, SCHEME), given)
 
 
 class StudyPage:
     """What one tab shows of a study."""
 
-    def __init__(self, doc: Any, bench: Bench, path: Path, study: Study, scheme: str) -> None:
+    def __init__(
+        self, doc: Any, bench: Bench, path: Path, study: Study, scheme: str, given: Sequence[str] = ()
+    ) -> None:
         if not study.parameters:
             raise InputError(f"{path}: no parameters: name at least one under [parameters]")
         self.doc, self.bench, self.path, self.study, self.scheme = doc, bench, path, study, scheme
+        self._given = given  # values in place of the file's
         self.simulators = study.simulators()
         self.simulator: Simulator = self.simulators[0]
         units = parameter_units(study.system, list(study.parameters))
@@ -301,7 +305,7 @@ class StudyPage:
                 prior = f"{{ mean = {each.prior.mean:.9g}, std = {each.prior.std:.9g} }}"
                 found.append(f"parameters.{name}.prior={prior}")
         found += self.identifying.settings() if command == "identify" else []
-        return [word for setting in found for word in ("--set", setting)]
+        return [word for setting in (*self._given, *found) for word in ("--set", setting)]
 
     def words(self, command: str) -> list[str]:
         """Return a command that does what the page shows, to be given in the study's folder."""
