@@ -14,7 +14,7 @@ from scipy import stats
 import fmuid
 from experiments import calls, pages
 from experiments.coil import calls as coil
-from experiments.coil import onsets, study
+from experiments.coil import onsets, squared, study
 from experiments.machine_faults import calls as machine
 from experiments.machine_faults.machine import TURNS
 from fmuid.diagnosis import Evidence
@@ -103,3 +103,13 @@ def test_the_committed_records_are_these(module: ModuleType, case: str, tmp_path
     again = calls.Campaign(module.setting(), tmp_path / "none.csv").row(case, module.KEYS[case], 0)
     assert again["named"] == there["named"]
     assert again["D"] == pytest.approx(float(there["D"]), rel=1e-3)
+
+
+def test_a_quarter_of_the_turns_is_seen_by_the_model_with_their_square(tmp_path: Path) -> None:
+    off = {}
+    for kind, unit in (("exact", 1.0), ("linear", -study.R)):
+        found = calls.Campaign(squared.setting(kind), tmp_path / "none.csv").examined("0.25", np.random.default_rng(5))
+        size = found.naming.named[0].fit
+        off[kind] = (size.sizes[0] / unit - 0.25) / abs(size.covariance[0, 0] ** 0.5 / unit)
+    assert abs(off["exact"]) < 2.0
+    assert off["linear"] < -1.5
