@@ -29,7 +29,8 @@ from fmuid.diagnosis.linearisation import Machine
 
 LEVEL, SEED = 0.01, 17
 FALSE, FAULTY = 400, 200  # records of a case without and with a fault
-SETTLING = 60  # samples in which coloured noise becomes stationary
+# Samples in which coloured noise becomes stationary, at least, and so many of its time constants.
+SETTLING, CONSTANTS = 60, 4.0
 # A point is near one where the machine is linearised: standard deviations away times relative change of a coordinate.
 NEAR = 0.3
 
@@ -106,17 +107,26 @@ class Setting(NamedTuple):
     truth: Callable[[str], dict[str, float]]
     """Causes that are new in a case, and their sizes; NaN of those that have none in the fitted models."""
     colour: Callable[[str], float]
+    """The noise's correlation from sample to sample."""
+    share: Callable[[str], float] = lambda _: 1.0
+    """Which share of the noise's variance has it; the rest is white."""
 
 
-def noise(rng: np.random.Generator, shape: tuple[int, int], std: float, colour: float) -> Floats:
-    """Return noise (n, outputs) of an autoregression of order 1."""
-    white = std * math.sqrt(1.0 - colour**2) * rng.standard_normal((shape[0] + SETTLING, shape[1]))
-    return np.asarray(lfilter([1.0], [1.0, -colour], white, axis=0)[SETTLING:])
+def noise(rng: np.random.Generator, shape: tuple[int, int], std: float, colour: float, share: float = 1.0) -> Floats:
+    """Return noise (n, outputs) of an autoregression of order 1, or white noise with a share of it."""
+    settling = max(SETTLING, math.ceil(-CONSTANTS / math.log(colour))) if colour else SETTLING
+    white = std * math.sqrt(1.0 - colour**2) * rng.standard_normal((shape[0] + settling, shape[1]))
+    coloured = np.asarray(lfilter([1.0], [1.0, -colour], white, axis=0)[settling:])
+    if share == 1.0:
+        return coloured
+    return np.asarray(math.sqrt(share) * coloured + math.sqrt(1.0 - share) * std * rng.standard_normal(shape))
 
 
-def noisy(clean: fmuid.Experiment, rng: np.random.Generator, std: float, colour: float) -> fmuid.Experiment:
+def noisy(
+    clean: fmuid.Experiment, rng: np.random.Generator, std: float, colour: float, share: float = 1.0
+) -> fmuid.Experiment:
     """Return a record with noise on its outputs."""
-    seen = clean.output_values + noise(rng, clean.output_values.shape, std, colour)
+    seen = clean.output_values + noise(rng, clean.output_values.shape, std, colour, share)
     frame = clean.frame.copy()
     frame[list(clean.output_names)] = seen
     return fmuid.Experiment(frame, clean.inputs, clean.outputs, interpolation=clean.interpolation)
@@ -161,9 +171,9 @@ class Campaign:
     def examined(self, case: str, rng: np.random.Generator) -> Examination:
         """Return the examination of a fresh record of a case beside a fresh healthy one."""
         setting = self.setting
-        colour = setting.colour(case)
+        colour, share = setting.colour(case), setting.share(case)
         healthy, new = (
-            self._of(case, at).over(noisy(clean, rng, setting.noise, colour))
+            self._of(case, at).over(noisy(clean, rng, setting.noise, colour, share))
             for at, clean in enumerate(setting.records(case, rng))
         )
         whitening = whitening_of([healthy], setting.coordinates)

@@ -44,7 +44,8 @@ class Off(NamedTuple):
 class Case(NamedTuple):
     """A row of the table: in both records, in the new one, the causes that are right, the noise's colour.
 
-    `drawn`: beside it, whatever may always be so and what may drift, drawn as it is stated.
+    `drawn`: beside it, whatever may always be so and what may drift, drawn as it is stated. `slow`: the share of the
+    noise that has this colour.
     """
 
     always: Off
@@ -52,6 +53,7 @@ class Case(NamedTuple):
     right: tuple[str, ...] = ()
     colour: float = 0.0
     drawn: bool = False
+    slow: float = 1.0
 
 
 SOUND, ALWAYS = Off(), Off(gain=0.02, offset=0.25, delay=2e-4)
@@ -78,6 +80,9 @@ CASES = {
     "offset and delay, 1 ms": Case(SOUND, Off(offset=0.5, delay=1e-3), (OFFSET, DELAY)),
     "sensor and drifts drawn": Case(SOUND, SOUND, drawn=True),
     "turns, ΔR = 1 Ω, sensor and drifts drawn": Case(SOUND, Off(turns=1.0), (TURNS,), drawn=True),
+    "white noise, 8 % of it AR 0.98": Case(SOUND, SOUND, colour=0.98, slow=0.08),
+    "white noise, 3 % of it AR 0.98": Case(SOUND, SOUND, colour=0.98, slow=0.03),
+    "turns, ΔR = 1 Ω, white noise, 8 % of it AR 0.98": Case(SOUND, Off(turns=1.0), (TURNS,), 0.98, slow=0.08),
 }
 KEYS = {name: k for k, name in enumerate(CASES)}
 
@@ -129,7 +134,9 @@ def setting() -> calls.Setting:
         record = clean(CASES[case].new if new else CASES[case].always)
         return Machine(coil, {}, nominal, {"turns": turns}, coordinates, record)
 
-    return calls.Setting(coordinates, drift, STD, machine, records, truth, lambda case: CASES[case].colour)
+    return calls.Setting(
+        coordinates, drift, STD, machine, records, truth, lambda case: CASES[case].colour, lambda case: CASES[case].slow
+    )
 
 
 def tables(found: pd.DataFrame) -> dict[str, str]:
