@@ -180,7 +180,7 @@ def _units(folder: Path, _: pytest.MonkeyPatch) -> None:
 def _unsaid_units(folder: Path, _: pytest.MonkeyPatch) -> None:
     path = written(folder, PLAIN.assign(i=1e3 * PLAIN["i"]))
     (found,) = studied(path, 'inputs = ["u"]\noutputs = ["i"]\nunits = { i = "mA" }')
-    assert found.units["i"] == "mA"
+    assert found.units["i"] == begun(path, units={"i": "mA"}).units["i"] == "mA"
     simulated = [fmuid.Simulator(COIL, each)([]) for each in (found, *studied(written(folder)))]
     np.testing.assert_allclose(simulated[0], 1e3 * simulated[1])
 

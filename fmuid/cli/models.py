@@ -61,6 +61,10 @@ def init(
         float | None, typer.Option(metavar="HZ", help="Samples per second, of a table without times.")
     ] = None,
     sheet: Annotated[str | None, typer.Option(metavar="SHEET", help="Of a spreadsheet, or its place from 1.")] = None,
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(metavar="VARIABLE=UNIT", help="The unit of a variable's column, 1 for the FMU's; repeatable."),
+    ] = None,
     prepare: Annotated[
         list[str] | None,
         typer.Option(metavar="WORD=VALUE", help="Done with the tables first, such as low_pass=100; repeatable."),
@@ -80,6 +84,7 @@ def init(
         None if sheet is None else placed(sheet),
         columns,
         {word: value_of(text) for word, text in words.items()},
+        _pairs(unit or (), "--unit", "variable=unit", "w=rpm"),
     )
     records = [asked_about(record) for record in begin(fmu, tables, asked)]
     made = draft(fmu, records, output)

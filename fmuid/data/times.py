@@ -75,6 +75,16 @@ def with_time(
     return frame.rename(columns={column: name}), begin
 
 
+def _are_times(values: Any, source: str) -> bool:
+    """Return whether a column without a name has dates, or numbers that rise otherwise than those of rows."""
+    try:
+        numbers, begin = _as_numbers(values, "", source)
+        steps = np.diff(np.asarray(numbers, dtype=np.float64))
+    except (InputError, ValueError, TypeError):
+        return False
+    return bool((steps > 0).all() and (begin is not None or (steps != 1).any()))
+
+
 def _scaled(values: Any, factor: float) -> Any:
     """Return times in s; by division where that rounds less: 3 ms are 0.003 s."""
     return values / round(1 / factor) if factor < 1 else values * factor
@@ -100,6 +110,8 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
                 return near[0]
         if "T" in timely:  # which is a temperature where there is another time
             return "T"
+        if names[0] == "" and _are_times(raw.frame[""], source):  # an index of pandas
+            return ""
     raise InputError(f"{source}: {missing_column('time', time, names)}, or give the sample_rate")
 
 
@@ -113,7 +125,7 @@ def column_of(names: Sequence[str], wanted: str) -> str | None:
 
 def missing_column(role: str, column: str, known: Iterable[object]) -> str:
     """Return the part of a sentence that says that a column is missing, with the nearest names or all of them."""
-    names = [str(name) for name in known]
+    names = [str(name) or "(no name)" for name in known]
     listed = ", ".join(names[:_LISTED_NAMES]) + (", …" if len(names) > _LISTED_NAMES else "")
     found = nearest(column, names) or f" (there is {listed or 'nothing numeric'})"
     return f"the {role} column {column!r} is missing{found}: name the column that holds it"

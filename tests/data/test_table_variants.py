@@ -158,6 +158,13 @@ def test_a_sheet_by_name_and_by_place(tmp_path: Path) -> None:
             read_table(path, sheet=other)
 
 
+@pytest.mark.parametrize("index", [range(3), ["a", "b", "c"], [3.0, 1.0, 2.0]])
+def test_an_index_without_a_name_that_is_no_time(tmp_path: Path, index: object) -> None:
+    pd.DataFrame({"u": [1.0, 2.0, 3.0]}, index=index).to_csv(tmp_path / "a.csv")  # type: ignore[call-overload]
+    with pytest.raises(InputError, match=r"column 'time' is missing \(there is \(no name\), u\): name the column"):
+        read_table(tmp_path / "a.csv")
+
+
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [

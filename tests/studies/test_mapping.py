@@ -128,18 +128,20 @@ def test_init_says_what_is_wrong(
 
 def test_map_and_time(tmp_path: Path) -> None:
     frame = bench(tmp_path).set_axis(["tick", "a", "b", "c"], axis="columns")
-    frame["b"] /= 1000
     table, study = write(frame, tmp_path / "bench.csv"), tmp_path / "study.toml"
-    given = ("--map", "u=a", "--map", "i=b", "--time", "1", "--time-unit", "ms", "--output", study)
+    given = ("--map", "u=a", "--map", "i=b", "--time", "1", "--time-unit", "ms", "--unit", "i=mA", "--output", study)
     assert fmuid_("init", COIL, table, table, *given) == DONE
     text = study.read_text()
     assert text.count('inputs = { u = "a" }\noutputs = { i = "b" }\n') == 2
     read = Study.read(study)
     assert [each.name for each in read.experiments] == ["bench", "bench 2"]
     assert read.tables[1].times[-1] < 1.0
+    assert read.tables[1].units == {"i": "mA"}
 
 
-@pytest.mark.parametrize("given", [("--map", "u"), ("--map", "u=nothing"), ("--map", "x=a"), ("--sheet", "run")])
+@pytest.mark.parametrize(
+    "given", [("--map", "u"), ("--unit", "i"), ("--map", "u=nothing"), ("--map", "x=a"), ("--sheet", "run")]
+)
 def test_wrong_options(tmp_path: Path, capsys: pytest.CaptureFixture[str], given: tuple[str, str]) -> None:
     table, study = write(bench(tmp_path), tmp_path / "bench.csv"), tmp_path / "study.toml"
     assert fmuid_("init", COIL, table, "--output", study, *given) == WRONG_INPUT

@@ -189,6 +189,7 @@ TEXTS: dict[str, tuple[str, str | bytes]] = {
     "a column of text": ("a.csv", text("time,u,i,w,state", frame=FRAME.assign(state='"run, 2"'))),
     "index of pandas": ("a.csv", FRAME.to_csv()),
     "time as index of pandas": ("a.csv", FRAME.set_index("time").to_csv()),
+    "time as index without a name": ("a.csv", FRAME.set_index("time").rename_axis(None).to_csv()),
     "row names of R": ("a.csv", text('"","time","u","i","w"', frame=NUMBERED)),
     "exponents": ("a.csv", exponents(",", "E")),
     "exponents of Fortran": ("a.dat", exponents(" ", "D")),

@@ -166,6 +166,7 @@ def _experiment(record: Record, output: Path, name: str, *, first: bool) -> list
         *_role(record, "input"),
         *_role(record, "output"),
         *([f"# columns that are no input or output of the FMU: {listed(record.unused)}"] if record.unused else []),
+        *([f"units = {inline(asked.units)}"] if asked.units else []),
         *([f"prepare = {inline(asked.prepare)}"] if asked.prepare else []),
         *(['# where a column has another name: outputs = { fmu_variable = "column" }'] if first else []),
         _interpolation(record),

@@ -50,6 +50,8 @@ class Asked:
         Variables of the FMU whose columns are known; an empty text for none.
     prepare : mapping
         What is done with the tables first, the words of ``[experiments.prepare]``.
+    units : mapping of str to str
+        Of columns, by the variables, where neither the table nor the FMU says them, or the table says another.
     """
 
     time: str | int = "time"
@@ -58,6 +60,7 @@ class Asked:
     sheet: str | int | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     prepare: Mapping[str, Any] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +188,7 @@ class Record:
         words: dict[str, Any] = {"table": str(self.path.absolute()), "name": self.path.stem, "time": self.asked.time}
         words |= {"inputs": self.roles("input"), "outputs": self.roles("output")}
         words |= {"interpolation": self.interpolation, "prepare": dict(self.asked.prepare)}
+        words |= {"units": dict(self.asked.units)}
         return ExperimentSettings.read(words, Place(str(self.path), Path()))
 
     @property
