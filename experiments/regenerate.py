@@ -4,8 +4,8 @@
     git diff --stat experiments                      # what moved
 
 All draws have seeds. What is said around the tables is read again by eye. Not done here is what needs the files of
-others (emps, fmu_survey, nist), a machine without other work (benchmark.py, the campaigns of batches) or an hour
-(interval_coverage.py, which prints its table; calls.py and onsets.py, which go on where they were).
+others (cascaded_tanks, emps, fmu_survey, nist), a machine without other work (benchmark.py, the campaigns of batches)
+or an hour (interval_coverage.py, which prints its table; calls.py and onsets.py, which go on where they were).
 """
 
 from __future__ import annotations
