@@ -13,10 +13,12 @@ from scipy.integrate import solve_ivp
 from fmuid.arrays import Floats
 from fmuid.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.data import Experiment
+from fmuid.errors import InputError
 from fmuid.fmi import read_description
+from fmuid.models import System
 from fmuid.studies import Study
 from fmuid.studies.drafting.starts import is_start
-from fmuid.studies.drafting.survey import Use, _select, is_solver_setting, survey
+from fmuid.studies.drafting.survey import Survey, Use, _select, is_solver_setting, survey
 from tests.support.coil_study import COIL, fmuid_, result
 from tests.support.exported import export_text
 from tests.support.fmu_texts import FMI2, write_fmu
@@ -247,6 +249,21 @@ def test_start_values_are_freed_where_records_begin_elsewhere() -> None:
     difference = current(t, u, 0.7, 4.004) - current(t, u, 0.7, 4.0)
     expected = 100 * np.sqrt(np.mean(difference**2)) / np.std(i)
     assert candidates["R"].effect == pytest.approx(expected, rel=1e-3)
+
+
+def test_co_simulation_is_surveyed_where_model_exchange_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def surveyed(system: System, *_: object) -> Survey:
+        tried.append(system.numerics.interface)
+        if tried[-1] == "model-exchange":
+            raise InputError("does not run so")
+        return Survey()
+
+    monkeypatch.setattr("fmuid.studies.drafting.survey._surveyed", surveyed)
+    record = experiment(pd.DataFrame({"time": [0.0, 1.0], "u": 1.0, "i": 0.0}))
+    assert survey(COIL, [record]) == Survey()
+    assert tried == ["model-exchange", "co-simulation"]
 
 
 def test_simulations_that_fail_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
