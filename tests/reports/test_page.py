@@ -210,7 +210,7 @@ def test_a_million_samples_make_a_page_that_can_be_mailed(results: Path, tmp_pat
 def test_the_command_writes_the_report_alone(
     results: Path, page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("fmuid.reports.page.document.drawn", lambda figures: ("", "", [""] * len(figures)))
+    monkeypatch.setattr("fmuid.reports.page.document._document", lambda figures: ({}, [], [""] * len(figures)))
     folder = shutil.copytree(results, tmp_path / "alone")
     (folder / "report.html").unlink(missing_ok=True)
     assert fmuid_("report", folder) == DONE

@@ -124,7 +124,7 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
         return [folder / f"{name}.{kind}" for name in figures]
 
     monkeypatch.setattr("fmuid.reports.figures.style.save", save)
-    monkeypatch.setattr("fmuid.reports.page.document.drawn", lambda figures: ("", "", [""] * len(figures)))
+    monkeypatch.setattr("fmuid.reports.page.document._document", lambda figures: ({}, [], [""] * len(figures)))
     read = Study.read
     monkeypatch.setattr(Study, "read", lambda path, overrides=(), **_: read(path, overrides))
 

@@ -179,7 +179,9 @@ class _Glyph:
 
     def _filled(self) -> dict[str, Any]:
         color = self._looks("fill_color", "none")
-        alpha = self._plain("fill_alpha")
+        alpha = self._looks("fill_alpha", None)
+        if np.ndim(alpha):
+            return {"color": [to_rgba(color, each) for each in alpha]}
         return {"color": to_rgba(color, alpha) if isinstance(color, str) else color}
 
     def _plain(self, name: str) -> Any:

@@ -13,7 +13,7 @@ from scipy import special
 from fmuid.arrays import Floats
 from fmuid.batches import INTERVAL_STDS, Columns
 from fmuid.reports.interactive.rows import rows_of
-from fmuid.reports.interactive.sketch import ColumnDataSource, FactorRange
+from fmuid.reports.interactive.sketch import ColumnDataSource, FactorRange, Field
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,
@@ -32,6 +32,8 @@ from fmuid.reports.thinning import evenly
 
 # Bars of a histogram, from few cases to many.
 MIN_BINS, MAX_BINS = 8, 60
+# Cells of a figure of many estimates, across and up, and how full the one with the fewest is painted.
+CELLS, PALEST = (90, 45), 0.12
 # A normal curve is drawn so many standard deviations wide.
 SHOWN_STDS = 3.2
 # Fewer estimates than this make no histogram, they are drawn themselves; fewer at a setting have no spread.
@@ -76,7 +78,8 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
         plot = Panel(x="" if places else "case", y=named(name, units), height=210, **across)
         value, std = (some[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
         half = INTERVAL_STDS * std if len(some) <= MAX_BARS else np.full(len(some), np.nan)
-        ends = np.concatenate([value, value - half, value + half])
+        whole = good[f"value.{name}"].to_numpy(np.float64)
+        ends = np.concatenate([whole, value - half, value + half])
         limits = limits_of(ends, truth.get(name))
         data = {
             "case": [places.get(case, case) for case in some["case"]],
@@ -94,8 +97,11 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
                 drawn = plot.segment("case", "low", "case", "high", source=bars, line_color=color, line_alpha=0.5)
                 entries.append((text, [drawn]))
         size = 6 if len(some) <= MAX_BARS else 3
-        dots = plot.scatter("case", "value", source=source, size=size, fill_color=BLUE, line_color=None)
-        plot.hover(dots, ("case", "@case"), ("value", "@value{0.000000}"), ("std", "@std{0.000000}"))
+        if len(good) > MAX_DOTS:
+            dots = _cells(plot, good["case"].to_numpy(np.float64), whole, limits)
+        else:
+            dots = plot.scatter("case", "value", source=source, size=size, fill_color=BLUE, line_color=None)
+            plot.hover(dots, ("case", "@case"), ("value", "@value{0.000000}"), ("std", "@std{0.000000}"))
         for text, color, lost in (("failed", RED, "failed"), ("not converged", AMBER, "not converged")):
             cases = frame.loc[status == lost, "case"].to_numpy()
             cases = cases[evenly(len(cases), MAX_DOTS)] if len(cases) else cases
@@ -103,13 +109,27 @@ def over_cases(frame: pd.DataFrame, truth: Mapping[str, float], units: Units) ->
             if len(cases):
                 marks = {"marker": "dash", "angle": math.pi / 2, "size": 12, "line_color": color}
                 entries.append((text, [plot.scatter("case", "y", source=ColumnDataSource(at), **marks)]))
-        plot.legend([(f"estimate{outside(value, limits)}", [dots]), *entries])
+        plot.legend([(f"estimate{outside(whole, limits)}", [dots]), *entries])
         _truth(plot, name, truth)
         plot.reach(y=limits)
         if places:
             plot.xaxis.major_label_orientation = 0.8
         plots.append(plot)
     return plots
+
+
+def _cells(plot: Any, x: Floats, y: Floats, limits: tuple[float, float]) -> Any:
+    """Draw so many estimates that dots would cover each other as cells: the fuller, the more lie there."""
+    inside = (y >= limits[0]) & (y <= limits[1])
+    counts, across, up = np.histogram2d(x[inside], y[inside], bins=CELLS, range=[(x.min(), x.max()), limits])
+    i, j = np.nonzero(counts)
+    count = counts[i, j]
+    columns = {"left": across[i], "right": across[i + 1], "top": up[j + 1], "bottom": up[j], "count": count}
+    source = ColumnDataSource(columns | {"full": PALEST + (1.0 - PALEST) * count / count.max()})
+    look: dict[str, Any] = {"fill_color": BLUE, "fill_alpha": Field("full"), "line_color": None}
+    cells = plot.quad("left", "right", "top", "bottom", source=source, **look)
+    plot.hover(cells, ("estimates", "@count"), ("around", "@bottom{0.000000} to @top{0.000000}"))
+    return cells
 
 
 def _short(text: str) -> str:
@@ -263,9 +283,12 @@ def over_setting(found: pd.DataFrame, name: str, truth: Mapping[str, float], uni
         plot = Panel(x=text, y=named(parameter, units), height=220, **more)
         value, std = (found[f"{kind}.{parameter}"].to_numpy(np.float64) for kind in ("value", "std"))
         limits = limits_of(value, truth.get(parameter))
-        source = ColumnDataSource({"x": place.to_numpy()[some], "y": value[some]})
-        dots = plot.scatter("x", "y", source=source, size=4, fill_color=BLUE, fill_alpha=0.4, line_color=None)
-        plot.hover(dots, ("setting", "@x"), ("estimate", "@y{0.000000}"))
+        if number and len(found) > MAX_DOTS:
+            dots = _cells(plot, place.to_numpy(np.float64), value, limits)
+        else:
+            source = ColumnDataSource({"x": place.to_numpy()[some], "y": value[some]})
+            dots = plot.scatter("x", "y", source=source, size=4, fill_color=BLUE, fill_alpha=0.4, line_color=None)
+            plot.hover(dots, ("setting", "@x"), ("estimate", "@y{0.000000}"))
         plot.legend([(f"estimate{outside(value, limits)}", [dots]), *_means(plot, place, value, std, number=number)])
         _truth(plot, parameter, truth)
         if number and variable in truth:

@@ -20,8 +20,8 @@ from fmuid.reports.words.result import capitalised
 from fmuid.text import has_unit, rounded
 
 CASES = (
-    "Estimates of the cases that converged, with their intervals where there are few; the amber line is the truth. At "
-    "the lower edge are cases without an estimate."
+    "Estimates of the cases that converged, with their intervals where there are few; of very many, the fuller a cell, "
+    "the more lie there; the amber line is the truth. At the lower edge are cases without an estimate."
 )
 DISTRIBUTIONS = (
     "How the estimates are distributed. The curve is what their stated standard deviations promise: wider bars "
