@@ -53,7 +53,8 @@ def read_table(
         Name of the time column, or its place from 1. ``"time"`` also stands for ``Time``, ``t``, ``time_ms``,
         ``Time (ms)``, ``timestamp`` and the like, where there is one of them only.
     time_unit : str, optional
-        Its unit: s, ms, us, ns, min, h or d; default: what the table says, else s.
+        Its unit: s, ms, us, ns, min, h or d; default: what the table says, else s. Durations that pandas has written
+        into a spreadsheet as numbers, which are days, need it.
     sample_rate : float, optional
         Samples per second, of a table without times.
     sheet : str or int, optional

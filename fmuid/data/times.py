@@ -22,7 +22,7 @@ _ORDERS = ("%d{0}%m{0}%Y", "%m{0}%d{0}%Y", "%Y{0}%m{0}%d", "%d{0}%b{0}%Y")
 _CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
 _CENTURY = (946_684_800.0, 4_102_444_800.0)
 """Seconds from 1970 to the years 2000 and 2100."""
-_CLOCK = re.compile(r"\d{1,3}:\d{2}(:\d{2}([.,]\d+)?)?")
+_CLOCK = re.compile(r"(\d+ days )?\d{1,3}:\d{2}(:\d{2}([.,]\d+)?)?")
 
 
 def time_name(time: str | int) -> str:
@@ -70,7 +70,13 @@ def with_time(
     values, begin = _as_numbers(raw.frame[column], column, source)
     if begin is None and (said := _since_1970(values, unit or _unit_said(raw, column))):
         values, begin = _seconds(pd.to_datetime(values, unit=said))
-    factor = 1.0 if begin is not None else SECONDS[unit or _unit_said(raw, column) or "s"]
+    said_unit = unit or _unit_said(raw, column)
+    if said_unit is None and column in raw.days:
+        raise InputError(
+            f"{source}: the time column {column or '(no name)'!r} may be in days, as pandas writes durations into "
+            'spreadsheets: say which by time_unit = "d" or "s"'
+        )
+    factor = 1.0 if begin is not None else SECONDS[said_unit or "s"]
     frame = raw.frame.assign(**{column: values if factor == 1.0 else _scaled(values, factor)})
     return frame.rename(columns={column: name}), begin
 

@@ -181,3 +181,39 @@ def test_files_that_are_none(tmp_path: Path, name: str, sentence: str) -> None:
         (tmp_path / name).write_bytes(broken)
         with pytest.raises(InputError, match=sentence):
             read_table(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["time", None])
+@pytest.mark.parametrize("kind", ["xlsx", "ods", "csv", "parquet", "feather", "fixed.h5", "table.h5"])
+def test_durations_of_pandas_are_no_other_numbers(tmp_path: Path, kind: str, name: str | None) -> None:
+    """Into spreadsheets pandas writes them as numbers of days."""
+    path = tmp_path / f"a.{kind}"
+    frame = FRAME.set_index(pd.TimedeltaIndex(pd.to_timedelta(FRAME["time"], unit="s"), name=name))[["u", "w"]]
+    unit = None
+    if path.suffix == ".h5":
+        frame.to_hdf(path, key="run", format=path.stem.partition(".")[2])
+    elif kind in ("parquet", "feather"):
+        getattr(frame, f"to_{kind}")(path)
+    elif kind == "csv":
+        frame.to_csv(path)
+    else:
+        frame.to_excel(str(path))
+        with pytest.raises(InputError, match=r"(time|no name\))' may be in days, .* by time_unit = \"d\" or \"s\""):
+            read_table(path)
+        unit = "d"
+    np.testing.assert_allclose(read_table(path, time_unit=unit)["time"], FRAME["time"], rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["xlsx", "ods"])
+def test_an_index_of_seconds_in_a_spreadsheet(tmp_path: Path, kind: str) -> None:
+    FRAME.set_index("time").rename_axis(None).to_excel(str(tmp_path / f"a.{kind}"))
+    np.testing.assert_array_equal(read_table(tmp_path / f"a.{kind}")["time"], FRAME["time"])
+
+
+def test_durations_as_spreadsheets_show_them(tmp_path: Path) -> None:
+    frame = pd.DataFrame({"time": FRAME["time"] / 86400, "u": U})
+    with pd.ExcelWriter(tmp_path / "a.xlsx", engine="openpyxl") as book:
+        frame.to_excel(book, index=False)
+        for row in range(2, len(frame) + 2):
+            book.sheets["Sheet1"].cell(row, 1).number_format = "[h]:mm:ss.00"
+    np.testing.assert_allclose(read_table(tmp_path / "a.xlsx")["time"], FRAME["time"], atol=1e-9)

@@ -47,11 +47,14 @@ class RawTable:
         Columns whose unit the file says, as it is written there.
     time : str, optional
         The column that the format itself knows for the time.
+    days : frozenset of str
+        Columns of numbers that pandas may have written of durations, in days.
     """
 
     frame: pd.DataFrame
     units: dict[str, str] = field(default_factory=dict)
     time: str | None = None
+    days: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)

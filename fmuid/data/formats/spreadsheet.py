@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -10,6 +13,14 @@ from fmuid.data.formats.columns import Cell, Head, RawTable, check_once, find_he
 from fmuid.data.formats.libraries import library
 from fmuid.errors import InputError
 from fmuid.text import nearest
+
+_CELL = re.compile(r"<c ([^>]*)><v>([-+.\deE]+)</v>")
+_BEGINNING = 1_000_000
+"""Characters of a sheet in which cells are looked at: its first rows."""
+_LOOKED_AT = 100
+_DIGITS = 12
+"""Significant digits, which times as people and recorders write them do not exceed."""
+_DAY = 86_400
 
 
 def read_spreadsheet(path: Path, source: str, sheet: str | int | None = None) -> RawTable:
@@ -31,7 +42,7 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None = None) ->
         rows = _without_margins(book.get_sheet_by_name(name).to_python())
         head = find_head(rows)
         if head is not None:
-            return _table(source, rows, head)
+            return _table(source, rows, head, path)
     which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
     raise InputError(f"{source}: {which} a table: give a header with the names and rows of samples")
 
@@ -53,9 +64,48 @@ def _without_margins(rows: list[list[Cell]]) -> list[list[Cell]]:
     return [[row[k] for k in columns] for row in filled]
 
 
-def _table(source: str, rows: list[list[Cell]], head: Head) -> RawTable:
+def _table(source: str, rows: list[list[Cell]], head: Head, path: Path) -> RawTable:
     names, units = named(head.names, head.units)
     check_once(source, names)
     samples = [[None if is_missing(cell) else cell for cell in row] for row in rows[head.first :]]
     frame = pd.DataFrame(samples, columns=names, dtype=object).infer_objects()
-    return RawTable(frame, units)
+    whole = _shown_as_whole(path)
+    broken = {name: [v for v in frame[name][:_LOOKED_AT] if isinstance(v, float) and v % 1] for name in names}
+    days = {
+        name
+        for name, values in broken.items()
+        if values and (_are_days(values) if whole is None else values[0] in whole)
+    }
+    return RawTable(frame, units, days=frozenset(days))
+
+
+def _shown_as_whole(path: Path) -> set[float] | None:
+    """Return the numbers of .xlsx in cells of the format 0, which shows no decimals; None where formats are not known.
+
+    So pandas writes durations, and hardly anybody else a number that is not whole.
+    """
+    if path.suffix.lower() not in (".xlsx", ".xlsm"):
+        return None
+    found: set[float] = set()
+    with zipfile.ZipFile(path) as book:
+        styles = book.read("xl/styles.xml").decode() if "xl/styles.xml" in book.namelist() else ""
+        formats = re.findall(r'<xf [^>]*?numFmtId="(\d+)"', styles.partition("<cellXfs")[2].partition("</cellXfs>")[0])
+        whole = {f's="{k}"' for k, each in enumerate(formats) if each == "1"}
+        for name in book.namelist() if whole else []:
+            if name.startswith("xl/worksheets/sheet"):
+                with book.open(name) as sheet:
+                    text = sheet.read(_BEGINNING).decode(errors="ignore")
+                found |= {float(value) for words, value in _CELL.findall(text) if whole & set(words.split())}
+    return found
+
+
+def _are_days(values: Sequence[float]) -> bool:
+    """Return whether numbers have many digits and few when they are days counted in seconds.
+
+    Numbers in s look so, too, where a rate has a factor of 3, as 48 kHz.
+    """
+    return not all(map(_is_short, values)) and all(_is_short(_DAY * value) for value in values)
+
+
+def _is_short(value: float) -> bool:
+    return abs(value - float(f"{value:.{_DIGITS}g}")) <= 1e-15 * abs(value)
