@@ -137,6 +137,14 @@ def _unsaid_time(folder: Path, _: pytest.MonkeyPatch) -> None:
     same(begun(path, time="Zeit", time_unit="ms"))
 
 
+@row("durations that pandas wrote into .xlsx or .ods, which are numbers of days there")
+def _durations(folder: Path, _: pytest.MonkeyPatch) -> None:
+    PLAIN.assign(time=pd.to_timedelta(T, unit="s")).to_excel(folder / "run.xlsx", index=False)
+    with pytest.raises(InputError, match='say which by time_unit = "d" or "s"'):
+        studied(folder / "run.xlsx")
+    same(*studied(folder / "run.xlsx", 'outputs = ["i"]\ninputs = ["u"]\ntime_unit = "d"'))
+
+
 @row("dates, or times of the day")
 def _dates(folder: Path, _: pytest.MonkeyPatch) -> None:
     dates = pd.Timestamp("2026-03-01T23:59:59.950") + pd.to_timedelta(T, unit="s")

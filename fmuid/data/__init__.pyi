@@ -30,7 +30,7 @@ from .preparation.prepare import TRENDS as TRENDS
 from .preparation.prepare import Axes as Axes
 from .preparation.prepare import Preparation as Preparation
 from .preparation.prepare import reduce as reduce
-from .preparation.sampling import GAP as GAP
+from .preparation.sampling import dropouts as dropouts
 from .preparation.sampling import missing_rows as missing_rows
 from .tables import BEGIN as BEGIN
 from .tables import UNITS as UNITS

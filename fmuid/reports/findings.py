@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ from fmuid.reports.thinning import evenly
 from fmuid.reports.words.diagnosis import verdict
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
-from fmuid.reports.words.result import ending, remarks
+from fmuid.reports.words.result import dropout_words, ending, remarks
 from fmuid.reports.words.uncertainty import uncertainty_words
 from fmuid.simulation import Fit, fit_of
 
@@ -109,6 +109,8 @@ class Findings(Plotted):
         What it was made from (`fmuid.reports.origin.made_from`), likewise.
     prepared : tuple of Prepared
         What was done with tables first, where something was.
+    dropouts : mapping of str to tuple of float
+        Experiments whose tables lack rows that the inputs go on over: the times before, s.
 
     Examples
     --------
@@ -127,6 +129,7 @@ class Findings(Plotted):
     study: Mapping[str, Any] | None = None
     origin: Mapping[str, Any] | None = None
     prepared: tuple[Prepared, ...] = ()
+    dropouts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Findings({self.result!r})"
@@ -140,6 +143,11 @@ class Findings(Plotted):
     def has_prior(self) -> bool:
         """Whether any parameter has a prior."""
         return bool(np.isfinite(self.result.prior_mean).any())
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """The sentences on tables and estimates that the numbers do not show by themselves."""
+        return *(dropout_words(*each) for each in self.dropouts.items()), *remarks(self.result)
 
     @property
     def estimates(self) -> pd.DataFrame:
@@ -163,7 +171,7 @@ class Findings(Plotted):
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return the content of ``result.json``."""
-        content = {"words": [ending(self.result), *remarks(self.result)], **self.result.to_json_dict()}
+        content = {"words": [ending(self.result), *self.remarks], **self.result.to_json_dict()}
         content |= {"level": self.level, "experiments": self._experiments()}
         content |= self.origin or {}
         content |= {
@@ -187,7 +195,8 @@ class Findings(Plotted):
 
     def _experiments(self) -> list[dict[str, Any]]:
         done = {each.experiment: {"preparation": each.words, "columns": each.units} for each in self.prepared}
-        return [_experiment(fit) | done.get(fit.experiment, {}) for fit in self.fits]
+        lost = {name: {"dropouts": list(times)} for name, times in self.dropouts.items()}
+        return [_experiment(fit) | done.get(fit.experiment, {}) | lost.get(fit.experiment, {}) for fit in self.fits]
 
     def maps(self) -> dict[str, CriterionMap]:
         """Return the maps of the criterion by the names of their files."""

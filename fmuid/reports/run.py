@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from fmuid import files
 from fmuid.assessment import examine_residuals, explore, read_result
+from fmuid.data import dropouts
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Result
 from fmuid.model_problem import Problem
@@ -183,6 +184,7 @@ class _Run:
             study=None if self.folder is None else origin_of(study, self.folder),
             origin=None if self.folder is None else made_from(study),
             prepared=self.prepared,
+            dropouts={each.name: lost for each in study.tables if each.input_names and (lost := dropouts(each.times))},
         )
 
     def _tell(self, event: Event) -> None:

@@ -191,7 +191,7 @@ def test_durations_of_pandas_are_no_other_numbers(tmp_path: Path, kind: str, nam
     frame = FRAME.set_index(pd.TimedeltaIndex(pd.to_timedelta(FRAME["time"], unit="s"), name=name))[["u", "w"]]
     unit = None
     if path.suffix == ".h5":
-        frame.to_hdf(path, key="run", format=path.stem.partition(".")[2])
+        frame.to_hdf(path, key="run", format="table" if "table" in kind else "fixed")
     elif kind in ("parquet", "feather"):
         getattr(frame, f"to_{kind}")(path)
     elif kind == "csv":

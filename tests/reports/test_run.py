@@ -55,6 +55,19 @@ def test_it_is_what_the_command_does(study: Path, tmp_path: Path) -> None:
         assert (tmp_path / "mine" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes(), name
 
 
+def test_rows_that_are_missing_are_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    table = pd.read_csv(tmp_path / "first.csv")
+    table.drop(index=range(100, 110)).to_csv(tmp_path / "first.csv", index=False)
+    (tmp_path / "study.toml").write_text(STUDY)
+    assert fmuid_("identify", tmp_path / "study.toml", "--in-process", "--output", tmp_path) == DONE
+    said = f"first: rows are missing after t = {table['time'][99]:.6g} s; inputs go on there as between any samples"
+    found = result(tmp_path)
+    assert capsys.readouterr().out.count(said) == found["words"].count(said) == 1
+    assert found["experiments"][0]["dropouts"] == [table["time"][99]]
+    assert (tmp_path / "report.html").read_text().count(said) == 1
+
+
 def test_without_a_folder_nothing_is_written(study: Path) -> None:
     before = sorted(study.parent.rglob("*"))
     found = fmuid.run_study(fmuid.Study.read(study))

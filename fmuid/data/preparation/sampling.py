@@ -46,6 +46,11 @@ def missing_rows(times: Floats, most: float = MOST_FILLED) -> NDArray[np.intp]:
     return found if found.size <= max(1.0, RARE * steps.size) else found[:0]
 
 
+def dropouts(times: Floats) -> tuple[float, ...]:
+    """Return where rows are missing that inputs go on over as between any two samples: the times before, s."""
+    return tuple(times[missing_rows(times, GAP)].tolist())
+
+
 def with_missing_rows(times: Floats, longest: float) -> tuple[Floats, NDArray[np.intp]]:
     """Return times where none are missing, and the rows they are of, -1 for those put in.
 

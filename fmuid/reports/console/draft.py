@@ -11,7 +11,7 @@ from rich.prompt import Prompt
 
 from fmuid.errors import InputError
 from fmuid.reports.console.layout import TERMINAL_ROWS, columns_of, console, show_remarks, table_of, unit_text
-from fmuid.reports.words.result import time_words
+from fmuid.reports.words.result import dropout_words, time_words
 from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnLink, Draft, Reason, Record, proposal
 from fmuid.text import has_unit
 
@@ -76,8 +76,7 @@ def remarks(record: Record) -> list[str]:
         for column, count in record.missing.items()
     ]
     if record.dropouts:
-        some = ", ".join(f"{time:.6g}" for time in record.dropouts[:3]) + (", …" if len(record.dropouts) > 3 else "")
-        said.append(f"{record.path}: rows are missing after t = {some} s; inputs go on there as between any samples")
+        said.append(dropout_words(str(record.path), record.dropouts))
     said += [
         f"{record.path}: {count} samples of {column!r} are {value:g}, far from all others: if that stands for missing "
         "ones, leave those cells empty"

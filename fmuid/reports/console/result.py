@@ -22,7 +22,7 @@ from fmuid.reports.words.accuracy import passed_words, shift_text
 from fmuid.reports.words.models import run_words, sensitivity_words
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
-from fmuid.reports.words.result import capitalised, ending, remarks, result_words
+from fmuid.reports.words.result import capitalised, ending, result_words
 from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
 from fmuid.text import rounded, with_std
 
@@ -53,7 +53,7 @@ def show_result(found: Findings) -> None:
     if found.has_prior:
         out.print()
         out.print(_reading(out, found))
-    for remark in remarks(result):
+    for remark in found.remarks:
         out.print(f"[yellow]note:[/] {escape(remark)}", soft_wrap=True)
     for remark in (*reading_words(found.reading), *residual_words(found.diagnostics)):
         out.print(escape(remark), soft_wrap=True)

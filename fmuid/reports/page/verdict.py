@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fmuid.assessment import SIGNIFICANCE_LEVEL, Deviation
 from fmuid.reports.words.accuracy import accuracy_words, passed_words
-from fmuid.reports.words.result import capitalised, dependence_words, ending, observer_words, start_words
+from fmuid.reports.words.result import capitalised, dependence_words, dropout_words, ending, observer_words, start_words
 from fmuid.text import listed
 
 if TYPE_CHECKING:
@@ -49,6 +49,8 @@ def identification_words(content: Mapping[str, Any], result: Result, fits: Seque
     said = [Said(capitalised(ending(result)), "criterion", not result.converged)]
     said += [Said(text, "estimates") for text in _precision(result)]
     said += [Said(text, "fit") for text in _misfit(fits)]
+    lost = {each["name"]: each["dropouts"] for each in content.get("experiments", ()) if "dropouts" in each}
+    said += [Said(dropout_words(*each), "fit", doubtful=True) for each in lost.items()]
     said += [Said(capitalised(text), "criterion", doubtful=True) for text in observer_words(result)]
     said += [Said(capitalised(text), "criterion", doubtful=True) for text in start_words(result)]
     if result.accuracy is not None:

@@ -12,6 +12,8 @@ from fmuid.reports.words.starts import attempt_words, combination_words
 from fmuid.studies import SourceDoubt
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from fmuid.estimation import Result
     from fmuid.model_problem import TimeScaleDoubt
     from fmuid.studies import SourceNote
@@ -42,6 +44,8 @@ ENDS = {
 }
 """How a search ended, and what to do about it."""
 
+
+SHOWN_DROPOUTS = 3
 
 _FINER = ", or make the simulation more accurate (step_size, tolerance, interface)"
 
@@ -119,6 +123,12 @@ def dependence_words(result: Result) -> tuple[str, ...]:
 def capitalised(words: str) -> str:
     """Return words with a capital at their beginning."""
     return words[0].upper() + words[1:]
+
+
+def dropout_words(source: str, times: Sequence[float]) -> str:
+    """Return where rows of a table are missing, by the times before, s, and what is made of that."""
+    some = ", ".join(f"{time:.6g}" for time in times[:SHOWN_DROPOUTS]) + (", …" if len(times) > SHOWN_DROPOUTS else "")
+    return f"{source}: rows are missing after t = {some} s; inputs go on there as between any samples"
 
 
 def time_words(doubt: TimeScaleDoubt) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.data import GAP, missing_rows, read_table, time_name
+from fmuid.data import dropouts, read_table, time_name
 from fmuid.errors import InputError
 from fmuid.studies.drafting.mapping import ColumnLink, guess
 from fmuid.units import unit_in_name
@@ -203,10 +203,7 @@ class Record:
     @property
     def dropouts(self) -> tuple[float, ...]:
         """Where rows are missing that the inputs go on over as between any two samples: the times before, s."""
-        if self.experiment is None or not self.experiment.input_names:
-            return ()
-        times = self.experiment.times
-        return tuple(times[missing_rows(times, GAP)].tolist())
+        return dropouts(self.experiment.times) if self.experiment and self.experiment.input_names else ()
 
     @property
     def marks(self) -> dict[str, tuple[float, int]]:
