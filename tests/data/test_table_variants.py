@@ -217,3 +217,13 @@ def test_durations_as_spreadsheets_show_them(tmp_path: Path) -> None:
         for row in range(2, len(frame) + 2):
             book.sheets["Sheet1"].cell(row, 1).number_format = "[h]:mm:ss.00"
     np.testing.assert_allclose(read_table(tmp_path / "a.xlsx")["time"], FRAME["time"], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["Time", "t"])
+def test_two_header_rows_of_pandas(tmp_path: Path, name: str) -> None:
+    columns = pd.MultiIndex.from_product([["u", "w"], ["raw"]], names=["Variables", "Tags"])
+    index = pd.Index(FRAME["time"], name=name)
+    pd.DataFrame(FRAME[["u", "w"]].to_numpy(), index, columns).to_csv(tmp_path / "a.csv")
+    frame = read_table(tmp_path / "a.csv")
+    assert [*frame.columns] == ["time", "u", "w"]
+    np.testing.assert_array_equal(frame["w"], W)

@@ -174,7 +174,10 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> Head | None
     above = first - 1
     while above >= 0 and not numeric[above] and len(rows[above]) == len(rows[first]):
         above -= 1
-    header = first - 1
+    header, top = first - 1, _texts(rows[above + 1])
+    index, *others = _texts(rows[header])
+    if index.lower() in TIME_NAMES and not any(others) and all(top):  # pandas names an index below several header rows
+        return Head((index, *top[1:]), (), first)
     for k in range(above + 2, first):
         if _are_units(rows[k]):
             return Head(_texts(rows[k - 1]), _texts(rows[k]), first)
