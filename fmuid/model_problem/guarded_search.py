@@ -48,8 +48,11 @@ START_LIMIT = 1e-6
 # Points of the box that are simulated, how many of the best are searched from, and how far the box reaches without
 # bounds: as a factor, or so many times the nominal magnitude.
 POINTS, BEST, FACTOR, MULTIPLE, SEED = 16, 3, 10.0, 3.0, 0
-# Two searches ended at the same place where the estimates differ by less than so many standard deviations.
-SAME_PLACE = 1.0
+# Two searches ended at the same place where the estimates differ by less than so many standard deviations. Where they
+# leave more than so many times the noise, this takes three: all of them may have met the same secondary optimum.
+SAME_PLACE, POOR = 1.0, 15.0
+# So many iterations has a search from a start that nobody gave, before others have had their turn.
+PATIENCE = 60
 # One wild sample must not decide between points: squares of residuals count up to here, in those of the noise.
 LARGEST_SQUARE = 1e12
 UNFINISHED = (Outcome.STALLED, Outcome.ITERATION_LIMIT, Outcome.FAILING, Outcome.RUNAWAY, Outcome.UNSETTLED)
@@ -214,21 +217,31 @@ class _GuardedSearch:
         before = problem.simulations
         for remedy, theta in self._starts(given):
             try:
-                result = self._search(theta, given=remedy is Remedy.GIVEN and start is None)
+                own = remedy is Remedy.GIVEN
+                result = self._search(theta, given=own and start is None, most=math.inf if own else PATIENCE)
             except (InputError, SimulationError) as error:
                 failed = isinstance(error, SimulationError)
                 self.error = error if self.error is None or remedy is Remedy.GIVEN else self.error
                 self._note(remedy, Trouble.FAILED if failed else Trouble.NO_EFFECT, before)
                 before = problem.simulations
                 continue
-            attempt = self._judge(remedy, result, before)
+            self._end(remedy, result, before)
             before = problem.simulations
-            self.ended.append(_Ended(result, attempt, len(self.attempts) - 1))
             if self._settled():
                 break
+        else:
+            self._go_on()
         if not self.ended:
             raise self.error or InputError("there is no start to search from")
         return self._concluded(given)
+
+    def _go_on(self) -> None:
+        """Finish the best search, if patience with it had come to an end."""
+        best = min(self.ended, key=lambda each: self._worth(each.result), default=None)
+        limit = self.method.marquardt.max_iterations
+        if best and best.result.outcome is Outcome.ITERATION_LIMIT and best.result.iterations < limit:
+            before = self.problem.simulations
+            self._end(best.attempt.remedy, self._search(best.result.values), before)
 
     # --- where to begin
 
@@ -294,10 +307,11 @@ class _GuardedSearch:
 
     # --- one search
 
-    def _search(self, theta: Floats, *, given: bool = False) -> Result:
+    def _search(self, theta: Floats, *, given: bool = False, most: float = math.inf) -> Result:
+        method = self.method.marquardt
         return checked_search.identify(
             self.problem,
-            self.method,
+            replace(method, max_iterations=int(min(most, method.max_iterations))),
             self.progress,
             None if given else theta,
             accuracy=self.accuracy,
@@ -305,14 +319,15 @@ class _GuardedSearch:
             start_limit=checked_search.START_LIMIT if given else START_LIMIT,
         )
 
-    def _judge(self, remedy: Remedy, result: Result, before: int) -> Attempt:
+    def _end(self, remedy: Remedy, result: Result, before: int) -> None:
         misfit = self._misfit(result)
         trouble = Trouble.NONE
         if result.outcome in UNFINISHED:
             trouble = Trouble.UNFINISHED
         elif misfit > LARGEST_MISFIT:
             trouble = Trouble.MISFIT
-        return self._note(remedy, trouble, before, misfit)
+        attempt = self._note(remedy, trouble, before, misfit)
+        self.ended.append(_Ended(result, attempt, len(self.attempts) - 1))
 
     def _note(self, remedy: Remedy, trouble: Trouble, before: int, misfit: float = math.nan) -> Attempt:
         self.attempts.append(Attempt(remedy, trouble, misfit, self.problem.simulations - before))
@@ -332,12 +347,13 @@ class _GuardedSearch:
         if last.attempt.trouble is Trouble.UNFINISHED:
             return False
         others = [each for each in self.ended[:-1] if each.attempt.trouble is Trouble.MISFIT]
-        return any(
+        confirmed = sum(
             _same_place(each.result, last.result)
             for each in others
             # corrections set out from the start that was given: the two confirm nothing of each other
             if {each.attempt.remedy, last.attempt.remedy} != {Remedy.GIVEN, Remedy.CORRECTION}
         )
+        return confirmed > (1 if last.attempt.misfit > POOR else 0)
 
     def _concluded(self, given: Floats) -> Result:
         """Return the best result with all that was tried."""

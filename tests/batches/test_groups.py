@@ -55,7 +55,7 @@ def test_a_case_that_ends_its_workers_is_given_up(folder: Path, here: Any) -> No
 class Dying:
     """Stands for a client whose workers die of one case, be it alone or in a group."""
 
-    status = "running"
+    status, dashboard_link = "running", None
 
     def scheduler_info(self, **_: int) -> dict[str, int]:
         return {"total_threads": 1}

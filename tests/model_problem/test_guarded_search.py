@@ -12,6 +12,7 @@ import pytest
 
 import fmuid
 from experiments.starts.draws import DC_MOTOR, Record, draw
+from experiments.starts.study import searched
 from fmuid.arrays import Floats
 from fmuid.estimation import Remedy, Trouble
 from fmuid.files import as_json
@@ -149,6 +150,23 @@ def test_a_secondary_optimum_is_left_for_points_of_the_box(curved: Path) -> None
     assert result.attempts[-1].remedy is Remedy.SOBOL
     assert result.attempts[-1].kept
     assert result.simulations == sum(each.simulations for each in result.attempts) - first.simulations
+
+
+def test_a_guess_waits_for_the_others_and_is_gone_on_with(curved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guarded_search, "PATIENCE", 1)
+    result = fmuid.identify(wave(curved, 1.0))
+    assert result["b"] == pytest.approx(3.0, abs=0.01)
+    *before, last = result.attempts
+    assert {each.trouble for each in before if each.remedy is Remedy.SOBOL} == {Trouble.UNFINISHED}
+    assert (last.remedy, last.trouble, last.kept) == (Remedy.SOBOL, Trouble.NONE, True)
+
+
+@pytest.mark.slow
+def test_an_optimum_far_above_the_noise_is_not_believed_twice() -> None:
+    """From the equations and from the start this one goes to the same place, where the friction is four times too large."""
+    row = searched("pmsm", 1035, 0.0, 0.0, remedies=True)
+    assert row["found"]
+    assert row["way"] == "correction"
 
 
 def test_a_model_that_is_wrong_is_confirmed_by_a_second_start(curved: Path) -> None:
