@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -12,10 +11,9 @@ from scipy.optimize import minimize_scalar
 
 from fmuid.arrays import Floats
 from fmuid.data.noise import Noise
-from fmuid.data.parameters import Normal, Parameter, ParameterSet
+from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.global_search import search as global_search
-from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.optima import optima_table
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
 from fmuid.estimation.identification import identify
@@ -25,42 +23,12 @@ from fmuid.estimation.method import Marquardt
 from fmuid.estimation.misfit import misfits
 from fmuid.estimation.result import Result
 from fmuid.model_problem import Problem
-from fmuid.progress import Event, GlobalStep, Progress
-from fmuid.reports.words.result import ending
+from fmuid.progress import Event
 from tests.support.paths import ROOT
+from tests.support.sinusoids import FREQUENCY, METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid
 
-METHODS: tuple[Strategy, ...] = ("evolution", "multistart")
-TIMES = np.linspace(0.0, 1.0, 120)
-FREQUENCY = 37.0
-RANGE = (2.0, 80.0)
 # Minima lie 2 to 8 rad/s apart; at the flattest ones, with large residuals, the search ends within this.
 NEAR = 0.05
-
-
-def sinusoid(start: float = 12.0, noise: Noise | None = None) -> LeastSquares:
-    """Return the estimation of one angular frequency: its criterion has a secondary optimum every few rad/s."""
-    measured = np.sin(FREQUENCY * TIMES) + 0.2 * np.random.default_rng(4).normal(size=TIMES.size)
-    parameter = Parameter(start, min=RANGE[0], max=RANGE[1])
-    return LeastSquares.from_function(lambda theta: np.sin(theta[0] * TIMES), measured, {"w": parameter}, noise=noise)
-
-
-def dense_minima() -> tuple[Floats, Floats]:
-    """Return where the sum of squares of `sinusoid` has its minima, by a grid of 1e-3 rad/s, and its values there."""
-    grid = np.arange(RANGE[0], RANGE[1], 1e-3)
-    squares = np.sum((sinusoid().measured - np.sin(grid[:, None] * TIMES)) ** 2, axis=1)
-    lows = 1 + np.flatnonzero((squares[1:-1] < squares[:-2]) & (squares[1:-1] < squares[2:]))
-    return grid[lows], squares[lows]
-
-
-def of_search(events: Sequence[Event]) -> list[GlobalStep]:
-    """Return the events of a global search, which are all."""
-    steps = [event for event in events if isinstance(event, GlobalStep)]
-    assert len(steps) == len(events)
-    return steps
-
-
-def searched(problem: LeastSquares, settings: GlobalSearch | None = None, progress: Progress | None = None) -> Result:
-    return (settings or GlobalSearch()).search(problem, progress)
 
 
 def optima(found: Result) -> pd.DataFrame:
@@ -234,94 +202,6 @@ def test_given_variances_and_priors_enter_the_criterion() -> None:
     assert misfits(problem, np.array([[0.7]])).concentrated(problem)[0] == pytest.approx(expected)
 
 
-# --- the box ----------------------------------------------------------------------------
-
-
-def box(**parameters: Parameter) -> Box:
-    return Box(ParameterSet(parameters))
-
-
-def test_box_is_logarithmic_over_decades() -> None:
-    found = box(
-        wide=Parameter(1.0, min=0.1, max=10.0),
-        narrow=Parameter(1.0, min=1.0, max=9.0),
-        signed=Parameter(1.0, min=-10.0, max=10.0),
-        zero=Parameter(1.0, min=0.0, max=10.0),
-    )
-    assert found.logarithmic.tolist() == [True, False, False, False]
-    np.testing.assert_allclose(found.thetas(np.full((1, 4), 0.5)), [[1.0, 5.0, 0.0, 5.0]])
-    corners = found.thetas(np.array([np.zeros(4), np.ones(4)]))
-    np.testing.assert_allclose(corners, [found.lower, found.upper], rtol=1e-15)
-    assert (corners >= found.lower).all()
-    assert (corners <= found.upper).all()
-    units = np.random.default_rng(0).uniform(size=(50, 4))
-    np.testing.assert_allclose(found.units(found.thetas(units)), units, atol=1e-12)
-    np.testing.assert_array_equal(found.units(np.array([[100.0, -1.0, -11.0, 5.0]])), [[1.0, 0.0, 0.0, 0.5]])
-
-
-def test_box_from_a_prior() -> None:
-    found = box(a=Parameter(1.0, prior=Normal(2.0, 0.1)), b=Parameter(1.0, min=0.0, prior=Normal(2.0, 1.0)))
-    np.testing.assert_allclose(found.lower, [1.5, 0.0])
-    np.testing.assert_allclose(found.upper, [2.5, 7.0])
-
-
-@pytest.mark.parametrize(("loose", "word"), [(Parameter(1.0, min=0.0), "max"), (Parameter(1.0, max=9.0), "min")])
-def test_box_needs_bounds(loose: Parameter, word: str) -> None:
-    with pytest.raises(InputError, match=f"parameter 'Lf' has no {word}: give it min and max, or a prior"):
-        box(Rs=Parameter(1.0, min=0.0, max=2.0), Lf=loose)
-
-
-# --- failing simulations ----------------------------------------------------------------
-
-
-def fragile(limit: float) -> LeastSquares:
-    """Return the sinusoid with a simulation that fails below a frequency."""
-
-    def simulate(theta: Floats) -> Floats:
-        if theta[0] < limit:
-            raise FloatingPointError("too slow")
-        return np.asarray(np.sin(theta[0] * TIMES))
-
-    return LeastSquares.from_function(simulate, sinusoid().measured, {"w": Parameter(5.0, min=RANGE[0], max=RANGE[1])})
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
-def test_failing_simulations_are_passed_over(method: Strategy) -> None:
-    events: list[Event] = []
-    found = searched(fragile(30.0), GlobalSearch(method, starts=30), events.append)
-    steps = of_search(events)
-    assert np.isfinite([step.criterion for step in steps]).all()
-    minima, squares = dense_minima()
-    assert found["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
-    if method == "multistart":
-        assert found.fits == 30, "starts that fail are replaced"
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_nothing_but_failures(method: Strategy) -> None:
-    with pytest.raises(InputError, match=r"all \d+ simulations of the global search fail: narrow.*too slow"):
-        searched(fragile(100.0), GlobalSearch(method, starts=6))
-
-
-def test_explosions_are_no_error() -> None:
-    """Outputs beyond 1e154 cannot be squared; that is as bad as it gets, and no warning."""
-    problem = LeastSquares.from_function(
-        lambda theta: np.exp(theta[0] * TIMES),
-        np.exp(2.0 * TIMES) + 0.01 * np.sin(50 * TIMES),
-        {"a": Parameter(1.0, min=-700.0, max=700.0)},
-    )
-    assert searched(problem, GlobalSearch(starts=20))["a"] == pytest.approx(2.0, abs=0.01)
-
-
-def test_error_where_no_fit_is_possible() -> None:
-    problem = LeastSquares.from_function(
-        lambda theta: theta[0] * TIMES, TIMES, {"a": Parameter(0.5, min=0.1, max=2.0), "idle": Parameter(1, 0.5, 2)}
-    )
-    with pytest.raises(InputError, match=r"'idle'.* changes no measured output"):
-        searched(problem, GlobalSearch("multistart", starts=3))
-
-
 # --- seeds, progress, interruption, settings --------------------------------------------
 
 
@@ -353,53 +233,6 @@ def test_progress(method: Strategy) -> None:
     assert (np.diff([s.criterion for s in steps]) <= 0).all()
     assert steps[-1].values["w"] == pytest.approx(found["w"], rel=1e-6)
     assert found.simulations == problem.simulations >= steps[-1].simulations
-
-
-def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
-    """Return the sinusoid whose user presses Ctrl-C once, after some simulations, and where it was simulated."""
-    seen: list[float] = []
-
-    def simulate(theta: Floats) -> Floats:
-        seen.append(theta[0])
-        if len(seen) == calls:
-            raise KeyboardInterrupt
-        return np.asarray(np.sin(theta[0] * TIMES))
-
-    parameters = {"w": Parameter(12.0, min=RANGE[0], max=RANGE[1])}
-    return LeastSquares.from_function(simulate, sinusoid().measured, parameters), seen
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("method", "calls", "complete", "fitted"),
-    [
-        ("evolution", 150, 120, False),
-        ("evolution", 800, 120, True),
-        ("multistart", 48, 40, False),
-        ("multistart", 700, 40, False),
-        ("multistart", 2400, 2300, True),
-    ],
-)
-def test_interruption_keeps_what_is_found(method: Strategy, calls: int, complete: int, fitted: bool) -> None:
-    """It is no worse than any point of a generation or fit that was complete, with its uncertainty if a fit has it."""
-    problem, seen = interrupting(calls)
-    found = searched(problem, GlobalSearch(method, starts=40))
-    assert found.outcome is Outcome.INTERRUPTED
-    assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
-    assert not found.converged
-    assert found.outcome is Outcome.INTERRUPTED
-    said = f"interrupted: these are the best values so far of a global search, after {found.fits} fit"
-    assert ending(found).startswith(said)
-    assert sum(o.hits for o in found.optima) == found.fits
-    assert len(found.optima) < 40
-    squares = [((np.sin(w * TIMES) - problem.measured) ** 2).sum() for w in seen[:complete]]
-    assert ((np.sin(found["w"] * TIMES) - problem.measured) ** 2).sum() <= 1.0001 * min(squares)
-    assert np.isfinite(found.std).all() == fitted == (found.local is not None)
-
-
-def test_interruption_before_anything_is_found() -> None:
-    with pytest.raises(KeyboardInterrupt):
-        searched(interrupting(3)[0])
 
 
 @pytest.mark.slow

@@ -1,0 +1,134 @@
+"""The command that diagnoses, and its study file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.cli.app import run
+from fmuid.progress import Event
+from fmuid.reports import Judged
+from tests.support.diagnosis_studies import Look
+from tests.support.plate import (
+    record,
+)
+
+# --- study file and command -------------------------------------------------------------
+
+STUDY = """
+[model]
+fmu = "Plate.fmu"
+[[experiments]]
+table = "table.csv"
+inputs = ["ux", "uy", "vx", "vy"]
+outputs = ["x", "y"]
+[diagnosis]
+healthy = "result.json"
+inflate = { g = 5, h = 5 }
+[diagnosis.faults.stator]
+parameters = { ea = { nominal = 0.01, min = 0 }, eb = { nominal = 0.01, min = 0 }, ec = { nominal = 0.01, min = 0 } }
+[diagnosis.faults.rotor]
+fmu = "Plate.fmu"
+parameters = { size = { nominal = 0.01, min = 0 }, angle = { nominal = 1, min = 0, max = 3.141592653589793 } }
+angle = ["angle"]
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path, plate: fmuid.System, healthy: fmuid.Result) -> Path:
+    (tmp_path / "Plate.fmu").write_bytes(plate.components[""].fmu.path.read_bytes())
+    (tmp_path / "result.json").write_text(json.dumps(healthy.to_json_dict()), encoding="utf-8")
+    record(np.random.default_rng(20), size=0.08, angle=1.0).frame.to_csv(tmp_path / "table.csv", index=False)
+    record(np.random.default_rng(21)).frame.to_csv(tmp_path / "sound.csv", index=False)
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    return tmp_path / "study.toml"
+
+
+def test_the_command_says_what_it_found(study: Path, look: Look, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["diagnose", str(study), "--figures", "png"]) == 1
+    out = capsys.readouterr().out
+    assert "Fault found: rotor, size = 0.0" in out
+    read = fmuid.Diagnosis.from_json(study.parent / "results" / "diagnosis.json")
+    direct = look(record(np.random.default_rng(20), size=0.08, angle=1.0))
+    assert read["rotor"]["size"].value == pytest.approx(direct["rotor"]["size"].value, rel=1e-6)
+    figures = {path.stem for path in (study.parent / "results" / "figures").glob("*.png")}
+    assert figures == {"evidence", "sizes", "explained"}
+    assert "Fault found: rotor" in (study.parent / "results" / "report.html").read_text(encoding="utf-8")
+    explained = pd.read_csv(study.parent / "results" / "diagnosis-residuals.csv")
+    assert explained.filter(like="fault.").std().mean() < explained.filter(like="healthy.").std().mean()
+    table = pd.read_csv(study.parent / "results" / "diagnosis.csv")
+    assert list(table["fault"]) == ["stator"] * 3 + ["rotor"]
+
+
+def test_from_python_it_is_what_the_command_does(study: Path) -> None:
+    """The same files and verdict; without a folder the verdict alone, told before it is returned."""
+    drawn = ["--figures", "png", "--no-report"]
+    assert run(["diagnose", str(study), "--in-process", "-o", str(study.parent / "theirs"), *drawn]) == 1
+    mine = study.parent / "mine"
+    found = fmuid.run_diagnosis(study, mine, figures="png")
+    assert not found.healthy
+    assert {path.relative_to(mine) for path in found.files} == files_in(study.parent / "theirs") == files_in(mine)
+    assert (mine / "diagnosis.csv").read_bytes() == (study.parent / "theirs" / "diagnosis.csv").read_bytes()
+    one, other = (json.loads((path / "diagnosis.json").read_text()) for path in (mine, study.parent / "theirs"))
+    assert one | {"date": ""} == other | {"date": ""}
+    before, events = files_in(study.parent), list[Event]()
+    again = fmuid.run_diagnosis(fmuid.Study.read(study), progress=events.append)
+    assert (again.files, files_in(study.parent)) == ((), before)
+    assert isinstance(events[-1], Judged)
+    assert events[-1].findings.healthy is again.healthy is False
+    assert {event.task for event in events} == {"diagnosis", "judged"}
+    with pytest.raises(fmuid.InputError, match="in a folder"):
+        fmuid.run_diagnosis(study, figures="png")
+
+
+def files_in(folder: Path) -> set[Path]:
+    return {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_command_finds_nothing_in_a_sound_machine(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study.write_text(STUDY.replace("angle = { nominal = 1, ", "angle = { "), encoding="utf-8")  # angles need none
+    assert run(["diagnose", str(study), "--set", "experiments.0.table=sound.csv"]) == 0
+    assert "No fault found at a false-alarm level of 1 %" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('healthy = "result.json"', "", "there is no healthy machine: give healthy"),
+        ('healthy = "result.json"', 'healthy = "none.json"', "there is no file"),
+        ('healthy = "result.json"', 'healthy = "table.csv"', "is not JSON"),
+        ("ea = { nominal = 0.01, min = 0 }", "ea = { min = 0 }", "[diagnosis.faults.stator.parameters.ea] is refused"),
+        ('angle = ["angle"]', 'angle = ["angel"]', "[diagnosis.faults.rotor]: the angle 'angel'"),
+        ('angle = ["angle"]', "angle = { angle = { period = 3.14 } }", "needs the key 'size'"),
+        ('angle = ["angle"]', 'inputs = { q = "none" }', "'none'"),
+        ('angle = ["angle"]', "step_sise = 1", "did you mean 'step_size'"),
+        ("[diagnosis.faults.stator]", "[diagnosis.faults.stator]\nstep_size = 1", "has step_size and no model"),
+        ("ea = {", "dR = {", "has no 'dR', and the fault no model of its own"),
+        ("inflate = { g = 5, h = 5 }", "inflate = { g = -5 }", "a number above 0"),
+        ("[diagnosis]", '[estimator]\nloss = "huber"\n[diagnosis]', 'does not go with loss = "huber"'),
+        (STUDY[STUDY.index("[diagnosis.faults.stator]") :], "", "[diagnosis] has no faults"),
+        (STUDY[STUDY.index("[diagnosis]") :], "", "has no [diagnosis]"),
+    ],
+)
+def test_a_wrong_study_is_one_sentence(
+    study: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, said: str
+) -> None:
+    assert old in STUDY
+    study.write_text(STUDY.replace(old, new), encoding="utf-8")
+    assert run(["diagnose", str(study)]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_a_fault_without_parameters_is_refused(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study.write_text(
+        STUDY[: STUDY.index("[diagnosis.faults.stator]")] + "[diagnosis.faults.stator]\n", encoding="utf-8"
+    )
+    assert run(["diagnose", str(study)]) == 2
+    assert "[diagnosis.faults.stator] has no parameters" in capsys.readouterr().err

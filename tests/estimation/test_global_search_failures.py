@@ -1,0 +1,113 @@
+"""Global searches where simulations fail, and that are interrupted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fmuid.arrays import Floats
+from fmuid.data.parameters import Parameter
+from fmuid.errors import InputError
+from fmuid.estimation.global_search.search import GlobalSearch, Strategy
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.progress import Event
+from fmuid.reports.words.result import ending
+from tests.support.sinusoids import METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid
+
+# --- failing simulations ----------------------------------------------------------------
+
+
+def fragile(limit: float) -> LeastSquares:
+    """Return the sinusoid with a simulation that fails below a frequency."""
+
+    def simulate(theta: Floats) -> Floats:
+        if theta[0] < limit:
+            raise FloatingPointError("too slow")
+        return np.asarray(np.sin(theta[0] * TIMES))
+
+    return LeastSquares.from_function(simulate, sinusoid().measured, {"w": Parameter(5.0, min=RANGE[0], max=RANGE[1])})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_failing_simulations_are_passed_over(method: Strategy) -> None:
+    events: list[Event] = []
+    found = searched(fragile(30.0), GlobalSearch(method, starts=30), events.append)
+    steps = of_search(events)
+    assert np.isfinite([step.criterion for step in steps]).all()
+    minima, squares = dense_minima()
+    assert found["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
+    if method == "multistart":
+        assert found.fits == 30, "starts that fail are replaced"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_nothing_but_failures(method: Strategy) -> None:
+    with pytest.raises(InputError, match=r"all \d+ simulations of the global search fail: narrow.*too slow"):
+        searched(fragile(100.0), GlobalSearch(method, starts=6))
+
+
+def test_explosions_are_no_error() -> None:
+    """Outputs beyond 1e154 cannot be squared; that is as bad as it gets, and no warning."""
+    problem = LeastSquares.from_function(
+        lambda theta: np.exp(theta[0] * TIMES),
+        np.exp(2.0 * TIMES) + 0.01 * np.sin(50 * TIMES),
+        {"a": Parameter(1.0, min=-700.0, max=700.0)},
+    )
+    assert searched(problem, GlobalSearch(starts=20))["a"] == pytest.approx(2.0, abs=0.01)
+
+
+def test_error_where_no_fit_is_possible() -> None:
+    problem = LeastSquares.from_function(
+        lambda theta: theta[0] * TIMES, TIMES, {"a": Parameter(0.5, min=0.1, max=2.0), "idle": Parameter(1, 0.5, 2)}
+    )
+    with pytest.raises(InputError, match=r"'idle'.* changes no measured output"):
+        searched(problem, GlobalSearch("multistart", starts=3))
+
+
+def interrupting(calls: int) -> tuple[LeastSquares, list[float]]:
+    """Return the sinusoid whose user presses Ctrl-C once, after some simulations, and where it was simulated."""
+    seen: list[float] = []
+
+    def simulate(theta: Floats) -> Floats:
+        seen.append(theta[0])
+        if len(seen) == calls:
+            raise KeyboardInterrupt
+        return np.asarray(np.sin(theta[0] * TIMES))
+
+    parameters = {"w": Parameter(12.0, min=RANGE[0], max=RANGE[1])}
+    return LeastSquares.from_function(simulate, sinusoid().measured, parameters), seen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("method", "calls", "complete", "fitted"),
+    [
+        ("evolution", 150, 120, False),
+        ("evolution", 800, 120, True),
+        ("multistart", 48, 40, False),
+        ("multistart", 700, 40, False),
+        ("multistart", 2400, 2300, True),
+    ],
+)
+def test_interruption_keeps_what_is_found(method: Strategy, calls: int, complete: int, fitted: bool) -> None:
+    """It is no worse than any point of a generation or fit that was complete, with its uncertainty if a fit has it."""
+    problem, seen = interrupting(calls)
+    found = searched(problem, GlobalSearch(method, starts=40))
+    assert found.outcome is Outcome.INTERRUPTED
+    assert len(seen) == calls  # who interrupts waits for nothing more to be simulated
+    assert not found.converged
+    assert found.outcome is Outcome.INTERRUPTED
+    said = f"interrupted: these are the best values so far of a global search, after {found.fits} fit"
+    assert ending(found).startswith(said)
+    assert sum(o.hits for o in found.optima) == found.fits
+    assert len(found.optima) < 40
+    squares = [((np.sin(w * TIMES) - problem.measured) ** 2).sum() for w in seen[:complete]]
+    assert ((np.sin(found["w"] * TIMES) - problem.measured) ** 2).sum() <= 1.0001 * min(squares)
+    assert np.isfinite(found.std).all() == fitted == (found.local is not None)
+
+
+def test_interruption_before_anything_is_found() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        searched(interrupting(3)[0])

@@ -1,0 +1,54 @@
+"""A criterion with many optima: the frequency of a sinusoid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fmuid.arrays import Floats
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Parameter, ParameterSet
+from fmuid.estimation.global_search.box import Box
+from fmuid.estimation.global_search.search import GlobalSearch, Strategy
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.progress import Event, GlobalStep, Progress
+
+METHODS: tuple[Strategy, ...] = ("evolution", "multistart")
+TIMES = np.linspace(0.0, 1.0, 120)
+FREQUENCY = 37.0
+RANGE = (2.0, 80.0)
+
+
+def sinusoid(start: float = 12.0, noise: Noise | None = None) -> LeastSquares:
+    """Return the estimation of one angular frequency: its criterion has a secondary optimum every few rad/s."""
+    measured = np.sin(FREQUENCY * TIMES) + 0.2 * np.random.default_rng(4).normal(size=TIMES.size)
+    parameter = Parameter(start, min=RANGE[0], max=RANGE[1])
+    return LeastSquares.from_function(lambda theta: np.sin(theta[0] * TIMES), measured, {"w": parameter}, noise=noise)
+
+
+def dense_minima() -> tuple[Floats, Floats]:
+    """Return where the sum of squares of `sinusoid` has its minima, by a grid of 1e-3 rad/s, and its values there."""
+    grid = np.arange(RANGE[0], RANGE[1], 1e-3)
+    squares = np.sum((sinusoid().measured - np.sin(grid[:, None] * TIMES)) ** 2, axis=1)
+    lows = 1 + np.flatnonzero((squares[1:-1] < squares[:-2]) & (squares[1:-1] < squares[2:]))
+    return grid[lows], squares[lows]
+
+
+def of_search(events: Sequence[Event]) -> list[GlobalStep]:
+    """Return the events of a global search, which are all."""
+    steps = [event for event in events if isinstance(event, GlobalStep)]
+    assert len(steps) == len(events)
+    return steps
+
+
+def searched(problem: LeastSquares, settings: GlobalSearch | None = None, progress: Progress | None = None) -> Result:
+    return (settings or GlobalSearch()).search(problem, progress)
+
+
+# --- the box ----------------------------------------------------------------------------
+
+
+def box(**parameters: Parameter) -> Box:
+    return Box(ParameterSet(parameters))
