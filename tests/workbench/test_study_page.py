@@ -261,6 +261,29 @@ def test_only_the_newest_is_done() -> None:
     newest.close()
 
 
+def test_a_page_dropped_while_it_simulates_ends_in_silence(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page, many = Page(path), Simulator.many
+    begun, go, raised = threading.Event(), threading.Event(), list[object]()
+
+    def slow(simulator: Simulator, theta: Any) -> Any:
+        begun.set()
+        assert go.wait(PATIENCE)
+        return many(simulator, theta)
+
+    monkeypatch.setattr(Simulator, "many", slow)
+    monkeypatch.setattr(threading, "excepthook", raised.append)
+    page.page.ask()
+    assert begun.wait(PATIENCE)
+    page.doc.callbacks.destroy()  # as a server does, which then says so
+    go.set()
+    (tell,) = page.doc.session_destroyed_callbacks
+    tell(None)
+    thread = page.page._newest._thread
+    thread.join(PATIENCE)
+    assert not thread.is_alive()
+    assert raised == []
+
+
 def test_ranges_of_sliders() -> None:
     bounded = reach_of(Parameter(2.0, min=1.0, max=5.0))
     assert (bounded.low, bounded.high, bounded.logarithmic) == (1.0, 5.0, False)

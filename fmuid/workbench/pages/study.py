@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Sequence
@@ -70,11 +71,11 @@ class StudyPage:
         self.shown = np.full(len(self.rows), np.nan)  # the values whose simulation is shown
         self._undone = [self._state()]
         self._newest: Newest[Floats] = Newest(self._simulate)
+        doc.on_session_destroyed(lambda _context: self._newest.close())
         self._make()
         self.identifying = Identifying(self)
         self.show_result(self.results)
         self._lay_out()
-        doc.on_session_destroyed(lambda _context: self._newest.close())
 
     @property
     def results(self) -> Path:
@@ -184,7 +185,9 @@ class StudyPage:
         except FmuidError as wrong:
             outputs, words = np.full((len(simulator.experiment.times), len(simulator.output_names)), np.nan), str(wrong)
         seconds = time.perf_counter() - begun
-        self.doc.add_next_tick_callback(partial(self._show, simulator, theta, outputs, words, seconds))
+        # Bokeh tells that a page is dropped only after it has taken its document apart
+        with contextlib.suppress(AttributeError):
+            self.doc.add_next_tick_callback(partial(self._show, simulator, theta, outputs, words, seconds))
 
     def _show(self, simulator: Simulator, theta: Floats, outputs: Floats, error: str, seconds: float) -> None:
         if simulator is not self.simulator:
