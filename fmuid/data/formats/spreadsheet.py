@@ -16,7 +16,7 @@ from fmuid.text import nearest
 
 _CELL = re.compile(r"<c ([^>]*)><v>([-+.\deE]+)</v>")
 _BEGINNING = 1_000_000
-"""Characters of a sheet in which cells are looked at: its first rows."""
+"""Bytes of a sheet in which cells are looked at, its first rows, and of its formats."""
 _LOOKED_AT = 100
 _DIGITS = 12
 """Significant digits, which times as people and recorders write them do not exceed."""
@@ -88,14 +88,18 @@ def _shown_as_whole(path: Path) -> set[float] | None:
         return None
     found: set[float] = set()
     with zipfile.ZipFile(path) as book:
-        styles = book.read("xl/styles.xml").decode() if "xl/styles.xml" in book.namelist() else ""
+
+        def beginning(name: str) -> str:
+            with book.open(name) as file:
+                return file.read(_BEGINNING).decode(errors="ignore")
+
+        styles = beginning("xl/styles.xml") if "xl/styles.xml" in book.namelist() else ""
         formats = re.findall(r'<xf [^>]*?numFmtId="(\d+)"', styles.partition("<cellXfs")[2].partition("</cellXfs>")[0])
         whole = {f's="{k}"' for k, each in enumerate(formats) if each == "1"}
         for name in book.namelist() if whole else []:
             if name.startswith("xl/worksheets/sheet"):
-                with book.open(name) as sheet:
-                    text = sheet.read(_BEGINNING).decode(errors="ignore")
-                found |= {float(value) for words, value in _CELL.findall(text) if whole & set(words.split())}
+                cells = _CELL.findall(beginning(name))
+                found |= {float(value) for words, value in cells if whole & set(words.split())}
     return found
 
 
