@@ -18,10 +18,12 @@ from bokeh.models import Button
 from fmuid.data import Normal, Parameter
 from fmuid.estimation import Result
 from fmuid.reports import run_study
+from fmuid.reports.page.identification import CAPTIONS
 from fmuid.simulation import Simulator
 from fmuid.studies import Study
 from fmuid.workbench import Folder
 from fmuid.workbench.jobs import Jobs
+from fmuid.workbench.pages.identifying import UNCERTAIN
 from fmuid.workbench.pages.newest import Newest
 from fmuid.workbench.pages.sliders import PLACES, reach_of
 from fmuid.workbench.pages.study import StudyPage
@@ -168,6 +170,10 @@ def test_what_is_asked_for_besides_is_what_a_study_says(page: Page, path: Path) 
     assert [tuple(pair) for pair in asked.maps] == [("R", "L")]
     identifying.how.value, identifying.also.value = "from here", []
     assert page.page.words("identify") == ["identify", "study.toml"]
+
+
+def test_what_is_shown_besides_are_parts_of_the_report() -> None:
+    assert set(UNCERTAIN) <= CAPTIONS.keys()
 
 
 def test_from_not_determined_to_the_remedy(page: Page, path: Path, tmp_path: Path) -> None:

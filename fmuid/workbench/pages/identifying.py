@@ -36,7 +36,7 @@ PROFILES, POSTERIOR = "profiles", "posterior"
 MAPS = 28
 """Pairs of parameters that are offered for a map, at most."""
 STARTS = 20
-UNCERTAIN = ("uncertainty", "posterior")
+UNCERTAIN = ("profiles", "maps", "posterior")
 """The sections of a report on more than standard deviations."""
 
 
