@@ -92,7 +92,7 @@ def test_results_stand_side_by_side(tmp_path: Path) -> None:
     _, (part,) = _compared(Folder(tmp_path), [tmp_path / "first", tmp_path / "second"])
     assert "4.00 ± 0.10" in part.table
     assert "4.50 ± 0.10" in part.table
-    assert "fmuid compare" in part.table
+    assert "fmuid compare first second" in part.table
     (of_r,) = part.sections[0].figures  # nothing stands beside what only one has
     (drawn,) = {renderer.data_source for renderer in of_r.renderers}
     np.testing.assert_allclose(drawn.data["value"], [4.0, 4.5])

@@ -69,7 +69,7 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
     rows = pd.DataFrame([each for key, result in results.items() for each in estimate_rows(key, result)])
     sections = [Section("estimates", "Estimates and their 95 % intervals", "", comparison.estimates(rows), 2)]
     part = Part("Side by side", f"{len(results)} results", True, [], table(columns, numbers=list(results)), sections)
-    words = command_text(["compare", *(str(place) for place in places)])
+    words = command_text(["compare", *results])
     note = f"<h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre>"
     return "Results side by side", [replace(part, table=part.table + note)]
 
