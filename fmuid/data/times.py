@@ -68,9 +68,9 @@ def with_time(
     if unit is not None and unit not in SECONDS:
         raise InputError(f"{source}: the unit of time {unit!r} is not known: write one of {', '.join(TIME_UNITS)}")
     values, begin = _as_numbers(raw.frame[column], column, source)
-    if begin is None and (said := _since_1970(values, unit or _unit_said(raw, column))):
-        values, begin = _seconds(pd.to_datetime(values, unit=said))
     said_unit = unit or _unit_said(raw, column)
+    if begin is None and (since_1970 := _since_1970(values, said_unit)):
+        values, begin = _seconds(pd.to_datetime(values, unit=since_1970))
     if said_unit is None and column in raw.days:
         raise InputError(
             f"{source}: the time column {column or '(no name)'!r} may be in days, as pandas writes durations into "

@@ -35,7 +35,7 @@ from fmuid.estimation import (
 from fmuid.model_problem import checked_search
 from fmuid.model_problem.corrected_start import corrected_start
 from fmuid.model_problem.discrete_search import identify_each
-from fmuid.model_problem.equation_start import equation_start
+from fmuid.model_problem.equation_start import POOR, equation_start
 from fmuid.model_problem.problem import Problem
 from fmuid.model_problem.region import CheckedRegion
 from fmuid.progress import Progress
@@ -48,9 +48,9 @@ START_LIMIT = 1e-6
 # Points of the box that are simulated, how many of the best are searched from, and how far the box reaches without
 # bounds: as a factor, or so many times the nominal magnitude.
 POINTS, BEST, FACTOR, MULTIPLE, SEED = 16, 3, 10.0, 3.0, 0
-# Two searches ended at the same place where the estimates differ by less than so many standard deviations. Where they
-# leave more than so many times the noise, this takes three: all of them may have met the same secondary optimum.
-SAME_PLACE, POOR = 1.0, 15.0
+# Two searches ended at the same place where the estimates differ by less than so many standard deviations. Where the
+# residual is `POOR`, this takes three: all of them may have met the same secondary optimum.
+SAME_PLACE = 1.0
 # So many iterations has a search from a start that nobody gave, before others have had their turn.
 PATIENCE = 60
 # One wild sample must not decide between points: squares of residuals count up to here, in those of the noise.
@@ -138,11 +138,21 @@ def _identify(
 ) -> Result:
     """Identify the parameters of a problem whose other values are all known; then, if asked, by the noise's colour."""
     problem.weigh(None)
-    first = _unweighed(problem, method, progress, start, accuracy, remedies, region)
+    if isinstance(problem, Problem) and problem.corrected:
+        first = replace(method.search(problem, progress, start), observer=problem.observer)
+    elif not remedies or method.whole_box or not isinstance(problem, Problem):
+        first = checked_search.identify(problem, method, progress, start, accuracy=accuracy, region=region)
+    else:
+        first = _GuardedSearch(problem, method, progress, accuracy, region).run(start)
     if not problem.noise.coloured or not first.converged or first.noise is None:
         return first
     problem.weigh(Weights.of(first.noise.series, first.noise.models))
     found = checked_search.identify(problem, method.marquardt, progress, first.values, accuracy=accuracy)
+    return _weighed(first, found)
+
+
+def _weighed(first: Result, found: Result) -> Result:
+    """Return the result by the noise's colour, with what the search before it took."""
     known, before = found.accuracy, first.accuracy
     if known is not None and before is not None:
         known = replace(
@@ -160,23 +170,6 @@ def _identify(
         optima=first.optima,
         fits=first.fits,
     )
-
-
-def _unweighed(
-    problem: LeastSquares,
-    method: Method,
-    progress: Progress | None,
-    start: ArrayLike | None,
-    accuracy: str,
-    remedies: bool,
-    region: CheckedRegion | None,
-) -> Result:
-    """Identify the parameters of a problem whose samples all count alike."""
-    if isinstance(problem, Problem) and problem.corrected:
-        return replace(method.search(problem, progress, start), observer=problem.observer)
-    if not remedies or method.whole_box or not isinstance(problem, Problem):
-        return checked_search.identify(problem, method, progress, start, accuracy=accuracy, region=region)
-    return _GuardedSearch(problem, method, progress, accuracy, region).run(start)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,9 +230,10 @@ class _GuardedSearch:
 
     def _go_on(self) -> None:
         """Finish the best search, if patience with it had come to an end."""
-        best = min(self.ended, key=lambda each: self._worth(each.result), default=None)
-        limit = self.method.marquardt.max_iterations
-        if best and best.result.outcome is Outcome.ITERATION_LIMIT and best.result.iterations < limit:
+        if not self.ended:
+            return
+        best, limit = self._best(), self.method.marquardt.max_iterations
+        if best.result.outcome is Outcome.ITERATION_LIMIT and best.result.iterations < limit:
             before = self.problem.simulations
             self._end(best.attempt.remedy, self._search(best.result.values), before)
 
@@ -357,7 +351,7 @@ class _GuardedSearch:
 
     def _concluded(self, given: Floats) -> Result:
         """Return the best result with all that was tried."""
-        best = min(self.ended, key=lambda each: self._worth(each.result))
+        best = self._best()
         self.attempts[best.number] = replace(best.attempt, kept=True)
         tried = tuple(self.attempts) if len(self.attempts) > 1 else ()
         return replace(
@@ -367,6 +361,9 @@ class _GuardedSearch:
             elapsed_s=time.perf_counter() - self.clock,
             attempts=tried,
         )
+
+    def _best(self) -> _Ended:
+        return min(self.ended, key=lambda each: self._worth(each.result))
 
     def _worth(self, result: Result) -> float:
         """Return Σ K_j log σ̂_j², by which results of any variances compare."""

@@ -20,8 +20,7 @@ from fmuid.reports.page.contents import read_json
 from fmuid.reports.page.faults import PREPARED_FILE
 from fmuid.reports.page.write import show_results
 from fmuid.reports.preparations import prepared
-from fmuid.reports.words.diagnosis import basis_notes
-from fmuid.reports.words.monitoring import monitoring_words
+from fmuid.reports.words.monitoring import monitoring_sentences
 from fmuid.studies import Study, monitor_of, records_of, rule_of
 
 RESIDUALS_FILE = "diagnosis-residuals.csv"
@@ -180,7 +179,7 @@ def run_monitoring(
             examined = (path for path in record_files(paths) if path.stem in monitor.records)
             told = made_from(study, examined)
             told["files"] = earlier | told["files"]
-            written += monitor.write(target, told | {"words": [monitoring_words(monitor), *basis_notes(monitor.basis)]})
+            written += monitor.write(target, told | {"words": monitoring_sentences(monitor)})
     found = MonitoringFindings(monitor, tuple(written))
     _tell(progress, found)
     there = [] if target is None or not written else show_results(target, report=report, figures=figures)

@@ -21,8 +21,7 @@ from fmuid.reports.alarm_lines import AlarmLines
 from fmuid.reports.fault_runs import MonitoringFindings
 from fmuid.reports.origin import made_from, made_now
 from fmuid.reports.page.write import show_results
-from fmuid.reports.words.diagnosis import basis_notes
-from fmuid.reports.words.monitoring import gap_words, monitoring_words
+from fmuid.reports.words.monitoring import gap_words, monitoring_sentences
 from fmuid.studies import Follower, Piece, Study, monitor_of, rule_of
 
 # It is looked so often for what is new, s.
@@ -194,7 +193,7 @@ class _Running:
             "alarms": asdict(self.alarms),
             "waiting": self.waiting,
         }
-        also = self.origin | made_now() | {"words": [monitoring_words(self.monitor), *basis_notes(self.monitor.basis)]}
+        also = self.origin | made_now() | {"words": monitoring_sentences(self.monitor)}
         self.written = [path.name for path in self.monitor.write(self.folder, also, lines, beside)]
         self.changed = False
 

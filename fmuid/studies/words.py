@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Self, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Self, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -242,6 +242,8 @@ class Kind:
 
     name: str
     of_wrong: Callable[[Any], str] | None = None
+    names_keys: ClassVar[bool] = False
+    """Whether an error below a value is left as it is, which names a key and not the value."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Return what the type is, with all its errors as one."""
@@ -254,20 +256,15 @@ class Kind:
             first = error.errors(include_url=False)[0]
             if first["type"] in (MUST_BE, KEY) and not first["loc"]:
                 raise PydanticCustomError(first["type"], "{text}", first["ctx"]) from None
-            if self._leaves(first["loc"]):
+            if self.names_keys and first["loc"]:
                 raise
             raise must_be(self.name if self.of_wrong is None else self.of_wrong(value)) from None
-
-    def _leaves(self, where: tuple[int | str, ...]) -> bool:  # noqa: ARG002
-        """Return whether an error below a value is left as it is: it names a key, not the value."""
-        return False
 
 
 class Entries(Kind):
     """The kind of a table of names whose entries are of one kind; what is wrong with one names it."""
 
-    def _leaves(self, where: tuple[int | str, ...]) -> bool:
-        return bool(where)
+    names_keys: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from fmuid.data.formats.columns import Cell, Head, RawTable, check_once, find_he
 from fmuid.data.formats.libraries import library
 from fmuid.errors import InputError
 from fmuid.text import nearest
+from fmuid.units import SECONDS
 
 _CELL = re.compile(r"<c ([^>]*)><v>([-+.\deE]+)</v>")
 _BEGINNING = 1_000_000
@@ -20,7 +21,6 @@ _BEGINNING = 1_000_000
 _LOOKED_AT = 100
 _DIGITS = 12
 """Significant digits, which times as people and recorders write them do not exceed."""
-_DAY = 86_400
 
 
 def read_spreadsheet(path: Path, source: str, sheet: str | int | None = None) -> RawTable:
@@ -108,7 +108,7 @@ def _are_days(values: Sequence[float]) -> bool:
 
     Numbers in s look so, too, where a rate has a factor of 3, as 48 kHz.
     """
-    return not all(map(_is_short, values)) and all(_is_short(_DAY * value) for value in values)
+    return not all(map(_is_short, values)) and all(_is_short(SECONDS["d"] * value) for value in values)
 
 
 def _is_short(value: float) -> bool:

@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -130,7 +130,7 @@ class HealthyEvidence:
     owed: Information
     whitening: Whitening
     subject: MachineDigest | None = None
-    path: Path | None = field(default=None)
+    path: Path | None = None
 
     def write(self, path: Path) -> Path:
         """Write ``baseline.npz`` and return its path."""

@@ -19,7 +19,7 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft, linalg
+import scipy
 
 from fmuid.arrays import Floats, Indices
 from fmuid.estimation.colour.autoregression import Autoregression
@@ -81,8 +81,8 @@ class _Foretelling:
     """Rows of the matrix by the steps between a sample and those before it."""
 
     def __init__(self, model: Autoregression) -> None:
-        size = fft.next_fast_len(2 * model.memory + 1, real=True)
-        power = fft.irfft(np.abs(model.transfer(size)) ** 2, size)[: model.memory + 1]
+        size = scipy.fft.next_fast_len(2 * model.memory + 1, real=True)
+        power = scipy.fft.irfft(np.abs(model.transfer(size)) ** 2, size)[: model.memory + 1]
         self._correlation = np.append(power / power[0], 0.0)
         self._correlation[0] += LEAST
         self._rows: dict[bytes, Floats] = {}
@@ -99,7 +99,7 @@ class _Foretelling:
         """Return the rows of samples (m, m) that have no others before them: the inverse of Cholesky's factor."""
         lags = np.minimum(np.abs(places[:, None] - places), self._correlation.size - 1)
         factor = np.linalg.cholesky(self._correlation[lags])
-        return np.asarray(linalg.solve_triangular(factor, np.eye(places.size), lower=True))
+        return np.asarray(scipy.linalg.solve_triangular(factor, np.eye(places.size), lower=True))
 
 
 @dataclass(frozen=True, eq=False)

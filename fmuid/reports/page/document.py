@@ -122,16 +122,13 @@ def details(heading: str, words: str) -> str:
 
 def page(title: str, parts: Sequence[Part]) -> str:
     """Return a page."""
-    from fmuid.reports.interactive.style import DARK
-
     sections = [section for part in parts for section in part.sections if section.figures]
     documents = [_document(section.figures) for section in sections]
-    library, own = _library(), f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
     waiting = [place for *_, places in documents for place in places]
     body = "".join(_part(part, waiting, several=len(parts) > 1) for part in parts)
-    digests = " ".join(f"'sha256-{_digest(each)}'" for each in (library, own))
+    scripts, tail = _drawing(documents) if documents else ("'none'", "")
     policy = (
-        f"default-src 'none'; script-src {digests}; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
+        f"default-src 'none'; script-src {scripts}; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
         "base-uri 'none'; form-action 'none'"
     )
     head = (
@@ -143,9 +140,17 @@ def page(title: str, parts: Sequence[Part]) -> str:
     told = [part for part in parts if part.end]
     ends = "".join(f"<h3>{text(each.heading)}</h3>{each.end}" if len(told) > 1 else each.end for each in told)
     end = f"<section class=end>{ends}</section>" if ends else ""
-    drawings = json.dumps([(content, places) for content, places, _ in documents], separators=(",", ":"))
-    tail = f"{_packed('library', library)}{_packed('figures', drawings)}<script>{own}</script>\n" if documents else ""
     return f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n{end}</main>\n{tail}</body></html>\n"
+
+
+def _drawing(documents: Sequence[tuple[dict[str, Any], list[Any], list[str]]]) -> tuple[str, str]:
+    """Return the digests of the scripts that draw, and the elements that hold them and what they draw."""
+    from fmuid.reports.interactive.style import DARK
+
+    library, own = _library(), f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
+    drawings = json.dumps([(content, places) for content, places, _ in documents], separators=(",", ":"))
+    digests = " ".join(f"'sha256-{_digest(each)}'" for each in (library, own))
+    return digests, f"{_packed('library', library)}{_packed('figures', drawings)}<script>{own}</script>\n"
 
 
 def pieces(parts: Sequence[Part]) -> tuple[list[str], list[Any]]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from fmuid.assessment import Diagnostics, Posterior, Reading, Uncertainty
 from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.estimation import LinearEstimate, Result
-from fmuid.reports.words.diagnosis import basis_notes, diagnosis_words
+from fmuid.reports.words.diagnosis import diagnosis_words
 from fmuid.reports.words.linear_models import linear_words
-from fmuid.reports.words.monitoring import monitoring_words
+from fmuid.reports.words.monitoring import monitoring_sentences
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
 from fmuid.reports.words.result import capitalised, result_words
@@ -51,4 +51,4 @@ def _sentences(found: Found) -> tuple[str, ...]:
         case Diagnosis():
             return diagnosis_words(found)
         case Monitor():
-            return (monitoring_words(found), *basis_notes(found.basis))
+            return tuple(monitoring_sentences(found))

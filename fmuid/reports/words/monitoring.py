@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from fmuid.diagnosis import SOMETHING_ELSE, Shape
-from fmuid.reports.words.diagnosis import explanation_words
+from fmuid.reports.words.diagnosis import basis_notes, explanation_words
 from fmuid.text import listed, with_std
 
 if TYPE_CHECKING:
@@ -15,6 +15,11 @@ if TYPE_CHECKING:
 
 # Of more windows that are left out, the first are named.
 MOST_GAPS = 5
+
+
+def monitoring_sentences(found: Monitor) -> list[str]:
+    """Return what was found, and where the healthy machine is from."""
+    return [monitoring_words(found), *basis_notes(found.basis)]
 
 
 def monitoring_words(found: Monitor) -> str:
