@@ -144,7 +144,7 @@ NAMED = {
 def prose(source: Path) -> Iterator[str]:
     """Yield the docstrings and comments of a file, each in one line."""
     text = source.read_text(encoding="utf-8")
-    if "(1." not in text and ".md" not in text:  # cites nothing; to parse all files would take seconds
+    if not re.search(rf"\({NUMBER}[,–)]|\.md", text):  # cites nothing; to parse all files would take seconds
         return
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from scipy import stats
 from scipy.integrate import quad
 
@@ -60,6 +61,7 @@ def test_density_of_estimated_variances() -> None:
     np.testing.assert_allclose(found - found[0], wanted - wanted[0], rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_density_of_a_robust_loss() -> None:
     """−J_C/2 with scipy's formula of the loss, ρ(z) = 2 (√(1 + z) − 1), and the variance that is given."""
     problem, phi = linear(loss="soft_l1")

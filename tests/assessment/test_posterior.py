@@ -57,6 +57,7 @@ def test_linear_gaussian() -> None:
     assert posterior_words(posterior).startswith("converged: at least ")
 
 
+@pytest.mark.slow
 def test_linear_student() -> None:
     """Variance estimated from few samples: the intervals are Student's, clearly wider than normal ones."""
     problem, phi = linear(samples=7)
@@ -92,6 +93,7 @@ def test_bound_cuts_a_normal() -> None:
     assert distance < stats.kstwo.ppf(0.9999, round(size))
 
 
+@pytest.mark.slow
 def test_estimate_on_a_bound() -> None:
     """The mean lies beyond the bound, where half of all walkers would start: what remains is the tail."""
     measured = 3.0 + np.random.default_rng(1).normal(size=20)
@@ -191,6 +193,7 @@ def test_two_optima(prior: Normal | None) -> None:
         assert "other optima" not in words
 
 
+@pytest.mark.slow
 def test_prior_decides_what_data_leave_open() -> None:
     problem = sum_only(Parameter(1.0, prior=Normal(1.0, 2.0)), Parameter(1.0))
     total = float(problem.measured.mean())
@@ -199,6 +202,7 @@ def test_prior_decides_what_data_leave_open() -> None:
     assert_moments(posterior, np.array([1.0, total - 1.0]), covariance)
 
 
+@pytest.mark.slow
 def test_bounds_alone_hold_what_data_leave_open() -> None:
     problem = sum_only(Parameter(1.0, min=0.0, max=2.0), Parameter(1.0, min=-100.0))
     posterior, result = sampled(problem, effective_size=1000)

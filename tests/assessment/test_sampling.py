@@ -52,6 +52,7 @@ def test_same_seed_same_samples() -> None:
     assert not np.array_equal(first, other)
 
 
+@pytest.mark.slow
 def test_a_single_parameter_that_fails_nearby() -> None:
     """Walkers start only where the model works, however narrow that is."""
 
@@ -68,6 +69,7 @@ def test_a_single_parameter_that_fails_nearby() -> None:
     assert np.isfinite(posterior.log_density).all()
 
 
+@pytest.mark.slow
 def test_too_few_steps_are_not_trusted() -> None:
     problem, _ = linear()
     posterior, _ = sampled(problem, steps=12)

@@ -157,6 +157,7 @@ def test_normality_of_white_noise_is_jarque_and_bera() -> None:
     assert probability == pytest.approx(stats.jarque_bera(x).pvalue, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_normal_coloured_noise_is_called_normal() -> None:
     """As if it were white, skewness and kurtosis of strongly coloured noise would be rejected most of the time."""
     rng = np.random.default_rng(12)

@@ -25,6 +25,7 @@ from tests.support.coil_study import COIL
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_rows_do_not_depend_on_groups(folder: Path, here: Any, seed: int) -> None:
     here(seed)

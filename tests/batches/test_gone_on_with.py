@@ -70,6 +70,7 @@ def test_where_nothing_is_finished_nothing_is_refused(folder: Path, here: Any) -
     same(run(folder).frame, expected(folder))
 
 
+@pytest.mark.slow
 def test_begin_anew(folder: Path, here: Any) -> None:
     here()
     run(folder)
@@ -80,6 +81,7 @@ def test_begin_anew(folder: Path, here: Any) -> None:
     same(found.frame, expected(folder))
 
 
+@pytest.mark.slow
 def test_a_damaged_part_is_run_again(folder: Path, here: Any) -> None:
     here(3, stop_after=12)
     run(folder)

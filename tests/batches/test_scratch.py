@@ -126,6 +126,7 @@ def test_the_folder_of_workers_is_locked(place: Path) -> None:
     assert not list(place.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("place")
 def test_workers_of_this_machine_do_not_watch_themselves() -> None:
     """Neither they nor who schedules them: what Dask does so every few milliseconds nobody sees here."""

@@ -62,6 +62,7 @@ map = [["R", "L"]]
 """
 
 
+@pytest.mark.slow
 def test_uncertainty(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "study.toml").write_text(STUDY + ASKED)
     code = fmuid_("identify", folder / "study.toml", "--figures", "svg")

@@ -75,6 +75,7 @@ def test_the_record_of_the_result_is_no_prediction(
     assert "carries over</span>" not in page
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn_figures")
 def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     several = [

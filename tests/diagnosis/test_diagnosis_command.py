@@ -65,6 +65,7 @@ def test_the_command_says_what_it_found(study: Path, look: Look, capsys: pytest.
     assert list(table["fault"]) == ["stator"] * 3 + ["rotor"]
 
 
+@pytest.mark.slow
 def test_from_python_it_is_what_the_command_does(study: Path) -> None:
     """The same files and verdict; without a folder the verdict alone, told before it is returned."""
     drawn = ["--figures", "png", "--no-report"]

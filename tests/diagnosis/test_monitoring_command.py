@@ -48,6 +48,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = told(window=1, transient=0.2)
     study, records = str(folder / "study.toml"), folder / "records"
@@ -104,6 +105,7 @@ def written(folder: Path) -> tuple[bytes, dict[str, Any]]:
     return (folder / "monitoring.csv").read_bytes(), content | {"date": ""}
 
 
+@pytest.mark.slow
 def test_from_python_it_is_what_the_command_does(folder: Path) -> None:
     """The same files and verdict; what comes before a record that is wrong is written, and can be gone on with."""
     study, records, mine = folder / "study.toml", folder / "records", folder / "mine"

@@ -225,6 +225,7 @@ def test_a_prior_adds_its_own_error() -> None:
 # --- the whole, against draws
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.8])
 def test_variances_and_degrees_of_freedom_are_those_of_draws(share: float) -> None:
     """Of the mean of 150 samples: its variance in closed form, and the scatter of what is stated of it."""

@@ -75,6 +75,7 @@ def test_multistart_lists_all_optima_in_order() -> None:
     assert (np.diff(criteria) >= 0).all()
 
 
+@pytest.mark.slow
 def test_evolution_lists_secondary_optima_once() -> None:
     minima, _ = dense_minima()
     found = searched(sinusoid())
@@ -86,6 +87,7 @@ def test_evolution_lists_secondary_optima_once() -> None:
     assert min(gaps) > 1.0
 
 
+@pytest.mark.slow
 def test_criterion_of_estimated_variance_is_relative_to_the_best() -> None:
     """With σ̂² = J/(K − 1) of the best, its criterion is K − 1 and the others' are in proportion."""
     minima, squares = dense_minima()

@@ -81,6 +81,7 @@ def test_the_fit_is_what_was_simulated() -> None:
     np.testing.assert_allclose(result.fit[0]["simulated.y"], REGRESSORS @ result.values, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_intervals_hold_and_are_narrower() -> None:
     """What moves fast beneath slow noise."""
     held, errors = 0, []

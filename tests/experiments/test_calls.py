@@ -45,6 +45,7 @@ def test_a_record_of_the_campaign_is_as_by_itself(tmp_path: Path) -> None:
     assert found.remainder.probability == pytest.approx(alone.remainder.probability, abs=0.05)
 
 
+@pytest.mark.slow
 def test_columns_in_phases_are_differences() -> None:
     """Of what sensors and supply do to the readings, and of the faults, in the stator's axes."""
     setting = machine.setting()
@@ -96,6 +97,7 @@ def test_the_page_shows_the_onsets() -> None:
     assert pages.insert(page, {"onsets": onsets.table(pd.read_csv(onsets.FILE))}) == page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("module", "case"), [(coil, "sensor's delay, 1 ms"), (machine, "sensor a, gain + 3 %")])
 def test_the_committed_records_are_these(module: ModuleType, case: str, tmp_path: Path) -> None:
     found = pd.read_csv(module.HERE / "calls.csv", keep_default_na=False)

@@ -66,6 +66,7 @@ def slope(state: Array, voltages: Array, speed: float) -> Array:
     return np.array([*(voltages - TRUTH["Rs"] * currents[:3]), *(-TRUTH["Rr"] * currents[3:]), speed])
 
 
+@pytest.mark.slow
 def test_the_machine_is_that_of_the_chapter(steps: pd.DataFrame) -> None:
     """(1.58) with its matrices, by Runge-Kutta 4 under the same held voltages and speed: 1e-8 A is its own error."""
     h = float(steps["time"].iloc[1])

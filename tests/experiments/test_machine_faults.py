@@ -201,6 +201,7 @@ def test_a_broken_bar_is_found(drawn: Callable[[str], dict[str, Any]]) -> None:
     assert row["rotor_D"] > 5 * row["stator_D"]
 
 
+@pytest.mark.slow
 def test_the_study_names_the_phase(known: fmuid.Baseline, tmp_path: Path) -> None:
     """The page's study file, with the table of five turns of phase b."""
     folder = tmp_path / "experiments" / "machine_faults"

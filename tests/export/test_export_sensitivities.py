@@ -31,6 +31,7 @@ def simulate(drive: Running, names: list[str], values: dict[str, float]) -> np.n
     return np.array(rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_against_central_differences_of_whole_simulations(tmp_path: Path, fmi: str) -> None:
     names = ["i", "p"]
@@ -52,6 +53,7 @@ def test_against_central_differences_of_whole_simulations(tmp_path: Path, fmi: s
             np.testing.assert_array_less(np.abs(found[:, 2 + 2 * k : 4 + 2 * k] - expected).max(0) / scale, 1e-6)
 
 
+@pytest.mark.slow
 def test_against_the_closed_form(tmp_path: Path) -> None:
     """A coil at rest under a constant voltage, in its start and along its course."""
     fmu = export_fmu(FMUS / "Coil" / "Coil.mo", tmp_path / "Coil.fmu", sensitivities=["R", "i_start", "R"])

@@ -56,6 +56,7 @@ def test_it_compiles_without_a_warning(tmp_path: Path) -> None:
     assert build.build(tmp_path / "core.so", target, (*build.FLAGS, *build.WARNINGS)).is_file()
 
 
+@pytest.mark.slow
 def test_changed_sources_are_compiled_anew(copied: Path) -> None:
     first = native._path()
     assert native._path() == first

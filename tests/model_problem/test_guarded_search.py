@@ -57,6 +57,7 @@ def fits(result: fmuid.Result, record: Record) -> bool:
     return bool((found < 1.02 * noise).all())
 
 
+@pytest.mark.slow
 def test_a_motor_from_far_away_is_found_by_its_equations(motor: Path, record: Record) -> None:
     whole = problem(motor, record)
     result = fmuid.identify(whole)
@@ -136,6 +137,7 @@ def wave(curved: Path, start: float, extra: Callable[[Floats], Floats] | None = 
     return fmuid.Problem(curved, fmuid.Experiment(frame, [], ["y"]), parameters)
 
 
+@pytest.mark.slow
 def test_a_secondary_optimum_is_left_for_points_of_the_box(curved: Path) -> None:
     stuck = fmuid.identify(wave(curved, 1.0), remedies=False)
     assert abs(stuck["b"] - 3.0) > 0.1

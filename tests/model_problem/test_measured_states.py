@@ -109,6 +109,7 @@ def test_far_parameters_of_unmeasured_states_are_found_by_the_equations(cubic: P
     assert theta == pytest.approx([2.0, 3.0], rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_machine_from_up_to_a_hundred_times_away_is_found_without_its_fluxes() -> None:
     result = fmuid.identify(problem("im", draw("im", 2, 3.0, 100.0)))
     assert result.converged

@@ -65,6 +65,7 @@ def dated(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(time=pd.Timestamp("2026-03-01 12:00") + pd.to_timedelta(table["time"], unit="s"))
 
 
+@pytest.mark.slow
 def test_a_growing_file_and_restarts_find_what_one_run_finds(plant: Path) -> None:
     table = dated(warming(24, to=4.3, fails=15.4, seed=3))
     table.to_csv(plant / "records" / "log.csv", index=False)

@@ -186,6 +186,7 @@ def test_memory_is_kept_whatever_the_starter_says(monkeypatch: pytest.MonkeyPatc
     assert int(found["MALLOC_TRIM_THRESHOLD_"]) > int(found["MALLOC_MMAP_THRESHOLD_"]) > 10**7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("question", ["fork", "wait"])
 def test_an_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.MonkeyPatch, question: str) -> None:
     """Ctrl-C after the server has its order and before its answer is read."""

@@ -46,6 +46,7 @@ def test_a_healthy_record_and_what_is_normal() -> None:
         Known.after(Information.of(jacobian, residual), np.array([1.0, 0.0, 1.0, 1.0]))
 
 
+@pytest.mark.slow
 def test_nothing_new_leaves_scores_with_the_information_as_covariance() -> None:
     """Over healthy and new records without anything new, h ~ N(0, F): the level of every test rests on it."""
     random = np.random.default_rng(4)
@@ -63,6 +64,7 @@ def test_nothing_new_leaves_scores_with_the_information_as_covariance() -> None:
     assert np.cov(np.array(scores).T) == pytest.approx(np.eye(4), abs=0.1)
 
 
+@pytest.mark.slow
 def test_several_records_show_the_error_of_the_model() -> None:
     """Scatter beyond the noise, in one direction, comes back as the covariance of a further record's estimate."""
     random = np.random.default_rng(7)

@@ -84,6 +84,7 @@ def causes_of(angles: list[float]) -> tuple[np.ndarray, tuple[Cause, ...]]:
     )
 
 
+@pytest.mark.slow
 def test_level_names_and_pairs() -> None:
     """Nothing new: an alarm in one of a hundred; near rivals named together; two at once named as a pair."""
     information, causes = causes_of([0.0, 0.2])

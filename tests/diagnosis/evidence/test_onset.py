@@ -101,6 +101,7 @@ def test_old_onsets_thin_out_and_those_of_an_alarm_stay(monkeypatch: pytest.Monk
     assert len(clock) <= 9 + 2 * BLOCKS + 2
 
 
+@pytest.mark.slow
 def test_the_set_holds_the_onset_and_the_shape_is_told() -> None:
     """200 records with a step of known begin: the 95 % set holds it, the size is near, and no ramp is likelier."""
     random = np.random.default_rng(4)
