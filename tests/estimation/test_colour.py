@@ -315,6 +315,18 @@ def test_what_a_fit_hardly_takes_is_not_made_up_for(monkeypatch: pytest.MonkeyPa
 # --- series
 
 
+def test_noise_that_is_nearly_a_random_walk_leaves_no_nonsense() -> None:
+    """In this draw what the correction added grew without end, and then past zero: the std said was 1e-151."""
+    t = np.tile(0.032 * np.arange(125), 8)
+    rows = made(np.column_stack([np.exp(-t), -3.0 * t * np.exp(-t)]), ar1(np.random.default_rng([7, 145]), 0.99, 1000))
+    found = sandwich(rows, [series(np.arange(1000), np.arange(1000))])
+    powers = linalg.toeplitz(0.99 ** np.arange(1000))
+    true = np.diag(rows.root @ (rows.columns.T @ powers @ rows.columns) @ rows.root.T)
+    ratio = np.sqrt(np.diag(found.covariance) / true)
+    assert (ratio > 0.3).all()
+    assert (ratio < 5.0).all()  # that of one to two degrees of freedom
+
+
 def table(times: NDArray[Any], counted: NDArray[np.bool_], name: str = "a") -> Table:
     outputs = tuple(f"y{i}" for i in range(counted.shape[1]))
     return Table(name, times, outputs, np.zeros(counted.shape), counted)

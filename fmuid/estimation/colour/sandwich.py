@@ -62,6 +62,9 @@ if TYPE_CHECKING:
 # where it would take too much memory. They end when a round moves no variance by more than the tolerance.
 ROUNDS, LONG, MOST_VALUES = 4, 50_000, 30_000_000
 SETTLED = 2e-3
+# Of noise that is nearly a random walk what is added may grow without end: a round that makes a variance greater by
+# more than this factor does not count, and is the last.
+RUNAWAY = 100.0
 # Nor is there any where the fit has taken no more than this share of the squares of each output's noise.
 SLIGHT = 2e-3
 # Fewer degrees of freedom than this are no fewer.
@@ -163,10 +166,15 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
     grids, pools = _members([each.grid for each in series]), _members([each.pool for each in series])
     parts = [Grid(rows, [series[i] for i in members], members) for members in grids]
     rounds, spread = _rounds(rows), np.full(rows.basis.shape[1], math.inf)
+    models: dict[int, Autoregression] = {}
     for done in range(rounds + 1):
-        models = _models(rows, series, parts, pools)
-        gram = np.sum([part.take([models[i] for i in part.members], rows.pull) for part in parts], axis=0)
+        earlier, models = models, _models(rows, series, parts, pools)
+        gram = _taken(parts, models, rows)
         before, spread = spread, np.diag(gram)
+        if done and (spread > RUNAWAY * before).any():
+            models = earlier
+            gram = _taken(parts, models, rows)
+            break
         if done == rounds or (np.abs(spread - before) <= SETTLED * spread).all():
             break
         if not done and _slight(float(spread.sum()), models.values()):
@@ -190,6 +198,11 @@ def _members(numbers: Sequence[int]) -> list[list[int]]:
     for index, number in enumerate(numbers):
         found.setdefault(number, []).append(index)
     return list(found.values())
+
+
+def _taken(parts: Sequence[Grid], models: dict[int, Autoregression], rows: Rows) -> Floats:
+    """Take models for the noise of the series of all grids, and return the sum of BᵀΓB."""
+    return np.asarray(np.sum([part.take([models[i] for i in part.members], rows.pull) for part in parts], axis=0))
 
 
 def _rounds(rows: Rows) -> int:
