@@ -43,21 +43,21 @@ def every_glyph() -> Any:
         {"a": np.arange(3.0), "b": np.array([1.0, math.nan, math.inf]), "n": ["u", "v", "w"]}
     )
     looks = {"line_color": style.BLUE, "fill_color": style.RED}
-    plot.patch("a", "b", source, **looks)
-    plot.step("a", "b", source, line_dash="dashed", mode="after")
-    plot.varea("a", "b", "b", source, fill_alpha=0.5)
-    plot.quad("a", 2.0, np.float64(3.0), 0, source, **looks)
-    plot.rect("a", "b", 0.9, 0.9, source, **looks)
-    plot.segment("a", "b", "a", 1.0, source, line_width=2)
+    plot.patch("a", "b", source=source, **looks)
+    plot.step("a", "b", source=source, line_dash="dashed", mode="after")
+    plot.varea("a", "b", "b", source=source, fill_alpha=0.5)
+    plot.quad("a", 2.0, np.float64(3.0), 0, source=source, **looks)
+    plot.rect("a", "b", 0.9, 0.9, source=source, **looks)
+    plot.segment("a", "b", "a", 1.0, source=source, line_width=2)
     plot.scatter([1.0, 2.0], pd.Series([2.0, 3.0]), size=4, marker="x", angle=1.0)
-    plot.text("a", "b", "n", source, text_font=style.FONT, text_color=sketch.Field("n"))
-    plot.hover(plot.line("a", "b", source, line_color=style.BLUE), ("x", "@a"), vertical=True)
+    plot.text("a", "b", "n", source=source, text_font=style.FONT, text_color=sketch.Field("n"))
+    plot.hover(plot.line("a", "b", source=source, line_color=style.BLUE), ("x", "@a"), vertical=True)
     return plot
 
 
 def figures() -> list[sketch.Sketch]:
     names = style.Panel(y_range=sketch.FactorRange(factors=["u", "v"]))
-    names.hbar(["u", "v"], 0.5, [1.0, 2.0], fill_color=style.GREY)
+    names.hbar(["u", "v"], 0.5, [1.0, 2.0], 0.0, fill_color=style.GREY)
     matrix = pd.DataFrame([[1.0, math.nan], [math.nan, 1.0]], ["R", "L"], ["R", "L"])
     return [
         every_glyph(),

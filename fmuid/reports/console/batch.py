@@ -7,11 +7,10 @@ from collections.abc import Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
-from rich.markup import escape
 from rich.table import Table
 
 from fmuid.reports.batch_words import failure_words, note, summary_words
-from fmuid.reports.console.layout import TERMINAL_ROWS, columns_of, console, table_of, unit_text
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows, unit_text
 from fmuid.text import rounded, with_std
 
 if TYPE_CHECKING:
@@ -46,8 +45,7 @@ def show_batch(summary: Summary) -> None:
         out.print()
         out.print(table)
     out.print()
-    for sentence in summary_words(summary):
-        out.print(f"[yellow]note:[/] {escape(sentence)}", soft_wrap=True)
+    show_remarks(summary_words(summary))
     out.print(_statuses(summary), soft_wrap=True)
 
 
@@ -67,7 +65,7 @@ def _estimates(rows: Sequence[Row]) -> Table:
         )
         for row in rows
     ]
-    return _filled("Estimates over the cases", ("parameter", *numbers, "unit", "note"), cells, numbers)
+    return table_of_rows("Estimates over the cases", ("parameter", *numbers, "unit", "note"), cells, numbers)
 
 
 def _against_truth(rows: Sequence[Row]) -> Table:
@@ -83,7 +81,7 @@ def _against_truth(rows: Sequence[Row]) -> Table:
         )
         for row in rows
     ]
-    return _filled("Against the truth", ("parameter", *numbers, "unit"), cells, numbers)
+    return table_of_rows("Against the truth", ("parameter", *numbers, "unit"), cells, numbers)
 
 
 def _coverage(row: Row) -> str:
@@ -106,7 +104,7 @@ def _groups(summary: Summary, names: Sequence[str]) -> Table:
     heads = [*(name.removeprefix("set.") for name in settings), "cases", "failed", *names]
     single = summary.groups["cases"].max() == 1
     title = "By setting, " + ("estimate ± stated std" if single else "mean ± spread over the cases")
-    return _filled(title, heads, cells[:TERMINAL_ROWS], heads)
+    return table_of_rows(title, heads, cells[:TERMINAL_ROWS], heads)
 
 
 def _optima(summary: Summary, names: Sequence[str]) -> Table:
@@ -116,7 +114,7 @@ def _optima(summary: Summary, names: Sequence[str]) -> Table:
         (str(row["optimum"]), str(row["cases"]), f"{row['residual']:.4g}", *(_short(row[name], 5) for name in names))
         for row in summary.optima.head(MAX_KINDS).to_dict("records")
     ]
-    return _filled("Optima that the starts led to, medians", heads, cells, heads)
+    return table_of_rows("Optima that the starts led to, medians", heads, cells, heads)
 
 
 def _failures(failures: pd.DataFrame) -> Table:
@@ -128,7 +126,7 @@ def _failures(failures: pd.DataFrame) -> Table:
     if len(failures) > MAX_KINDS:
         rest = failures.iloc[MAX_KINDS:]
         cells.append((str(rest["cases"].sum()), str(rest["first"].min()), "", f"{len(rest)} other messages"))
-    return _filled("Cases without an estimate", heads, cells, ("cases", "first case"))
+    return table_of_rows("Cases without an estimate", heads, cells, ("cases", "first case"))
 
 
 def _statuses(summary: Summary) -> str:
@@ -155,7 +153,3 @@ def _short(value: float, digits: int) -> str:
 
 def _level(level: Any) -> str:
     return f"{level:.6g}" if isinstance(level, float) else str(level)
-
-
-def _filled(title: str, heads: Sequence[str], cells: Sequence[Sequence[str]], right: Sequence[str]) -> Table:
-    return table_of(title, columns_of(heads, cells), right)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rich.markup import escape
-
-from fmuid.reports.console.layout import console, table_of
+from fmuid.reports.console.layout import console, show_sentences, table_of
 
 if TYPE_CHECKING:
     from fmuid.reports.comparisons import ComparisonFindings
@@ -14,16 +12,15 @@ if TYPE_CHECKING:
 
 def show_comparison(found: ComparisonFindings) -> None:
     """Print a table, a row for each result, and the sentences that follow."""
-    out, frame = console(), found.table
+    frame = found.table
     heads = {"name": "result", "parameters": "k", "log_likelihood": "log-likelihood"}
     heads |= {"corrected_aic": "AIC", "corrected_bic": "BIC", "behind": "behind"}
     heads |= {name: name.replace("rmse.", "RMSE ") for name in frame.columns if name.startswith("rmse.")}
     heads |= {"misfit": "misfit"}
     shown = [name for name in heads if name in frame.columns]
     columns = {heads[name]: [_cell(name, each) for each in frame[name].tolist()] for name in shown}
-    out.print(table_of("Results beside each other", columns, list(columns)[1:]))
-    for words in found.words:
-        out.print(escape(words), soft_wrap=True)
+    console().print(table_of("Results beside each other", columns, list(columns)[1:]))
+    show_sentences(found.words)
 
 
 def _cell(name: str, value: object) -> str:

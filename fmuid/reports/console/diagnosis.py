@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from fmuid.reports.console.layout import columns_of, console, table_of, unit_text
+from fmuid.reports.console.layout import (
+    columns_of,
+    console,
+    show_remarks,
+    show_sentences,
+    table_of,
+    table_of_rows,
+    unit_text,
+)
 from fmuid.reports.words.diagnosis import (
     chance,
     change_name,
@@ -37,20 +45,14 @@ def show_diagnosis(found: Diagnosis) -> None:
     if found.evidence is not None:
         _show_evidence(found.evidence)
     nominal = ", ".join(f"{name} = {with_std(value, std)}" for name, (value, std) in _common(found).items())
-    out.print(f"Common mode: {escape(nominal)}", soft_wrap=True)
+    show_sentences([f"Common mode: {nominal}"])
     noisy = "larger than" if found.unexplained.larger else "as large as"
-    out.print(
-        f"Residual: {noisy} the noise of the healthy machine (variance {found.unexplained.ratio:.3g} times it, "
-        f"probability {found.unexplained.probability:.2g})",
-        soft_wrap=True,
-    )
-    for note in strain_words(found.strain):
-        out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
-    for each in found.hypotheses:
-        for note in hypothesis_notes(each):
-            out.print(f"[yellow]note:[/] {escape(each.name)}: {escape(note)}", soft_wrap=True)
-    for note in (*simulation_notes(found), *scope_notes(found)):
-        out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
+    ratio, probability = found.unexplained.ratio, found.unexplained.probability
+    times = f"variance {ratio:.3g} times it, probability {probability:.2g}"
+    show_sentences([f"Residual: {noisy} the noise of the healthy machine ({times})"])
+    show_remarks(strain_words(found.strain))
+    show_remarks(f"{each.name}: {note}" for each in found.hypotheses for note in hypothesis_notes(each))
+    show_remarks([*simulation_notes(found), *scope_notes(found)])
 
 
 def _show_evidence(evidence: Evidence) -> None:
@@ -62,12 +64,9 @@ def _show_evidence(evidence: Evidence) -> None:
         near = f"{each.rival}, {math.degrees(each.rival_angle):.0f}°" if each.rival else ""
         size, d, share = change_size(each.change), f"{each.statistic:.4g}", chance(each.probability)
         rows.append((name, size, d, share, near, "named" if name in named else ""))
-    columns = columns_of(("cause", "size", "D", "probability", "nearest", ""), rows)
-    table = table_of("What may be new beside the healthy records", columns, right=("D", "probability"))
-    out = console()
-    out.print(table)
-    out.print(f"Error of the fault models along other signatures: {100 * evidence.model_error:.2g} % of their effect")
-    out.print()
+    heads, out = ("cause", "size", "D", "probability", "nearest", ""), console()
+    out.print(table_of_rows("What may be new beside the healthy records", heads, rows, right=("D", "probability")))
+    out.print(f"Error of the fault models along other signatures: {100 * evidence.model_error:.2g} % of their effect\n")
 
 
 def _common(found: Diagnosis) -> dict[str, tuple[float, float]]:

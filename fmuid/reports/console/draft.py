@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.prompt import Prompt
 
 from fmuid.errors import InputError
-from fmuid.reports.console.layout import TERMINAL_ROWS, columns_of, console, show_remarks, table_of, unit_text
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows, unit_text
 from fmuid.reports.words.result import dropout_words, time_words
 from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnLink, Draft, Reason, Record, proposal
 from fmuid.text import has_unit
@@ -30,9 +30,7 @@ QUESTION = "Is this right? Enter to go on, or variable=column to change it (vari
 def show_record(record: Record) -> None:
     """Print which columns are which variables, and what is wrong with the table."""
     out = console()
-    out.print(
-        table_of(escape(heading(record, str(record.path))), columns_of(LINK_HEADS, map(link_cells, record.links)))
-    )
+    out.print(table_of_rows(escape(heading(record, str(record.path))), LINK_HEADS, map(link_cells, record.links)))
     if record.unused:
         out.print(f"columns that are no input or output: {escape(', '.join(record.unused))}", soft_wrap=True)
     show_remarks(remarks(record))
@@ -114,8 +112,8 @@ def show_draft(made: Draft, output: Path) -> None:
     if found.candidates:
         heads = ["parameter", "start", "unit", f"{100 * SHOWN_CHANGE:g} % change", "proposed"]
         shown = found.candidates if not on_terminal() else found.candidates[:TERMINAL_ROWS]
-        columns = columns_of(heads, map(_proposed, shown))
-        out.print(table_of("What the parameters change of the outputs' spread", columns, right=heads[1:4:2]))
+        title = "What the parameters change of the outputs' spread"
+        out.print(table_of_rows(title, heads, map(_proposed, shown), right=heads[1:4:2]))
     show_remarks(time_words(each) for each in found.doubts)
     if found.failure:
         show_remarks([f"nothing is known of the parameters: {found.failure}"])

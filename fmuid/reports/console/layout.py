@@ -51,8 +51,13 @@ def show_files(paths: Iterable[Path]) -> None:
 
 def show_remarks(sentences: Iterable[str]) -> None:
     """Print sentences that are no result and no error, one a line."""
+    show_sentences(sentences, "[yellow]note:[/] ")
+
+
+def show_sentences(sentences: Iterable[str], mark: str = "") -> None:
+    """Print sentences, one a line, each after a mark."""
     for sentence in sentences:
-        console().print(f"[yellow]note:[/] {escape(sentence)}", soft_wrap=True)
+        console().print(f"{mark}{escape(sentence)}", soft_wrap=True)
 
 
 def unit_text(unit: str | None) -> str:
@@ -81,6 +86,11 @@ def table_of(title: str, columns: Mapping[str, Sequence[str | Text]], right: Seq
     return table
 
 
+def table_of_rows(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Table:
+    """Return rows of cells as such a table."""
+    return table_of(title, columns_of(heads, rows), right)
+
+
 def columns_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> dict[str, list[str]]:
     """Return rows of cells as columns."""
     given = list(rows)
@@ -99,8 +109,8 @@ def show_misfits(fits: Sequence[Fit]) -> None:
             counted = int(fit.counted[:, k].sum())
             said = f"{100 * misfit:.3g} %" if counted else "not measured"
             rows.append((fit.experiment if several else "", label(output, fit.units[k]), said, str(counted)))
-    columns = columns_of(("experiment", "output", "misfit", "samples"), rows)
-    console().print(table_of("Measured against simulated", columns, right=("misfit", "samples")))
+    heads = ("experiment", "output", "misfit", "samples")
+    console().print(table_of_rows("Measured against simulated", heads, rows, right=heads[2:]))
 
 
 def warn_unfed(simulators: Iterable[Simulator]) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from fmuid.reports.console.layout import TERMINAL_ROWS, columns_of, console, table_of, unit_text
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows, unit_text
 from fmuid.reports.words.diagnosis import basis_notes
 from fmuid.reports.words.monitoring import alarm_words, gap_words, monitoring_words
 from fmuid.text import rounded, with_std
@@ -26,8 +26,7 @@ def show_monitoring(found: Monitor) -> None:
     if found.alarms:
         _show_alarms(found)
     _show_parameters(found)
-    for note in (*basis_notes(found.basis), *gap_words(found.gaps)):
-        out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
+    show_remarks([*basis_notes(found.basis), *gap_words(found.gaps)])
 
 
 def _show_alarms(found: Monitor) -> None:
@@ -38,8 +37,7 @@ def _show_alarms(found: Monitor) -> None:
         until = f"{last['end']:g}" + ("" if last["record"] == alarm.record else f" of {last['record']}")
         count = str(alarm.last - alarm.first + 1)
         rows.append((alarm.fault, *alarm_words(alarm), alarm.record, f"{alarm.time:g}", until, count))
-    columns = columns_of(("what", "since", "size", "record", *numbers), rows)
-    console().print(table_of("Alarms", columns, right=numbers))
+    console().print(table_of_rows("Alarms", ("what", "since", "size", "record", *numbers), rows, numbers))
     console().print()
 
 
@@ -57,6 +55,5 @@ def _show_parameters(found: Monitor) -> None:
         said = (fault if fault != before else "", name.removeprefix(f"{fault}."))
         rows.append((*said, *cells, last, unit_text(found.units.get(name))))
         before = fault
-    shown = columns_of(("fault", "parameter", *numbers, "last", "unit"), rows)
-    console().print(table_of("Windows", shown, right=numbers))
+    console().print(table_of_rows("Windows", ("fault", "parameter", *numbers, "last", "unit"), rows, numbers))
     console().print()

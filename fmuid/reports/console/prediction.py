@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from rich.markup import escape
-
-from fmuid.reports.console.layout import columns_of, console, show_notes, table_of, unit_text
+from fmuid.reports.console.layout import console, show_notes, show_sentences, table_of_rows, unit_text
 from fmuid.reports.words.prediction import fold_words, prediction_words
 from fmuid.reports.words.result import source_words
 from fmuid.text import with_std
@@ -29,14 +27,12 @@ def show_predictions(found: PredictionFindings) -> None:
             known = not math.isnan(score.expected)
             cells += [f"{score.expected:.4g}", f"{100 * score.inside:.3g} %"] if known else ["not known", ""]
             rows.append([*cells, f"{score.mean:.3g}", str(score.samples)])
-    out = console()
-    out.print(table_of("Predicted against measured", columns_of(heads, rows), right=heads[2:]))
+    console().print(table_of_rows("Predicted against measured", heads, rows, right=heads[2:]))
     for each in found.predictions:
         if each.estimated is not None:
             triples = zip(each.estimated.names, each.estimated.values, each.estimated.std, strict=True)
             values = ", ".join(f"{name} = {with_std(float(value), float(std))}" for name, value, std in triples)
-            out.print(f"Estimated again on {escape(each.fit.experiment)}: {escape(values)}", soft_wrap=True)
-        for words in prediction_words(each):
-            out.print(escape(words), soft_wrap=True)
+            show_sentences([f"Estimated again on {each.fit.experiment}: {values}"])
+        show_sentences(prediction_words(each))
     if found.folds:
-        out.print(escape(fold_words(found.predictions)), soft_wrap=True)
+        show_sentences([fold_words(found.predictions)])

@@ -17,7 +17,15 @@ from fmuid.assessment import CONFIDENCE_LEVEL, LEAST_STD_FACTOR
 from fmuid.estimation import Outcome
 from fmuid.model_problem import RIVAL_CRITERION
 from fmuid.models import HowRun
-from fmuid.reports.console.layout import PLAIN_WIDTH, TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.reports.console.layout import (
+    PLAIN_WIDTH,
+    TERMINAL_ROWS,
+    console,
+    show_remarks,
+    show_sentences,
+    table_of,
+    unit_text,
+)
 from fmuid.reports.words.accuracy import passed_words, shift_text
 from fmuid.reports.words.models import run_words, sensitivity_words
 from fmuid.reports.words.prior_and_data import reading_words
@@ -46,19 +54,15 @@ def show_result(found: Findings) -> None:
     out.print()
     if result.optima:
         out.print(_optima(out, result))
-        for remark in _rivals(result):
-            out.print(f"[yellow]note:[/] {escape(remark)}", soft_wrap=True)
+        show_remarks(_rivals(result))
         out.print()
     out.print(_filled(_estimates(out, result, found.level)))
     if found.has_prior:
         out.print()
         out.print(_reading(out, found))
-    for remark in found.remarks:
-        out.print(f"[yellow]note:[/] {escape(remark)}", soft_wrap=True)
-    for remark in (*reading_words(found.reading), *residual_words(found.diagnostics)):
-        out.print(escape(remark), soft_wrap=True)
-    out.print(f"Misfit: {escape(_misfit(fits))}", soft_wrap=True)
-    out.print(f"Residual: {escape(_noise(result, fits))}", soft_wrap=True)
+    show_remarks(found.remarks)
+    show_sentences([*reading_words(found.reading), *residual_words(found.diagnostics)])
+    show_sentences([f"Misfit: {_misfit(fits)}", f"Residual: {_noise(result, fits)}"])
     color = "green" if result.converged else "red"
     out.print(f"[bold {color}]{escape(capitalised(ending(result)))}[/]", soft_wrap=True)
     for component, model in result.models.items():
@@ -225,10 +229,9 @@ def show_uncertainty(found: Findings) -> None:
     if there.profiles or there.posterior is not None:
         out.print()
         out.print(_intervals(out, found, there))
-    for note in uncertainty_words(there):
-        out.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
+    show_remarks(uncertainty_words(there))
     if there.posterior is not None and there.posterior.converged:
-        out.print(f"Posterior: {escape(posterior_words(there.posterior))}", soft_wrap=True)
+        show_sentences([f"Posterior: {posterior_words(there.posterior)}"])
     if there.interrupted:
         out.print("[bold red]Interrupted: this is what there is[/]")
 
@@ -287,4 +290,4 @@ def _noise(result: Result, fits: Sequence[Fit]) -> str:
 def show_point(result: Result) -> None:
     """Say where a search was interrupted, where nothing but the values is known."""
     values = ", ".join(f"{name} = {result[name]:.6g}" for name in result.names)
-    console().print(f"{escape(values)}\n{escape(capitalised(ending(result)))}", soft_wrap=True)
+    show_sentences([values, capitalised(ending(result))])

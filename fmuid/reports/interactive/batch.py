@@ -337,7 +337,9 @@ def failures(table: pd.DataFrame) -> Any:
         where = most["status"].astype(str).to_numpy() == status
         if where.any():
             data = {"text": np.array(texts)[where], "count": most["cases"].to_numpy()[where]}
-            bars = plot.hbar("text", bar, "count", source=ColumnDataSource(data), fill_color=color, line_color=None)
+            bars = plot.hbar(
+                "text", bar, "count", 0.0, source=ColumnDataSource(data), fill_color=color, line_color=None
+            )
             plot.hover(bars, ("cases", "@count"))
     plot.x_range.start = 0
     return plot

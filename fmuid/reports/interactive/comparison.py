@@ -50,7 +50,7 @@ def bars(names: list[str], values: Floats, text: str) -> Any:
     for mine, color in ((best, RED), (~best, BLUE)):
         if mine.any():
             source = ColumnDataSource({"name": list(np.array(names)[mine]), "v": values[mine]})
-            drawn = plot.hbar("name", bar, "v", source=source, fill_color=color, line_color=None)
+            drawn = plot.hbar("name", bar, "v", 0.0, source=source, fill_color=color, line_color=None)
             plot.hover(drawn, ("", "@name"), ("value", "@v{0.0000}"))
     plot.x_range.start = 0
     return plot

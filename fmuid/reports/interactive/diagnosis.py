@@ -46,12 +46,7 @@ def shown(found: Diagnosis) -> list[Hypothesis]:
 
 
 def evidence(found: Diagnosis) -> Any:
-    """Draw by how much each fault lowers the criterion, against its threshold; the fault named is red.
-
-    Parameters
-    ----------
-    found : Diagnosis
-    """
+    """Draw by how much each fault lowers the criterion, against its threshold; the fault named is red."""
     kept = shown(found)
     names = [each.name for each in kept]
     most = max(max(each.statistic, each.threshold) for each in kept)
@@ -88,12 +83,7 @@ def _kinds(found: Diagnosis, kept: list[Hypothesis]) -> list[tuple[str, str, lis
 
 
 def sizes(found: Diagnosis) -> list[Any]:
-    """Draw the sizes of each fault with their intervals of 95 %, a figure a fault.
-
-    Parameters
-    ----------
-    found : Diagnosis
-    """
+    """Draw the sizes of each fault with their intervals of 95 %, a figure a fault."""
     plots = []
     for each in shown(found):
         known = [size for size in each.sizes if math.isfinite(size.std)]
@@ -123,10 +113,6 @@ def causes(found: Evidence) -> Any:
     """Draw what each cause alone lowers the criterion by, the likeliest first; what explains the record is red.
 
     The pointer shows the size, and which other cause has the nearest signature, at which angle.
-
-    Parameters
-    ----------
-    found : Evidence
     """
     kept = sorted(found.suspects, key=lambda each: each.probability)[:MAX_FAULTS]
     names = [change_name(each.change) for each in kept]
@@ -156,12 +142,7 @@ def causes(found: Evidence) -> Any:
 
 
 def changes(found: Evidence) -> list[Any]:
-    """Draw the size of each change that explains the record, with its interval of 95 %; shares in percent.
-
-    Parameters
-    ----------
-    found : Evidence
-    """
+    """Draw the size of each change that explains the record, with its interval of 95 %; shares in percent."""
     plots, drawn = [], set()
     for each in (change for one in found.explanations for change in one.changes):
         name = change_name(each)

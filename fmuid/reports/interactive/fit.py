@@ -103,10 +103,8 @@ def fit(
         plots.append(_lower(record, j, lines, across, last=last))
     for plot in plots:
         plot.add_tools(CrosshairTool(overlay=cross))
-        plot.min_border_top = plot.min_border_bottom = 4
-        plot.xaxis.ticker.desired_num_ticks = 8
         shade_uncounted(plot, record)
-    return below_each_other(plots)
+    return below_each_other(plots, dense=True)
 
 
 def sources(record: Fit, outputs: Sequence[int], half_width: Floats | None = None) -> tuple[Sketch, Sketch]:

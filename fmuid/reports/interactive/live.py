@@ -59,10 +59,8 @@ class LiveFit:
         self.draw(record.simulated)
         plots = [plot for j in self.outputs for plot in (self._upper(j), self._lower(j))]
         for plot in plots:
-            plot.min_border_top = plot.min_border_bottom = 4
-            plot.xaxis.ticker.desired_num_ticks = 8
             shade_uncounted(plot, record)
-        self.figure = below_each_other(plots)
+        self.figure = below_each_other(plots, dense=True)
 
     # --- what is shown
 

@@ -30,11 +30,9 @@ def preparation(table: pd.DataFrame, units: Units | None = None) -> Any:
     plots = [_column(name, table[table["column"] == name], units, across) for name in names]
     for plot in plots:
         plot.add_tools(CrosshairTool(overlay=cross))
-        plot.min_border_top = plot.min_border_bottom = 4
-        plot.xaxis.ticker.desired_num_ticks = 8
         plot.xaxis.visible = plot is plots[-1]
     plots[-1].xaxis.axis_label = "time (s)"
-    return below_each_other(plots)
+    return below_each_other(plots, dense=True)
 
 
 def _column(name: str, rows: pd.DataFrame, units: Units | None, across: Any) -> Any:

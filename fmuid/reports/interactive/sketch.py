@@ -14,7 +14,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, partialmethod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -161,52 +161,11 @@ class Plot(Sketch):
         """Add tools."""
         self.toolbar.tools.extend(tools)
 
-    # --- glyphs: coordinates are columns by their keys, arrays, or a number for all
-
-    def line(self, x: Any, y: Any, source: Any = None, **looks: Any) -> Sketch:
-        """Draw a line."""
-        return self._glyph("Line", {"x": x, "y": y}, source, looks)
-
-    def step(self, x: Any, y: Any, source: Any = None, **looks: Any) -> Sketch:
-        """Draw a line of steps."""
-        return self._glyph("Step", {"x": x, "y": y}, source, looks)
-
-    def patch(self, x: Any, y: Any, source: Any = None, **looks: Any) -> Sketch:
-        """Fill a polygon."""
-        return self._glyph("Patch", {"x": x, "y": y}, source, looks)
-
-    def varea(self, x: Any, y1: Any, y2: Any, source: Any = None, **looks: Any) -> Sketch:
-        """Fill what lies between two lines."""
-        return self._glyph("VArea", {"x": x, "y1": y1, "y2": y2}, source, looks)
-
-    def scatter(self, x: Any, y: Any, source: Any = None, **looks: Any) -> Sketch:
-        """Draw points."""
-        return self._glyph("Scatter", {"x": x, "y": y}, source, looks)
-
-    def segment(self, x0: Any, y0: Any, x1: Any, y1: Any, source: Any = None, **looks: Any) -> Sketch:
-        """Draw lines of two points each."""
-        return self._glyph("Segment", {"x0": x0, "y0": y0, "x1": x1, "y1": y1}, source, looks)
-
-    def quad(self, left: Any, right: Any, top: Any, bottom: Any, source: Any = None, **looks: Any) -> Sketch:
-        """Draw rectangles by their sides."""
-        return self._glyph("Quad", {"left": left, "right": right, "top": top, "bottom": bottom}, source, looks)
-
-    def rect(self, x: Any, y: Any, width: Any, height: Any, source: Any = None, **looks: Any) -> Sketch:
-        """Draw rectangles by their middles."""
-        return self._glyph("Rect", {"x": x, "y": y, "width": width, "height": height}, source, looks)
-
-    def hbar(self, y: Any, height: Any, right: Any, left: Any = 0.0, source: Any = None, **looks: Any) -> Sketch:
-        """Draw horizontal bars."""
-        return self._glyph("HBar", {"y": y, "height": height, "right": right, "left": left}, source, looks)
-
-    def text(self, x: Any, y: Any, text: Any, source: Any = None, **looks: Any) -> Sketch:
-        """Write texts."""
-        return self._glyph("Text", {"x": x, "y": y, "text": text}, source, looks)
-
-    def _glyph(self, kind: str, coordinates: dict[str, Any], source: Any, looks: dict[str, Any]) -> Sketch:
+    def _glyph(self, kind: str, names: str, /, *places: Any, source: Any = None, **looks: Any) -> Sketch:
+        """Draw a glyph: its coordinates are columns by their keys, arrays, or a number for all."""
         given = source or ColumnDataSource({})
         told: dict[str, Any] = {}
-        for name, place in coordinates.items():
+        for name, place in zip(names.split(), places, strict=True):
             if np.ndim(place):
                 given.data[name] = np.asarray(place)
                 told[name] = Field(name)
@@ -218,6 +177,17 @@ class Plot(Sketch):
         renderer = Sketch("GlyphRenderer", data_source=given, glyph=Sketch(kind, **told), **more)
         self.renderers.append(renderer)
         return renderer
+
+    line = partialmethod(_glyph, "Line", "x y")
+    step = partialmethod(_glyph, "Step", "x y")
+    patch = partialmethod(_glyph, "Patch", "x y")
+    scatter = partialmethod(_glyph, "Scatter", "x y")
+    text = partialmethod(_glyph, "Text", "x y text")
+    varea = partialmethod(_glyph, "VArea", "x y1 y2")
+    segment = partialmethod(_glyph, "Segment", "x0 y0 x1 y1")
+    quad = partialmethod(_glyph, "Quad", "left right top bottom")
+    rect = partialmethod(_glyph, "Rect", "x y width height")
+    hbar = partialmethod(_glyph, "HBar", "y height right left")
 
 
 def grid(rows: Sequence[Sequence[Plot | None]]) -> Sketch:

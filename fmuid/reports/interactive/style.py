@@ -173,6 +173,9 @@ def named(name: str, units: Units | None) -> str:
     return label(name, (units or {}).get(name))
 
 
-def below_each_other(plots: Sequence[Any]) -> Any:
-    """Return figures below each other with one toolbar."""
+def below_each_other(plots: Sequence[Any], *, dense: bool = False) -> Any:
+    """Return figures below each other with one toolbar; ``dense`` ones stand close to each other."""
+    for plot in plots if dense else ():
+        plot.min_border_top = plot.min_border_bottom = 4
+        plot.xaxis.ticker.desired_num_ticks = 8
     return grid([[plot] for plot in plots])
