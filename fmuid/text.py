@@ -82,6 +82,11 @@ def has_unit(unit: str | None) -> bool:
     return unit not in (None, "", "1")
 
 
+def unit_text(unit: str | None) -> str:
+    """Return the unit as it is written in a cell of a table: nothing where there is none."""
+    return unit if unit is not None and has_unit(unit) else ""
+
+
 def label(name: str, unit: str | None) -> str:
     """Return the label of an axis or a column: name and unit."""
     return f"{name} ({unit})" if has_unit(unit) else name

@@ -138,7 +138,7 @@ def apply(
 
 def _show_applied(applied: Sequence[AppliedValue]) -> None:
     from fmuid.reports.console import layout as console
-    from fmuid.text import rounded
+    from fmuid.text import rounded, unit_text
 
     numbers = ("old start", "new start", "std")
     rows = []
@@ -146,10 +146,10 @@ def _show_applied(applied: Sequence[AppliedValue]) -> None:
         old, known = each.old, math.isfinite(each.std)
         new = rounded(each.new, each.std) if isinstance(each.new, float) else str(each.new)
         cells = ["" if old is None else f"{old:.6g}" if isinstance(old, float) else str(old), new]
-        cells += [rounded(each.std, each.std) if known else "", console.unit_text(each.unit)]
+        cells += [rounded(each.std, each.std) if known else "", unit_text(each.unit)]
         rows.append((each.variable, *cells))
-    columns = console.columns_of(("variable", *numbers, "unit"), rows)
-    console.console().print(console.table_of("Start values", columns, right=numbers))
+    heads = ("variable", *numbers, "unit")
+    console.console().print(console.table_of_rows("Start values", heads, rows, right=numbers))
 
 
 def export(

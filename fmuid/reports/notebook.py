@@ -29,7 +29,7 @@ from fmuid.reports.words.describe import describe
 from fmuid.simulation import Fit
 from fmuid.studies import Study
 from fmuid.studies import predicted as predicted
-from fmuid.text import has_unit
+from fmuid.text import unit_text
 
 # Rows of a table; a notebook is no place for ten thousand variables.
 MAX_ROWS = 25
@@ -109,7 +109,7 @@ def _fmu(fmu: FMU) -> str:
         "variable": [each.name for each in shown[:MAX_ROWS]],
         "causality": [str(each.causality) for each in shown[:MAX_ROWS]],
         "start": ["" if each.start is None else str(each.start) for each in shown[:MAX_ROWS]],
-        "unit": [str(each.unit) if has_unit(each.unit) else "" for each in shown[:MAX_ROWS]],
+        "unit": [unit_text(each.unit) for each in shown[:MAX_ROWS]],
     }
     more = f", {len(shown) - MAX_ROWS} more" if len(shown) > MAX_ROWS else ""
     return _heading(fmu.name, f"FMI {fmu.description.fmi_version}{more}") + table(columns, numbers=("start",))
@@ -121,7 +121,7 @@ def _experiment(given: Experiment) -> str:
     columns = {
         "column": list(names),
         "role": ["input"] * len(given.input_names) + ["output"] * len(given.output_names),
-        "unit": [str(unit) if has_unit(unit := given.units.get(name)) else "" for name in names],
+        "unit": [unit_text(given.units.get(name)) for name in names],
     }
     return _heading(given.name, f"{len(times)} samples, {times[0]:g} to {times[-1]:g} s") + table(columns)
 

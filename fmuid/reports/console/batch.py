@@ -10,8 +10,8 @@ import pandas as pd
 from rich.table import Table
 
 from fmuid.reports.batch_words import failure_words, note, summary_words
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows, unit_text
-from fmuid.text import rounded, with_std
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows
+from fmuid.text import rounded, unit_text, with_std
 
 if TYPE_CHECKING:
     from fmuid.batches import Summary

@@ -14,7 +14,6 @@ from fmuid.reports.console.layout import (
     show_sentences,
     table_of,
     table_of_rows,
-    unit_text,
 )
 from fmuid.reports.words.diagnosis import (
     chance,
@@ -26,7 +25,7 @@ from fmuid.reports.words.diagnosis import (
     strain_words,
     verdict,
 )
-from fmuid.text import rounded, with_std
+from fmuid.text import rounded, unit_text, with_std
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Diagnosis, Evidence

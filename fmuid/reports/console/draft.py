@@ -10,10 +10,10 @@ from rich.markup import escape
 from rich.prompt import Prompt
 
 from fmuid.errors import InputError
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows, unit_text
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows
 from fmuid.reports.words.result import dropout_words, time_words
 from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnLink, Draft, Reason, Record, proposal
-from fmuid.text import has_unit
+from fmuid.text import unit_text
 
 REASONS: Mapping[Reason, str] = {
     Reason.GIVEN: "given",
@@ -44,7 +44,7 @@ def heading(record: Record, name: str) -> str:
 
 def link_cells(link: ColumnLink) -> tuple[str, ...]:
     """Return what is said of a variable, under `LINK_HEADS`."""
-    unit = link.unit if link.unit is not None and has_unit(link.unit) else ""
+    unit = unit_text(link.unit)
     if link.column is None or link.reason is None:
         why = f"undecided between {', '.join(link.choices)}" if link.choices else "no such column"
         return link.variable, unit, link.role, "", "", why

@@ -15,10 +15,10 @@ from rich.text import Text
 
 from fmuid.fmi import Description, Variable
 from fmuid.models import Facts, Line, lines
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of, unit_text
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of
 from fmuid.reports.words.models import capability_words, run_words
 from fmuid.studies import skeleton
-from fmuid.text import bounded
+from fmuid.text import bounded, unit_text
 
 if TYPE_CHECKING:
     from fmuid.simulation import Validation

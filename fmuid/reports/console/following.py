@@ -15,9 +15,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fmuid.reports.console.layout import console, show_remarks, unit_text
+from fmuid.reports.console.layout import console, show_remarks
 from fmuid.reports.words.monitoring import alarm_words
-from fmuid.text import with_std
+from fmuid.text import unit_text, with_std
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Monitor

@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fmuid.text import has_unit, label, visible
+from fmuid.text import label, visible
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,11 +58,6 @@ def show_sentences(sentences: Iterable[str], mark: str = "") -> None:
     """Print sentences, one a line, each after a mark."""
     for sentence in sentences:
         console().print(f"{mark}{escape(sentence)}", soft_wrap=True)
-
-
-def unit_text(unit: str | None) -> str:
-    """Return the unit as a cell of a table: nothing where there is none."""
-    return unit if unit is not None and has_unit(unit) else ""
 
 
 def table_of(title: str, columns: Mapping[str, Sequence[str | Text]], right: Sequence[str] = ()) -> Table:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from fmuid.reports.console.layout import console, show_notes, show_sentences, table_of_rows, unit_text
+from fmuid.reports.console.layout import console, show_notes, show_sentences, table_of_rows
 from fmuid.reports.words.prediction import fold_words, prediction_words
 from fmuid.reports.words.result import source_words
-from fmuid.text import with_std
+from fmuid.text import unit_text, with_std
 
 if TYPE_CHECKING:
     from fmuid.reports.predictions import PredictionFindings

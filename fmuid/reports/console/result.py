@@ -24,7 +24,6 @@ from fmuid.reports.console.layout import (
     show_remarks,
     show_sentences,
     table_of,
-    unit_text,
 )
 from fmuid.reports.words.accuracy import passed_words, shift_text
 from fmuid.reports.words.models import run_words, sensitivity_words
@@ -32,7 +31,7 @@ from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
 from fmuid.reports.words.result import capitalised, ending, result_words
 from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
-from fmuid.text import rounded, with_std
+from fmuid.text import rounded, unit_text, with_std
 
 if TYPE_CHECKING:
     from fmuid.assessment import Uncertainty

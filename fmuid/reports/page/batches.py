@@ -17,7 +17,7 @@ from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.result import capitalised
-from fmuid.text import has_unit, rounded
+from fmuid.text import rounded, unit_text
 
 CASES = (
     "Estimates of the cases that converged, with their intervals where there are few; of very many, the fuller a cell, "
@@ -134,7 +134,7 @@ def summary_table(summary: pd.DataFrame) -> str:
         "spread": [_digits(row["spread"], 2) for row in rows],
         "stated std": [_digits(row["stated_std"], 2) for row in rows],
         "spread / stated": [_digits(row["ratio"], 3) for row in rows],
-        "unit": [str(row["unit"]) if has_unit(row["unit"]) else "" for row in rows],
+        "unit": [unit_text(row["unit"]) for row in rows],
     }
     if "truth" in summary:
         columns["truth"] = [_digits(row["truth"], 6) for row in rows]

@@ -19,7 +19,7 @@ from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import identification_words
 from fmuid.reports.words.accuracy import shift_text
-from fmuid.text import has_unit, rounded, with_std
+from fmuid.text import rounded, unit_text, with_std
 
 CAPTIONS = {
     "fit": "Dots were measured, the line is simulated with the estimates, the residual is below. A good residual is "
@@ -101,10 +101,9 @@ def estimates_table(result: Result, units: Units, level: float = CONFIDENCE_LEVE
     rows = zip(result.names, result.values.tolist(), result.std.tolist(), strict=True)
     columns: dict[str, list[str]] = {key: [] for key in ("parameter", "value", "unit", "relative std", "interval")}
     for i, (name, value, std) in enumerate(rows):
-        unit = units.get(name)
         columns["parameter"].append(name)
         columns["value"].append("not determined" if math.isinf(std) else with_std(value, std))
-        columns["unit"].append(str(unit) if has_unit(unit) else "")
+        columns["unit"].append(unit_text(units.get(name)))
         columns["relative std"].append(f"{100 * std / abs(value):.2g} %" if value and math.isfinite(std) else "")
         low, high = (rounded(float(end), std) for end in ends.iloc[i])
         columns["interval"].append(f"{low} to {high}" if math.isfinite(std) else "")
