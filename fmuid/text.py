@@ -44,13 +44,13 @@ def bounded(text: str, length: int) -> str:
     return line if len(line) <= length and len(text) <= 2 * length else line[: length - 1] + "…"
 
 
-def nearest(name: str, known: Iterable[str], count: int = 3) -> str:
+def nearest(name: str, known: Iterable[str]) -> str:
     """Return `` (did you mean 'a' or 'b'?)``, or an empty text where no known name is similar."""
     names = list(known)
-    found = difflib.get_close_matches(name, names, n=count, cutoff=0.5)
+    found = difflib.get_close_matches(name, names, cutoff=0.5)
     if not found:
         folded = {known_name.lower(): known_name for known_name in names}
-        found = [folded[f] for f in difflib.get_close_matches(name.lower(), folded, n=count, cutoff=0.5)]
+        found = [folded[f] for f in difflib.get_close_matches(name.lower(), folded, cutoff=0.5)]
     return f" (did you mean {' or '.join(repr(f) for f in found)}?)" if found else ""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -72,10 +72,13 @@ def predict(
         from fmuid.reports import run_prediction, show_results
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.prediction import show_predictions
+        from fmuid.reports.console.progress import Display
 
         records = tables or []
         read = _study(path, study, set_, records, isolated=isolated)
-        found = run_prediction(path, records, study=read, free=free or (), like=like, folds=folds, level=level)
+        with Display() as display:
+            how: dict[str, Any] = {"like": like, "folds": folds, "level": level, "progress": display}
+            found = run_prediction(path, records, study=read, free=free or (), **how)
         show_predictions(found)
         files.make_folder(folder)
         console.show_files([*found.write(folder), *show_results(folder, report=not no_report, figures=figures)])

@@ -16,7 +16,6 @@ from subprocess import run as run_program
 from fmuid import files
 from fmuid.diagnosis import STATE_FILE, Monitor
 from fmuid.errors import InputError, SimulationError
-from fmuid.progress import Progress
 from fmuid.reports.alarm_lines import AlarmLines
 from fmuid.reports.fault_runs import MonitoringFindings
 from fmuid.reports.origin import made_from, made_now
@@ -64,7 +63,6 @@ def run_following(
     *,
     report: bool = False,
     show: Callable[[Watching], None] | None = None,
-    progress: Progress | None = None,
     until: Callable[[Watching], bool] | None = None,
 ) -> MonitoringFindings:
     """Monitor the records of a folder, or of a file that grows, as they come in, until Ctrl-C.
@@ -82,8 +80,6 @@ def run_following(
         Whether to write ``report.html`` at the end.
     show : callable, optional
         Called with a `Watching` after each look.
-    progress : callable, optional
-        Called before windows are examined.
     until : callable, optional
         Whether to end, asked after each look.
 
@@ -96,7 +92,7 @@ def run_following(
     with files.locked(target, "monitoring"):
         running = _Running(study, Path(place), target)
         with contextlib.suppress(KeyboardInterrupt):
-            running.run(show, progress, until)
+            running.run(show, until)
         running.write()  # unless the break was in the midst of something: that is done again then
         written = [target / name for name in running.written]
         shown = show_results(target, report=report) if written else []
@@ -127,17 +123,12 @@ class _Running:
         self.sound, self.changed = True, False
         self._next = 0.0
 
-    def run(
-        self,
-        show: Callable[[Watching], None] | None,
-        progress: Progress | None,
-        until: Callable[[Watching], bool] | None,
-    ) -> None:
+    def run(self, show: Callable[[Watching], None] | None, until: Callable[[Watching], bool] | None) -> None:
         self.tell()
         while True:
             for found in self.follower.look():
                 if isinstance(found, Piece):
-                    self.examine(found, progress)
+                    self.examine(found)
                 else:
                     self.remarks.append(found.text)
                 if self.lines or time.monotonic() >= self._next:
@@ -157,7 +148,7 @@ class _Running:
             show(watching)
         return watching
 
-    def examine(self, piece: Piece, progress: Progress | None) -> None:
+    def examine(self, piece: Piece) -> None:
         """Examine a piece; what is wrong with it is said, and what follows goes on."""
         self.sound = False  # until both know of it
         name, told = piece.record.name, len(self.monitor.gaps)
@@ -165,7 +156,7 @@ class _Running:
             self.follower.refused(piece)  # of an earlier run without --follow
         else:
             try:
-                self.monitor.add(piece.record, progress, grows=piece.grows)
+                self.monitor.add(piece.record, grows=piece.grows)
                 self.follower.taken(piece, self.monitor.needed)
             except (InputError, SimulationError) as error:
                 self.follower.refused(piece)

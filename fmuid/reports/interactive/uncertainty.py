@@ -10,6 +10,7 @@ import numpy as np
 from contourpy import LineType, contour_generator
 
 from fmuid.arrays import Floats
+from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.reports.interactive.estimates import ellipse
 from fmuid.reports.interactive.sketch import (
     ColorBar,
@@ -259,9 +260,7 @@ def walkers(paths: pd.DataFrame, units: Units | None = None) -> list[Any]:
 # --- maps of the criterion
 
 
-def criterion_map(
-    chart: CriterionMap, units: Units | None = None, optima: pd.DataFrame | None = None, *, degree: float = 0.95
-) -> Any:
+def criterion_map(chart: CriterionMap, units: Units | None = None, optima: pd.DataFrame | None = None) -> Any:
     """Draw by how much the criterion exceeds its minimum over two parameters, the estimate and its ellipse.
 
     The dashed line is where the section itself has risen by as much as the border of the confidence region allows:
@@ -276,12 +275,10 @@ def criterion_map(
     optima : DataFrame, optional
         As in ``optima.csv``: those on the map are drawn; the other parameters have their own values there, so that the
         colours around them need not show a minimum.
-    degree : float
-        The level of the ellipse.
     """
     first, second, values = chart.grid
     excess = values - np.nanmin(values, initial=chart.criterion)
-    rise = chart.rise(degree)
+    rise = chart.rise(CONFIDENCE_LEVEL)
     kinds: list[Any] = ["log" if each else "linear" for each in chart.logarithmic]
     plot = Panel(
         x=named(chart.names[0], units),
@@ -302,13 +299,18 @@ def criterion_map(
     if np.nanmin(excess, initial=rise) < rise < np.nanmax(excess, initial=0.0):
         look: dict[str, Any] = {"line_color": RED, "line_dash": "dashed", "line_width": 1.6}
         section += _contours(plot, (first, second), excess.T, [rise], **look)
-    border = chart.ellipse(degree)
+    border = chart.ellipse(CONFIDENCE_LEVEL)
     line = [plot.line(border[:, 0], border[:, 1], line_color=RED, line_width=1.8)] if len(border) else []
     dot = plot.scatter(*([each] for each in chart.estimate), size=9, fill_color=AMBER, line_color=INK)
     places = _others(chart, optima)
     more = [plot.scatter(*places.T, size=9, fill_color=WHITE, line_color=INK)] if len(places) else []
     held = "".join(f", {name} = {value:.4g}" for name, value in list(chart.held.items())[:MAX_HELD])
-    texts = (f"{100 * degree:g} % ellipse", f"criterion raised by {rise:.3g}{held}", "estimate", "other optima found")
+    texts = (
+        f"{100 * CONFIDENCE_LEVEL:g} % ellipse",
+        f"criterion raised by {rise:.3g}{held}",
+        "estimate",
+        "other optima found",
+    )
     plot.legend(list(zip(texts, (line, section, [dot], more), strict=True)))
     bar = ColorBar(
         color_mapper=colors, ticker=LogTicker(desired_num_ticks=6), width=12, title="criterion above its minimum"
