@@ -29,7 +29,7 @@ from fmuid.reports.words.accuracy import passed_words, shift_text
 from fmuid.reports.words.models import run_words, sensitivity_words
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
-from fmuid.reports.words.result import capitalised, ending, result_words
+from fmuid.reports.words.result import capitalised, effort_words, ending, result_words
 from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
 from fmuid.text import rounded, unit_text, with_std
 
@@ -71,11 +71,7 @@ def show_result(found: Findings) -> None:
         out.print(f"[dim]{escape(passed)}[/]", soft_wrap=True)
     if result.sensitivity is not None:
         out.print(f"[dim]sensitivities by {escape(sensitivity_words(result.sensitivity))}[/]", soft_wrap=True)
-    likelihood = f", log-likelihood {result.log_likelihood:.7g}" if math.isfinite(result.log_likelihood) else ""
-    out.print(
-        f"[dim]{result.iterations} iterations, {result.simulations} simulations, {result.elapsed_s:.2f} s; "
-        f"criterion {result.criterion:.6g}{likelihood}[/]"
-    )
+    out.print(f"[dim]{effort_words(result)}[/]")
 
 
 def _optima(out: Console, result: Result) -> Table:
@@ -193,7 +189,7 @@ def _columns(result: Result, level: float) -> dict[str, list[str]]:
     if result.outcome is not Outcome.STALLED:  # which has no intervals
         shares = [f"{100 * std / abs(value):.2g} %" if value and std < math.inf else "" for value, std in rows]
         cells["rel. std"] = shares
-        cells[_interval_head(level)] = [
+        cells[f"{100 * level:.4g} % interval"] = [
             f"{rounded(lower, std)} to {rounded(upper, std)}" if sure else "not determined"
             for (lower, upper), (_, std), sure in zip(limits, rows, known, strict=True)
         ]
@@ -203,10 +199,6 @@ def _columns(result: Result, level: float) -> dict[str, list[str]]:
     cells["start"] = [f"{start:.6g}" for start in result.start]
     notes = [_note(result, name, factor) for name, factor in zip(result.names, result.widening, strict=True)]
     return cells | ({"note": notes} if any(notes) else {})
-
-
-def _interval_head(level: float) -> str:
-    return f"{100 * level:.4g} % interval"
 
 
 def _note(result: Result, name: str, factor: float) -> str:

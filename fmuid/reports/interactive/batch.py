@@ -27,6 +27,7 @@ from fmuid.reports.interactive.style import (
     Panel,
     Units,
     named,
+    normal,
 )
 from fmuid.reports.thinning import evenly
 
@@ -200,7 +201,7 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
         if repeated and stated > 0:
             centre = float(truth.get(name, float(np.nanmean(value))))
             grid = np.linspace(low, high, 161)
-            curve = np.exp(-0.5 * ((grid - centre) / stated) ** 2) / (stated * math.sqrt(2.0 * math.pi))
+            curve = normal(grid, centre, stated)
             entries.append(("as the stated std says", [plot.line(grid, curve, line_color=INK, line_width=1.4)]))
         _truth(plot, name, truth, vertical=True)
         plot.bare()

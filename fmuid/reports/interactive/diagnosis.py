@@ -183,22 +183,14 @@ def residuals(table: pd.DataFrame, fault: str, units: Units | None = None) -> An
         without = plot.line("t", f"c{2 * k}", source=source, line_color=GREY, line_width=1)
         with_ = plot.line("t", f"c{2 * k + 1}", source=source, line_color=RED, line_width=1)
         plot.level(0.0)
-        stds = _stds(columns[:, 2 * k : 2 * k + 2])
+        stds = np.sqrt(np.nanmean(columns[:, 2 * k : 2 * k + 2] ** 2, axis=0))
         unit = (units or {}).get(name) or ""
-        plot.legend(
-            [
-                (f"healthy model, std {stds[0]:.3g} {unit}", [without]),
-                (f"with {fault}, std {stds[1]:.3g} {unit}", [with_]),
-            ],
-        )
+        texts = (f"healthy model, std {stds[0]:.3g} {unit}", f"with {fault}, std {stds[1]:.3g} {unit}")
+        plot.legend(list(zip(texts, ([without], [with_]), strict=True)))
         if plots:
             plot.x_range = plots[0].x_range
         plots.append(plot)
     return below_each_other(plots)
-
-
-def _stds(columns: Floats) -> list[float]:
-    return [float(each) for each in np.sqrt(np.nanmean(columns**2, axis=0))]
 
 
 # --- monitoring

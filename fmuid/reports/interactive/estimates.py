@@ -20,7 +20,19 @@ from fmuid.reports.interactive.sketch import (
     HoverTool,
     LinearColorMapper,
 )
-from fmuid.reports.interactive.style import AMBER, BLUE, FONT, GREY, INK, MAX_PARAMETERS, RED, Panel, Units, named
+from fmuid.reports.interactive.style import (
+    AMBER,
+    BLUE,
+    FONT,
+    GREY,
+    INK,
+    MAX_PARAMETERS,
+    RED,
+    Panel,
+    Units,
+    named,
+    normal,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,7 +75,11 @@ def belief(reading: pd.DataFrame, units: Units | None = None) -> list[Any]:
             "data alone": (GREY, row["data"], row["data_std"]),
             "both": (BLUE, row["combined"], row["combined_std"]),
         }
-        known = {text: each for text, each in pairs.items() if _proper(each[1], each[2])}
+        known = {
+            text: each
+            for text, each in pairs.items()
+            if math.isfinite(each[1]) and math.isfinite(each[2]) and each[2] > 0
+        }
         if not known:
             continue
         narrowest = min(std for _, _, std in known.values())
@@ -71,7 +87,7 @@ def belief(reading: pd.DataFrame, units: Units | None = None) -> list[Any]:
         for text, (color, mean, std) in known.items():
             width = min(DENSITY_STDS * std, WIDEST * narrowest)
             grid = np.linspace(mean - width, mean + width, 161)
-            density = np.exp(-0.5 * ((grid - mean) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
+            density = normal(grid, mean, std)
             area = plot.varea(grid, np.zeros(grid.size), density, fill_color=color, fill_alpha=0.14)
             line = plot.line(grid, density, line_color=color, line_width=2.0 if text == "both" else 1.4)
             entries.append((text, [area, line]))
@@ -106,21 +122,13 @@ def parabolas(reading: pd.DataFrame, names: Sequence[str] = (), units: Units | N
         entries = []
         for part, text, color in (("prior", "prior", AMBER), ("data", "data alone", GREY), ("both", "both", BLUE)):
             if curves[part].notna().all():
-                line = plot.line(
-                    curves["value"].to_numpy(),
-                    curves[part].to_numpy(),
-                    line_color=color,
-                    line_width=2.0 if part == "both" else 1.4,
-                )
+                width = 2.0 if part == "both" else 1.4
+                line = plot.line(curves["value"], curves[part], line_color=color, line_width=width)
                 entries.append((text, [line]))
         plot.reach(y=(0.0, HEIGHT * float(curves["both"].max())))
         plot.legend(entries)
         plots.append(plot)
     return plots
-
-
-def _proper(mean: float, std: float) -> bool:
-    return math.isfinite(mean) and math.isfinite(std) and std > 0
 
 
 def correlation(matrix: pd.DataFrame) -> Any:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.reports.interactive.sketch import ColumnDataSource
-from fmuid.reports.interactive.style import AMBER, BLUE, GREY, INK, RED, WHITE, Panel
+from fmuid.reports.interactive.style import AMBER, BLUE, GREY, INK, RED, WHITE, Panel, normal
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +39,7 @@ def histogram(residual: Floats, output: str) -> Any:
     source = ColumnDataSource({"left": edges[:-1], "right": edges[1:], "top": density})
     bars = plot.quad("left", "right", "top", 0, source=source, fill_color=RED, fill_alpha=0.45, line_color=WHITE)
     fine = np.linspace(-SHOWN_STDS, SHOWN_STDS, 121)
-    line = plot.line(fine, np.exp(-(fine**2) / 2) / math.sqrt(2 * math.pi), line_color=INK, line_width=1.4)
+    line = plot.line(fine, normal(fine, 0.0, 1.0), line_color=INK, line_width=1.4)
     plot.bare()
     plot.legend([("residual", [bars]), ("normal", [line])])
     return plot

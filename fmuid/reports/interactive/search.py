@@ -39,9 +39,9 @@ def parameters(trace: pd.DataFrame, estimates: pd.DataFrame) -> list[Any]:
         plot = Panel(x="iteration", y=label(str(row["parameter"]), row["unit"]), height=220, x_range=shared)
         half = 2.0 * float(row["prior_std"])
         if math.isfinite(half):
-            _band(plot, row["prior_mean"] - half, row["prior_mean"] + half, AMBER)
+            plot.shade(AMBER, bottom=row["prior_mean"] - half, top=row["prior_mean"] + half)
         if math.isfinite(row["lower"]) and math.isfinite(row["upper"]):
-            _band(plot, row["lower"], row["upper"], BLUE)
+            plot.shade(BLUE, bottom=row["lower"], top=row["upper"])
         plot.level(float(row["value"]), color=BLUE, dash="dashed")
         source = ColumnDataSource({"k": iterations, "v": values, "c": accepted["criterion"]})
         plot.line("k", "v", source=source, line_color=BLUE, line_width=1.8)
@@ -52,10 +52,6 @@ def parameters(trace: pd.DataFrame, estimates: pd.DataFrame) -> list[Any]:
         plot.whole()
         plots.append(plot)
     return plots
-
-
-def _band(plot: Any, bottom: float, top: float, color: str) -> None:
-    plot.shade(color, bottom=bottom, top=top)
 
 
 def _iterations(trace: pd.DataFrame) -> Sketch:

@@ -7,10 +7,14 @@ a column's name or of HTML.
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from fmuid.arrays import Floats
 from fmuid.reports.interactive.sketch import (
     BasicTicker,
     BoxAnnotation,
@@ -166,6 +170,11 @@ def plain(text: str) -> str | Sketch:
 def wrapped(text: str) -> str:
     """Return a text in lines that a telephone has room for."""
     return "\n".join(textwrap.wrap(text, LONGEST_LINE))
+
+
+def normal(places: Floats, mean: float, std: float) -> Floats:
+    """Return the density of a normal distribution."""
+    return np.asarray(np.exp(-0.5 * ((places - mean) / std) ** 2) / (std * math.sqrt(2.0 * math.pi)))
 
 
 def named(name: str, units: Units | None) -> str:

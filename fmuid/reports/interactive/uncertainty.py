@@ -34,6 +34,7 @@ from fmuid.reports.interactive.style import (
     Panel,
     Units,
     named,
+    normal,
 )
 from fmuid.reports.thinning import evenly
 
@@ -192,8 +193,7 @@ def _single(plot: Any, samples: Floats, result: Result | None, name: str, across
         mean, std = result[name], float(result.std[result.names.index(name)])
         if math.isfinite(std) and std > 0:
             grid = np.linspace(edges[0], edges[-1], 121)
-            density = np.exp(-0.5 * ((grid - mean) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
-            plot.line(grid, density, line_color=RED, line_width=1.3)
+            plot.line(grid, normal(grid, mean, std), line_color=RED, line_width=1.3)
     plot.bare()
 
 

@@ -60,7 +60,9 @@ class Identification:
         path = folder / "result.json"
         result = Result.from_json(path)
         content = read_json(path)
-        tables = {file.stem: read_table(file) for file in sorted(folder.glob("*.csv")) if _is_mine(file.stem)}
+        tables = {
+            file.stem: read_table(file) for file in sorted(folder.glob("*.csv")) if file.stem.split("-")[0] in _MINE
+        }
         try:
             fits = _fits(content, tables)
             maps = _maps([table for name, table in tables.items() if name.startswith("map-")], result)
@@ -96,12 +98,8 @@ class Identification:
 
 _MINE = (
     *("estimates", "trace", "rounds", "fit", "correlations", "reading", "optima", "profiles", "posterior"),
-    *("preparation", "walkers"),
+    *("preparation", "walkers", "map"),
 )
-
-
-def _is_mine(name: str) -> bool:
-    return name in _MINE or name.startswith("map-")
 
 
 def read_json(path: Path) -> dict[str, Any]:

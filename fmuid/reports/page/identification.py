@@ -19,6 +19,7 @@ from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import identification_words
 from fmuid.reports.words.accuracy import shift_text
+from fmuid.reports.words.result import effort_words
 from fmuid.text import rounded, unit_text, with_std
 
 CAPTIONS = {
@@ -64,7 +65,7 @@ def part(folder: Path) -> Part:
     state = "converged" if result.converged else result.outcome.value.replace("_", " ")
     more = found.content.get("uncertainty") or {}
     good = result.converged and bool(more.get("succeeded", True))
-    end = origin(found.content, {"search": _search_words(result)})
+    end = origin(found.content, {"search": effort_words(result)})
     head = estimates_table(result, found.units, found.level)
     return Part("Identification", state, good, said, head, sections_of(found), end)
 
@@ -190,11 +191,3 @@ def _profiles(found: Identification) -> list[object]:
 
 def _end(value: float | None, open_: float) -> float:
     return open_ if value is None else float(value)
-
-
-def _search_words(result: Result) -> str:
-    likelihood = f", log-likelihood {result.log_likelihood:.7g}" if math.isfinite(result.log_likelihood) else ""
-    return (
-        f"{result.iterations} iterations, {result.simulations} simulations, {result.elapsed_s:.2f} s; criterion "
-        f"{result.criterion:.6g}{likelihood}"
-    )

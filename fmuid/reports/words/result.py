@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from fmuid.estimation import Determined, Outcome
@@ -118,6 +119,15 @@ def dependence_words(result: Result) -> tuple[str, ...]:
     ]
     prior = [f"without the prior, {direction_words(each)}" for each in result.prior_determined]
     return *pairs, *map(direction_words, result.weak), *prior
+
+
+def effort_words(result: Result) -> str:
+    """Return what the search took, and the criterion that it ended at."""
+    likelihood = f", log-likelihood {result.log_likelihood:.7g}" if math.isfinite(result.log_likelihood) else ""
+    return (
+        f"{result.iterations} iterations, {result.simulations} simulations, {result.elapsed_s:.2f} s; criterion "
+        f"{result.criterion:.6g}{likelihood}"
+    )
 
 
 def capitalised(words: str) -> str:
