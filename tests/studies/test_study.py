@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import pytest
+
+import fmuid
 from fmuid.assessment.sampling.posterior import Sampling
 from fmuid.assessment.uncertainty import UncertaintySettings
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
+from fmuid.errors import InputError
 from fmuid.estimation import GlobalSearch
 from fmuid.estimation.method import Marquardt, Method
 from fmuid.models.component import Numerics
@@ -137,3 +141,17 @@ def test_forward_sensitivities_of_a_study(folder: Path) -> None:
         study = Study.read(write(folder, text.replace('sensitivity = "finite-difference"', f'sensitivity = "{word}"')))
         assert study.sensitivity == word
         assert study.model.numerics.interface == "model-exchange"
+
+
+def test_uncertainty_of_a_result(tmp_path: Path) -> None:
+    """A coil is nearly linear in R: the profile ends where the local interval does; another study refuses it."""
+    coil = fmuid.datasets.coil()
+    asked = coil.study | {"uncertainty": {"profile": ["R"]}}
+    study = Study.of(asked, tmp_path / "coil.toml")
+    result = study.identify()
+    (profile,) = study.uncertainty(result).profiles
+    local = result.intervals(0.95).loc["R"].to_numpy(float)
+    assert [profile.lower, profile.upper] == pytest.approx(local, abs=0.005 * (local[1] - local[0]))
+    other = Study.of(asked | {"parameters": {"R": {"start": 3.0}}}, tmp_path / "other.toml")
+    with pytest.raises(InputError, match="its parameters are R, L, and the problem's are R"):
+        other.uncertainty(result)
