@@ -16,8 +16,12 @@ from experiments import calls, pages
 from experiments.coil import calls as coil
 from experiments.coil import onsets, squared, study
 from experiments.machine_faults import calls as machine
+from experiments.machine_faults import detectable
 from experiments.machine_faults.machine import TURNS
 from fmuid.diagnosis import Evidence
+from fmuid.diagnosis.evidence.causes import Cause
+from fmuid.diagnosis.evidence.detection import fit
+from fmuid.diagnosis.evidence.information import News
 
 
 def test_a_record_of_the_campaign_is_as_by_itself(tmp_path: Path) -> None:
@@ -95,6 +99,22 @@ def test_pages_show_the_counts(module: ModuleType) -> None:
 def test_the_page_shows_the_onsets() -> None:
     page = (onsets.HERE / "README.md").read_text(encoding="utf-8")
     assert pages.insert(page, {"onsets": onsets.table(pd.read_csv(onsets.FILE))}) == page
+
+
+@pytest.mark.slow
+def test_the_page_shows_how_few_turns_are_called() -> None:
+    page = (detectable.HERE / "README.md").read_text(encoding="utf-8")
+    assert pages.insert(page, {"detectable": detectable.table()}) == page
+
+
+def test_one_test_of_some_sizes_that_are_not_negative() -> None:
+    """Beside the fit of causes with signs, which goes another way."""
+    random = np.random.default_rng(3)
+    factor = random.standard_normal((3, 3))
+    information, scores = factor @ factor.T, random.standard_normal((50, 3))
+    signed = [Cause(name, (i,), 1.0, 1) for i, name in enumerate("abc")]
+    alone = [fit(News(information, score), signed).statistic for score in scores]
+    assert detectable.fallen(scores, information) == pytest.approx(np.array(alone))
 
 
 @pytest.mark.slow

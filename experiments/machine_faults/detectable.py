@@ -1,0 +1,104 @@
+"""The smallest short circuit that is called: one test of all phases, and causes each by itself beside a healthy record.
+
+    python -m experiments.machine_faults.detectable
+
+Run from the project's folder; it rewrites the table "detectable" in README.md. In the linearised model, over a record
+in phases as calls.py has them: what the information of a record and of the healthy one allows, without simulated noise.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import brentq
+
+from experiments import pages
+from experiments.machine_faults import calls, models
+from experiments.machine_faults.machine import TURNS
+from fmuid.arrays import Floats
+from fmuid.diagnosis.coordinates import CauseKind
+from fmuid.diagnosis.decision import Reference, orthant_weights
+from fmuid.diagnosis.evidence.causes import Cause
+from fmuid.diagnosis.evidence.detection import Chance, detectable
+from fmuid.diagnosis.evidence.information import Information, Known, News
+
+HERE = Path(__file__).parent
+LEVEL, MISS = 0.01, 0.1
+LENGTHS = (math.inf, 100.0, 10.0, 3.0, 1.0)  # of the healthy record, in lengths of the new one
+DRAWS, SEED = 20_000, 1
+
+
+def fallen(scores: Floats, information: Floats) -> Floats:
+    """Return by how much sizes that are not negative lower the criterion, for each score (draws, k)."""
+    best = np.zeros(len(scores))
+    for count in range(1, len(information) + 1):
+        for kept in map(list, combinations(range(len(information)), count)):
+            mine = scores[:, kept]
+            sizes = mine @ np.linalg.inv(information[np.ix_(kept, kept)])
+            best = np.maximum(best, np.where(np.all(sizes >= 0, axis=1), np.sum(sizes * mine, axis=1), 0.0))
+    return best
+
+
+def together(news: News, columns: list[int], level: float) -> float:
+    """Return the size of the first of some coordinates, none negative, that one test of all calls in 90 %."""
+    information, _ = news.part(columns)
+    threshold = Reference(0, orthant_weights(np.asarray(np.linalg.inv(information), dtype=np.float64))).threshold(level)
+    noise = np.random.default_rng(SEED).standard_normal((DRAWS, len(columns))) @ np.linalg.cholesky(information).T
+
+    def missed(size: float) -> float:
+        return float(np.mean(fallen(noise + size * information[0], information) < threshold)) - MISS
+
+    std = information[0, 0] ** -0.5
+    return float(brentq(missed, std, 9.0 * std, xtol=1e-3 * std))
+
+
+def table() -> str:
+    """Return the page's table."""
+    setting = calls.setting()
+    coordinates = setting.coordinates
+    _, columns = setting.machine("white noise", True).linearise(coordinates.healthy)
+    white = columns.reshape(-1, columns.shape[-1]) / calls.STD
+    zero = np.zeros(white.shape[1])
+    said = Information(white.T @ white, zero)
+    own = coordinates.of(CauseKind.PARAMETER)
+    spread = np.zeros(len(zero))
+    spread[own] = np.sqrt(np.diag(np.linalg.inv(said.matrix[np.ix_(own, own)]))) * list(models.INFLATION.values())
+    each = {cause.name: cause for cause in coordinates.causes}
+    ratios = [each[f"stator.{name}"] for name in models.RATIOS]
+    earlier = News.of(said, Known(zero, np.diag(spread**2)))
+    base = together(earlier, [cause.columns[0] for cause in ratios], LEVEL / 2)
+    lines = ["| causes | healthy record | std of one phase, turns | p of one cause | called in 90 %, turns | times |",
+             "|---|---|---|---|---|---|"]  # fmt: skip
+
+    def add(name: str, length: str, news: News, limit: float, size: float) -> None:
+        std = TURNS * news.part(ratios[0].columns)[0][0, 0] ** -0.5
+        lines.append(f"| {name} | {length} | {std:.3f} | {limit:.1e} | {TURNS * size:.2f} | {size / base:.2f} |")
+
+    add("three ratios in one test, bars in another", "its result, inflated", earlier, LEVEL / 2, base)
+    named: dict[str, list[Cause]] = {
+        "one phase and nothing else": ratios[:1],
+        "phases and bars": [*ratios, each["rotor.eta0"]],
+        f"all {len(each)}": list(coordinates.causes),
+    }
+    for name, causes in named.items():
+        for length in LENGTHS if len(causes) == len(each) else LENGTHS[:1]:
+            sure = np.zeros_like(said.matrix)
+            longer = Information(length * said.matrix, zero) if math.isfinite(length) else None
+            known = Known(zero, sure) if longer is None else Known.after(longer, coordinates.normal)
+            news = News.of(said, known.drifting(setting.drift))
+            limit = LEVEL if len(causes) == 1 else Chance.of(news, causes).limit(LEVEL)
+            size = detectable(news, ratios[0], limit, MISS)
+            add(name, "endless" if longer is None else f"{length:.0f} times", news, limit, size)
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Rewrite the page's table."""
+    pages.rewrite(HERE, {"detectable": table()})
+
+
+if __name__ == "__main__":
+    main()
