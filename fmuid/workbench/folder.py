@@ -13,6 +13,7 @@ from typing import Any
 
 from fmuid.errors import InputError
 from fmuid.files import full, is_file, is_folder
+from fmuid.studies import read_toml
 
 RESULTS = {
     "result.json": "identification",
@@ -55,6 +56,12 @@ class FoundStudy:
         """The folder that its command writes into."""
         return self.path.parent / "results"
 
+    def has_run(self, result: FoundResult) -> bool:
+        """Whether a result is of this study; that of a batch has the study itself, by which it is known."""
+        if result.kind != "batch":
+            return result.study == self.path.resolve()
+        return "batch" in self.asks and result.content.get("study") == read_toml(self.path)
+
 
 @dataclass(frozen=True)
 class FoundResult:
@@ -79,8 +86,9 @@ class FoundResult:
         """Return what a file of `RESULTS` is."""
         given = _content(path).get("study")
         file = given.get("file") if isinstance(given, dict) else given
-        study = (path.parent / file).resolve() if isinstance(file, str) and file else None
-        return cls(path, RESULTS[path.name], study if study is not None and is_file(study) else None)
+        # a search for faults says its study's name alone, as its files are to be passed on
+        near = [path.parent / file, path.parent.parent / file] if isinstance(file, str) and file else []
+        return cls(path, RESULTS[path.name], next((each.resolve() for each in near if is_file(each)), None))
 
     @property
     def folder(self) -> Path:
@@ -185,8 +193,6 @@ _NOT_OURS = ("cases", "logs", "figures", "node_modules", "__pycache__")
 
 def read_study(path: Path) -> FoundStudy | None:
     """Return what a TOML file says if it is a study; what is wrong with it is found when it is opened."""
-    from fmuid.studies import read_toml
-
     try:
         if path.stat().st_size > LARGEST_STUDY:
             return None

@@ -22,6 +22,10 @@ from fmuid.workbench.shell import own_file, style, template, variables
 _SERVED = {".html", ".csv", ".json", ".toml", ".txt", ".log", ".ssv", ".png", ".svg", ".pdf"}
 
 
+DONE = {"diagnosis": "diagnosed", "monitoring": "monitored", "batch": "run as a batch"}
+"""What has been done with a study that was not identified, by the kind of result."""
+
+
 class HomeHandler(RequestHandler):
     """The page of the studies and results in the folder."""
 
@@ -78,8 +82,8 @@ def _study(folder: Folder, study: FoundStudy, results: Sequence[FoundResult], *,
     if study.error:
         state = badge("cannot be read", good=False)
         return f"<section><h2>{name} {state}</h2><p class=error>{escaped(study.error)}</p></section>"
-    own = [each for each in results if each.study == study.path.resolve() and each.kind == "identification"]
-    last = max(own, key=lambda each: each.path.stat().st_mtime, default=None)
+    own = sorted(filter(study.has_run, results), key=lambda each: each.path.stat().st_mtime)
+    last = next((each for each in reversed(own) if each.kind == "identification"), own[-1] if own else None)
     state = badge("running") if running else badge("not run yet") if last is None else _state(last, study)
     what = f"{len(study.parameters)} parameters, {len(study.tables)} table{'' if len(study.tables) == 1 else 's'}"
     more = f"; also asks for {listed(study.asks)}" if study.asks else ""
@@ -88,7 +92,7 @@ def _study(folder: Folder, study: FoundStudy, results: Sequence[FoundResult], *,
     if "diagnosis" in study.asks:
         links += f'<a class=go href="{address("faults", folder, study.path)}">Faults</a>'
     if last is not None:
-        links += f'<a class=go href="{address("results", folder, last.folder)}">Last result</a>'
+        links += f'<a class=go href="{address(_page(last), folder, last.folder)}">Last result</a>'
     values = "" if last is None else _values(last.content)
     heading = f"<h2>{escaped(study.title)} {state}</h2><p class=soft>{name}: {what}{more}</p>"
     return f"<section>{heading}{values}{links}</section>"
@@ -97,7 +101,10 @@ def _study(folder: Folder, study: FoundStudy, results: Sequence[FoundResult], *,
 def _state(result: FoundResult, study: FoundStudy) -> str:
     """Return how a result ended, and whether the study is another since."""
     content = result.content
-    told = badge(str(content.get("outcome", "unknown")).replace("_", " "), good=bool(content.get("converged")))
+    if result.kind == "identification":
+        told = badge(str(content.get("outcome", "unknown")).replace("_", " "), good=bool(content.get("converged")))
+    else:
+        told = badge(DONE.get(result.kind, result.kind))
     changed = study.path.stat().st_mtime > result.path.stat().st_mtime
     return told + (" " + badge("study changed since") if changed else "")
 
@@ -127,14 +134,17 @@ def _results(folder: Folder, results: Sequence[FoundResult]) -> str:
     )
 
 
+def _page(result: FoundResult) -> str:
+    return "batch" if result.kind == "batch" else "results"
+
+
 def _row(folder: Folder, result: FoundResult) -> str:
-    page = "batch" if result.kind == "batch" else "results"
     name = escaped(folder.name(result.folder))
     report = result.folder / "report.html"
     link = f'<a href="{file_address(folder, report)}">report</a>' if report.is_file() else ""
     date = datetime.fromtimestamp(result.path.stat().st_mtime).strftime("%Y-%m-%d %H:%M")
     state = str(result.content.get("outcome", "") or "").replace("_", " ")
-    first = f'<a href="{address(page, folder, result.folder)}">{name}</a>'
+    first = f'<a href="{address(_page(result), folder, result.folder)}">{name}</a>'
     box = f'<input type=checkbox name=file value="{name}" aria-label="choose {name}">'
     cells = "".join(f"<td>{each}</td>" for each in (result.kind, escaped(state), date, link))
     return f"<tr><td>{box if result.kind == 'identification' else ''}</td><th scope=row>{first}</th>{cells}</tr>"

@@ -18,8 +18,24 @@
   const item = document.getElementById("item");
   if (item === null || typeof Bokeh === "undefined") return;
   Bokeh.set_log_level("warn");
-  Bokeh.embed.embed_items({}, [JSON.parse(item.textContent)]).then(() => {
-    for (const doc of Bokeh.documents)
-      doc.on_event("connection_lost", () => (document.getElementById("lost").hidden = false));
-  });
+  const lost = document.getElementById("lost");
+  Bokeh.embed.embed_items({}, [JSON.parse(item.textContent)]).then(drawn, () => (lost.hidden = false));
+
+  // What the server follows is there; then come the figures that are as they are, one section after the other.
+  async function drawn() {
+    for (const doc of Bokeh.documents) {
+      doc.on_event("connection_lost", () => (lost.hidden = false));
+      doc.on_event("client_reconnected", () => (lost.hidden = true));
+    }
+    const still = document.getElementById("figures");
+    if (still === null) return;
+    const { colors } = JSON.parse(still.textContent);
+    const twin = (value) => (value?.value in colors ? { ...value, value: colors[value.value] } : colors[value]);
+    const colored = (name, value) => (/color$/.test(name) && twin(value)) || value;
+    for (const [content, places] of JSON.parse(still.textContent, colored).drawings) {
+      await Bokeh.embed.embed_items(content, places);
+      await new Promise((done) => setTimeout(done)); // what the reader does comes first
+    }
+    document.documentElement.dataset.drawn = "all";
+  }
 })();

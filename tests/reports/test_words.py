@@ -18,7 +18,7 @@ from fmuid.models import HowRun
 from fmuid.reports.words.accuracy import passed_words
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.prior_and_data import obstacle_words
-from fmuid.reports.words.result import ENDS, ending, remarks
+from fmuid.reports.words.result import ENDS, capitalised, ending, remarks
 
 TIMES = np.linspace(0.0, 1.0, 60)
 
@@ -108,8 +108,22 @@ def test_why_the_data_alone_are_extrapolated(obstacle: Obstacle, said: str) -> N
 
 
 @pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("id_start and R can hardly be told apart", "id_start and R can hardly be told apart"),
+        ("id_starting from nowhere", "Id_starting from nowhere"),
+        ("id_start[cold] is not determined", "id_start[cold] is not determined"),
+        ("without the prior, id_start is lost", "Without the prior, id_start is lost"),
+    ],
+)
+def test_a_name_at_the_beginning_of_a_sentence_is_kept_as_it_is(words: str, said: str) -> None:
+    assert capitalised(words, ("R", "id_start")) == said
+
+
+@pytest.mark.parametrize(
     ("shift", "said"),
     [
+        ([7e-8, 0.0], "it moves the estimates by 0.005 std at most"),
         ([0.01, math.nan], "it moves the estimates by 0.01 std at most"),
         ([math.nan, math.nan], "it changes the outputs by 0.02 standard deviations in all"),
     ],

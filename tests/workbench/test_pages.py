@@ -29,6 +29,7 @@ from fmuid.reports.console.progress import Display
 from fmuid.reports.page.write import contents
 from fmuid.studies import Study, read_toml
 from fmuid.workbench import Folder
+from fmuid.workbench.folder import FoundResult, FoundStudy
 from fmuid.workbench.home import _results, _studies
 from fmuid.workbench.jobs import Jobs
 from fmuid.workbench.pages.batch import BatchPage
@@ -81,6 +82,14 @@ def test_the_first_page_says_what_there_is(tmp_path: Path) -> None:
     assert "/study?file=a/study.toml" in page
     assert "/results?file=a/results" in page
     assert "2 parameters, 1 table" in page
+    bare = FoundStudy(tmp_path / "a/broken.toml", "faults")
+    for folder_name, kind, word in (("b", "monitoring", "monitored"), ("", "diagnosis", "diagnosed")):
+        (tmp_path / "a" / folder_name).mkdir(exist_ok=True)
+        told = tmp_path / "a" / folder_name / f"{kind}.json"
+        told.write_text(json.dumps({"study": {"file": "broken.toml", "digest": "0"}}))
+        page = _studies(folder, [bare], [FoundResult.of(told)], set())
+        assert f">{word}<" in page
+        assert "Last result" in page
     running = _studies(folder, studies, results, {(tmp_path / "a/study.toml").resolve()})
     assert ">running<" in running
 
@@ -99,7 +108,7 @@ def test_results_stand_side_by_side(tmp_path: Path) -> None:
     np.testing.assert_allclose(drawn.data["upper"] - drawn.data["value"], 0.196, rtol=1e-3)
 
 
-def test_figures_of_results_are_roots_of_their_page(tmp_path: Path) -> None:
+def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
     names = ("first", "second")
     for name in names:
         (tmp_path / name).mkdir()
@@ -109,9 +118,13 @@ def test_figures_of_results_are_roots_of_their_page(tmp_path: Path) -> None:
         request = SimpleNamespace(arguments={"file": [name.encode() for name in asked]})
         doc._session_context = lambda request=request: SimpleNamespace(request=request)
         build(doc, SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()))
-        named = [root.name for root in doc.roots]
-        assert [root for _, root in doc.template_variables["pieces"] if root] == named
-        assert any(name.startswith("figure") for name in named)
+        told = doc.template_variables
+        assert [root for _, root in told["pieces"] if root] == [root.name for root in doc.roots]
+        drawings = json.loads(told["figures"])["drawings"]
+        places = [place for _, (where,) in drawings for place in where["roots"].values()]
+        assert places
+        body = "".join(text for text, _ in told["pieces"])
+        assert all(f'id="{place}"' in body for place in places)
 
 
 def batch(folder: Path, done: int) -> None:

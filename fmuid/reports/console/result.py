@@ -108,7 +108,7 @@ def summary(result: Result) -> str:
     """Return the table of estimates, of many the first ones, and the sentences on them, in `SUMMARY_LINES` at most."""
     out = Console(file=io.StringIO(), width=PLAIN_WIDTH, highlight=False)
     columns = _estimates(out, result, CONFIDENCE_LEVEL)
-    said = [line for words in result_words(result) for line in wrap(capitalised(words), PLAIN_WIDTH)]
+    said = [line for words in result_words(result) for line in wrap(capitalised(words, result.names), PLAIN_WIDTH)]
     room = SUMMARY_LINES - HEAD_LINES
     rows, hidden = len(result.names), 0
     if rows + 1 + len(said) > room:

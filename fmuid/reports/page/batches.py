@@ -51,7 +51,7 @@ def part(folder: Path) -> Part:
     tables = {name: read_table(folder / f"{name}.csv") for name in _TABLES if is_file(folder / f"{name}.csv")}
     try:
         frame = pd.read_parquet(folder / "cases", columns=_wanted(folder)).sort_values("case", ignore_index=True)
-        said = [Said(capitalised(str(text)), "distributions") for text in content["words"]]
+        said = [Said(capitalised(str(text), content["units"]), "distributions") for text in content["words"]]
         counts = {str(name): int(count) for name, count in content["statuses"].items()}
         sections = sections_of(frame, tables, content["truth"], content["units"], given_noise=content["given_noise"])
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:

@@ -12,7 +12,6 @@ import gzip
 import hashlib
 import html
 import json
-import re
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -122,11 +121,8 @@ def details(heading: str, words: str) -> str:
 
 def page(title: str, parts: Sequence[Part]) -> str:
     """Return a page."""
-    sections = [section for part in parts for section in part.sections if section.figures]
-    documents = [_document(section.figures) for section in sections]
-    waiting = [place for *_, places in documents for place in places]
-    body = "".join(_part(part, waiting, several=len(parts) > 1) for part in parts)
-    scripts, tail = _drawing(documents) if documents else ("'none'", "")
+    body, drawings = written_parts(parts)
+    scripts, tail = _drawing(drawings) if drawings else ("'none'", "")
     policy = (
         f"default-src 'none'; script-src {scripts}; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
         "base-uri 'none'; form-action 'none'"
@@ -143,22 +139,22 @@ def page(title: str, parts: Sequence[Part]) -> str:
     return f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n{end}</main>\n{tail}</body></html>\n"
 
 
-def _drawing(documents: Sequence[tuple[dict[str, Any], list[Any], list[str]]]) -> tuple[str, str]:
+def _drawing(drawings: Sequence[tuple[dict[str, Any], list[Any]]]) -> tuple[str, str]:
     """Return the digests of the scripts that draw, and the elements that hold them and what they draw."""
     from fmuid.reports.interactive.style import DARK
 
     library, own = _library(), f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
-    drawings = json.dumps([(content, places) for content, places, _ in documents], separators=(",", ":"))
+    figures = json.dumps(drawings, separators=(",", ":"))
     digests = " ".join(f"'sha256-{_digest(each)}'" for each in (library, own))
-    return digests, f"{_packed('library', library)}{_packed('figures', drawings)}<script>{own}</script>\n"
+    return digests, f"{_packed('library', library)}{_packed('figures', figures)}<script>{own}</script>\n"
 
 
-def pieces(parts: Sequence[Part]) -> tuple[list[str], list[Any]]:
-    """Return what a page says, as HTML in pieces, and its figures, of which one follows each piece but the last."""
-    figures = [model for part in parts for section in part.sections for model in section.figures]
-    marks = [f"\0{k}\0" for k in range(len(figures))]  # no text has one
-    body = "".join(_part(part, marks, several=len(parts) > 1) for part in parts)
-    return re.split("\0[0-9]+\0", body), figures
+def written_parts(parts: Sequence[Part]) -> tuple[str, list[tuple[dict[str, Any], list[Any]]]]:
+    """Return what parts say, as HTML, and for each section with figures what Bokeh's library is told to draw them."""
+    documents = [_document(each.figures) for part in parts for each in part.sections if each.figures]
+    waiting = [place for *_, places in documents for place in places]
+    body = "".join(_part(part, waiting, several=len(parts) > 1) for part in parts)
+    return body, [(content, places) for content, places, _ in documents]
 
 
 def drawn(figures: Sequence[Any]) -> tuple[str, str, Sequence[str]]:

@@ -51,19 +51,21 @@ def identification_words(content: Mapping[str, Any], result: Result, fits: Seque
     said += [Said(text, "fit") for text in _misfit(fits)]
     lost = {each["name"]: each["dropouts"] for each in content.get("experiments", ()) if "dropouts" in each}
     said += [Said(dropout_words(*each), "fit", doubtful=True) for each in lost.items()]
-    said += [Said(capitalised(text), "criterion", doubtful=True) for text in observer_words(result)]
-    said += [Said(capitalised(text), "criterion", doubtful=True) for text in start_words(result)]
+    said += [Said(capitalised(text, result.names), "criterion", doubtful=True) for text in observer_words(result)]
+    said += [Said(capitalised(text, result.names), "criterion", doubtful=True) for text in start_words(result)]
     if result.accuracy is not None:
-        said += [Said(capitalised(text), "accuracy") for text in filter(None, [passed_words(result.accuracy)])]
         said += [
-            Said(capitalised(text), "accuracy", result.accuracy.doubtful)
+            Said(capitalised(text, result.names), "accuracy") for text in filter(None, [passed_words(result.accuracy)])
+        ]
+        said += [
+            Said(capitalised(text, result.names), "accuracy", result.accuracy.doubtful)
             for text in accuracy_words(result.names, result.accuracy)
         ]
-    said += [Said(capitalised(text), "correlation", doubtful=True) for text in dependence_words(result)]
-    return *said, *_saved(content)
+    said += [Said(capitalised(text, result.names), "correlation", doubtful=True) for text in dependence_words(result)]
+    return *said, *_saved(content, result)
 
 
-def _saved(content: Mapping[str, Any]) -> list[Said]:
+def _saved(content: Mapping[str, Any], result: Result) -> list[Said]:
     """Return what the file says of residuals, of prior and data, and of the uncertainty."""
     found, read, more = (content.get(key) or {} for key in ("diagnostics", "consistency", "uncertainty"))
     coloured = any(each["large"] for each in found.get("findings", ()))
@@ -72,7 +74,7 @@ def _saved(content: Mapping[str, Any]) -> list[Said]:
     odd |= any(each.get("deviation") in _ODD for each in read.get("variances", ()))
     said = [Said(text, "residuals", coloured) for text in found.get("words", ())]
     said += [Said(text, "belief", odd) for text in read.get("words", ())]
-    said += [Said(capitalised(text), "profiles", doubtful=True) for text in more.get("words", ())]
+    said += [Said(capitalised(text, result.names), "profiles", doubtful=True) for text in more.get("words", ())]
     return said
 
 
@@ -86,7 +88,7 @@ def _precision(result: Result) -> list[str]:
     lost = [name for name, std in zip(result.names, result.std.tolist(), strict=True) if math.isinf(std)]
     said = [f"{listed(lost)} {'is' if len(lost) == 1 else 'are'} not determined"] if lost else []
     if not shares:
-        return [capitalised(text) for text in said]
+        return [capitalised(text, result.names) for text in said]
     best, worst = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
     if len(shares) == 1:
         said.append(f"{best} is known to {_percent(shares[best])}")
@@ -95,7 +97,7 @@ def _precision(result: Result) -> list[str]:
             f"{len(shares)} parameters are known to between {_percent(shares[best])} ({best}) and "
             f"{_percent(shares[worst])} ({worst}), one standard deviation"
         )
-    return [capitalised(text) for text in said]
+    return [capitalised(text, result.names) for text in said]
 
 
 def _misfit(fits: Sequence[Fit]) -> list[str]:

@@ -19,6 +19,8 @@ KEPT = {
     Kept.FINEST: "there is no finer simulation to go on by",
 }
 """Why a simulation that shifts the estimates serves all the same."""
+LEAST_SHOWN = 0.005
+"""Standard deviations: a smaller shift is none to a reader."""
 
 
 def accuracy_words(names: Sequence[str], found: Accuracy | None) -> tuple[str, ...]:
@@ -48,7 +50,7 @@ def passed_words(found: Accuracy) -> str:
     checked = f"simulation checked by {runs_words(found.finer)}"
     if math.isnan(found.largest):  # no estimate has a standard deviation
         return f"{checked}: it changes the outputs by {found.change:.1g} standard deviations in all"
-    return f"{checked}: it moves the estimates by {found.largest:.1g} std at most"
+    return f"{checked}: it moves the estimates by {max(found.largest, LEAST_SHOWN):.1g} std at most"
 
 
 def _optima(count: int) -> str:
@@ -119,4 +121,4 @@ def shift_text(shift: float) -> str:
     """Return a shift in standard deviations for a table, a question mark where it is not known."""
     if math.isnan(shift):
         return "?"
-    return f"{shift:+.2f}" if abs(shift) >= 0.005 else "0"
+    return f"{shift:+.2f}" if abs(shift) >= LEAST_SHOWN else "0"

@@ -31,7 +31,18 @@ def describe(found: Found) -> str:
     >>> print(fmuid.describe(fmuid.identify(problem)))
     Converged
     """
-    return "\n".join(map(capitalised, _sentences(found)))
+    return "\n".join(capitalised(words, _names(found)) for words in _sentences(found))
+
+
+def _names(found: Found) -> tuple[str, ...]:
+    """Return the names with which a sentence on it may begin."""
+    match found:
+        case Uncertainty():
+            sampled = () if found.posterior is None else found.posterior.names
+            return *(each.name for each in found.profiles), *sampled
+        case Diagnosis():
+            return *(each.name for each in found.hypotheses), *(() if found.strain is None else (found.strain.name,))
+    return tuple(getattr(found, "names", ()))
 
 
 def _sentences(found: Found) -> tuple[str, ...]:

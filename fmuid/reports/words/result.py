@@ -13,7 +13,7 @@ from fmuid.reports.words.starts import attempt_words, combination_words
 from fmuid.studies import SourceDoubt
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from fmuid.estimation import Result
     from fmuid.model_problem import TimeScaleDoubt
@@ -130,9 +130,10 @@ def effort_words(result: Result) -> str:
     )
 
 
-def capitalised(words: str) -> str:
-    """Return words with a capital at their beginning."""
-    return words[0].upper() + words[1:]
+def capitalised(words: str, names: Iterable[str] = ()) -> str:
+    """Return words with a capital at their beginning; one of these names that stands there is kept as it is."""
+    kept = any(words.startswith(name) and not words[len(name) :][:1].isalnum() for name in names)
+    return words if kept else words[0].upper() + words[1:]
 
 
 def dropout_words(source: str, times: Sequence[float]) -> str:

@@ -21,9 +21,9 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import batch as figures
 from fmuid.reports.interactive.live import in_scheme
-from fmuid.studies import Study, read_toml
+from fmuid.studies import Study
 from fmuid.workbench.access import SCHEME
-from fmuid.workbench.folder import Folder, beside
+from fmuid.workbench.folder import Folder, FoundResult, beside
 from fmuid.workbench.home import address, escaped
 from fmuid.workbench.pages.shown import EVERY, side_by_side
 from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, dress, words
@@ -32,6 +32,8 @@ from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, dress, words
 MOST_ROWS = 5000
 # A batch writes at least so often, s, while cases end; after a longer silence it is said since when.
 SILENT = 10.0
+WIDTHS = {"case": 60, "status": 110, "criterion": 90, "message": 600}
+"""Of columns, pixels."""
 _GRID = """
 .slick-header-columns,.slick-header-column{background:var(--card)!important;color:var(--soft)!important}
 .slick-row,.slick-cell{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important}
@@ -59,6 +61,7 @@ class BatchPage:
         self.text = TextInput(title="with the text", value="", name="filter", stylesheets=[SHEET])
         self.source = ColumnDataSource({"case": []}, name="cases")
         self.table = DataTable(source=self.source, height=420, index_position=None, reorderable=False, **WIDE)
+        self.table.autosize_mode = "none"  # else all columns are squeezed into a narrow window
         self.table.stylesheets = [_GRID]
         self.case = words("case", "<p>Choose a case in the table.</p>")
         self.drawn = column([], name="drawn", **WIDE)
@@ -192,8 +195,8 @@ class BatchPage:
     @cached_property
     def study(self) -> Path | None:
         """The study file of the folder that the batch is of; None where it was changed since, or is elsewhere."""
-        asked = (each.path for each in self.folder.look()[0] if "batch" in each.asks)
-        return next((path for path in asked if read_toml(path) == self.manifest.get("study")), None)
+        found = FoundResult.of(self.place / "batch.json")
+        return next((each.path for each in self.folder.look()[0] if each.has_run(found)), None)
 
 
 def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
@@ -241,7 +244,8 @@ def _columns(frame: pd.DataFrame) -> list[str]:
 
 def _column(name: str, values: pd.Series[Any]) -> TableColumn:
     more = {"formatter": NumberFormatter(format="0.00000")} if values.dtype.kind == "f" else {}
-    return TableColumn(field=name, title=escaped(name.removeprefix("value.")), **more)
+    width = WIDTHS.get(name, max(70, 9 * len(name.removeprefix("value.")) + 20))
+    return TableColumn(field=name, title=escaped(name.removeprefix("value.")), width=width, **more)
 
 
 def _plain(values: pd.Series[Any]) -> Any:

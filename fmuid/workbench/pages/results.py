@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,14 +14,15 @@ from typing import Any
 import pandas as pd
 from bokeh.layouts import column, row
 from bokeh.models import FileInput, Select
+from markupsafe import Markup
 
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import file_name, is_file, replacing
 from fmuid.reports import estimate_rows
 from fmuid.reports.interactive import comparison
-from fmuid.reports.interactive.live import in_scheme
-from fmuid.reports.page.document import Part, Section, pieces, table
+from fmuid.reports.interactive.style import DARK
+from fmuid.reports.page.document import Part, Section, table, written_parts
 from fmuid.reports.page.write import contents
 from fmuid.studies import read_toml
 from fmuid.text import with_std
@@ -35,17 +37,12 @@ from fmuid.workbench.shell import LINE, SHEET, argument, arguments, dress, words
 def build(doc: Any, bench: Any) -> None:
     """Fill a document with the page of the folders that its address names."""
     folder: Folder = bench.folder
-    scheme = argument(doc, SCHEME)
     places = [folder.path(name) for name in dict.fromkeys(arguments(doc, "file"))]
     if not places:
         raise InputError("choose results on the first page")
     title, parts = contents(places[0]) if len(places) == 1 else _compared(folder, places)
-    texts, figures = pieces(parts)
-    for k, figure in enumerate(figures):
-        model = in_scheme(figure, scheme)
-        model.name = f"figure{k}"
-        doc.add_root(model)
-    shown = [(text, f"figure{k}" if k < len(figures) else "") for k, text in enumerate(texts)]
+    body, drawings = written_parts(parts)
+    shown = [(body, "")]
     if len(places) == 1 and is_file(places[0] / "result.json"):
         doc.add_root(Predicting(doc, folder, bench.jobs, places[0]).layout)
         shown += [("<section><h3>Predict another record</h3>", "predict"), ("</section>", "")]
@@ -55,6 +52,10 @@ def build(doc: Any, bench: Any) -> None:
     if len(places) == 1 and is_file(places[0] / "report.html"):
         link = file_address(folder, places[0] / "report.html")
         shown.insert(0, (f'<p><a href="{link}">The same as a page to be mailed</a></p>', ""))
+    # as in a report: models of a server would take it seconds, in which it answers nobody
+    colors = DARK if argument(doc, SCHEME) == "dark" else {}
+    figures = json.dumps({"drawings": drawings, "colors": colors})  # in this order: what is referred to comes before
+    doc.template_variables["figures"] = Markup(figures.replace("<", "\\u003c"))
     dress(doc, title, shown, "bokeh-widgets")
 
 

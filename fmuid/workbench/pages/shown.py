@@ -12,7 +12,7 @@ from bokeh.layouts import column, row
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive.live import in_scheme
-from fmuid.reports.page.document import Part, pieces, text
+from fmuid.reports.page.document import Part, text, written_parts
 from fmuid.reports.page.write import FILES, contents
 from fmuid.workbench.home import escaped
 from fmuid.workbench.shell import LINE, SHEET, words
@@ -70,7 +70,7 @@ def models(parts: Iterable[Part], scheme: str) -> list[Any]:
     """Return what parts of a report say, below each other: words and figures."""
     found = []
     for part in parts:
-        found.append(words("verdict", "".join(pieces([replace(part, sections=())])[0])))
+        found.append(words("verdict", written_parts([replace(part, sections=())])[0]))
         for each in part.sections:
             caption = f"<p class=caption>{text(each.caption)}</p>" if each.caption else ""
             found.append(words(each.name, f"<h3>{text(each.heading)}</h3>{caption}{each.body}"))
