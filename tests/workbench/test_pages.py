@@ -85,9 +85,9 @@ def test_the_first_page_says_what_there_is(tmp_path: Path) -> None:
     bare = FoundStudy(tmp_path / "a/broken.toml", "faults")
     for folder_name, kind, word in (("b", "monitoring", "monitored"), ("", "diagnosis", "diagnosed")):
         (tmp_path / "a" / folder_name).mkdir(exist_ok=True)
-        told = tmp_path / "a" / folder_name / f"{kind}.json"
-        told.write_text(json.dumps({"study": {"file": "broken.toml", "digest": "0"}}))
-        page = _studies(folder, [bare], [FoundResult.of(told)], set())
+        kept = tmp_path / "a" / folder_name / f"{kind}.json"
+        kept.write_text(json.dumps({"study": {"file": "broken.toml", "digest": "0"}}))
+        page = _studies(folder, [bare], [FoundResult.of(kept)], set())
         assert f">{word}<" in page
         assert "Last result" in page
     running = _studies(folder, studies, results, {(tmp_path / "a/study.toml").resolve()})
