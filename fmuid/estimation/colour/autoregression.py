@@ -223,12 +223,9 @@ def _burg(columns: Floats, weights: Floats, there: NDArray[np.bool_], orders: in
         for weight, x, y in zip(shares, ahead, behind, strict=True):
             power += weight * float(x @ x + y @ y)
             cross += weight * float(x @ y)
-        # what is added to the moments may make them improper: those of residuals alone keep |found| ≤ 1
-        if not power > 0.0:
+        if not power > 0.0:  # what is added to the moments may make them improper
             break
         found, most = 2.0 * cross / power, 1.0 - 1.0 / pairs
-        if reflections and abs(found) > 1.0:
-            break
         reflection = min(max(found, -most), most)
         reflections.append(reflection)
         score += pairs * math.log(1.0 - reflection**2) + math.log(pairs)

@@ -62,8 +62,8 @@ if TYPE_CHECKING:
 # where it would take too much memory. They end when a round moves no variance by more than the tolerance.
 ROUNDS, LONG, MOST_VALUES = 4, 50_000, 30_000_000
 SETTLED = 2e-3
-# Of noise that is nearly a random walk what is added may grow without end: a round that makes a variance greater by
-# more than this factor does not count, and is the last.
+# Of noise that is nearly a random walk what is added may grow without end, or past zero: a round that changes a
+# variance by more than this factor does not count, and is the last.
 RUNAWAY = 100.0
 # Nor is there any where the fit has taken no more than this share of the squares of each output's noise.
 SLIGHT = 2e-3
@@ -171,7 +171,7 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
         earlier, models = models, _models(rows, series, parts, pools)
         gram = _taken(parts, models, rows)
         before, spread = spread, np.diag(gram)
-        if done and (spread > RUNAWAY * before).any():
+        if done and ((spread > RUNAWAY * before) | (RUNAWAY * spread < before)).any():
             models = earlier
             gram = _taken(parts, models, rows)
             break
