@@ -15,7 +15,6 @@ from .fault_runs import MonitoringFindings as MonitoringFindings
 from .fault_runs import run_diagnosis as run_diagnosis
 from .fault_runs import run_monitoring as run_monitoring
 from .findings import Findings as Findings
-from .findings import write_diagnosis as write_diagnosis
 from .following import Watching as Watching
 from .following import run_following as run_following
 from .origin import write_origin as write_origin

@@ -10,23 +10,11 @@ FORMATS = ("png", "svg", "pdf")
 """Of figures for print."""
 REPORT_FILE = "report.html"
 # What the figures of a run are called, before a hyphen where there are several of a kind.
-KINDS = (
-    *(
-        "fit",
-        "preparation",
-        "prepared",
-        "residuals",
-        "parameters",
-        "criterion",
-        "optima",
-        "belief",
-        "parabolas",
-        "correlation",
-    ),
-    *("accuracy", "profiles", "maps", "posterior", "walkers", "causes", "changes", "evidence", "sizes", "explained"),
-    *("timeline", "cases", "distributions", "spread", "over", "starts", "failures", "prediction", "criteria"),
-    *("correlation", "misfits", "estimates", "excitations", "sensitivities"),
-)
+KINDS = """
+fit preparation prepared residuals parameters criterion optima belief parabolas correlation accuracy profiles maps
+posterior walkers causes changes evidence sizes explained timeline cases distributions spread over starts failures
+prediction criteria misfits estimates excitations sensitivities
+""".split()  # noqa: SIM905  # as a list a line each
 
 
 def check_format(figures: str | None) -> None:

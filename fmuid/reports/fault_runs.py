@@ -14,12 +14,12 @@ from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.errors import InputError
 from fmuid.progress import Event, Progress
 from fmuid.reports.drawn import check_format
-from fmuid.reports.findings import write_diagnosis
 from fmuid.reports.origin import made_from
 from fmuid.reports.page.contents import read_json
 from fmuid.reports.page.faults import PREPARED_FILE
 from fmuid.reports.page.write import show_results
 from fmuid.reports.preparations import prepared
+from fmuid.reports.words.diagnosis import verdict
 from fmuid.reports.words.monitoring import monitoring_sentences
 from fmuid.studies import Study, monitor_of, records_of, rule_of
 
@@ -202,7 +202,10 @@ def _written(folder: Path, study: Study, found: Diagnosis) -> list[Path]:
     """Write a diagnosis and, where it has them, the residuals without and with the fault that explains most."""
     done, changed = prepared(study), folder / PREPARED_FILE
     told = [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in done]
-    written = write_diagnosis(folder, found, made_from(study) | {"units": _units(study), "experiments": told})
+    content = {"verdict": verdict(found), **found.to_json_dict(), **made_from(study)}
+    content |= {"units": _units(study), "experiments": told}
+    written = [files.write_json(folder / "diagnosis.json", content)]
+    written.append(files.write_table(folder / "diagnosis.csv", found.table))
     changed.unlink(missing_ok=True)
     if tables := [each.table for each in done if len(each.table)]:
         written.append(files.write_table(changed, pd.concat(tables, ignore_index=True)))

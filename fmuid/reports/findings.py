@@ -19,7 +19,6 @@ from fmuid.estimation import Outcome, Result, optima_table
 from fmuid.files import file_name, write_json, write_table
 from fmuid.reports.preparations import Prepared
 from fmuid.reports.thinning import evenly
-from fmuid.reports.words.diagnosis import verdict
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
 from fmuid.reports.words.result import dropout_words, ending, remarks
@@ -29,7 +28,6 @@ from fmuid.simulation import Fit, fit_of
 if TYPE_CHECKING:
     from fmuid.assessment import CriterionMap, Diagnostics, Posterior, Reading, Uncertainty
     from fmuid.data import Experiment
-    from fmuid.diagnosis import Diagnosis
     from fmuid.models import System
 
 # Tables that a run may write: those of an earlier run would be taken for this one's.
@@ -260,21 +258,6 @@ def _paths(posterior: Posterior) -> pd.DataFrame:
 def write_point(folder: Path, result: Result) -> list[Path]:
     """Write what is known of a point where a search was interrupted, its values, and return the paths."""
     return _write(folder, result.to_json_dict(), {"estimates": result.to_frame().reset_index()})
-
-
-def write_diagnosis(folder: Path, found: Diagnosis, also: Mapping[str, Any] | None = None) -> list[Path]:
-    """Write ``diagnosis.json``, with its verdict in words, and ``diagnosis.csv``, and return their paths.
-
-    Parameters
-    ----------
-    folder : Path
-    found : Diagnosis
-    also : mapping, optional
-        What else the JSON file is to say.
-    """
-    content = {"verdict": verdict(found), **found.to_json_dict(), **(also or {})}
-    path = write_json(folder / "diagnosis.json", content)
-    return [path, write_table(folder / "diagnosis.csv", found.table)]
 
 
 def _write(folder: Path, content: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> list[Path]:
