@@ -93,9 +93,10 @@ def read_table(
             f"{source}: {'this is a folder' if is_folder(path) else 'there is no such file'}: give a table"
         )
     try:
-        raw = reader(path, source)
+        path.open("rb").close()  # before libraries that say something else of it
     except PermissionError:
         raise InputError(f"{source}: the file may not be read: change its permissions") from None
+    raw = reader(path, source)
     if len(raw.frame) == 0:
         raise InputError(f"{source}: the table has a header but no rows: give measured samples")
     frame, begin = with_time(raw, time, time_unit, sample_rate, source)

@@ -70,8 +70,6 @@ def _read_with_pandas(path: Path, source: str) -> RawTable:
     name, read = _OF_PANDAS[path.suffix.lower()]
     try:
         frame = read(path)
-    except PermissionError:
-        raise
     except Exception:  # pyarrow's own errors are few, but on broken files there are others, even KeyError
         raise InputError(f"{source}: the file is no readable {name} table: write it again") from None
     dated = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)

@@ -82,8 +82,6 @@ def _opened(path: Path, source: str) -> Any:
     h5py = library("h5py", "hdf", source)
     try:
         return h5py.File(path, "r")
-    except PermissionError:
-        raise
     except OSError:
         raise InputError(f"{source}: the file is no readable HDF5 file: write it again") from None
 

@@ -32,8 +32,6 @@ def read_mat(path: Path, source: str) -> RawTable:
     """
     try:
         content = _content(path)
-    except PermissionError:
-        raise
     except NotImplementedError:  # version 7.3 is HDF5
         return table_of_vectors(source, vectors_of_hdf(path, source), {}, ".")
     except Exception:  # scipy raises errors of many kinds, on broken files even TypeError and struct.error

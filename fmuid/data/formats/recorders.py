@@ -72,7 +72,5 @@ def _refusing(source: str, kind: str) -> Iterator[None]:
     """Say of whatever goes wrong inside that the file cannot be read."""
     try:
         yield
-    except PermissionError:
-        raise
     except Exception:  # the readers raise errors of many kinds on broken files
         raise InputError(f"{source}: the file is no readable {kind} file: write it again") from None

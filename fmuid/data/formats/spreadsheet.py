@@ -34,8 +34,6 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None = None) ->
     calamine = library("python_calamine", "excel", source)
     try:
         book = calamine.CalamineWorkbook.from_path(path)
-    except PermissionError:
-        raise
     except Exception:  # calamine has an error of its own for each format
         raise InputError(f"{source}: the file is no readable spreadsheet: save it again") from None
     for name in book.sheet_names if sheet is None else [_sheet(book.sheet_names, sheet, source)]:

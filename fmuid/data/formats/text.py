@@ -161,8 +161,6 @@ def _opener(path: Path, source: str) -> Callable[[], IO[bytes]]:
             if len(inside) != 1:
                 raise InputError(f"{source}: the archive holds {len(inside)} files: give one with the table alone")
             return partial(io.BytesIO, archive.read(inside[0]))
-    except PermissionError:
-        raise
     except (OSError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError):  # the last of what is encrypted
         raise InputError(f"{source}: the file cannot be unpacked: pack it again, or give the plain text") from None
 
