@@ -43,6 +43,8 @@ LEAST_STD_FACTOR = 1.25
 LARGE_CORRELATION = 0.1
 # a mean in standard deviations.
 LARGE_OFFSET_STDS = 0.1
+# ... what returns with each cycle of the inputs is worth a sentence where it is more likely there than not.
+MORE_LIKELY = 0.5
 
 
 class Trait(Enum):
@@ -130,6 +132,25 @@ def _slow(noise: ColouredNoise) -> tuple[SlowResidual, ...]:
     return tuple(found)
 
 
+@dataclass(frozen=True)
+class ReturningResidual:
+    """What comes back in a residual with each cycle of the inputs (`fmuid.estimation.colour.cycles`).
+
+    Attributes
+    ----------
+    output, experiment : str
+    period : float
+        Of the inputs, s.
+    share : float
+        Of the residual's variance.
+    """
+
+    output: str
+    experiment: str
+    period: float
+    share: float
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnostics:
     """All residuals of a result.
@@ -148,6 +169,9 @@ class Diagnostics:
         Where the standard deviations allow for weak slow noise.
     weighed : bool
         Whether samples were weighed by the colour of their noise: `widening` is against noise of that colour then.
+    returning : tuple of ReturningResidual
+        Where the standard deviations allow for what comes back with each cycle of the inputs, and it more likely does
+        than not.
     """
 
     series: tuple[ResidualSeries, ...]
@@ -155,6 +179,7 @@ class Diagnostics:
     off_grid: tuple[tuple[str, str], ...] = ()
     slow: tuple[SlowResidual, ...] = ()
     weighed: bool = False
+    returning: tuple[ReturningResidual, ...] = ()
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -217,6 +242,7 @@ class Diagnostics:
         ]
         off_grid = [list(each) for each in self.off_grid]
         content = {"findings": findings, "widening": self.widening, "off_grid": off_grid, "slow": self.slow}
+        content["returning"] = self.returning
         plain: dict[str, Any] = as_json(content | {"weighed": self.weighed, "residuals": rows})
         return plain
 
@@ -254,7 +280,13 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
         first += int(experiment.counted.sum())
     off_grid = tuple((each.experiment, each.output) for each in result.noise.series if not each.regular)
     widening = dict(zip(result.names, result.widening.tolist(), strict=True))
-    return Diagnostics(tuple(series), widening, off_grid, _slow(result.noise), result.noise.weights is not None)
+    weighed = result.noise.weights is not None
+    returning = tuple(
+        ReturningResidual(each.series.output, each.series.experiment, each.period * each.series.step, each.share)
+        for each in result.noise.returning
+        if each.probability > MORE_LIKELY
+    )
+    return Diagnostics(tuple(series), widening, off_grid, _slow(result.noise), weighed, returning)
 
 
 def residuals_of(

@@ -49,7 +49,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.arrays import Floats
+from fmuid.data import Measurements
 from fmuid.estimation.colour.autoregression import Autoregression, fit, most_orders
+from fmuid.estimation.colour.cycles import Returning, returning
 from fmuid.estimation.colour.grid import Grid, Rows, Spectra
 from fmuid.estimation.colour.innovations import Weights
 from fmuid.estimation.colour.series import Series, series_of
@@ -84,12 +86,15 @@ class ColouredNoise:
         The covariance S of the innovations of the series of each grid, in the order of the series.
     weights : Weights or None
         By which the samples were weighed (`LeastSquares.weigh`).
+    returning : tuple of Returning
+        Errors that come back with each cycle of the inputs.
     """
 
     series: tuple[Series, ...]
     models: tuple[Autoregression, ...]
     innovations: tuple[Floats, ...]
     weights: Weights | None = None
+    returning: tuple[Returning, ...] = ()
 
     def gram(self, columns: Floats) -> Floats:
         """Return XᵀΓX (k, k) of columns X (n, k) over the rows, Γ the covariance of their whitened noise."""
@@ -98,7 +103,7 @@ class ColouredNoise:
         for members, common in zip(_members([each.grid for each in self.series]), self.innovations, strict=True):
             spectra = Spectra.of(columns, [self.series[i] for i in members], [self.models[i] for i in members])
             total += spectra.gram(spectra.coupled(common))
-        return total
+        return total + sum(each.gram(columns) for each in self.returning)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +151,7 @@ def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: NDArray[np.b
         columns = weighed if columns is basis else weights.transposed(columns)
         rows = replace(rows, residual=raw[:, 0], basis=raw[:, 1:], columns=columns, weighed=weighed)
     found = sandwich(rows, series_of(problem.experiments, problem.output_names))
-    found = replace(found, noise=replace(found.noise, weights=weights))
+    found = _with_returning(found, rows, problem.experiments, weights)
     lost = ~np.isfinite(np.diag(local.combined.covariance))
     covariance = found.covariance.copy()
     covariance[lost, :] = covariance[:, lost] = np.nan
@@ -189,6 +194,29 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
     noise = ColouredNoise(
         tuple(series), tuple(models[i] for i in range(len(series))), tuple(part.innovations for part in parts)
     )
+    return Sandwich(covariance, freedom, noise)
+
+
+def _with_returning(
+    found: Sandwich, rows: Rows, experiments: Sequence[Measurements], weights: Weights | None
+) -> Sandwich:
+    """Return a sandwich with what returns with each cycle of the inputs, and the noise's weights."""
+    own = found.noise
+    known = [each for each in zip(own.series, own.models, strict=True) if not rows.white[each[0].group]]
+    returns = returning(rows.residual, rows.basis, experiments, known, rows.given)
+    noise = replace(own, weights=weights, returning=returns)
+    if not returns:
+        return replace(found, noise=noise)
+    columns, before = rows.columns @ rows.root.T, np.diag(found.covariance)
+    added = [each.gram(columns) for each in returns]
+    covariance = found.covariance + sum(added)
+    spread = np.diag(covariance)
+    share = np.divide(before, spread, out=np.ones_like(before), where=spread > 0.0)
+    scatter = 2.0 / found.freedom * share**2
+    for each, part in zip(returns, added, strict=True):
+        scatter = scatter + each.scatter(columns, spread - np.diag(part))
+    with np.errstate(divide="ignore"):
+        freedom = np.clip(2.0 / scatter, LEAST_FREEDOM, found.freedom)
     return Sandwich(covariance, freedom, noise)
 
 

@@ -11,9 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import fft
 
 from fmuid.arrays import Floats, Indices
-from fmuid.data import Measurements
+from fmuid.data import Experiment, Measurements
 
 # Times count as equally spaced, with some missing, where so many steps are whole multiples of the usual one ...
 REGULAR_SHARE, REGULAR_TOLERANCE = 0.95, 0.2
@@ -23,6 +24,11 @@ LONGEST_GAP = 1000
 POOLED = 100
 # Steps in time of two experiments are the same to this.
 SAME_STEP = 1e-3
+# Inputs repeat where they are, after a period, no further from themselves than this share of their standard deviation
+# (measured ones have noise); and were further than the other share in between.
+REPEATED, AWAY = 0.05, 0.5
+# The longest period as a share of the record: nearly two cycles.
+LONGEST = 0.55
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,3 +148,35 @@ def table_grid(times: Floats) -> tuple[Indices, float, bool]:
         jumps[moving] = np.minimum(whole, LONGEST_GAP)
         return np.concatenate([[0], np.cumsum(jumps)]), usual, True
     return np.arange(times.size), float(times[-1] - times[0]) / max(times.size - 1, 1), False
+
+
+def period_of(experiment: Measurements) -> float:
+    """Return after how long, s, all inputs of an experiment that move repeat, 0 where they do not."""
+    if not isinstance(experiment, Experiment) or not experiment.input_names:
+        return 0.0
+    places, step, regular = table_grid(experiment.times)
+    values = experiment.input_values - experiment.input_values.mean(axis=0)
+    values = values[:, values.any(axis=0)]
+    if not regular or places[-1] != len(places) - 1 or not values.size:
+        return 0.0
+    longest = int(LONGEST * len(values))
+    away = np.max([_away(column, longest) for column in values.T], axis=0)
+    begun = np.flatnonzero(away > AWAY)
+    again = np.flatnonzero(away[begun[0] :] <= REPEATED) + begun[0] if begun.size else begun
+    if not again.size:
+        return 0.0
+    last = again[0] + int(np.argmax(np.append(away[again[0] :], np.inf) > REPEATED))
+    found = again[0] + int(np.argmin(away[again[0] : last]))
+    # where it is least at the very end it may be less beyond
+    return found * step if found < longest - 1 else 0.0
+
+
+def _away(values: Floats, longest: int) -> Floats:
+    """Return how far a signal (n,) is from itself so many samples later, from 0 to `longest`, by √2 of its std."""
+    count = values.size
+    size = fft.next_fast_len(count + longest, real=True)
+    product = fft.irfft(np.abs(fft.rfft(values, size)) ** 2, size)[:longest]
+    power = np.concatenate([[0.0], np.cumsum(values**2)])
+    lags = np.arange(longest)
+    squares = power[count - lags] + power[count] - power[lags] - 2.0 * product
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / (count - lags) / (2.0 * power[count] / count)))

@@ -26,6 +26,7 @@ def residual_words(found: Diagnostics) -> tuple[str, ...]:
     said += _widening(found, coloured=bool(coloured))
     said += [_large(found, each) for each in large if each.trait is not Trait.COLOURED]
     said += _off_grid(found)
+    said += _returning(found)
     quiet = not said
     return tuple(said + _slow(found) + _summary(found, quiet=quiet))
 
@@ -98,6 +99,17 @@ def _slow(found: Diagnostics) -> list[str]:
         f"{each.time_constant:.1g} s), for which the standard deviations allow; one white residual in a hundred looks "
         "so by chance"
         for each in found.slow
+    ]
+
+
+def _returning(found: Diagnostics) -> list[str]:
+    """Say where the standard deviations allow for what comes back with each cycle of the inputs."""
+    several = len({each.experiment for each in found.series}) > 1
+    return [
+        f"In the residual of {each.output}{f' in {each.experiment}' if several else ''} something comes back with each "
+        f"cycle of the inputs, every {each.period:.3g} s ({100 * each.share:.2g} % of its variance): an error of the "
+        "model, which no number of cycles averages out; the standard deviations allow for it"
+        for each in found.returning
     ]
 
 

@@ -1,0 +1,234 @@
+"""Errors that return with each cycle of an excitation: periods of inputs, likelihoods and Gram matrices, coverage.
+
+``python -m tests.estimation.test_cycles 400`` prints the table of docs/method.md section 12 over so many seeded draws.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import linalg
+
+from fmuid.arrays import Floats
+from fmuid.assessment.residuals import examine_residuals
+from fmuid.data import Experiment, FunctionPredictor, Parameter
+from fmuid.estimation.colour.cycles import Returning, _likelihoods, _products, _sides, _summed
+from fmuid.estimation.colour.sandwich import sandwich_of
+from fmuid.estimation.colour.series import Series, period_of
+from fmuid.estimation.colour.slow import Bins
+from fmuid.estimation.identification import identify
+from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.reports.words.residuals import residual_words
+from tests.support.problems import ar1
+
+STEP, PERIOD, CYCLES = 0.032, 125, 8
+COUNT = PERIOD * CYCLES
+CLOCK = STEP * np.arange(PERIOD)
+JACOBIAN = np.tile(np.column_stack([np.exp(-CLOCK), -3.0 * CLOCK * np.exp(-CLOCK)]), (CYCLES, 1))
+PARAMETERS = {"a": Parameter(0.1), "k": Parameter(0.1)}
+
+Noise = Callable[[np.random.Generator], Floats]
+
+
+def recorded(inputs: Floats, output: Floats | None = None) -> Experiment:
+    columns = {f"u{k}": own for k, own in enumerate(inputs.reshape(len(inputs), -1).T)}
+    y = np.ones(len(inputs)) if output is None else output
+    frame = pd.DataFrame({"time": STEP * np.arange(len(inputs)), **columns, "y": y})
+    return Experiment(frame, list(columns), ["y"], interpolation="hold")
+
+
+def square(cycles: float = CYCLES) -> Floats:
+    return np.tile(np.repeat([1.0, 0.0], [60, 65]), CYCLES)[: round(cycles * PERIOD)]
+
+
+def fitted(noise: Floats) -> tuple[LeastSquares, Result]:
+    """The linearised a e^(−kt) in each cycle, both parameters 0 in truth."""
+    predictor = FunctionPredictor(lambda theta: JACOBIAN @ theta, (COUNT, 1))
+    problem = LeastSquares([predictor], [recorded(square(), noise)], PARAMETERS)
+    return problem, identify(problem)
+
+
+@pytest.mark.parametrize("cycles", [8, 3.6, 1.95])
+def test_periods_of_inputs(cycles: float) -> None:
+    assert period_of(recorded(square(cycles))) == pytest.approx(PERIOD * STEP)
+
+
+def test_periods_of_measured_inputs_and_of_several() -> None:
+    rng = np.random.default_rng(0)
+    wave = np.sin(2.0 * np.pi * np.arange(1000) / 250)
+    measured = wave + 0.01 * rng.standard_normal(1000)
+    assert period_of(recorded(measured)) == pytest.approx(250 * STEP, abs=3 * STEP)
+    assert period_of(recorded(np.column_stack([square(), wave, np.ones(1000)]))) == pytest.approx(250 * STEP)
+
+
+@pytest.mark.parametrize("kind", ["ramp", "noise", "constant", "step", "short"])
+def test_what_does_not_repeat_has_no_period(kind: str) -> None:
+    n = np.arange(1000)
+    inputs = {
+        "ramp": 0.01 * n,
+        "noise": np.random.default_rng(0).standard_normal(1000),
+        "constant": np.ones(1000),
+        "step": (n > 300).astype(float),
+        "short": square(1.7),
+    }
+    assert period_of(recorded(inputs[kind])) == 0.0
+
+
+@pytest.fixture
+def powers() -> Floats:
+    """A spectrum at the bins of harmonics, each of one harmonic here."""
+    bins = Bins.of(PERIOD)
+    assert bins.edges.size == PERIOD // 2 + 1
+    return np.asarray(2.0 + 1.5 / (1.3 - bins.cosines))
+
+
+def covariance(powers: Floats) -> Floats:
+    """Return the covariance (T, T) of a periodic process of this spectrum."""
+    return np.asarray(linalg.circulant(np.fft.irfft(powers, PERIOD)))
+
+
+def test_likelihoods_are_those_of_the_dense_covariance(powers: Floats) -> None:
+    """Of Aᵀz, A the directions that the basis leaves; spectra differ by what the Jacobian of A is, the same for all."""
+    rng = np.random.default_rng(1)
+    z, basis = rng.standard_normal(PERIOD), np.linalg.qr(rng.standard_normal((PERIOD, 3)))[0]
+    parts = _products(np.column_stack([z, basis]))
+    counts = 2.0 * Bins.of(PERIOD).counts
+    spectra = np.array([powers, np.ones_like(powers)])
+    found = _likelihoods(spectra, parts, counts)
+    left = linalg.null_space(basis.T)
+
+    def dense(own: Floats) -> Any:
+        inner = left.T @ covariance(own) @ left
+        return -0.5 * (np.linalg.slogdet(inner)[1] + left.T @ z @ np.linalg.solve(inner, left.T @ z))
+
+    assert found[0] - found[1] == pytest.approx(dense(spectra[0]) - dense(spectra[1]), rel=1e-9)
+
+
+def test_what_returns_adds_the_dense_covariance(powers: Floats) -> None:
+    """An error g of covariance Γ in each cycle and columns C: the covariance of Cᵀ(g, g, …) is ΣᵀΓΣ, Σ = C summed."""
+    columns = np.random.default_rng(2).standard_normal((COUNT, 3))
+    series = Series("experiment", "y", 0, np.arange(COUNT), np.arange(COUNT), STEP, True, 0, 0)
+    assert _sides(PERIOD).sum() == PERIOD
+    np.testing.assert_allclose(
+        _summed(columns, series, PERIOD), columns.reshape(CYCLES, PERIOD, 3).sum(0) / CYCLES**0.5
+    )
+    both = Returning(series, PERIOD, powers, np.array([powers, 2.0 * powers]), np.array([0.5, 0.3]), 0.0)
+    whole = np.tile(covariance(powers / CYCLES), (CYCLES, CYCLES))
+    np.testing.assert_allclose(both.gram(columns), columns.T @ whole @ columns, rtol=1e-9)
+    assert both.probability == pytest.approx(0.8)
+    own = np.diag(columns.T @ whole @ columns)
+    logs = np.log1p(np.array([0.0, 1.0, 2.0])[:, None] * own / 5.0)
+    weights = np.array([0.2, 0.5, 0.3])
+    expected = weights @ logs**2 - (weights @ logs) ** 2
+    np.testing.assert_allclose(both.scatter(columns, np.full(3, 5.0)), expected, rtol=1e-9)
+
+
+def test_an_error_that_returns_is_found_said_and_allowed_for() -> None:
+    rng = np.random.default_rng(3)
+    error = np.tile(ar1(rng, 0.8, PERIOD), CYCLES)
+    problem, result = fitted(error + rng.standard_normal(COUNT))
+    assert result.noise is not None
+    assert result.local is not None
+    (found,) = result.noise.returning
+    assert found.probability > 0.99
+    assert found.share == pytest.approx(0.5, abs=0.2)
+    root = result.local.root
+    gram = result.noise.gram(result.local.jacobian @ root)
+    np.testing.assert_allclose(root @ gram @ root.T, result.covariance, rtol=1e-9)
+    (said,) = (line for line in residual_words(examine_residuals(problem, result)) if "comes back" in line)
+    assert "every 4 s" in said
+
+
+@pytest.mark.parametrize("kind", ["white", "walk"])
+def test_where_nothing_returns_hardly_anything_changes(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A random walk is slower than the cycle: folded to its mean cycle it would be lost."""
+    rng = np.random.default_rng(4)
+    problem, result = fitted(rng.standard_normal(COUNT) if kind == "white" else np.cumsum(rng.standard_normal(COUNT)))
+    assert result.local is not None
+    monkeypatch.setattr("fmuid.estimation.colour.sandwich.returning", lambda *_: ())
+    without = sandwich_of(problem, result.local, np.array([False]))
+    wider = np.sqrt(np.diag(result.covariance) / np.diag(without.covariance))
+    assert (wider >= 1.0).all()
+    assert (wider < 1.02).all()
+    assert (result.freedom <= without.freedom).all()
+    assert examine_residuals(problem, result).returning == ()
+
+
+def returns(level: float, share: float = 0.8) -> Noise:
+    return lambda rng: level * np.tile(ar1(rng, share, PERIOD), CYCLES)
+
+
+def ar(share: float) -> Noise:
+    return lambda rng: ar1(rng, share, COUNT)
+
+
+def white(rng: np.random.Generator) -> Floats:
+    return rng.standard_normal(COUNT)
+
+
+def walk(rng: np.random.Generator) -> Floats:
+    return 0.1 * np.cumsum(rng.standard_normal(COUNT))
+
+
+CASES: dict[str, tuple[Noise, ...]] = {
+    "white": (white,),
+    "AR(1) 0.5": (ar(0.5),),
+    "AR(1) 0.8": (ar(0.8),),
+    "AR(1) 0.99": (ar(0.99),),
+    "random walk": (walk,),
+    "error 0.3 of white noise": (returns(0.3), white),
+    "error 1": (returns(1.0), white),
+    "error 3": (returns(3.0), white),
+    "error 1, AR(1) 0.95": (returns(1.0, 0.95), white),
+    "error 1, AR(1) 0.8 noise": (returns(1.0), ar(0.8)),
+    "error 1, AR(1) 0.99 noise": (returns(1.0), ar(0.99)),
+    "error 1, random walk": (returns(1.0), walk),
+    "error 3, random walk and white": (returns(3.0), walk, white),
+}
+
+
+def covered(parts: tuple[Noise, ...], draws: int) -> tuple[float, float, float]:
+    """Return the shares of 95 % intervals with and without what returns that hold 0, and by what they are wider."""
+    inside, without, wider = [], [], []
+    for seed in range(draws):
+        rng = np.random.default_rng([11, seed])
+        problem, result = fitted(np.sum([part(rng) for part in parts], axis=0))
+        ends = result.intervals().to_numpy()
+        inside.append((ends[:, 0] <= 0.0) & (ends[:, 1] >= 0.0))
+        assert result.local is not None
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("fmuid.estimation.colour.sandwich.returning", lambda *_: ())
+            before = sandwich_of(problem, result.local, np.array([False]))
+        half = before_half(before.covariance, before.freedom)
+        without.append(np.abs(result.values) < half)
+        wider.append(float(np.mean((ends[:, 1] - ends[:, 0]) / (2.0 * half))))
+    return float(np.mean(inside)), float(np.mean(without)), float(np.median(wider))
+
+
+def before_half(covariance: Floats, freedom: Floats) -> Floats:
+    from scipy.stats import t
+
+    return np.asarray(t.ppf(0.975, freedom) * np.sqrt(np.diag(covariance)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["error 0.3 of white noise", "error 1, AR(1) 0.8 noise"])
+def test_intervals_hold_where_an_error_returns(case: str) -> None:
+    """Of 40 draws: 85 % is three standard errors below 95 %."""
+    inside, without, _ = covered(CASES[case], 40)
+    assert inside > 0.85
+    assert without < 0.87
+
+
+if __name__ == "__main__":
+    print("| noise and error | coverage | without what returns | width against it |")
+    print("|---|---|---|---|")
+    for name in sys.argv[2].split(";") if len(sys.argv) > 2 else CASES:
+        inside, without, wider = covered(CASES[name], int(sys.argv[1]))
+        print(f"| {name} | {100 * inside:.1f} | {100 * without:.1f} | {wider:.3f} |", flush=True)
