@@ -73,6 +73,10 @@ def test_refusals_name_the_remedy() -> None:
         value("sinn(a)")
     with pytest.raises(InputError, match="takes 1 argument, not 2"):
         value("exp(a, b)")
+    with pytest.raises(InputError, match="an expression has 1201 characters: write at most 1000"):
+        value("a" + "+a" * 600)
+    with pytest.raises(InputError, match="the axes d, q need an angle or a speed"):
+        reduce(frame(a=1.0, b=1.0, c=1.0), axes=[Axes(("a", "b", "c"), ("d", "q"))])
     with pytest.raises(InputError, match=r"^the frame: column 'x': the prepared column 'pulse' is missing"):
         reduce(frame(pulses=1.0), columns={"x": "pulse * 2"})
 

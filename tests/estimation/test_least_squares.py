@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fmuid import identify
 from fmuid.arrays import Floats
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
@@ -172,6 +173,12 @@ def test_a_function_of_another_length_is_refused() -> None:
     problem = LeastSquares.from_function(lambda theta: theta[0] * np.ones(4), np.ones(5), {"k": Parameter(1.0)})
     with pytest.raises(InputError, match="must return outputs of shape"):
         prepare(problem)
+
+
+def test_a_start_has_a_value_for_each_parameter() -> None:
+    problem = LeastSquares.from_function(lambda theta: theta[0] * np.ones(5), np.ones(5), {"k": Parameter(1.0)})
+    with pytest.raises(InputError, match=r"the start must have 1 values; its shape is \(2,\)"):
+        identify(problem, start=[1.0, 2.0])
 
 
 def test_a_start_that_cannot_be_simulated_says_why() -> None:

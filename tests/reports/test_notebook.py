@@ -17,7 +17,7 @@ import fmuid
 from fmuid.batches.dataset import Dataset
 from fmuid.displays import shown_by
 from fmuid.estimation import Determined, Direction, Outcome
-from fmuid.reports.notebook import Drawing
+from fmuid.reports.notebook import Drawing, plots
 from fmuid.text import with_std
 from tests.support.coil_study import COIL, STUDY, coil_table
 
@@ -172,3 +172,8 @@ def test_without_anybody_who_shows_there_is_the_text(found: fmuid.Findings) -> N
         assert found.result._repr_html_() is None
     finally:
         shown_by("fmuid.reports.notebook")
+
+
+def test_what_cannot_be_drawn() -> None:
+    with pytest.raises(fmuid.InputError, match="a FMU has no figures"):
+        plots(fmuid.FMU(COIL))

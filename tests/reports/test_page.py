@@ -241,3 +241,12 @@ def test_what_a_page_shows_of_findings_is_what_they_are(results: Path) -> None:
     np.testing.assert_allclose(read.result.values, found.result.values, rtol=1e-3)
     assert [each.outputs for each in read.fits] == [each.outputs for each in found.fits]
     np.testing.assert_array_equal(read.fits[1].counted, found.fits[1].counted)
+
+
+def test_a_folder_without_results_has_no_report(tmp_path: Path) -> None:
+    with pytest.raises(
+        fmuid.InputError, match=r"has no result\.json, .* give the folder that a command has written into"
+    ):
+        write_report(tmp_path)
+    with pytest.raises(fmuid.InputError, match="is no folder of results"):
+        write_report(tmp_path / "nowhere")
