@@ -55,7 +55,7 @@ def together(news: News, columns: list[int], level: float) -> float:
     return float(brentq(missed, std, 9.0 * std, xtol=1e-3 * std))
 
 
-def table() -> str:
+def shown() -> str:
     """Return the page's table."""
     setting = calls.setting()
     coordinates = setting.coordinates
@@ -97,7 +97,7 @@ def table() -> str:
 
 def main() -> None:
     """Rewrite the page's table."""
-    pages.rewrite(HERE, {"detectable": table()})
+    pages.rewrite(HERE, {"detectable": shown()})
 
 
 if __name__ == "__main__":

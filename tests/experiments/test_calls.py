@@ -16,7 +16,7 @@ from experiments import calls, pages
 from experiments.coil import calls as coil
 from experiments.coil import onsets, squared, study
 from experiments.machine_faults import calls as machine
-from experiments.machine_faults import detectable
+from experiments.machine_faults import detectable, neighbours
 from experiments.machine_faults.machine import TURNS
 from fmuid.diagnosis import Evidence
 from fmuid.diagnosis.evidence.causes import Cause
@@ -96,15 +96,18 @@ def test_pages_show_the_counts(module: ModuleType) -> None:
     assert pages.insert(page, module.tables(found)) == page, f"run python -m {module.__name__}"
 
 
-def test_the_page_shows_the_onsets() -> None:
+def test_the_coil_s_page_shows_what_is_unlisted_and_the_onsets() -> None:
     page = (onsets.HERE / "README.md").read_text(encoding="utf-8")
-    assert pages.insert(page, {"onsets": onsets.table(pd.read_csv(onsets.FILE))}) == page
+    found = pd.read_csv(onsets.HERE / "unlisted.csv", keep_default_na=False)
+    tables = coil.unlisted(found) | {"onsets": onsets.table(pd.read_csv(onsets.FILE))}
+    assert pages.insert(page, tables) == page
 
 
 @pytest.mark.slow
-def test_the_page_shows_how_few_turns_are_called() -> None:
-    page = (detectable.HERE / "README.md").read_text(encoding="utf-8")
-    assert pages.insert(page, {"detectable": detectable.table()}) == page
+@pytest.mark.parametrize("module", [detectable, neighbours])
+def test_the_page_shows_how_few_turns_are_called_and_which_bars(module: ModuleType) -> None:
+    page = (module.HERE / "README.md").read_text(encoding="utf-8")
+    assert pages.insert(page, {module.__name__.rsplit(".")[-1]: module.shown()}) == page
 
 
 def test_one_test_of_some_sizes_that_are_not_negative() -> None:

@@ -1,13 +1,15 @@
 """Something else: a change that no listed cause explains, by what the residual still owes to the inputs.
 
 The variance of the residual hardly shows it: a change that is small against the noise but goes with the inputs is
-seen in the regression of the residual on lagged inputs and a constant, the model's own columns projected out. Only the
-*change* of the coefficients from the healthy record to the new one counts, so that what the healthy model does not
-know is no alarm.
+seen in the regression of the residual on lagged inputs and a constant, the model's own columns projected out. Lags go
+in spans that double, as a response fades: few coefficients, so that little chance is let in. Only the *change* of the
+coefficients from the healthy record to the new one counts, so that what the healthy model does not know is no alarm.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +18,8 @@ from scipy import special
 from fmuid.arrays import Floats
 from fmuid.diagnosis.evidence.information import Information
 
-# Samples back to which the inputs are looked at: short delays and the fast part of any response.
-LAGS = 20
+# Lags of the inputs, in samples; those from each to before the next are one regressor, their sum.
+SPANS = (0, 1, 2, 4, 8, 16, 32)
 # Directions of the regressors with so little information, against the best, say nothing.
 NOTHING = 1e-8
 # Columns of the model that go together up to this share span no direction more.
@@ -46,14 +48,12 @@ class Remainder:
 NOTHING_LEFT = Remainder(0.0, 0, 1.0)
 
 
-def lagged(inputs: Floats, lags: int = LAGS) -> Floats:
-    """Return the inputs (n, m) at this sample and those before, and a constant: (n, lags · m + 1)."""
-    columns = [np.ones((len(inputs), 1))]
-    for lag in range(min(lags, len(inputs))):
-        late = np.zeros_like(inputs)
-        late[lag:] = inputs[: len(inputs) - lag]
-        columns.append(late)
-    return np.hstack(columns)
+def lagged(inputs: Floats, spans: Sequence[int] = SPANS) -> Floats:
+    """Return a constant and the inputs (n, m) before, summed over spans of lags: (n, 1 + (len(spans) - 1) m)."""
+    sums = np.vstack([np.zeros((1, inputs.shape[1])), np.cumsum(inputs, axis=0)])
+    ends = 1 + np.arange(len(inputs))
+    until = [sums[np.maximum(ends - lag, 0)] for lag in spans]
+    return np.hstack([np.ones((len(inputs), 1)), *(a - b for a, b in itertools.pairwise(until))])
 
 
 def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> Information:

@@ -18,6 +18,7 @@ from fmuid.arrays import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.coordinates import Coordinates
 from fmuid.diagnosis.evidence.information import Information
+from fmuid.diagnosis.evidence.remainder import SPANS
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.healthy.whitening import Whitening
 from fmuid.errors import InputError
@@ -76,7 +77,7 @@ class MachineDigest:
         records: Sequence[Experiment],
     ) -> MachineDigest:
         """Return that of a machine: its model, the values that it is held at, and how finely it is simulated."""
-        models = {"": _digest(_model(machine[0]), machine[1:])}
+        models = {"": _digest(_model(machine[0]), machine[1:], SPANS)}  # `owed` has a coefficient for each span
         for name, fault in faults.items():
             said = (list(fault.parameters), fault.names, fault.angles, fault.values, fault.inputs)
             models[name] = _digest(_model(System.of(fault.model)), said)
