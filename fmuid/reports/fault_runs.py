@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -14,11 +15,12 @@ from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.errors import InputError
 from fmuid.progress import Event, Progress
 from fmuid.reports.drawn import check_format
+from fmuid.reports.interactive.style import MAX_EXPERIMENTS
 from fmuid.reports.origin import made_from
-from fmuid.reports.page.contents import read_json
-from fmuid.reports.page.faults import PREPARED_FILE
+from fmuid.reports.page.contents import read_json, read_table
+from fmuid.reports.page.faults import MONITORED_FILE, PREPARED_FILE
 from fmuid.reports.page.write import show_results
-from fmuid.reports.preparations import prepared
+from fmuid.reports.preparations import Prepared, prepared, prepared_each
 from fmuid.reports.words.diagnosis import verdict
 from fmuid.reports.words.monitoring import monitoring_sentences
 from fmuid.studies import Study, monitor_of, records_of, rule_of
@@ -165,20 +167,25 @@ def run_monitoring(
     study, target = _prepared(study, folder, figures is not None or report or append)
     monitor = monitor_of(study, rule_of(study))
     paths, written = [Path(table) for table in tables], list[Path]()
-    earlier: dict[str, str] = {}
+    earlier, done = dict[str, Any](), list[Prepared]()
     if target is not None:
         if append:
             monitor.resume(target)
-            earlier = read_json(target / "monitoring.json").get("files", {})
+            earlier = read_json(target / "monitoring.json")
         files.make_folder(target)
     try:
         for record in records_of(study, paths, monitor.records):
             monitor.add(record, progress)
+            if target is not None and len(done) < MAX_EXPERIMENTS:
+                given = study.experiments[0].model_copy(update={"name": record.name, "table": Path(record.source)})
+                done += prepared_each([(given, record)])
     finally:  # what was found before a record that is wrong is kept, and can be appended to
         if target is not None and monitor.records:
             examined = (path for path in record_files(paths) if path.stem in monitor.records)
             told = made_from(study, examined)
-            told["files"] = earlier | told["files"]
+            told["files"] = earlier.get("files", {}) | told["files"]
+            told["experiments"] = [*earlier.get("experiments", []), *_said(done)]
+            written += _write_prepared(target / MONITORED_FILE, done, append=append)
             written += monitor.write(target, told | {"words": monitoring_sentences(monitor)})
     found = MonitoringFindings(monitor, tuple(written))
     _tell(progress, found)
@@ -200,15 +207,12 @@ def _units(study: Study) -> dict[str, str | None]:
 
 def _written(folder: Path, study: Study, found: Diagnosis) -> list[Path]:
     """Write a diagnosis and, where it has them, the residuals without and with the fault that explains most."""
-    done, changed = prepared(study), folder / PREPARED_FILE
-    told = [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in done]
+    done = prepared(study)
     content = {"verdict": verdict(found), **found.to_json_dict(), **made_from(study)}
-    content |= {"units": _units(study), "experiments": told}
+    content |= {"units": _units(study), "experiments": _said(done)}
     written = [files.write_json(folder / "diagnosis.json", content)]
     written.append(files.write_table(folder / "diagnosis.csv", found.table))
-    changed.unlink(missing_ok=True)
-    if tables := [each.table for each in done if len(each.table)]:
-        written.append(files.write_table(changed, pd.concat(tables, ignore_index=True)))
+    written += _write_prepared(folder / PREPARED_FILE, done)
     path = folder / RESIDUALS_FILE
     best = found[found.named[0]] if found.named else min(found.hypotheses, key=lambda each: each.probability)
     if found.result is None or best.result is None:
@@ -219,6 +223,19 @@ def _written(folder: Path, study: Study, found: Diagnosis) -> list[Path]:
         for output, unlike in zip(study.tables[0].output_names, residuals_of(frame), strict=True):
             columns[f"{kind}.{output}"] = unlike
     return [*written, files.write_table(path, pd.DataFrame(columns))]
+
+
+def _said(done: Sequence[Prepared]) -> list[dict[str, Any]]:
+    """Return what a JSON file says of what was done with tables."""
+    return [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in done]
+
+
+def _write_prepared(path: Path, done: Sequence[Prepared], *, append: bool = False) -> list[Path]:
+    """Write the columns of tables before and after, to those of earlier ones where they are to be added."""
+    tables = [read_table(path)] if append and files.is_file(path) else []
+    tables += [each.table for each in done if len(each.table)]
+    path.unlink(missing_ok=True)
+    return [files.write_table(path, pd.concat(tables, ignore_index=True))] if tables else []
 
 
 def residuals_of(frame: pd.DataFrame) -> list[pd.Series[float]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -52,9 +52,14 @@ def prepared(study: Study) -> tuple[Prepared, ...]:
     InputError
         If a table cannot be read.
     """
+    return prepared_each(zip(study.experiments, study.tables, strict=True))
+
+
+def prepared_each(experiments: Iterable[tuple[ExperimentSettings, Experiment]]) -> tuple[Prepared, ...]:
+    """Return what was done with the table of each experiment, as `prepared` does."""
     found: list[Prepared] = []
     read: tuple[list[Any], pd.DataFrame] | None = None
-    for given, experiment in zip(study.experiments, study.tables, strict=True):
+    for given, experiment in experiments:
         words = given.prepare.model_dump(exclude_defaults=True, by_alias=True)
         if not words:
             continue

@@ -21,12 +21,31 @@
   const lost = document.getElementById("lost");
   Bokeh.embed.embed_items({}, [JSON.parse(item.textContent)]).then(drawn, () => (lost.hidden = false));
 
+  // A name for what has none to be read out: sliders, typed values, switches that are all labelled alike. A table is
+  // passed over by the keyboard, which would stop at each of its cells: its cases are chosen by their number.
+  function name(view) {
+    const place = view.shadow_el?.querySelector(".noUi-handle,input,button");
+    const told = [...(place?.labels ?? [])].some((label) => label.textContent) || place?.tagName === "BUTTON";
+    if (place && view.model.name && (!told || view.model.type === "Toggle")) place.setAttribute("aria-label", view.model.name);
+    if (view.model.type === "DataTable")
+      for (const stop of view.shadow_el.querySelectorAll("[tabindex],[hidefocus]")) stop.tabIndex = -1;
+    if (view.model.type === "Tabs") view.shadow_el.addEventListener("keydown", pressed);
+    for (const child of view.children?.() ?? []) name(child);
+  }
+
+  function pressed(event) {
+    if (!event.target.matches(".bk-tab") || !["Enter", " "].includes(event.key)) return;
+    event.preventDefault();
+    event.target.click();
+  }
+
   // What the server follows is there; then come the figures that are as they are, one section after the other.
   async function drawn() {
     for (const doc of Bokeh.documents) {
       doc.on_event("connection_lost", () => (lost.hidden = false));
       doc.on_event("client_reconnected", () => (lost.hidden = true));
     }
+    for (const view of Bokeh.index.roots ?? Object.values(Bokeh.index)) name(view);
     const still = document.getElementById("figures");
     if (still === null) return;
     const { colors } = JSON.parse(still.textContent);

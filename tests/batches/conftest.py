@@ -63,7 +63,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """A scheduler in a process of its own, without workers."""
     place, line = tmp_path / "scheduler", [sys.executable, "-m", "distributed.cli.dask_scheduler"]
     place.mkdir()
-    line += ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
+    line += ["--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"]
     line += ["--scheduler-file", str(place / "file.json")]
     with subprocess.Popen(line, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         wait_until(lambda: _json(place / "file.json"))

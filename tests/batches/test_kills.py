@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -9,10 +10,12 @@ import sys
 import time
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 import pandas as pd
 import pytest
+from bokeh.document import Document
 
 from experiments.batches.campaign import command, family, left_over, rows
 from fmuid.batches import cluster
@@ -22,6 +25,8 @@ from fmuid.batches.worker import versions
 from fmuid.errors import FmuidError
 from fmuid.progress import Event
 from fmuid.studies.study import Study
+from fmuid.workbench import Folder
+from fmuid.workbench.pages.batch import BatchPage
 from tests.support.coil_batches import (
     DRAWS,
     NOISE,
@@ -165,6 +170,12 @@ def test_a_cluster(
         assert fmuid_("batch", *words) == 0
         assert capsys.readouterr().err == ""
         same(pd.read_parquet(fleet / "out" / "cases"), expected(fleet))
+        dashboard = json.loads((fleet / "out" / "batch.json").read_text())["dashboard"]
+        with urlopen(dashboard, timeout=60.0) as answer:
+            assert answer.status == 200
+        doc = Document()
+        BatchPage(doc, Folder(fleet), fleet / "out", "light")
+        assert f'href="{dashboard}"' in " ".join(text for text, _ in doc.template_variables["pieces"])
 
         wait_until(lambda: not shops(fleet))
 

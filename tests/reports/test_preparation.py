@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 import fmuid
 from fmuid.reports.page.contents import Identification
-from fmuid.reports.page.faults import part_of_diagnosis
+from fmuid.reports.page.faults import part_of_diagnosis, part_of_monitoring
 from fmuid.reports.page.preparation import preparation_words, sections
 from fmuid.reports.preparations import prepared
 from fmuid.reports.run import run_study
@@ -127,7 +128,7 @@ def test_the_report_draws_it_and_says_what_was_done(study: Study, tmp_path: Path
     assert 'id="preparation-2"' in page
 
 
-def test_the_page_of_a_diagnosis_draws_it_too(tmp_path: Path) -> None:
+def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(tmp_path: Path) -> None:
     coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
     run_study(Study.of(coil.study, tmp_path / "coil.toml"), tmp_path / "healthy")
     faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
@@ -138,6 +139,14 @@ def test_the_page_of_a_diagnosis_draws_it_too(tmp_path: Path) -> None:
     assert tmp_path / "out" / "diagnosis-preparation.csv" in found.files
     drawn = {each.name: each for each in part_of_diagnosis(tmp_path / "out").sections}
     assert drawn["prepared"].caption.startswith("The table was cut from 0.1 s.")
+    study = Study.of(words | {"monitoring": {"level": 0.01}}, tmp_path / "test.toml")
+    second = shutil.copy(test.path, tmp_path / "second.csv")
+    for tables in ([test.path], [test.path, second]):
+        watched = fmuid.run_monitoring(study, tables, tmp_path / "out", append=len(tables) > 1)
+        assert tmp_path / "out" / "monitoring-preparation.csv" in watched.files
+    drawn = {each.name: each for each in part_of_monitoring(tmp_path / "out").sections}
+    assert drawn["monitored"].caption.startswith("The table was cut from 0.1 s.")
+    assert drawn["monitored-2"].heading.endswith("second")
 
 
 def test_the_figure_shows_before_in_grey_and_after(study: Study, raw: pd.DataFrame) -> None:

@@ -14,6 +14,8 @@ from fmuid.workbench import Folder, Workbench
 from tests.support.browser import PATIENCE, chromium
 from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.misbehaving import Mode, misbehaving_fmu
+from tests.support.results import result
+from tests.workbench.test_pages import batch
 
 pytestmark = pytest.mark.browser
 
@@ -152,6 +154,68 @@ def test_the_keyboard_alone_moves_holds_and_identifies(browser: Any, address: st
     wait(browser, f"{MODEL}('state').text.includes('Done')")
     assert (folder / "results/report.html").is_file()
     assert any("hold" in each for each in seen)
+    assert quiet(browser)
+
+
+# What the keyboard must come to on each page, by the names that are read out.
+REACHED = {
+    "": ["What-if and identify", "Faults", "New study from an FMU and tables", "choose old", "Side by side"],
+    "study?file=study.toml": ["R", "typed R", "hold R", "Starts", "search", "Identify", "Fit", "Result"],
+    "results?file=old": ["a table of the folder", "or drop one here", "Predict", "Write the report"],
+    "faults?file=faults.toml": ["records to monitor", "follow", "Diagnose", "Monitor"],
+    "batch?file=out": ["cases", "with the text", "show the case"],
+    "new": ["FMU", "tables, one an experiment (Ctrl for several)", "column of time", "detrend", "study file to write"],
+}
+SEEN = """
+const style = getComputedStyle(arguments[0]);
+return style.outlineStyle !== "none" && parseFloat(style.outlineWidth) > 0 || style.boxShadow !== "none";
+"""
+
+
+def tabbed(driver: Any) -> Iterator[tuple[str, Any]]:
+    """Yield what Tab comes to from the beginning of the page to its end, by name; each must be seen to have it."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    for _ in range(80):
+        ActionChains(driver).send_keys(Keys.TAB).perform()
+        active = driver.execute_script(ACTIVE)
+        if active.tag_name == "body":
+            return
+        canvas = "bk-events" in (active.get_attribute("class") or "")
+        scrolls = "scroll" in (active.get_attribute("class") or "")
+        name = active.accessible_name
+        assert name or canvas or scrolls, active.get_attribute("outerHTML")
+        assert driver.execute_script(SEEN, active), name
+        yield name, active
+    raise AssertionError("Tab does not come to the end of the page")
+
+
+def test_the_keyboard_reaches_all_of_each_page(browser: Any, address: str, folder: Path) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    (folder / "faults.toml").write_text(STUDY + "[diagnosis]\n")
+    (folder / "old").mkdir()
+    result(folder / "old", {"R": (4.0, 0.1)})
+    batch(folder / "out", 3)
+    browser.get(address)
+    base = address.split("?")[0]
+    for page, wanted in REACHED.items():
+        browser.get(base + page)
+        wait(browser, DRAWN if page else "document.readyState === 'complete'")
+        wait(browser, "!document.getElementById('figures') || document.documentElement.dataset.drawn === 'all'")
+        names = []
+        for name, element in tabbed(browser):
+            names.append(name)
+            if name == "show the case":
+                element.send_keys("1", Keys.ENTER)
+            if name == "Result":
+                element.send_keys(Keys.ENTER)
+        assert set(wanted) <= set(names), (page, names)
+        if page.startswith("batch"):
+            wait(browser, f"{MODEL}('case').text.includes('hit &lt;b&gt;a wall')")
+        if page.startswith("study"):
+            wait(browser, f"{MODEL}('main').active === 2")
     assert quiet(browser)
 
 

@@ -163,6 +163,10 @@ def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
     page.source.selected.indices = [0]
     assert "hit &lt;b&gt;a wall" in page.case.text
     assert "the FMU said &lt;so&gt;" in page.case.text
+    page.number.value = "3"
+    assert "<td>4.03</td>" in page.case.text
+    page.number.value = "7"
+    assert "there is no case 7 yet" in page.case.text
 
 
 def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path) -> None:

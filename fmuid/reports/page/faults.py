@@ -19,8 +19,8 @@ from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.diagnosis import diagnosis_words, explanation_words
 
-PREPARED_FILE = "diagnosis-preparation.csv"
-"""What was done with the tables of a diagnosis, as in ``preparation.csv``."""
+PREPARED_FILE, MONITORED_FILE = "diagnosis-preparation.csv", "monitoring-preparation.csv"
+"""What was done with the tables of a diagnosis, and of a monitoring, as in ``preparation.csv``."""
 EVIDENCE = (
     "Each bar is how much better a fault explains the data than the healthy machine does. Beyond its threshold it is "
     "significant: without a fault that happens with the false-alarm level."
@@ -63,10 +63,13 @@ def part_of_diagnosis(folder: Path) -> Part:
         best = found.named[0] if found.named else min(found.hypotheses, key=lambda each: each.probability).name
         drawn = [diagnosis.residuals(read_table(residuals), best, units)]
         sections.append(Section("explained", "What the fault explains", RESIDUAL, drawn, 1))
-    changed = folder / PREPARED_FILE
-    if is_file(changed):
-        sections += preparation.sections(read_table(changed), content.get("experiments", []), "prepared")
+    sections += _prepared(folder / PREPARED_FILE, content, "prepared")
     return Part("Diagnosis", found.kind, found.kind == "healthy", said, faults_table(found), sections, origin(content))
+
+
+def _prepared(path: Path, content: dict[str, Any], name: str) -> list[Section]:
+    """Return the sections on what was done with tables, where it is kept."""
+    return preparation.sections(read_table(path), content.get("experiments", []), name) if is_file(path) else []
 
 
 def sections_of(found: Diagnosis) -> list[Section]:
@@ -116,6 +119,7 @@ def part_of_monitoring(folder: Path) -> Part:
         shown = _alarms(alarms)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError(f"{folder} has no whole results of fmuid monitor ({error}): monitor again") from None
+    drawn += _prepared(folder / MONITORED_FILE, content, "monitored")
     state = "alarm" if alarms else "no alarm"
     return Part("Monitoring", state, not alarms, said, shown, drawn, origin(content))
 

@@ -59,6 +59,7 @@ class BatchPage:
         self.state = words("state")
         self.status = Select(title="cases", options=["all"], value="all", name="status", stylesheets=[SHEET])
         self.text = TextInput(title="with the text", value="", name="filter", stylesheets=[SHEET])
+        self.number = TextInput(title="show the case", value="", name="number", width=110, stylesheets=[SHEET])
         self.source = ColumnDataSource({"case": []}, name="cases")
         self.table = DataTable(source=self.source, height=420, index_position=None, reorderable=False, **WIDE)
         self.table.autosize_mode = "none"  # else all columns are squeezed into a narrow window
@@ -68,7 +69,8 @@ class BatchPage:
         for each in (self.status, self.text):
             each.on_change("value", lambda _attr, _old, _new: self._filter())
         self.source.selected.on_change("indices", lambda _attr, _old, new: self._choose(new))
-        filters = row(self.status, self.text, stylesheets=[LINE], sizing_mode="stretch_width")
+        self.number.on_change("value", lambda _attr, _old, new: self._sought(new))
+        filters = row(self.status, self.text, self.number, stylesheets=[LINE], sizing_mode="stretch_width")
         self.look()
         doc.add_periodic_callback(self.look, EVERY)
         cases = column(filters, self.table, name="table", **WIDE)
@@ -163,10 +165,19 @@ class BatchPage:
         self.source.data = {name: _plain(shown[name]) for name in names}
 
     def _choose(self, indices: list[int]) -> None:
+        """Show the case of a row of the table."""
+        if indices:
+            self._show(int(self.source.data["case"][indices[0]]))
+
+    def _sought(self, text: str) -> None:
+        """Show the case whose number was typed, also one that is not in the table."""
+        if text.strip().isdecimal() and int(text) in set(self.frame["case"]):
+            self._show(int(text))
+        elif text.strip():
+            self.case.text = f"<p class=error role=alert>there is no case {escaped(text)} yet</p>"
+
+    def _show(self, case: int) -> None:
         """Show one case, and what it printed."""
-        if not indices:
-            return
-        case = int(self.source.data["case"][indices[0]])
         found = self.frame[self.frame["case"] == case].iloc[0]
         cells = "".join(
             f"<tr><th scope=row>{escaped(name)}</th><td>{escaped(value)}</td></tr>"
