@@ -11,11 +11,11 @@ import pytest
 
 from fmuid.simulation import AVAILABLE
 from fmuid.workbench import Folder, Workbench
+from tests.support.begun_batch import batch
 from tests.support.browser import PATIENCE, chromium
 from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.misbehaving import Mode, misbehaving_fmu
 from tests.support.results import result
-from tests.workbench.test_pages import batch
 
 pytestmark = pytest.mark.browser
 

@@ -13,7 +13,6 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
-import pandas as pd
 import pytest
 from bokeh.document import Document
 from bokeh.events import ButtonClick
@@ -34,6 +33,7 @@ from fmuid.workbench.home import _results, _studies
 from fmuid.workbench.jobs import Jobs
 from fmuid.workbench.pages.batch import BatchPage
 from fmuid.workbench.pages.results import Predicting, Writing, _compared, build
+from tests.support.begun_batch import batch
 from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
@@ -125,23 +125,6 @@ def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
         assert places
         body = "".join(text for text, _ in told["pieces"])
         assert all(f'id="{place}"' in body for place in places)
-
-
-def batch(folder: Path, done: int) -> None:
-    """Write a batch of five cases as far as it has come."""
-    (folder / "cases").mkdir(parents=True, exist_ok=True)
-    manifest = {"fmuid": "0", "study": {"title": "Fleet"}, "files": {}, "cases": 5, "truth": {"R": 4.0}}
-    (folder / "batch.json").write_text(json.dumps(manifest))
-    rows = {
-        "case": np.arange(done),
-        "status": ["failed" if k == 1 else "converged" for k in range(done)],
-        "draw": np.arange(done),
-        "value.R": [4.0 + 0.01 * k for k in range(done)],
-        "std.R": np.full(done, 0.1),
-        "criterion": np.ones(done),
-        "message": ["hit <b>a wall" if k == 1 else "converged" for k in range(done)],
-    }
-    pd.DataFrame(rows).to_parquet(folder / f"cases/part-{done:09d}-{'0' * 12}.parquet")
 
 
 def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
