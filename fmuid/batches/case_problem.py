@@ -30,7 +30,7 @@ def problem_of(
     free: Sequence[str],
     held: Values,
     starts: Mapping[str, float],
-    simulators: Sequence[Simulator] = (),
+    like: Problem | None = None,
 ) -> Problem:
     """Return the problem of a case with the study's own model, whose instances all cases share.
 
@@ -44,8 +44,8 @@ def problem_of(
         Variables held at other values than the study's.
     starts : mapping of str to float
         Starts in place of the study's.
-    simulators : sequence of Simulator, optional
-        Of the problem of another case with the same inputs, free parameters and held values.
+    like : Problem, optional
+        Of another case with the same inputs, free parameters and held values.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def problem_of(
         loss=study.loss,
         sensitivity=study.sensitivity,
         choices={name: few for name, few in study.model.choices.items() if name not in known},
-        simulators=simulators,
+        like=like,
     )
 
 

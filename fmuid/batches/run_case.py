@@ -29,7 +29,7 @@ from fmuid.errors import FmuidError
 from fmuid.estimation import Accuracy, Direction, Outcome, Result
 from fmuid.files import as_json
 from fmuid.model_problem import CheckedRegion, Problem, identify
-from fmuid.simulation import Simulator, executor_of
+from fmuid.simulation import executor_of
 from fmuid.studies import ExperimentSettings, NoiseDraws, Study, Value
 
 Key = TypeVar("Key")
@@ -41,8 +41,9 @@ VOLATILE = ("checked", "elapsed_s", "finished", "worker")
 SYSTEMS_KEPT = 4
 """Tables, and simulations of the truth, that are kept for the cases that follow."""
 
-AT_START = 2
-"""Calls of a simulator that do not depend on what was measured: the start, and the noise of its simulation."""
+AT_START = 3
+"""Calls of a simulator that hardly ever depend on what was measured: the start, the noise of its simulation, and the
+differences of its first derivatives."""
 
 WHOLE, NUMBER, TEXT, FLAG, TIMESTAMP = "int64", "float64", "string", "bool", "datetime64[us, UTC]"
 
@@ -95,7 +96,7 @@ class CaseRunner:
         self._drawn, self._seed = self.cases.settings.noise, self.cases.settings.seed
         self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.outputs))
         self._tables: _Recent[Path | None, tuple[Experiment, ...]] = _Recent()
-        self._simulators: dict[object, tuple[Simulator, ...]] = {}  # of the case before
+        self._before: tuple[object, Problem] | None = None  # what the case before had to be simulated, and its problem
         self._truths: _Recent[object, tuple[Floats, ...]] = _Recent()
         self._regions: _Recent[object, CheckedRegion] = _Recent()
         self._worker = f"{platform.node()}:{os.getpid()}"
@@ -113,8 +114,8 @@ class CaseRunner:
             If that ends the case.
         """
         case, began = self.cases[index], time.perf_counter()
-        if any(each.stiff for kept in self._simulators.values() for each in kept):
-            self._simulators.clear()  # they would go on as such, and what a case gives depend on the one before it
+        if self._before and any(each.stiff for each in self._before[1].laid_out):
+            self._before = None  # they would go on as such, and what a case gives depend on the one before it
         with _warnings_of_this_thread() as warnings:
             found = self._found(case)
         elapsed, printed = time.perf_counter() - began, executor_of(self._system).printed()
@@ -150,10 +151,11 @@ class CaseRunner:
         if case.draw is not None and self._drawn is not None:
             experiments = self._disturbed(case, case.draw, self._drawn, experiments)
         key = case.table, case.free, tuple(case.held.items())
-        known = self._simulators.get(key, ())
-        problem = problem_of(self.study, experiments, case.free, case.held, case.starts, known)
-        self._simulators = {key: problem.simulators}
-        if not known and self.cases.settings.starts is None:  # only measurements differ in the cases that follow
+        like = self._before[1] if self._before and self._before[0] == key else None
+        problem = problem_of(self.study, experiments, case.free, case.held, case.starts, like)
+        problem.one_of_many = self.cases.settings.starts is None
+        self._before = key, problem
+        if problem.one_of_many and like is None:
             for each in problem.simulators:
                 each.remember(AT_START)
         return problem

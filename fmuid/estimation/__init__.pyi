@@ -56,6 +56,7 @@ from .misfit import refuse_loss as refuse_loss
 from .misfit import variances as variances
 from .model_derivatives import SENSITIVITIES as SENSITIVITIES
 from .model_derivatives import Sensitivity as Sensitivity
+from .numerical_noise import NoiseLevel as NoiseLevel
 from .result import Optimum as Optimum
 from .result import Result as Result
 from .starts.noise_level import second_difference_noise as second_difference_noise

@@ -14,7 +14,7 @@ from fmuid.estimation.finite_differences import FiniteDifferences, SensitivityEr
 from fmuid.estimation.influence import idle_parameters, waking_point
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.model_derivatives import Derivatives, ModelSensitivities
-from fmuid.estimation.numerical_noise import NoiseLevel, noise_along, noise_level, shares_of, table_noise
+from fmuid.estimation.numerical_noise import NoiseLevel, noise_along, shares_of, table_noise
 
 # Of data that are fitted to the last digits of double precision, the residual says nothing about their noise: its
 # standard deviation counts as this share of the measured values at least.
@@ -82,7 +82,14 @@ class Criterion:
     def _chosen_derivatives(self, noise: Floats) -> Derivatives:
         problem, reach = self.problem, self.problem.parameters.reach
         differences = FiniteDifferences(
-            problem.predict, self.lower, self.upper, reach, noise, self._size, -self._weights
+            problem.predict,
+            self.lower,
+            self.upper,
+            reach,
+            noise,
+            self._size,
+            -self._weights,
+            alike=problem.one_of_many,
         )
         if problem.sensitivity == "finite-difference":
             return differences
@@ -300,15 +307,7 @@ def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> Start:
 def _prepared(problem: LeastSquares, at: Floats) -> tuple[Start, NDArray[np.bool_]]:
     """Return a problem made ready at a theta (N,), and which parameters act there."""
     parameters = problem.parameters
-    base, noise = noise_level(
-        problem.predict,
-        at,
-        parameters.magnitudes(at),
-        parameters.lower,
-        parameters.upper,
-        problem.groups,
-        problem.counts.size,
-    )
+    base, noise = problem.noise_near(at)
     if np.isnan(base).any():
         raise _failure(problem, at, "start elsewhere")
     least = np.maximum(noise.outputs**2, LEAST_NOISE**2 * problem.output_variances(problem.measured))

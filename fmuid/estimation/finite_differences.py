@@ -92,6 +92,8 @@ class FiniteDifferences:
         take |f‴| = size / magnitude³.
     weights : float or (n,) array
         What the function is multiplied by.
+    alike : bool
+        Whether the first steps are powers of two, for functions that differ in their weights to have the same ones.
 
     Attributes
     ----------
@@ -108,17 +110,21 @@ class FiniteDifferences:
         noise: Floats,
         size: float,
         weights: float | Floats = 1.0,
+        *,
+        alike: bool = False,
     ) -> None:
         self._predict, self._lower, self._upper, self._magnitudes = predict, lower, upper, magnitudes
         # a quarter of the distance of the bounds leaves room for two steps to one side wherever theta is
         self._longest = self._upper / 4.0 - self._lower / 4.0
-        self._size = size
+        self._size, self._alike = size, alike
         self._set_weights(weights, noise)
         self._plan_first()
 
     def _plan_first(self) -> None:
         first = (3.0 * self._rms / self._size) ** (1.0 / 3.0) if self._size > 0 else LARGEST_STEP
-        self.central_steps = np.full(self._lower.shape, min(max(first, SMALLEST_STEP), LARGEST_STEP))
+        first = min(max(first, SMALLEST_STEP), LARGEST_STEP)
+        first = 2.0 ** round(math.log2(first)) if self._alike else first
+        self.central_steps = np.full(self._lower.shape, first)
         self.forward_steps = self.central_steps.copy()
         self._forward_error = self._central_error = np.zeros(self._lower.size)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,9 @@ from fmuid.data import (
 from fmuid.data import Noise as Noise
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation.colour.innovations import Weights
+from fmuid.estimation.colour.series import Series, series_of
 from fmuid.estimation.model_derivatives import Sensitivity
-from fmuid.estimation.numerical_noise import LARGEST_VALUE
+from fmuid.estimation.numerical_noise import LARGEST_VALUE, NoiseLevel, noise_level
 
 
 class LeastSquares:
@@ -79,6 +81,8 @@ class LeastSquares:
         None for the plain sum of squares.
     weights : Weights or None
         Where samples are weighed by the colour of their noise: what makes it white in `measured` and all predictions.
+    one_of_many : bool
+        Whether there are others that differ in their measurements only: all set out by the same simulations then.
     simulations : int
         How many simulations of an experiment were made so far.
     failures : int
@@ -126,6 +130,7 @@ class LeastSquares:
         self.noise, self.loss = noise, loss_of(loss)
         self.simulations = self.failures = 0
         self.weights: Weights | None = None
+        self.one_of_many = False
         self._reasons: dict[int, tuple[Floats, Exception | None]] = {}  # of the last failure, by experiment
         self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
         if not self.output_names:
@@ -198,6 +203,11 @@ class LeastSquares:
         """Which measurements there are."""
         return tuple(series for experiment in self.experiments for series in measured_series(experiment))
 
+    @cached_property
+    def series(self) -> tuple[Series, ...]:
+        """Which counted samples belong to one output of one experiment, and where they stand in time."""
+        return series_of(self.experiments, self.output_names)
+
     def _check_counts(self) -> None:
         for name, count in zip(self.output_names, self.counts, strict=True):
             if count == 0:
@@ -264,6 +274,12 @@ class LeastSquares:
         stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
         stacked[failed] = np.nan
         return self._weighed(stacked)
+
+    def noise_near(self, theta: Floats) -> tuple[Floats, NoiseLevel]:
+        """Return the counted samples (n,) at theta (N,), NaN where it fails, and the noise of the simulation there."""
+        given, groups = self.parameters, self.groups
+        bounds = given.lower, given.upper
+        return noise_level(self.predict, theta, given.magnitudes(theta), *bounds, groups, self.counts.size)
 
     def derivatives(self, theta: Floats) -> Floats:
         """Return the derivatives (N, n) of all counted samples by the parameters at theta (N,), from the model.

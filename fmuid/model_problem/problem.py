@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.data import Experiment, JointPrior, Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation import SENSITIVITIES, LeastSquares, Result, Weights
+from fmuid.estimation import SENSITIVITIES, LeastSquares, NoiseLevel, Result, Weights
 from fmuid.fmi import FMU
 from fmuid.model_problem.choices import Given, choices_of
 from fmuid.models import System, Value
@@ -78,8 +78,9 @@ class Problem(LeastSquares):
     choices : mapping of str to sequence of values, or to "all", optional
         Variables that take few values, Integer, Boolean or of an enumeration: `fmuid.identify` searches with each
         combination of them and leaves the problem at the best. "all": those that the FMU declares.
-    simulators : sequence of Simulator, optional
-        Those of another problem that differs in its measurements only, which saves laying out the simulation anew.
+    like : Problem, optional
+        One that differs in its measurements only, the same samples counting: what it has laid out, and its noise,
+        serve this one too.
 
     Attributes
     ----------
@@ -88,6 +89,8 @@ class Problem(LeastSquares):
     refinement : Refinement
         How much finer than that it is simulated: a search whose simulation turns out too coarse goes on by a finer one
         (`fmuid.identify`), and so does all that is done with the problem from then on.
+    laid_out : tuple of Simulator
+        What simulates the experiments as it was asked for, with the first of each of the `choices`.
     observer : float or None
         The time constant, in samples, of an observer that corrects the states (`fmuid.model_problem.observed`).
 
@@ -118,7 +121,7 @@ class Problem(LeastSquares):
         loss: str = "linear",
         sensitivity: str = "finite-difference",
         choices: Given | None = None,
-        simulators: Sequence[Simulator] = (),
+        like: Problem | None = None,
     ) -> None:
         if sensitivity not in SENSITIVITIES:
             near = nearest(sensitivity, SENSITIVITIES)
@@ -132,7 +135,9 @@ class Problem(LeastSquares):
             raise InputError(f"{both!r} is to be identified and takes few values: keep one of the two")
         held = dict(values or {}) | {name: few[0] for name, few in self.choices.items()}
         self._given, self._asked = (tuple(parameters), held, step_size), parameters
-        self._simulators = list(simulators) or self._laid_out(listed, held)
+        self.laid_out: tuple[Simulator, ...] = like.laid_out if like else tuple(self._lay_out(listed, held))
+        self._simulators = list(self.laid_out)
+        self._noise_found: tuple[Floats, Floats, NoiseLevel] | None = None if like is None else like._noise_found
         self.refinement = AS_ASKED
         self.observer: float | None = None
         self._finer: dict[Refinement, Problem] = {}
@@ -149,8 +154,10 @@ class Problem(LeastSquares):
             sensitivity=sensitivity,
             derivatives=_derivatives(self._simulators, sensitivity),
         )
+        if like is not None:
+            self.series = like.series
 
-    def _laid_out(self, experiments: Sequence[Experiment], held: Mapping[str, Value]) -> list[Simulator]:
+    def _lay_out(self, experiments: Sequence[Experiment], held: Mapping[str, Value]) -> list[Simulator]:
         names, _, step_size = self._given
         return [Simulator(self.system, each, names, values=held, step_size=step_size) for each in experiments]
 
@@ -162,7 +169,7 @@ class Problem(LeastSquares):
     def choose(self, values: Mapping[str, Value]) -> None:
         """Hold parameters that take few values at these from now on, simulated as was asked for."""
         _, held, _ = self._given
-        self._simulators = self._laid_out(self._tables, {**held, **values})
+        self._simulators = self._lay_out(self._tables, {**held, **values})
         self._predictors = tuple(self._simulators)
         self._derivatives = tuple(_derivatives(self._simulators, self.sensitivity))
         self.refinement, self._finer, self._known, self._reasons = AS_ASKED, {}, None, {}
@@ -201,7 +208,7 @@ class Problem(LeastSquares):
         """
         known = self if refinement == self.refinement else self._finer.get(refinement)
         stiff = frozenset[str]().union(*(each.stiff for each in (known._simulators if known is not None else ())))
-        return {name: asdict(run) for name, run in how_run(self.system, refinement, stiff).items()}
+        return {name: dict(vars(run)) for name, run in how_run(self.system, refinement, stiff).items()}
 
     @property
     def simulators(self) -> tuple[Simulator, ...]:
@@ -212,6 +219,19 @@ class Problem(LeastSquares):
     def corrected(self) -> bool:
         """Whether measurements correct the states at the samples: nothing finer can be compared with that."""
         return any(each.corrects for each in self._simulators)
+
+    def noise_near(self, theta: Floats) -> tuple[Floats, NoiseLevel]:
+        """Find out as `LeastSquares.noise_near` does, once for all problems that differ in their measurements only."""
+        plain = self._simulators == list(self.laid_out) and self._known is None
+        plain &= self.weights is None and self.levels.scale is None  # which may follow from measurements
+        known, failures = self._noise_found, self.failures
+        if plain and known is not None and np.array_equal(known[0], theta):
+            self.simulations += known[2].simulations
+            return known[1], known[2]
+        base, noise = super().noise_near(theta)
+        if plain and self.failures == failures:
+            self._noise_found = theta.copy(), base, noise
+        return base, noise
 
     # --- finer simulations
 

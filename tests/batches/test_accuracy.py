@@ -13,6 +13,7 @@ import fmuid
 from fmuid.batches.run_case import VOLATILE, CaseRunner
 from fmuid.batches.summary import summarize
 from fmuid.reports.batch_words import summary_words
+from fmuid.simulation import executor_of
 from fmuid.studies.study import Study
 from tests.support.paths import ROOT
 from tests.support.stepping import LAG, stepping_fmu
@@ -51,6 +52,22 @@ def test_what_is_known_is_not_simulated_again() -> None:
     assert summary.accuracy == {"passed": 12, "checked": int(found["checked"].sum()), "finer": 0}
     assert any("in 12 cases" in sentence for sentence in summary_words(summary))
     assert summarize(without).accuracy == {}
+
+
+def test_cases_simulate_what_they_have_in_common_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The start, six points beside it that show the noise, and both sides of two parameters."""
+    runner = coil({"noise": {"draws": 12, "std": 0.035}}, 'estimator.accuracy="off"')
+    runner(0)
+    executor, simulated = executor_of(runner.study.system), list[int]()
+    run = executor.run
+
+    def counting(simulation: Any, thetas: Any, *rest: Any) -> None:
+        simulated.append(len(thetas))
+        run(simulation, thetas, *rest)
+
+    monkeypatch.setattr(executor, "run", counting)
+    counted = sum(int(str(runner(case).row["simulations"])) for case in range(1, 9))
+    assert counted - sum(simulated) == 8 * (1 + 6 + 4)
 
 
 def test_starts_that_fail_or_alias() -> None:

@@ -54,7 +54,7 @@ from fmuid.estimation.colour.autoregression import Autoregression, fit, most_ord
 from fmuid.estimation.colour.cycles import Returning, returning
 from fmuid.estimation.colour.grid import Grid, Rows, Spectra
 from fmuid.estimation.colour.innovations import Weights
-from fmuid.estimation.colour.series import Series, series_of
+from fmuid.estimation.colour.series import Series
 from fmuid.estimation.least_squares import LeastSquares
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: NDArray[np.b
         raw = weights.undone(np.column_stack([residual, basis]))
         columns = weighed if columns is basis else weights.transposed(columns)
         rows = replace(rows, residual=raw[:, 0], basis=raw[:, 1:], columns=columns, weighed=weighed)
-    found = sandwich(rows, series_of(problem.experiments, problem.output_names))
+    found = sandwich(rows, problem.series)
     found = _with_returning(found, rows, problem.experiments, weights)
     lost = ~np.isfinite(np.diag(local.combined.covariance))
     covariance = found.covariance.copy()
