@@ -54,7 +54,8 @@ def measured_series(experiment: Measurements) -> tuple[MeasuredSeries, ...]:
     found = []
     for j, output in enumerate(experiment.output_names):
         counted = experiment.counted[:, j]
-        samples = np.column_stack([experiment.times[counted], experiment.output_values[counted, j]])
-        digest = hashlib.sha256(samples.astype("<f8").tobytes()).hexdigest()[:DIGITS]
+        samples = np.empty((np.count_nonzero(counted), 2), "<f8")
+        samples[:, 0], samples[:, 1] = experiment.times[counted], experiment.output_values[counted, j]
+        digest = hashlib.sha256(samples.data).hexdigest()[:DIGITS]
         found.append(MeasuredSeries(experiment.name, output, experiment.units.get(output, ""), len(samples), digest))
     return tuple(found)

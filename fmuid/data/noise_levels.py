@@ -79,17 +79,14 @@ def levels_of(noise: Noise, experiments: Sequence[Measurements], outputs: Sequen
             raise InputError(f"noise is given of {name!r}, which is no experiment{nearest(name, names)}")
         own.check_names(experiments[names.index(name)].output_names)
     forms: dict[str, list[str]] = {}  # of each output in each of its experiments
-    blocks, groups = [], []
+    found: list[list[Any]] = []
     for each in experiments:
-        block = np.ones(each.output_values.shape)
-        for column, output in enumerate(each.output_names):
-            block[:, column], word = _variances(noise, experiments, each, output)
+        said = [_variances(noise, experiments, each, output) for output in each.output_names]
+        found.append([level for level, _ in said])
+        for output, (_, word) in zip(each.output_names, said, strict=True):
             forms.setdefault(output, []).append(word)
-        blocks.append(block[each.counted])
-        columns = np.array([outputs.index(name) for name in each.output_names], dtype=np.intp)
-        groups.append(np.broadcast_to(columns, each.counted.shape)[each.counted])
     given = np.array([_is_given(output, forms[output]) for output in outputs])
-    share, scale = _proportions(np.concatenate(blocks), np.concatenate(groups), len(outputs))
+    share, scale = _proportions(experiments, found, outputs)
     pool = np.array([_is_pooled(noise, output, forms[output]) for output in outputs])
     if pool.sum() == 1 and scale is None and "weights" in forms[alone := outputs[int(np.argmax(pool))]]:
         raise InputError(
@@ -197,13 +194,30 @@ def _is_pooled(noise: Noise, output: str, forms: Sequence[str]) -> bool:
     return (common or "weights" in forms) and not _is_given(output, forms)
 
 
-def _proportions(rows: Floats, groups: Indices, outputs: int) -> tuple[Floats, Floats | None]:
-    """Return the mean variance of each output (n_outputs,), and the square roots of the samples' shares of it (n,)."""
-    scale, mean = np.ones(rows.size), np.full(outputs, math.nan)  # NaN of what is not measured yet
-    for j in range(outputs):
-        own = rows[groups == j]
-        if own.size and np.isfinite(own).all():
-            same = bool((own == own[0]).all())
-            mean[j] = own[0] if same else own.mean()
-            scale[groups == j] = 1.0 if same else np.sqrt(own / mean[j])
+def _proportions(
+    experiments: Sequence[Measurements], levels: Sequence[Sequence[Any]], outputs: Sequence[str]
+) -> tuple[Floats, Floats | None]:
+    """Return the mean variance of each output (n_outputs,), and the square roots of the samples' shares of it (n,).
+
+    The levels are those of each output of each experiment, a number or one a sample.
+    """
+    pairs = [
+        pair for each, own in zip(experiments, levels, strict=True) for pair in zip(each.output_names, own, strict=True)
+    ]
+    last = dict(pairs)
+    if all(np.ndim(level) == 0 and level == last[output] for output, level in pairs):
+        return np.array([last[output] for output in outputs]), None
+    blocks, groups = [], []
+    for each, own in zip(experiments, levels, strict=True):
+        blocks.append(np.stack(np.broadcast_arrays(*own, each.times)[:-1], axis=1)[each.counted])
+        columns = np.array([outputs.index(name) for name in each.output_names], dtype=np.intp)
+        groups.append(np.broadcast_to(columns, each.counted.shape)[each.counted])
+    rows, group = np.concatenate(blocks), np.concatenate(groups)
+    scale, mean = np.ones(rows.size), np.full(len(outputs), math.nan)  # NaN of what is not measured yet
+    for j in range(len(outputs)):
+        own_rows = rows[group == j]
+        if own_rows.size and np.isfinite(own_rows).all():
+            same = bool((own_rows == own_rows[0]).all())
+            mean[j] = own_rows[0] if same else own_rows.mean()
+            scale[group == j] = 1.0 if same else np.sqrt(own_rows / mean[j])
     return mean, None if (scale == 1.0).all() else scale

@@ -188,6 +188,7 @@ def local_covariance(
     theta: Floats | None = None,
     scale: Floats | None = None,
     spread: Floats | None = None,
+    reduced: Floats | None = None,
 ) -> LocalCovariance:
     """Analyse a whitened Jacobian.
 
@@ -210,8 +211,11 @@ def local_covariance(
         undetermined for that. Default: the magnitudes.
     spread : (n_rows,) array, optional
         Standard deviation of each row; default 1.
+    reduced : (N+1, N+1) array, optional
+        The triangle of the Jacobian and any residual, where it is known.
     """
-    reduced = triangle(jacobian, np.zeros(len(jacobian)))[:, :-1] * magnitudes
+    reduced = triangle(jacobian, np.zeros(len(jacobian))) if reduced is None else reduced
+    reduced = reduced[:, :-1] * magnitudes
     _, values, directions = np.linalg.svd(reduced)
     values = np.concatenate([values, np.zeros(len(names) - values.size)])
     rounding = np.finfo(float).eps * max(jacobian.shape) * values[0]

@@ -153,7 +153,7 @@ class _Identification:
     def _end_round(self, number: int) -> None:
         """Estimate each output's variance from the residual (1.12), and note what this round used and found."""
         state, problem = self.state, self.problem
-        self.local = self._covariance(self.criterion, state.residual, state.jacobian)
+        self.local = self._covariance(self.criterion, state.residual, state.jacobian, reduced=state.reduced)
         leverage = self.local.leverage(state.jacobian)[: problem.measured.size]
         self.shares: Floats = np.zeros(problem.counts.size)
         self.shares += np.bincount(problem.groups, weights=leverage, minlength=problem.counts.size)
@@ -202,7 +202,12 @@ class _Identification:
     # --- the result
 
     def _covariance(
-        self, criterion: Criterion, residual: Floats, jacobian: Floats, spread: Floats | None = None
+        self,
+        criterion: Criterion,
+        residual: Floats,
+        jacobian: Floats,
+        spread: Floats | None = None,
+        reduced: Floats | None = None,
     ) -> LocalCovariance:
         """Analyse a Jacobian at the point found, with or without the prior's rows; the residual is the criterion's."""
         theta, parameters = self.state.theta, self.problem.parameters
@@ -215,6 +220,7 @@ class _Identification:
             theta=theta,
             scale=parameters.scale,
             spread=spread,
+            reduced=reduced,
         )
 
     def _local_model(self) -> LocalModel:

@@ -128,6 +128,8 @@ class LocalModel:
     @cached_property
     def root(self) -> Floats:
         """R (N, k) with R Rᵀ the covariance of the combined estimate, over the k directions that are determined."""
+        if self.combined.root.shape[1] == len(self.magnitudes):  # the same, from the same rows
+            return self.combined.root
         stacked = np.vstack([self.jacobian, self.prior_jacobian])
         reduced = triangle(stacked, np.zeros(len(stacked)))[:, :-1]
         _, s, vt = np.linalg.svd(reduced * self.magnitudes, full_matrices=False)

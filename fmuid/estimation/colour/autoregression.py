@@ -255,8 +255,10 @@ def _model(reflections: Sequence[float], samples: int) -> Floats:
 def impulse_response(coefficients: Floats, longest: int) -> Floats:
     """Return h_0 = 1, h_t = Σ φ_j h_(t−j), to where it has become negligible, or the length given."""
     order = coefficients.size
-    if not order:
-        return np.ones(1)
+    if order < 2:
+        pole = abs(float(coefficients.sum()))
+        length = min(longest, math.ceil(math.log(NEGLIGIBLE) / math.log(pole))) if 0.0 < pole < 1.0 else longest
+        return coefficients[0] ** np.arange(max(length, 1)) if pole else np.ones(1)
     # a block of it follows from the p values before, oldest first
     block = max(BLOCK, order)
     first = np.zeros((block, order), order="F")

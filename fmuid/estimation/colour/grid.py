@@ -104,6 +104,8 @@ def length_of(series: Sequence[Series]) -> int:
 
 def on_grid(each: Series, rows: Floats, length: int) -> Floats:
     """Return the columns of all rows (n, k) that a series has, on its grid (k, length)."""
+    if each.places.size == length:
+        return np.ascontiguousarray(rows[each.rows].T)
     grid = np.zeros((rows.shape[1], length))
     grid[:, each.places] = rows[each.rows].T
     return grid

@@ -120,6 +120,8 @@ class State:
         How the search ended, None while it has not.
     held : (N,) array of bool
         Parameters on a bound that the criterion would push further out.
+    reduced : (N+1, N+1) array or None
+        The triangle [R q] of the Jacobian in use and a residual; None where it is not known yet.
     """
 
     theta: Floats
@@ -131,3 +133,4 @@ class State:
     rate: float = 1.0
     outcome: Outcome | None = None
     held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    reduced: Floats | None = None

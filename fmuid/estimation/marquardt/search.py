@@ -135,7 +135,7 @@ class _Descent:
     def _linearise(self) -> None:
         """Reduce the Jacobian to a triangle, lengthen D, and note what singular values errors alone may make."""
         state = self.state
-        self.reduced = triangle(state.jacobian, state.residual)
+        self.reduced = state.reduced = triangle(state.jacobian, state.residual)
         columns = np.linalg.norm(self.reduced[:, :-1], axis=0)
         unit = 1.0 / self.problem.magnitudes(state.theta)
         self.lengths = np.maximum(self.lengths, np.where(columns > 0, columns, unit))
@@ -191,7 +191,7 @@ class _Descent:
         close = self._close(self.offset if state.fresh else state.rate * self.fresh_offset)
         central = central or (close and not self._suffices()) or self.radius.rejections > SUSPICIOUS_REJECTIONS
         try:
-            state.jacobian = self.problem.jacobian(state.theta, state.residual, central=central)
+            jacobian = self.problem.jacobian(state.theta, state.residual, central=central)
         except SensitivityError:
             state.outcome = Outcome.FAILING
             return
@@ -199,7 +199,7 @@ class _Descent:
             self.previous_offset = self.fresh_offset
         if state.fresh or self.radius.rejections:
             self.radius.reopen(fully=self.near)
-        state.central, state.fresh = central, True
+        state.jacobian, state.reduced, state.central, state.fresh = jacobian, None, central, True
         self._linearise()
 
     # --- the steps
