@@ -153,7 +153,7 @@ class CaseRunner:
         key = case.table, case.free, tuple(case.held.items())
         like = self._before[1] if self._before and self._before[0] == key else None
         problem = problem_of(self.study, experiments, case.free, case.held, case.starts, like)
-        problem.one_of_many = self.cases.settings.starts is None
+        problem.one_of_many = case.draw is not None and self.cases.settings.starts is None
         self._before = key, problem
         if problem.one_of_many and like is None:
             for each in problem.simulators:

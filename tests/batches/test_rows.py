@@ -117,7 +117,8 @@ def test_truth_takes_the_values_swept_unless_it_has_its_own(case_folder: Path) -
             experiment = disturbed(study, {"L": held} | truth, [9, 3, draw, 0])
             parameters = {"R": study.parameters["R"]}
             result = identify(Problem(study.system, experiment, parameters, values={"L": held}))
-            assert runner(k).row["value.R"] == result["R"]
+            # the steps of the first differences are rounded in a batch
+            assert runner(k).row["value.R"] == pytest.approx(result.values[0], abs=1e-5 * result.std[0])
 
 
 def test_noise_is_common_to_what_it_is_compared_over_and_differs_else(case_folder: Path) -> None:
