@@ -205,7 +205,7 @@ def _proportions(
         pair for each, own in zip(experiments, levels, strict=True) for pair in zip(each.output_names, own, strict=True)
     ]
     last = dict(pairs)
-    if all(np.ndim(level) == 0 and level == last[output] for output, level in pairs):
+    if all(np.ndim(level) == 0 for _, level in pairs) and all(level == last[output] for output, level in pairs):
         return np.array([last[output] for output in outputs]), None
     blocks, groups = [], []
     for each, own in zip(experiments, levels, strict=True):

@@ -18,6 +18,7 @@ from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.search import Iteration, MarquardtSettings, State, search
+from fmuid.estimation.misfit import log_likelihood
 from fmuid.estimation.result import Result
 from fmuid.progress import Progress, SearchStep
 from fmuid.version import __version__
@@ -296,8 +297,8 @@ class _Identification:
             noise_variance=dict(zip(problem.output_names, self.estimated.tolist(), strict=True)),
             given_variance={problem.output_names[j]: float(problem.variance[j]) for j in np.flatnonzero(given)},
             criterion=float(state.residual @ state.residual),
-            log_likelihood=problem.log_likelihood(
-                self.criterion.unwhiten(state.residual), self.criterion.least_variance
+            log_likelihood=log_likelihood(
+                problem, self.criterion.unwhiten(state.residual), self.criterion.least_variance
             ),
             degrees_of_freedom=math.inf if given.all() else float(problem.counts.sum() - self.shares.sum()),
             iterations=state.iterations,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -375,28 +374,6 @@ class LeastSquares:
         sums = self.squares(residual)
         free = np.maximum(self.counts - (0.0 if shares is None else shares), np.finfo(float).eps)
         return np.asarray(self.levels.pooled(sums, free) / free, dtype=np.float64)
-
-    def log_likelihood(self, residual: Floats, least: Floats) -> float:
-        """Return the logarithm of the density of the data, Σ −(ln 2πσ_j² + r²/σ_j²)/2, its constant included.
-
-        With the variances that were given, and where none was with the most likely one, J_j/K_j: runs on the same data
-        compare whatever they take the noise for. Priors are no part of it; NaN with a robust loss, which is none.
-
-        Parameters
-        ----------
-        residual : (n,) array
-            Measured − simulated, as `measured`.
-        least : (n_outputs,) array
-            The least that an estimated variance may be.
-        """
-        if self.loss is not None:
-            return math.nan
-        sums = self.squares(residual)
-        implied = np.maximum(self.levels.pooled(sums, self.counts) / self.counts, least)
-        variance = np.where(np.isnan(self.variance), implied, self.variance)
-        scale = 0.0 if self.levels.scale is None else float(np.log(self.levels.scale).sum())
-        scale -= 0.0 if self.weights is None else self.weights.log_determinant
-        return -0.5 * float(np.sum(self.counts * np.log(2.0 * math.pi * variance) + sums / variance)) - scale
 
     def noise_variances(self, residual: Floats, shares: Floats | None = None) -> Floats:
         """Return the noise variance of each output that a residual tells of, (n_outputs,).

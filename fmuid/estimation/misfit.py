@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,3 +97,27 @@ def refuse_loss(problem: LeastSquares, what: str) -> None:
     """
     if problem.loss is not None:
         raise InputError(f"{what} knows plain squares only: give the problem no loss, or leave {what} out")
+
+
+def log_likelihood(problem: LeastSquares, residual: Floats, least: Floats) -> float:
+    """Return the logarithm of the density of the data, Σ −(ln 2πσ_j² + r²/σ_j²)/2, its constant included.
+
+    With the variances that were given, and where none was with the most likely one, J_j/K_j: runs on the same data
+    compare whatever they take the noise for. Priors are no part of it; NaN with a robust loss, which is none.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    residual : (n,) array
+        Measured − simulated, as `LeastSquares.measured`.
+    least : (n_outputs,) array
+        The least that an estimated variance may be.
+    """
+    if problem.loss is not None:
+        return math.nan
+    sums = problem.squares(residual)
+    implied = np.maximum(problem.levels.pooled(sums, problem.counts) / problem.counts, least)
+    variance = np.where(np.isnan(problem.variance), implied, problem.variance)
+    scale = 0.0 if problem.levels.scale is None else float(np.log(problem.levels.scale).sum())
+    scale -= 0.0 if problem.weights is None else problem.weights.log_determinant
+    return -0.5 * float(np.sum(problem.counts * np.log(2.0 * math.pi * variance) + sums / variance)) - scale
