@@ -17,6 +17,9 @@ Complexes = NDArray[np.complex128]
 Indices = NDArray[np.intp]
 """An array of indices."""
 
+Flags = NDArray[np.bool_]
+"""An array of truth values."""
+
 
 def numbers(given: ArrayLike, what: str) -> Floats:
     """Return what a user gave as a new array, of any shape; an `InputError` says what must be numbers and are none."""

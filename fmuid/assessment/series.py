@@ -22,10 +22,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, special
 
-from fmuid.arrays import Floats, Indices
+from fmuid.arrays import Flags, Floats, Indices
 from fmuid.estimation import table_grid
 
 # The autocorrelation of a model is followed until it stays below this.
@@ -133,7 +132,7 @@ class Taken:
         return np.asarray(noise - (noise @ self.columns + others) @ self.columns.T, dtype=np.float64)
 
 
-def whiteness(correlations: Floats, pairs: Floats, there: NDArray[np.bool_], taken: Taken) -> tuple[float, float]:
+def whiteness(correlations: Floats, pairs: Floats, there: Flags, taken: Taken) -> tuple[float, float]:
     """Return Ljung and Box's statistic, and the probability that the residual of white noise exceeds it.
 
     The statistic is χ² of as many degrees of freedom as lags in long records. In short ones its tail is heavier, and
@@ -157,7 +156,7 @@ def whiteness(correlations: Floats, pairs: Floats, there: NDArray[np.bool_], tak
     return statistic, float(special.chdtrc(2.0 * mean**2 / variance, 2.0 * mean * statistic / variance))
 
 
-def _statistics(residuals: Floats, pairs: Floats, there: NDArray[np.bool_]) -> Floats:
+def _statistics(residuals: Floats, pairs: Floats, there: Flags) -> Floats:
     """Return the statistic (m,) of residuals (m, n)."""
     grid = np.zeros((len(residuals), there.size))
     grid[:, there] = residuals - residuals.mean(axis=1, keepdims=True)

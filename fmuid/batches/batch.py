@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from fmuid.arrays import Indices
 from fmuid.batches.cases import Cases, truth_of
 from fmuid.batches.cluster import crew
 from fmuid.batches.dataset import MANIFEST, Dataset
@@ -161,7 +161,7 @@ class Batch(Displayed):
         return f"Batch({len(self.cases)} cases over {', '.join(self.cases.columns)}, {str(self.folder)!r})"
 
     @property
-    def pending(self) -> NDArray[np.intp]:
+    def pending(self) -> Indices:
         """The cases that are not finished in the folder, in their order; whose cases these are is seen by `run`."""
         return np.flatnonzero(~self.dataset.finished(len(self.cases)))
 
@@ -235,7 +235,7 @@ class Batch(Displayed):
     def _write_manifest(self, content: Mapping[str, Any]) -> None:
         self.dataset.write_manifest(json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n")
 
-    def _work(self, bundle: Bundle, pending: NDArray[np.intp], progress: Progress | None) -> bool:
+    def _work(self, bundle: Bundle, pending: Indices, progress: Progress | None) -> bool:
         """Run cases; return whether Ctrl-C ended it."""
         record = _remembering(bundle)
         writer = _Writer(self.dataset)

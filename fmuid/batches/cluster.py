@@ -16,10 +16,9 @@ from typing import Any, TypeAlias
 
 import dask
 import distributed
-import numpy as np
 from dask.system import CPU_COUNT
-from numpy.typing import NDArray
 
+from fmuid.arrays import Indices
 from fmuid.batches.local_workers import CALM
 from fmuid.batches.parcel import Parcel
 from fmuid.batches.scratch import scratch_folder
@@ -101,7 +100,7 @@ class Crew:
         self._done: queue.SimpleQueue[Future] = queue.SimpleQueue()
         self._killed: dict[int, int] = {}
 
-    def run(self, parcel: Parcel, cases: NDArray[np.intp], record_of: RecordOf) -> Results:
+    def run(self, parcel: Parcel, cases: Indices, record_of: RecordOf) -> Results:
         """Run cases in groups, and give what comes back in the order in which it does; None now and then in between.
 
         Parameters
@@ -125,7 +124,7 @@ class Crew:
                 if self._local is None and self._client.status == "running":
                     self._client.run(forget, parcel.token)
 
-    def _run(self, parcel: Parcel, cases: NDArray[np.intp], record_of: RecordOf) -> Results:
+    def _run(self, parcel: Parcel, cases: Indices, record_of: RecordOf) -> Results:
         with self._watched():
             shipped = self._client.submit(_as_it_is, parcel, pure=False)
         left, sizes, position = deque[list[int]](), GroupSizes(), 0

@@ -20,8 +20,8 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from fmuid.arrays import Flags
 from fmuid.errors import FmuidError, InputError
 from fmuid.files import locked
 
@@ -78,7 +78,7 @@ class Dataset:
         frame: pd.DataFrame = self._together([self._load(path) for path in self.parts()]).to_pandas()
         return frame
 
-    def finished(self, count: int) -> NDArray[np.bool_]:
+    def finished(self, count: int) -> Flags:
         """Return which of `count` cases are finished, (count,)."""
         found = np.zeros(count, np.bool_)
         for path in self.parts():

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
 from fmuid.data.preparation.sampling import missing_rows, usual_step
 from fmuid.data.tables import UNITS, numeric_column, read_table
@@ -109,9 +109,9 @@ class Experiment(Displayed):
     times: Floats = field(init=False, repr=False)
     input_values: Floats = field(init=False, repr=False)
     output_values: Floats = field(init=False, repr=False)
-    counted: npt.NDArray[np.bool_] = field(init=False, repr=False)
-    held: npt.NDArray[np.bool_] = field(init=False, repr=False)
-    curved: npt.NDArray[np.bool_] = field(init=False, repr=False)
+    counted: Flags = field(init=False, repr=False)
+    held: Flags = field(init=False, repr=False)
+    curved: Flags = field(init=False, repr=False)
     input_slopes: Floats = field(init=False, repr=False)
 
     def __repr__(self) -> str:
@@ -366,13 +366,13 @@ def _counted(
     outputs: Mapping[str, str],
     measured: Mapping[str, str],
     discard: float,
-) -> npt.NDArray[np.bool_]:
+) -> Flags:
     """Return where an output sample counts, everywhere of those not measured; every output must have one that does."""
     if isinstance(discard, bool) or not isinstance(discard, int | float) or not 0 <= discard < np.inf:
         raise InputError(f"{source}: discard is {discard!r}: give a duration in seconds, zero or more")
     there = ~np.isnan(values) | np.array([name not in measured for name in outputs], dtype=np.bool_)
     late = times >= times[0] + discard - _TIME_TOLERANCE * (times[-1] - times[0])
-    counted: npt.NDArray[np.bool_] = there & late[:, np.newaxis]
+    counted: Flags = there & late[:, np.newaxis]
     for k, column in enumerate(outputs.values()):
         if not there[:, k].any():
             raise InputError(f"{source}: the output column {column!r} has no sample: remove it from the outputs")

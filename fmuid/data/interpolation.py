@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
-import numpy.typing as npt
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.errors import InputError
 from fmuid.text import nearest
 
@@ -46,7 +45,7 @@ def interpolation_words(source: str, given: str | Mapping[str, str], inputs: Map
     return [words.get(variable, "linear") for variable in inputs]
 
 
-def slopes(source: str, times: Floats, values: Floats, curved: npt.NDArray[np.bool_]) -> Floats:
+def slopes(source: str, times: Floats, values: Floats, curved: Flags) -> Floats:
     """Return the slopes of monotone cubic curves through the samples; none goes across a step (a time given twice)."""
     slopes = np.full(values.shape, np.nan)
     if curved.any():

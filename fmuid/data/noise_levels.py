@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmuid.arrays import Floats, Indices
 from fmuid.data.experiment import Experiment
@@ -155,9 +154,7 @@ def _samples(experiment: Measurements, output: str, word: str, level: str | tupl
     return np.where(counted, values, 1.0)
 
 
-def _column(
-    experiment: Measurements, output: str, what: str, column: str, *, convert: bool
-) -> tuple[NDArray[np.float64], str]:
+def _column(experiment: Measurements, output: str, what: str, column: str, *, convert: bool) -> tuple[Floats, str]:
     """Return a column of an experiment's table, in the unit of the output's, and what messages call it."""
     if not isinstance(experiment, Experiment):
         raise InputError(f"{what} is the column {column!r}, and there is no table: give its values")

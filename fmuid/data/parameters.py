@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Floats, Indices
 from fmuid.errors import InputError, check_kind
 from fmuid.text import nearest
 
@@ -293,7 +293,7 @@ class ParameterSet:
     def __len__(self) -> int:
         return len(self.names)
 
-    def for_experiment(self, index: int) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+    def for_experiment(self, index: int) -> tuple[tuple[str, ...], Indices]:
         """Return the FMU variables of experiment number `index`, and the indices of their values in theta."""
         return self._variables, self._columns[index]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.errors import InputError, SimulationError
 
 
@@ -52,7 +52,7 @@ class Measurements(Protocol):
         """Their samples (K, n_outputs), NaN where missing."""
 
     @property
-    def counted(self) -> NDArray[np.bool_]:
+    def counted(self) -> Flags:
         """Which samples take part in the criterion (K, n_outputs)."""
 
     @property
@@ -68,7 +68,7 @@ class Table:
     times: Floats
     output_names: tuple[str, ...]
     output_values: Floats
-    counted: NDArray[np.bool_]
+    counted: Flags
     units: Mapping[str, str] = field(default_factory=dict)
 
 

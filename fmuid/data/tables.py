@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
+from fmuid.arrays import Floats
 from fmuid.data.formats import SPREADSHEETS, TABLE_SUFFIXES, is_number, reader_of
 from fmuid.data.times import time_name, with_time
 from fmuid.errors import InputError
@@ -108,7 +108,7 @@ def read_table(
     return frame
 
 
-def numeric_column(frame: pd.DataFrame, column: str, source: str) -> npt.NDArray[np.float64]:
+def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
     """Return a column as float64, NaN where it is missing.
 
     Parameters

@@ -24,9 +24,8 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.errors import InputError
 from fmuid.estimation.marquardt.step import triangle
 
@@ -259,7 +258,7 @@ def _lost_in_effect(std: Floats, magnitudes: Floats, scale: Floats) -> bool:
     return bool((beyond | astray).any())
 
 
-def _gram(rows: Floats, spread: Floats, unseen: NDArray[np.bool_], prior_rows: int) -> Floats:
+def _gram(rows: Floats, spread: Floats, unseen: Flags, prior_rows: int) -> Floats:
     """Return (J R)ᵀ spread² J R (N, N), which is the identity where every row's spread is 1.
 
     Along directions that only the prior determines, what the data's rows show is error.

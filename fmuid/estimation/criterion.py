@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation.finite_differences import FiniteDifferences, SensitivityError
 from fmuid.estimation.influence import idle_parameters, waking_point
@@ -166,7 +166,7 @@ class Criterion:
         base = self.problem.measured - self.unwhiten(residual)
         return self._completed(self._derivatives.jacobian(theta, base, central=central), residual)
 
-    def first_jacobian(self, theta: Floats, base: Floats, residual: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def first_jacobian(self, theta: Floats, base: Floats, residual: Floats) -> tuple[Floats, Flags]:
         """Return the Jacobian at the start, and which parameters act on any output (N,).
 
         The simulation itself is `base` (n,): made of the residual, its rounding would pass for an effect.
@@ -304,7 +304,7 @@ def prepare(problem: LeastSquares, theta: ArrayLike | None = None) -> Start:
     return replace(_prepared(problem, there)[0], moved=names)
 
 
-def _prepared(problem: LeastSquares, at: Floats) -> tuple[Start, NDArray[np.bool_]]:
+def _prepared(problem: LeastSquares, at: Floats) -> tuple[Start, Flags]:
     """Return a problem made ready at a theta (N,), and which parameters act there."""
     parameters = problem.parameters
     base, noise = problem.noise_near(at)

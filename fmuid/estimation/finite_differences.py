@@ -25,9 +25,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats, Indices
 from fmuid.errors import FmuidError
 from fmuid.estimation.numerical_noise import Predict, usable
 
@@ -174,7 +173,7 @@ class FiniteDifferences:
         derivatives *= self._weights
         return derivatives
 
-    def first_jacobian(self, theta: Floats, base: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def first_jacobian(self, theta: Floats, base: Floats) -> tuple[Floats, Flags]:
         """Return the central Jacobian (N, n) at the start and which parameters act on anything (N,).
 
         Parameters whose first difference does not stand out from the noise are tried again with the largest step
@@ -214,7 +213,7 @@ class FiniteDifferences:
     def _absolute(self, theta: Floats, relative: Floats) -> Floats:
         return np.minimum(relative * self._magnitudes(theta), self._longest)
 
-    def _central(self, theta: Floats, base: Floats, steps: Floats, which: NDArray[np.intp]) -> Floats:
+    def _central(self, theta: Floats, base: Floats, steps: Floats, which: Indices) -> Floats:
         """Return, weighted, slopes f′h and bends f″h² (2, k, n) of the parabolas through three points at 0, a and b."""
         distances, values = self._differences(theta, base, steps, CENTRAL, which)
         (a, b), h = distances.T, steps[which]
@@ -223,7 +222,7 @@ class FiniteDifferences:
         return np.asarray(np.einsum("spk,kpn->skn", factors, values) * self._weights, dtype=np.float64)
 
     def _differences(
-        self, theta: Floats, base: Floats, steps: Floats, patterns: Sequence[tuple[float, ...]], which: NDArray[np.intp]
+        self, theta: Floats, base: Floats, steps: Floats, patterns: Sequence[tuple[float, ...]], which: Indices
     ) -> tuple[Floats, Floats]:
         """Simulate points beside theta; return distances (k, p) and differences from base (k, p, n) of k parameters."""
         points = len(patterns[0])

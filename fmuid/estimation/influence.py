@@ -7,9 +7,8 @@ where they would. So a few points are tried: of each such parameter alone, then 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats, Indices
 from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import INFLUENCE_NOISES, LARGEST_STEP
 from fmuid.estimation.least_squares import LeastSquares
@@ -22,15 +21,13 @@ VALUE_MULTIPLES = (0.01, 0.1, 0.3, 3.0, 10.0, -0.1, -1.0, -10.0)
 RANDOM_POINTS, SEED, BEST_POINTS = 16, 0, 8
 
 
-def idle_parameters(problem: LeastSquares, acting: NDArray[np.bool_]) -> NDArray[np.intp]:
+def idle_parameters(problem: LeastSquares, acting: Flags) -> Indices:
     """Return the parameters that act on nothing and have no prior."""
     known = (problem.parameters.prior_whitening != 0).any(axis=0)
     return np.flatnonzero(~acting & ~known)
 
 
-def waking_point(
-    problem: LeastSquares, theta: Floats, idle: NDArray[np.intp], noise: Floats, weights: Floats
-) -> Floats:
+def waking_point(problem: LeastSquares, theta: Floats, idle: Indices, noise: Floats, weights: Floats) -> Floats:
     """Return the best point near theta at which parameters act that do not at theta.
 
     Parameters
@@ -66,7 +63,7 @@ def waking_point(
     return np.asarray(points[chosen[best]])
 
 
-def _refusal(problem: LeastSquares, theta: Floats, idle: NDArray[np.intp], tried: int) -> InputError:
+def _refusal(problem: LeastSquares, theta: Floats, idle: Indices, tried: int) -> InputError:
     """Return the error on parameters that change no output, with how many points were tried besides the start."""
     names = ", ".join(f"{problem.parameters.names[i]!r} (start {theta[i]:g})" for i in idle)
     said, their, them = f"parameter {names} changes", "its", "it"
@@ -79,7 +76,7 @@ def _refusal(problem: LeastSquares, theta: Floats, idle: NDArray[np.intp], tried
     )
 
 
-def _points(problem: LeastSquares, theta: Floats, idle: NDArray[np.intp]) -> Floats:
+def _points(problem: LeastSquares, theta: Floats, idle: Indices) -> Floats:
     """Return points (m, N) that differ from theta in one idle parameter, then some that differ in all."""
     places = [_places(problem, theta, i) for i in idle]
     rows = []
@@ -106,9 +103,7 @@ def _places(problem: LeastSquares, theta: Floats, i: int) -> Floats:
     return np.asarray(values[values != theta[i]])
 
 
-def _acting(
-    problem: LeastSquares, points: Floats, values: Floats, idle: NDArray[np.intp], noise: Floats
-) -> NDArray[np.bool_]:
+def _acting(problem: LeastSquares, points: Floats, values: Floats, idle: Indices, noise: Floats) -> Flags:
     """Return which of the idle parameters act at each point (m, k), by moving them by a tenth."""
     parameters = problem.parameters
     if not len(points):

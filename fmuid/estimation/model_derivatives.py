@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.errors import RefusedError
 from fmuid.estimation.finite_differences import INFLUENCE_NOISES, LARGEST_STEP, FiniteDifferences
 
@@ -60,7 +59,7 @@ class Derivatives(Protocol):
     def jacobian(self, theta: Floats, base: Floats, *, central: bool) -> Floats:
         """Return the derivatives of the weighted function at theta, (N, n)."""
 
-    def first_jacobian(self, theta: Floats, base: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def first_jacobian(self, theta: Floats, base: Floats) -> tuple[Floats, Flags]:
         """Return the derivatives at the start and which parameters act on anything."""
 
     def error(self, theta: Floats, *, central: bool) -> Floats:
@@ -127,7 +126,7 @@ class ModelSensitivities:
         found = self._of_model(theta)
         return self._differences.jacobian(theta, base, central=central) if found is None else found
 
-    def first_jacobian(self, theta: Floats, base: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def first_jacobian(self, theta: Floats, base: Floats) -> tuple[Floats, Flags]:
         """Return the Jacobian (N, n) at the start and which parameters act on anything (N,)."""
         found = self._of_model(theta)
         if found is None:

@@ -15,9 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats, Indices
 
 Predict = Callable[[Floats], Floats]
 """Simulates thetas (m, N) and gives stacked outputs (m, n); the rows of failed simulations hold NaN."""
@@ -62,7 +61,7 @@ def noise_level(
     magnitudes: Floats,
     lower: Floats,
     upper: Floats,
-    groups: NDArray[np.intp],
+    groups: Indices,
     count: int,
 ) -> tuple[Floats, NoiseLevel]:
     """Measure the noise of a simulation near theta by a table of differences (ECnoise of Moré and Wild 2011).
@@ -146,7 +145,7 @@ def table_noise(table: Floats, shares: Floats) -> Floats:
     return np.where(deviations[-1] < FALLING_RATIO * deviations[-2], 0.0, deviations.min(axis=0))
 
 
-def shares_of(groups: NDArray[np.intp], count: int) -> Floats:
+def shares_of(groups: Indices, count: int) -> Floats:
     """Return the matrix (n, count) that takes the mean over each output's samples."""
     shares = np.zeros((groups.size, count))
     shares[np.arange(groups.size), groups] = 1.0 / np.bincount(groups, minlength=count)[groups]
@@ -170,6 +169,6 @@ def _difference_table(table: Floats, shares: Floats) -> Floats:
     return np.array(deviations)
 
 
-def usable(values: Floats) -> NDArray[np.bool_]:
+def usable(values: Floats) -> Flags:
     """Return whether all values (..., n) are finite, and small enough that their squares are (...)."""
     return np.asarray(np.einsum("...n,...n->...", values, values) < LARGEST_VALUE**2)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmuid.arrays import Floats, Indices
 from fmuid.fmi import codes as k
 from fmuid.fmi.failures import function_name
 from fmuid.fmi.layout import Operation, Plan, TimeGrid
@@ -53,9 +54,7 @@ def check_plan(plan: Plan, grid: TimeGrid, versions: Sequence[int]) -> None:
     _check_grid(plan, grid, n)
 
 
-def check_arrays(
-    plan: Plan, grid: TimeGrid, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]
-) -> None:
+def check_arrays(plan: Plan, grid: TimeGrid, thetas: Floats, outputs: Floats, reports: Indices) -> None:
     """Check what a call of the core reads and writes.
 
     Raises

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmuid.arrays import Floats
 from fmuid.errors import InputError
 from fmuid.fmi import codes as k
 from fmuid.fmi import native
@@ -94,7 +95,7 @@ class Integrator:
     ) -> None:
         _check(given.integrator, given.tolerance, given.step_size)
         sensitivities = given.sensitivities
-        self.curves: NDArray[np.float64] = np.zeros((len(given.input_starts), 4))
+        self.curves: Floats = np.zeros((len(given.input_starts), 4))
         self.curves[:, 0] = given.input_starts
         references = (given.inputs, state_references, derivative_references)
         inputs, states, derivatives = (np.ascontiguousarray(values, np.uint32) for values in references)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fmuid.arrays import Floats, Indices
 from fmuid.fmi import codes
 
 MOST_STEPS = 1_000_000
@@ -49,10 +50,10 @@ class Sensitivities(NamedTuple):
     The arrays are filled in before each simulation.
     """
 
-    magnitudes: NDArray[np.float64]
-    initial: NDArray[np.float64]
+    magnitudes: Floats
+    initial: Floats
     references: NDArray[np.uint32]
-    steps: NDArray[np.float64]
+    steps: Floats
     twins: tuple[int, ...]
 
 
@@ -71,7 +72,7 @@ class Integration(NamedTuple):
     tolerance: float = 1e-6
     step_size: float | None = None
     inputs: NDArray[np.uint32] = np.zeros(0, np.uint32)
-    input_starts: NDArray[np.float64] = np.zeros(0)
+    input_starts: Floats = np.zeros(0)
     autonomous: bool = False
     follows: bool = False
     sensitivities: Sensitivities | None = None
@@ -89,22 +90,22 @@ class Plan(NamedTuple):
     """
 
     operations: tuple[Operation, ...]
-    stages: NDArray[np.intp]
-    groups: NDArray[np.intp]
+    stages: Indices
+    groups: Indices
     loops: tuple[FeedThrough, ...]
     references: NDArray[np.uint32]
-    signals: NDArray[np.float64]
-    conversions: NDArray[np.float64]
+    signals: Floats
+    conversions: Floats
     texts: tuple[bytes, ...]
-    parameter_signals: NDArray[np.intp]
-    input_signals: NDArray[np.intp]
-    input_modes: NDArray[np.intp]
+    parameter_signals: Indices
+    input_signals: Indices
+    input_modes: Indices
     input_curves: tuple[tuple[int, int], ...]
-    derivative_signals: NDArray[np.intp]
-    output_signals: NDArray[np.intp]
-    output_terms: NDArray[np.intp]
+    derivative_signals: Indices
+    output_signals: Indices
+    output_terms: Indices
     integrations: tuple[Integration | None, ...]
-    tolerances: NDArray[np.float64]
+    tolerances: Floats
     gauss_seidel: bool
 
 
@@ -119,17 +120,17 @@ class TimeGrid(NamedTuple):
     for what is NaN.
     """
 
-    times: NDArray[np.float64]
-    substeps: NDArray[np.intp]
-    strides: NDArray[np.intp]
-    inputs: NDArray[np.float64]
-    slopes: NDArray[np.float64] | None
-    states: NDArray[np.float64] | None = None
-    gain: NDArray[np.float64] | None = None
-    measured: NDArray[np.float64] | None = None
+    times: Floats
+    substeps: Indices
+    strides: Indices
+    inputs: Floats
+    slopes: Floats | None
+    states: Floats | None = None
+    gain: Floats | None = None
+    measured: Floats | None = None
 
 
-def new_reports(count: int) -> NDArray[np.intp]:
+def new_reports(count: int) -> Indices:
     """Return reports (count, codes.REPORT) of simulations that are not done."""
     return np.full((count, codes.REPORT), codes.UNDONE, np.intp)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmuid.arrays import Floats, Indices
 from fmuid.fmi import codes as k
 from fmuid.fmi import native
 from fmuid.fmi.checks import check_arrays, check_plan
@@ -40,7 +41,7 @@ class Loop:
         If plan and grid do not fit together.
     """
 
-    def __init__(self, plan: Plan, grid: TimeGrid, instances: Sequence[Instance], used: NDArray[np.intp]) -> None:
+    def __init__(self, plan: Plan, grid: TimeGrid, instances: Sequence[Instance], used: Indices) -> None:
         check_plan(plan, grid, [instance.version for instance in instances])
         self._core = native.core()
         self._plan_given, self._grid_given, self._instances = plan, grid, instances
@@ -63,7 +64,7 @@ class Loop:
         self._grid = self._core.Grid(len(grid.times), *map(address, arrays))
         self._bound = tuple(map(ctypes.byref, (self._plan, self._grid, self._cancel)))
 
-    def run(self, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]) -> None:
+    def run(self, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
         check_arrays(self._plan_given, self._grid_given, thetas, outputs, reports)
         plan, grid, cancel = self._bound
@@ -125,7 +126,7 @@ class Loop:
             by_rows=self._goes_by_rows(plan, grid),
         )
 
-    def _component(self, number: int, plan: Plan, used: NDArray[np.intp]) -> Any:
+    def _component(self, number: int, plan: Plan, used: Indices) -> Any:
         instance, table, integrator = self._instances[number], self._tables[number], self._integrators[number]
         if instance.version == 3 and instance.event_mode:
             for name in ("EnterEventMode", "UpdateDiscreteStates", "EnterStepMode"):
@@ -222,7 +223,7 @@ class Loop:
             found.append((mine if integrator is None else integrator.curves[row]).ctypes.data)
         return self._keep(np.array(found, np.intp))
 
-    def _direct(self, plan: Plan, stage: int, function: int, signals: NDArray[np.intp]) -> Any:
+    def _direct(self, plan: Plan, stage: int, function: int, signals: Indices) -> Any:
         """Return the one operation that takes a whole row of the table as it is, None if there is none."""
         first, last = map(int, plan.stages[stage : stage + 2])
         if last != first + 1:

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats, Indices
 from fmuid.data import FunctionPredictions, Noise, Parameter, Table
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import LeastSquares, Marquardt, WeakForm, second_difference_noise
@@ -55,7 +55,7 @@ class _WeakRecord:
     """One experiment: its right-hand side, windows and states, and the slopes and noise (n_y,) of its outputs."""
 
     side: RightHandSide
-    columns: NDArray[np.intp]
+    columns: Indices
     windows: WeakForm
     states: MeasuredStates
     slopes: Floats
@@ -93,7 +93,7 @@ class _WeakRecord:
 class _Scaled:
     """The residuals of all records over logarithms, or shares, of the parameters that act on f; a predictor."""
 
-    def __init__(self, records: list[_WeakRecord], start: Floats, acting: NDArray[np.intp], scale: Floats) -> None:
+    def __init__(self, records: list[_WeakRecord], start: Floats, acting: Indices, scale: Floats) -> None:
         self.records, self.start, self.acting = records, start, acting
         self._scale, self._logs = scale[acting], start[acting] != 0.0
 
@@ -189,7 +189,7 @@ def _with_initial_states(problem: Problem, records: list[_WeakRecord | None], th
     return found
 
 
-def _acts(record: _WeakRecord, moved: Floats) -> NDArray[np.bool_]:
+def _acts(record: _WeakRecord, moved: Floats) -> Flags:
     """Return which of the experiment's parameters act on f, each moved in its row of (1 + n, n)."""
     slopes, _ = record.side(both_ends(record.states.told), moved)
     with np.errstate(invalid="ignore"):

@@ -6,10 +6,7 @@ import threading
 from collections.abc import Callable, Hashable, Mapping
 from typing import Protocol, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
-from fmuid.arrays import Floats
+from fmuid.arrays import Floats, Indices
 from fmuid.errors import SimulationError
 from fmuid.fmi import Simulation
 
@@ -19,7 +16,7 @@ class Executor(Protocol):
 
     lock: threading.RLock
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
 
     def failure(
@@ -27,7 +24,7 @@ class Executor(Protocol):
         simulation: Simulation,
         theta: Floats,
         outputs: Floats,
-        report: NDArray[np.intp],
+        report: Indices,
         parameters: Mapping[str, float],
         explain: bool = False,
     ) -> SimulationError | None:

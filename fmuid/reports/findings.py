@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
+from fmuid.arrays import Floats
 from fmuid.assessment import CONFIDENCE_LEVEL
 from fmuid.data import ParameterSet
 from fmuid.displays import Plotted
@@ -47,7 +47,7 @@ def result_fits(system: System, experiments: Sequence[Experiment], result: Resul
     )
 
 
-def resumed_start(path: Path, parameters: ParameterSet) -> npt.NDArray[np.float64]:
+def resumed_start(path: Path, parameters: ParameterSet) -> Floats:
     """Return the estimates of an earlier ``result.json`` as a start (N,); parameters new since then keep their own.
 
     Raises

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from fmuid.arrays import Floats, Indices
 
@@ -31,7 +30,7 @@ def extremes(columns: Floats, count: int) -> Indices:
     return np.unique(np.concatenate([[0, samples - 1], *(each.ravel() for each in found)]))
 
 
-def _ends(blocks: npt.NDArray[np.float64]) -> tuple[Indices, ...]:
+def _ends(blocks: Floats) -> tuple[Indices, ...]:
     """Return where the least and the greatest of each block (n, size, m) are, (n, m) each; nothing of empty blocks."""
     if not blocks.shape[1]:
         return ()

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
+
+from fmuid.arrays import Flags, Floats
 
 if TYPE_CHECKING:
     from fmuid.data import Experiment
@@ -34,12 +35,12 @@ class Fit:
     """
 
     experiment: str
-    times: npt.NDArray[np.float64]
+    times: Floats
     outputs: tuple[str, ...]
     units: tuple[str | None, ...]
-    measured: npt.NDArray[np.float64]
-    simulated: npt.NDArray[np.float64]
-    counted: npt.NDArray[np.bool_]
+    measured: Floats
+    simulated: Floats
+    counted: Flags
 
     @property
     def misfit(self) -> tuple[float, ...]:
@@ -55,7 +56,7 @@ class Fit:
         return pd.DataFrame({"time": self.times, **dict(zip(self.outputs, self.simulated.T, strict=True))})
 
 
-def fit_of(system: System, experiment: Experiment, simulated: npt.NDArray[np.float64]) -> Fit:
+def fit_of(system: System, experiment: Experiment, simulated: Floats) -> Fit:
     """Set the outputs (K, n_outputs) that a system gives in an experiment beside the measured ones."""
     names = experiment.output_names
     units = tuple(experiment.units.get(name, system.unit(name)) for name in names)

@@ -6,10 +6,7 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import Future, wait
 
-import numpy as np
-from numpy.typing import NDArray
-
-from fmuid.arrays import Floats
+from fmuid.arrays import Floats, Indices
 from fmuid.errors import SimulationError
 from fmuid.fmi import Custody, Simulation, codes, shares
 from fmuid.models import STIFF_INTEGRATOR, Component
@@ -45,9 +42,9 @@ class InProcessExecutor:
         self._told = set[str]() if told is None else told
         self._threads = [SimulationThread(components, 0, resets, self._told)]
         self._custody = Custody((model.fmu, model.kind) for model in components.values())
-        self._doing: NDArray[np.intp] | None = None
+        self._doing: Indices | None = None
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N), in equal shares over the threads; a model found stiff is run again as such.
 
         Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`).
@@ -59,7 +56,7 @@ class InProcessExecutor:
                     thread.forget(simulation)
                 self._run_shares(simulation, thetas, outputs, reports)
 
-    def _found_stiff(self, simulation: Simulation, reports: NDArray[np.intp]) -> bool:
+    def _found_stiff(self, simulation: Simulation, reports: Indices) -> bool:
         """Have a run integrate as such the models that the default integrator found stiff; return if there are any."""
         stiff = {int(component) for function, component, *_ in reports if function == codes.STIFF}
         models = list(self._components.values())
@@ -68,7 +65,7 @@ class InProcessExecutor:
             simulation.integrate(component, STIFF_INTEGRATOR)
         return bool(undecided)
 
-    def _run_shares(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _run_shares(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         count = min(self._limit, len(thetas))
         while len(self._threads) < count:
             self._threads.append(SimulationThread(self._components, len(self._threads), self._resets, self._told))
@@ -98,7 +95,7 @@ class InProcessExecutor:
         simulation: Simulation,
         theta: Floats,
         outputs: Floats,
-        report: NDArray[np.intp],
+        report: Indices,
         parameters: Mapping[str, float],
         explain: bool = False,
     ) -> SimulationError | None:
@@ -118,7 +115,7 @@ class InProcessExecutor:
         """Duration of the longest simulation so far, s."""
         return max(thread.longest for thread in self._threads)
 
-    def show_doing(self, words: NDArray[np.intp] | None) -> None:
+    def show_doing(self, words: Indices | None) -> None:
         """Let the threads write what they are doing into shared words, two for each."""
         self._doing = words
         if words is not None:

@@ -13,9 +13,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Floats, Indices
 from fmuid.errors import InputError, SimulationError
 from fmuid.fmi import Instance, Loop, Simulation, codes, describe, new_reports, warn
 from fmuid.models import Component
@@ -30,13 +29,13 @@ RESET_TOLERANCE = 1e-6
 MESSAGES_TOLD = 3  # of one failed simulation
 
 
-shared_words: list[NDArray[np.intp]] = []
+shared_words: list[Indices] = []
 """Where the threads of a process that is watched write what they are doing; empty in any other."""
 
 _slots = itertools.count()
 
 
-def _words() -> NDArray[np.intp]:
+def _words() -> Indices:
     if not shared_words:
         return np.zeros(2, np.intp)
     at = 2 * next(_slots) % len(shared_words[0])
@@ -96,7 +95,7 @@ class SimulationThread:
         task(*arguments)
         return None
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, codes.REPORT)."""
         done = 0
         while done < len(thetas) and not self._cancelled:
@@ -115,7 +114,7 @@ class SimulationThread:
             done = part.stop
         self._pass_on_warnings(reports)
 
-    def _valid(self, part: slice, reports: NDArray[np.intp]) -> slice:
+    def _valid(self, part: slice, reports: Indices) -> slice:
         """Return the part of a call that counts; what comes after it is simulated again by another instance."""
         begun = reports[part]
         again = begun[:, 2] == codes.UNDONE  # the one before them failed fatally
@@ -168,7 +167,7 @@ class SimulationThread:
                 extra={"no_reset": True},
             )
 
-    def _pass_on_warnings(self, reports: NDArray[np.intp]) -> None:
+    def _pass_on_warnings(self, reports: Indices) -> None:
         for instance in self._instances:
             if instance.messages and not (reports[:, 0] >= 0).any():
                 warn(instance, self._told)
@@ -202,7 +201,7 @@ class SimulationThread:
         return error
 
     def error(
-        self, simulation: Simulation, outputs: Floats, report: NDArray[np.intp], parameters: Mapping[str, float]
+        self, simulation: Simulation, outputs: Floats, report: Indices, parameters: Mapping[str, float]
     ) -> SimulationError | None:
         """Return what a report and the outputs say, as an error; None where the simulation succeeded."""
         function, component, _, sample = (int(word) for word in report[:4])
@@ -223,7 +222,7 @@ class SimulationThread:
             return SimulationError(", ".join(self._labels), float(simulation.grid.times[row]), parameters, what, said)
         return None
 
-    def _describe(self, simulation: Simulation, report: NDArray[np.intp]) -> str:
+    def _describe(self, simulation: Simulation, report: Indices) -> str:
         failure, component, status, _, bad = (int(word) for word in report[:5])
         time, step = (float(number) for number in report[5:].view(np.float64))
         description = list(self._components.values())[component].fmu.description
@@ -283,7 +282,7 @@ class SimulationThread:
                     self._instances.append(Instance(model.fmu, model.kind, name))
             self._used = np.zeros(len(self._instances), np.intp)
 
-    def _call(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _call(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         if self._resets is False:
             self.close()
         self._prepare()
@@ -293,7 +292,7 @@ class SimulationThread:
             self._prepare()
             self._simulate(simulation, thetas, outputs, reports)
 
-    def _simulate(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _simulate(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         loop = self._loops.get(simulation)
         if loop is None:
             with self._busy(codes.PREPARING):

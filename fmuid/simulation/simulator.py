@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fmuid.arrays import Floats, Indices
 from fmuid.data import Experiment
 from fmuid.errors import NO_EXPERIMENT, InputError, SimulationError, check_kind
 from fmuid.fmi import FMU, codes, new_reports
@@ -33,7 +34,7 @@ class Simulations:
         One for each theta.
     """
 
-    outputs: NDArray[np.float64]
+    outputs: Floats
     errors: tuple[SimulationError | None, ...]
 
 
@@ -101,7 +102,7 @@ class Simulator:
             raise InputError(f"parameter {sorted(repeated)[0]!r} is given twice")
         self._given, self._divisor = (dict(values or {}), step_size), divisor
         self._tolerance: float | None = None
-        self._remembered: dict[bytes, NDArray[np.float64]] = {}
+        self._remembered: dict[bytes, Floats] = {}
         self._to_remember = 0
         self._targets = [
             (name, column, factor, offset)
@@ -140,7 +141,7 @@ class Simulator:
         """The variables held at a value, and the largest step, s."""
         return self._target_values(), self._given[1]
 
-    def target_values(self, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
+    def target_values(self, thetas: Floats) -> Floats:
         """Return the values of all variables (`targets`) that thetas (m, N) set."""
         if len(self._targets) == len(self.parameters) and not self.system.connectors:
             return thetas
@@ -176,7 +177,7 @@ class Simulator:
         """The outputs, in the order of the last axis."""
         return self.experiment.output_names
 
-    def __call__(self, theta: ArrayLike) -> NDArray[np.float64]:
+    def __call__(self, theta: ArrayLike) -> Floats:
         """Simulate one theta (N,) or several (m, N).
 
         Returns
@@ -228,12 +229,12 @@ class Simulator:
         """Remember the next calls of `many` that succeed: whoever sets out from one point many times repeats them."""
         self._to_remember = calls
 
-    def _remember(self, thetas: NDArray[np.float64], outputs: NDArray[np.float64]) -> None:
+    def _remember(self, thetas: Floats, outputs: Floats) -> None:
         self._to_remember -= 1
         if outputs.nbytes + sum(each.nbytes for each in self._remembered.values()) <= MOST_REMEMBERED:
             self._remembered[thetas.tobytes()] = outputs.copy()
 
-    def in_table_units(self, outputs: NDArray[np.float64]) -> NDArray[np.float64]:
+    def in_table_units(self, outputs: Floats) -> Floats:
         """Convert what the FMU gives (m, K, n_outputs) to the units of the experiment's columns, in place."""
         for j, (factor, offset) in self._conversions.items():
             outputs[:, :, j] = factor * outputs[:, :, j] + offset
@@ -259,9 +260,7 @@ class Simulator:
         """
         return self._like(system, self.experiment, divisor, tolerance, most_steps)
 
-    def corrected(
-        self, system: System, tolerance: float, gain: NDArray[np.float64], most_steps: int | None = None
-    ) -> Simulator:
+    def corrected(self, system: System, tolerance: float, gain: Floats, most_steps: int | None = None) -> Simulator:
         """Return the simulator of the same experiment whose states the measurements correct after each sample.
 
         Parameters
@@ -296,7 +295,7 @@ class Simulator:
         return other
 
     @property
-    def output_factors(self) -> NDArray[np.float64]:
+    def output_factors(self) -> Floats:
         """What a change of each output in the unit of the FMU is in that of the table (n_outputs,)."""
         return np.array([self._conversions.get(j, (1.0, 0.0))[0] for j in range(len(self.output_names))])
 
@@ -304,9 +303,7 @@ class Simulator:
     def _names(self) -> str:
         return ", ".join(self.parameters) or "no parameters"
 
-    def _explain(
-        self, thetas: NDArray[np.float64], outputs: NDArray[np.float64], reports: NDArray[np.intp]
-    ) -> tuple[SimulationError | None, ...]:
+    def _explain(self, thetas: Floats, outputs: Floats, reports: Indices) -> tuple[SimulationError | None, ...]:
         # a sum is finite only where all its terms are; only then is a closer look needed. After a failure the rest of
         # the outputs is whatever the memory held
         with np.errstate(invalid="ignore", over="ignore"):

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats, Indices
 from fmuid.data.interpolation import HELD
 from fmuid.errors import InputError
 
@@ -33,7 +32,7 @@ def usual_step(times: Floats) -> float:
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
-def missing_rows(times: Floats, most: float = MOST_FILLED) -> NDArray[np.intp]:
+def missing_rows(times: Floats, most: float = MOST_FILLED) -> Indices:
     """Return the rows (from 0) after which rows are missing, by default for longer than a dropout.
 
     A record that is sampled in equal steps on both sides of one that is longer than `most` of them lacks rows there;
@@ -51,7 +50,7 @@ def dropouts(times: Floats) -> tuple[float, ...]:
     return tuple(times[missing_rows(times, GAP)].tolist())
 
 
-def with_missing_rows(times: Floats, longest: float) -> tuple[Floats, NDArray[np.intp]]:
+def with_missing_rows(times: Floats, longest: float) -> tuple[Floats, Indices]:
     """Return times where none are missing, and the rows they are of, -1 for those put in.
 
     A gap of more than `longest`, s, gets one row in place of all: it will not be filled.
@@ -115,7 +114,7 @@ def low_passed(times: Floats, values: Floats, frequency: float, source: str) -> 
     return found
 
 
-def _stretches(there: NDArray[np.bool_], breaks: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+def _stretches(there: Flags, breaks: Flags) -> list[Indices]:
     """Return the rows of each stretch without missing samples and gaps."""
     rows = np.flatnonzero(there)
     part = np.concatenate([[0], np.cumsum(breaks)])[rows]

@@ -25,10 +25,9 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 from scipy import fft
 
-from fmuid.arrays import Complexes, Floats
+from fmuid.arrays import Complexes, Flags, Floats
 from fmuid.estimation.colour.slow import slow_noise
 
 # Orders up to 10 log₁₀ n are tried, but not more than a quarter of the samples.
@@ -155,12 +154,12 @@ def most_orders(samples: int, length: int) -> int:
     return max(0, min(int(ORDERS_A_DECADE * math.log10(samples)), samples // ORDERS_SHARE, length - 1))
 
 
-def autoregression(values: Floats, there: NDArray[np.bool_]) -> Autoregression:
+def autoregression(values: Floats, there: Flags) -> Autoregression:
     """Fit an autoregressive model to a series on a grid (n,), False in `there` (n,) where a sample misses."""
     return fit(np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size))
 
 
-def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int) -> Autoregression:
+def fit(columns: Floats, there: Flags, weights: Floats, orders: int) -> Autoregression:
     """Fit an autoregressive model to the second moments Σ weight_i x_i x_iᵀ of columns x_i.
 
     Parameters
@@ -204,7 +203,7 @@ def fit(columns: Floats, there: NDArray[np.bool_], weights: Floats, orders: int)
     return found
 
 
-def _burg(columns: Floats, weights: Floats, there: NDArray[np.bool_], orders: int) -> tuple[list[float], list[float]]:
+def _burg(columns: Floats, weights: Floats, there: Flags, orders: int) -> tuple[list[float], list[float]]:
     """Return the reflection coefficients, and Schwarz's criterion of the orders that they make."""
     reflections: list[float] = []
     scores: list[float] = []

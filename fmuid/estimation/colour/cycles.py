@@ -32,10 +32,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.data import Measurements
 from fmuid.estimation.colour.autoregression import ENOUGH, Autoregression
 from fmuid.estimation.colour.series import Series, period_of
@@ -104,7 +103,7 @@ def returning(
     basis: Floats,
     experiments: Sequence[Measurements],
     noise: Sequence[tuple[Series, Autoregression]],
-    given: NDArray[np.bool_],
+    given: Flags,
 ) -> tuple[Returning, ...]:
     """Return what returns with each cycle of the inputs, of each series whose experiment has some.
 

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from fmuid.arrays import Complexes, Floats
+from fmuid.arrays import Complexes, Flags, Floats
 from fmuid.estimation.colour.autoregression import Autoregression
 from fmuid.estimation.colour.series import Series
 
@@ -48,8 +47,8 @@ class Rows:
     columns: Floats
     root: Floats
     prior: Floats
-    given: NDArray[np.bool_]
-    white: NDArray[np.bool_]
+    given: Flags
+    white: Flags
     weighed: Floats | None = None
 
     @property
@@ -137,7 +136,7 @@ class Grid:
         self.columns = [on_grid(each, rows.residual[:, None], self.length) for each in series]
         self.there = self._there()
 
-    def _there(self) -> NDArray[np.bool_]:
+    def _there(self) -> Flags:
         there = np.zeros((len(self.series), self.length), dtype=np.bool_)
         for own, each in zip(there, self.series, strict=True):
             own[each.places] = True

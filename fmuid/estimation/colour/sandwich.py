@@ -46,9 +46,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.data import Measurements
 from fmuid.estimation.colour.autoregression import Autoregression, fit, most_orders
 from fmuid.estimation.colour.cycles import Returning, returning
@@ -124,7 +123,7 @@ class Sandwich:
     noise: ColouredNoise
 
 
-def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: NDArray[np.bool_]) -> Sandwich:
+def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: Flags) -> Sandwich:
     """Return the covariance of the estimates of a problem under the noise that their residual shows.
 
     Parameters
@@ -266,7 +265,7 @@ def _models(
     return models
 
 
-def _joined(blocks: Sequence[tuple[Floats, NDArray[np.bool_]]], gap: int) -> tuple[Floats, NDArray[np.bool_]]:
+def _joined(blocks: Sequence[tuple[Floats, Flags]], gap: int) -> tuple[Floats, Flags]:
     """Return series one after the other, so far apart that they have nothing to do with each other."""
     if len(blocks) == 1:
         return blocks[0]

@@ -23,10 +23,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from fmuid.arrays import Floats, Indices
+from fmuid.arrays import Flags, Floats, Indices
 
 # Memories of slow noise, from so many samples to this share of the record, are looked at in doublings.
 SHORTEST, LONGEST_SHARE = 4.0, 0.25
@@ -140,7 +139,7 @@ class Spectrum:
     length: int
 
     @classmethod
-    def of(cls, columns: Floats, weights: Floats, there: NDArray[np.bool_], coefficients: Floats) -> Spectrum:
+    def of(cls, columns: Floats, weights: Floats, there: Flags, coefficients: Floats) -> Spectrum:
         """Return that of the innovations of an autoregression (p,); the rest as of `autoregression.fit`."""
         length = fft.prev_fast_len(there.size - coefficients.size, real=True)
         first = there.size - length
@@ -183,7 +182,7 @@ class Spectrum:
         return levels, 2.0 * self.samples / self.length * (counts.sum() * heights + np.log(shapes) @ counts)
 
 
-def slow_noise(columns: Floats, weights: Floats, there: NDArray[np.bool_], coefficients: Floats) -> SlowNoise | None:
+def slow_noise(columns: Floats, weights: Floats, there: Flags, coefficients: Floats) -> SlowNoise | None:
     """Return the slow noise that an autoregression (p,) leaves, if it does; the rest as of `autoregression.fit`."""
     spectrum = Spectrum.of(columns, weights, there, coefficients)
     at = spectrum.start()

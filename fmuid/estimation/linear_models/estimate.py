@@ -19,10 +19,10 @@ from enum import Enum
 import numpy as np
 import pandas as pd
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft, special
 
-from fmuid.arrays import Floats, numbers
+from fmuid.arrays import Flags, Floats, numbers
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation.covariance import check_level
 from fmuid.text import listed
@@ -221,7 +221,7 @@ def _lengths(names: Sequence[str], columns: Floats) -> Floats:
     return np.asarray(lengths, dtype=np.float64)
 
 
-def _coloured(basis: Floats, residual: Floats, there: NDArray[np.bool_]) -> Floats:
+def _coloured(basis: Floats, residual: Floats, there: Flags) -> Floats:
     """Return QᵀΓQ with Γ the covariance of a coloured residual, from its correlations under Parzen's window.
 
     An autoregressive model would not do: what a filter that is fast has made of white noise has next to no power where

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.errors import InputError
 from fmuid.estimation.marquardt.outcome import Outcome
 
@@ -132,5 +131,5 @@ class State:
     iterations: int = 0
     rate: float = 1.0
     outcome: Outcome | None = None
-    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    held: Flags = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     reduced: Floats | None = None

@@ -23,9 +23,8 @@ from functools import cache
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 
 # Steps need not have the length Δ more precisely than this.
 RADIUS_TOLERANCE = 0.1
@@ -41,7 +40,7 @@ class Step:
     step: Floats
     damping: float
     predicted: float
-    held: NDArray[np.bool_]
+    held: Flags
 
 
 def triangle(jacobian: Floats, residual: Floats) -> Floats:
@@ -57,7 +56,7 @@ def triangle(jacobian: Floats, residual: Floats) -> Floats:
 
 
 @cache
-def _upper(rows: int, columns: int) -> NDArray[np.bool_]:
+def _upper(rows: int, columns: int) -> Flags:
     return np.triu(np.ones((rows, columns), dtype=np.bool_))
 
 

@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.errors import InputError
 
 WINDOW = 10
@@ -46,7 +45,7 @@ class WeakForm:
         If the record has no window with enough samples.
     """
 
-    def __init__(self, times: Floats, there: NDArray[np.bool_]) -> None:
+    def __init__(self, times: Floats, there: Flags) -> None:
         last = len(times) - 1
         firsts = np.arange(0, max(last - WINDOW, 0) + 1, WINDOW // 2)
         known = np.array([(there[a : a + WINDOW + 1].sum(axis=0) >= LEAST_SAMPLES).all() for a in firsts])

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.batches import INTERVAL_STDS, Columns, data_sets, misfit, optimum_numbers
 from fmuid.reports.interactive.batch import outside
 from fmuid.reports.interactive.sketch import ColumnDataSource
@@ -61,7 +61,7 @@ def over_starts(
     return plots
 
 
-def _kinds(number: npt.NDArray[np.int64]) -> list[tuple[npt.NDArray[np.bool_], str, str]]:
+def _kinds(number: npt.NDArray[np.int64]) -> list[tuple[Flags, str, str]]:
     return [(number > 1, RED, "another optimum"), (number == 1, BLUE, "best optimum")]
 
 
@@ -100,7 +100,7 @@ def _excess(frame: pd.DataFrame, columns: Columns, *, given_noise: bool) -> Floa
     return fits if given_noise else np.expm1(0.5 * fits / max(1, len(columns.outputs)))
 
 
-def _waterfall(excess: Floats, number: npt.NDArray[np.int64], lost: npt.NDArray[np.bool_], *, given_noise: bool) -> Any:
+def _waterfall(excess: Floats, number: npt.NDArray[np.int64], lost: Flags, *, given_noise: bool) -> Any:
     order = np.argsort(np.where(lost, np.inf, excess), kind="stable")[: int((~lost).sum())]
     x, y = np.arange(1.0, order.size + 1), np.maximum(excess[order] * (1.0 if given_noise else 100.0), LEAST_EXCESS)
     text = "searches, the best first" + (f"; {lost.sum()} did not converge" if lost.any() else "")

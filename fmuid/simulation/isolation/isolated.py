@@ -17,9 +17,8 @@ import weakref
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Floats, Indices
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmi import Simulation, codes, shares
 from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
@@ -71,7 +70,7 @@ class IsolatedExecutor:
 
     # --- simulations
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
         Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`). Where one of
@@ -83,7 +82,7 @@ class IsolatedExecutor:
             found = self._found_stiff
             self._run_chunks(simulation, thetas, outputs, reports)
 
-    def _run_chunks(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _run_chunks(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         first, largest = 0, max(1, CHUNK_BYTES // max(1, outputs[:1].nbytes))
         while first < len(thetas):
             # the first ones by themselves, so that what they need is known and not taken for growth
@@ -95,7 +94,7 @@ class IsolatedExecutor:
             self._keeper.replace_outgrown()
             first = part.stop
 
-    def _run_part(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _run_part(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         left, suspects = np.arange(len(thetas)), list[int]()
         kills, unblamed = np.zeros(len(thetas), np.intp), 0
         while left.size:
@@ -133,9 +132,9 @@ class IsolatedExecutor:
         simulation: Simulation,
         thetas: Floats,
         outputs: Floats,
-        reports: NDArray[np.intp],
-        group: NDArray[np.intp],
-    ) -> tuple[End | None, NDArray[np.intp]]:
+        reports: Indices,
+        group: Indices,
+    ) -> tuple[End | None, Indices]:
         """Simulate some thetas; return how the process came to an end, if it did, and what is still to be done."""
         host, end = self._host(), None
         shape = (len(group), thetas.shape[1], *outputs.shape[1:])
@@ -163,7 +162,7 @@ class IsolatedExecutor:
         outputs[group[done]], reports[group[done]] = their_outputs[done], their_reports[done]
         return end, group[~done]
 
-    def _blamed(self, group: NDArray[np.intp], undone: NDArray[np.intp], doing: NDArray[np.intp]) -> list[int]:
+    def _blamed(self, group: Indices, undone: Indices, doing: Indices) -> list[int]:
         """Return the thetas that were being simulated when the process came to its end."""
         count, open_ones, found = min(self._limit, len(group)), set(undone.tolist()), []
         for share, what in zip(shares(len(group), count), doing, strict=False):
@@ -184,7 +183,7 @@ class IsolatedExecutor:
         simulation: Simulation,
         theta: Floats,
         outputs: Floats,
-        report: NDArray[np.intp],
+        report: Indices,
         parameters: Mapping[str, float],
         explain: bool = False,
     ) -> SimulationError | None:
@@ -258,7 +257,7 @@ class IsolatedExecutor:
         self.cancelled = True
         self._keeper.strike()
 
-    def _write(self, end: End, indices: NDArray[np.intp], reports: NDArray[np.intp]) -> None:
+    def _write(self, end: End, indices: Indices, reports: Indices) -> None:
         limits = {HUNG: self._settings.time_limit, GREW: self._settings.memory}
         reports[indices, :4] = codes.PROCESS, end.kind, end.number if limits.get(end.kind, 1) else 0, -1
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import psutil
-from numpy.typing import NDArray
 
+from fmuid.arrays import Indices
 from fmuid.models import Isolation
 from fmuid.simulation.isolation.ends import End
 from fmuid.simulation.isolation.process import Host
@@ -87,7 +87,7 @@ class Keeper:
             return self._settings.time_limit
         return max(LEAST_TIME_LIMIT, SLOWER_FACTOR * self.longest) if self.longest else FIRST_TIME_LIMIT
 
-    def bury(self) -> NDArray[np.intp]:
+    def bury(self) -> Indices:
         """Part with a process that has come to its end; return what its threads were doing, nothing without one."""
         if not self._hosts:
             return np.zeros(0, np.intp)

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 import psutil
-from numpy.typing import NDArray
 
+from fmuid.arrays import Indices
 from fmuid.errors import FmuidError
 from fmuid.fmi import codes
 from fmuid.simulation.isolation import cgroup
@@ -56,13 +56,13 @@ class _Progress:
 
     limit: float
     idle_limit: float | None
-    reports: NDArray[np.intp] | None
+    reports: Indices | None
     since: float = field(default_factory=time.monotonic)
     looked: float = math.inf
     computed: float = 0.0
     state: tuple[bytes, int] | None = None
 
-    def limit_passed(self, doing: NDArray[np.intp], condition: Condition) -> float | None:
+    def limit_passed(self, doing: Indices, condition: Condition) -> float | None:
         """Return the limit that has passed, s, if one has."""
         undone = 0 if self.reports is None else int((self.reports[:, 2] == codes.UNDONE).sum())
         state, now = (doing.tobytes(), undone), time.monotonic()
@@ -124,13 +124,13 @@ class Host:
         self.records: dict[int, int] = {}
         self.sent = 0
 
-    def _mapped(self, size: int) -> tuple[mmap.mmap, NDArray[np.intp]]:
+    def _mapped(self, size: int) -> tuple[mmap.mmap, Indices]:
         os.ftruncate(self._file, size)
         memory = mmap.mmap(self._file, size)
         return memory, np.frombuffer(memory, np.intp, far.DOING_WORDS)
 
     @property
-    def states(self) -> NDArray[np.intp]:
+    def states(self) -> Indices:
         """What each of its threads is doing."""
         return self.doing[::2]
 
@@ -147,7 +147,7 @@ class Host:
         name: str,
         *arguments: Any,
         limit: float,
-        reports: NDArray[np.intp] | None = None,
+        reports: Indices | None = None,
         idle_limit: float | None = None,
     ) -> Any:
         """Give an order and return the answer.

@@ -6,10 +6,7 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
-import numpy as np
-from numpy.typing import NDArray
-
-from fmuid.arrays import Floats
+from fmuid.arrays import Floats, Indices
 from fmuid.errors import SimulationError
 from fmuid.fmi import Simulation, shares
 from fmuid.models import Component, Isolation
@@ -43,7 +40,7 @@ class SpreadExecutor:
         self._parts = [IsolatedExecutor(components, 1, settings, told) for _ in range(limit)]
         self._threads = ThreadPoolExecutor(limit, "fmuid-process")
 
-    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N) in equal shares; where one finds a model stiff, all are run again as such."""
         plan = simulation.plan
         self._run_shares(simulation, thetas, outputs, reports)
@@ -52,7 +49,7 @@ class SpreadExecutor:
                 part.forget(simulation)
             self._run_shares(simulation, thetas, outputs, reports)
 
-    def _run_shares(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: NDArray[np.intp]) -> None:
+    def _run_shares(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         count = min(len(self._parts), len(thetas))
         futures: list[Future[None]] = []
         try:
@@ -78,7 +75,7 @@ class SpreadExecutor:
         simulation: Simulation,
         theta: Floats,
         outputs: Floats,
-        report: NDArray[np.intp],
+        report: Indices,
         parameters: Mapping[str, float],
         explain: bool = False,
     ) -> SimulationError | None:
