@@ -12,7 +12,7 @@ from tests.support.paths import ROOT
 PAGE = ROOT / "fmuid" / "reports" / "page"
 # Names of parts that are made up where they are drawn, by the module and how it writes them there.
 MADE_UP = {
-    ("preparation", "anchor"): {"preparation", "prepared"},
+    ("preparation", "anchor"): {"preparation", "prepared", "monitored"},
     ("faults", "name"): {"timeline"},
     ("fits", "anchor"): {"fit", "prediction"},
     ("validation", "name"): {"criteria", "misfits"},

@@ -46,7 +46,7 @@ def link_cells(link: ColumnLink) -> tuple[str, ...]:
     """Return what is said of a variable, under `LINK_HEADS`."""
     unit = unit_text(link.unit)
     if link.column is None or link.reason is None:
-        why = f"undecided between {', '.join(link.choices)}" if link.choices else "no such column"
+        why = f"may be {' or '.join(link.choices)}: undecided" if link.choices else "no such column"
         return link.variable, unit, link.role, "", "", why
     said = link.column_unit or (f"taken for {unit}" if unit else "")
     return link.variable, unit, link.role, link.column, said, REASONS[link.reason]
