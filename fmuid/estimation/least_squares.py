@@ -27,7 +27,7 @@ from fmuid.data import (
 from fmuid.data import Noise as Noise
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation.colour.innovations import Weights
-from fmuid.estimation.colour.series import Series, series_of
+from fmuid.estimation.colour.series import Series, period_of, series_of
 from fmuid.estimation.model_derivatives import Sensitivity
 from fmuid.estimation.numerical_noise import LARGEST_VALUE, NoiseLevel, noise_level
 
@@ -206,6 +206,11 @@ class LeastSquares:
     def series(self) -> tuple[Series, ...]:
         """Which counted samples belong to one output of one experiment, and where they stand in time."""
         return series_of(self.experiments, self.output_names)
+
+    @cached_property
+    def periods(self) -> dict[str, float]:
+        """After how long, s, the inputs of each experiment repeat, 0 where they do not."""
+        return {each.name: period_of(each) for each in self.experiments}
 
     def _check_counts(self) -> None:
         for name, count in zip(self.output_names, self.counts, strict=True):

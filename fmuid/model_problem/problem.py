@@ -155,7 +155,7 @@ class Problem(LeastSquares):
             derivatives=_derivatives(self._simulators, sensitivity),
         )
         if like is not None:
-            self.series = like.series
+            self.series, self.periods = like.series, like.periods
 
     def _lay_out(self, experiments: Sequence[Experiment], held: Mapping[str, Value]) -> list[Simulator]:
         names, _, step_size = self._given

@@ -28,16 +28,15 @@ between them).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
 
 from fmuid.arrays import Flags, Floats
-from fmuid.data import Measurements
 from fmuid.estimation.colour.autoregression import ENOUGH, Autoregression
-from fmuid.estimation.colour.series import Series, period_of
+from fmuid.estimation.colour.series import Series
 from fmuid.estimation.colour.slow import Bins, rises
 
 # Periods are whole numbers of samples to this.
@@ -101,7 +100,7 @@ class Returning:
 def returning(
     residual: Floats,
     basis: Floats,
-    experiments: Sequence[Measurements],
+    periods: Mapping[str, float],
     noise: Sequence[tuple[Series, Autoregression]],
     given: Flags,
 ) -> tuple[Returning, ...]:
@@ -111,12 +110,12 @@ def returning(
     ----------
     residual, basis : (n,) and (n, k) arrays
         As in `fmuid.estimation.colour.grid.Rows`.
-    experiments : sequence of Measurements
+    periods : mapping of str to float
+        Of the inputs of each experiment, s; 0 where they do not repeat.
     noise : sequence of (Series, Autoregression)
     given : (n_outputs,) array of bool
         Outputs whose variance was given.
     """
-    periods = {each.name: period_of(each) for each in experiments}
     found = []
     for series, model in noise:
         time = periods[series.experiment] / series.step

@@ -41,14 +41,13 @@ H. White, "Maximum likelihood estimation of misspecified models", Econometrica 5
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmuid.arrays import Flags, Floats
-from fmuid.data import Measurements
 from fmuid.estimation.colour.autoregression import Autoregression, fit, most_orders
 from fmuid.estimation.colour.cycles import Returning, returning
 from fmuid.estimation.colour.grid import Grid, Rows, Spectra
@@ -150,7 +149,7 @@ def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: Flags) -> Sa
         columns = weighed if columns is basis else weights.transposed(columns)
         rows = replace(rows, residual=raw[:, 0], basis=raw[:, 1:], columns=columns, weighed=weighed)
     found = sandwich(rows, problem.series)
-    found = _with_returning(found, rows, problem.experiments, weights)
+    found = _with_returning(found, rows, problem.periods, weights)
     lost = ~np.isfinite(np.diag(local.combined.covariance))
     covariance = found.covariance.copy()
     covariance[lost, :] = covariance[:, lost] = np.nan
@@ -196,13 +195,11 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
     return Sandwich(covariance, freedom, noise)
 
 
-def _with_returning(
-    found: Sandwich, rows: Rows, experiments: Sequence[Measurements], weights: Weights | None
-) -> Sandwich:
+def _with_returning(found: Sandwich, rows: Rows, periods: Mapping[str, float], weights: Weights | None) -> Sandwich:
     """Return a sandwich with what returns with each cycle of the inputs, and the noise's weights."""
     own = found.noise
     known = [each for each in zip(own.series, own.models, strict=True) if not rows.white[each[0].group]]
-    returns = returning(rows.residual, rows.basis, experiments, known, rows.given)
+    returns = returning(rows.residual, rows.basis, periods, known, rows.given)
     noise = replace(own, weights=weights, returning=returns)
     if not returns:
         return replace(found, noise=noise)
