@@ -93,7 +93,7 @@ class Child:
             self._process.stdin.close()
         if self.wait(patience) is None:
             if os.name == "posix":
-                with contextlib.suppress(ProcessLookupError, PermissionError):
+                with contextlib.suppress(ProcessLookupError, PermissionError):  # it has just ended
                     os.killpg(self.pid, signal.SIGKILL)
             self._process.kill()
             self._process.wait()

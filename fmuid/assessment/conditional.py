@@ -171,7 +171,7 @@ def best_with(criterion: Criterion, index: int, value: float, start: Point) -> P
         else:
             rest.jacobian(others, residual, central=True)
             state.outcome = Outcome.CONVERGED
-    except SensitivityError:
+    except SensitivityError:  # as where it cannot be simulated: the profile has a gap here
         return None
     if state.outcome is None or state.outcome is Outcome.FAILING or rest.whole_jacobian is None:
         return None

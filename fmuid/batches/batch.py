@@ -255,7 +255,7 @@ class Batch(Displayed):
                         writer.write_if_due()
                         if progress is not None:
                             progress(counter.step(there.threads))
-        except KeyboardInterrupt:
+        except KeyboardInterrupt:  # what is done so far is written below, and said to be interrupted
             return True
         return False
 

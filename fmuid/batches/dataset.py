@@ -239,7 +239,7 @@ class Dataset:
                 os.fsync(file.fileno())
             draft.replace(path)
         except BaseException:
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):  # the first error is the one to be told
                 draft.unlink(missing_ok=True)
             raise
         _sync_folder(path.parent)

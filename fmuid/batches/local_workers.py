@@ -31,7 +31,7 @@ def end(folder: Path) -> None:
     for child in children:
         try:
             child.kill()
-        except psutil.NoSuchProcess:
+        except psutil.NoSuchProcess:  # it has ended by itself
             continue
     psutil.wait_procs(children, timeout=5.0)
     shutil.rmtree(folder, ignore_errors=True)

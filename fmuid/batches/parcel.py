@@ -224,7 +224,7 @@ def _leaves(node: Any, above: str = "") -> Iterator[tuple[str, Any]]:
 def _digest(path: Path) -> str | None:
     try:
         return file_digest(path)
-    except OSError:
+    except OSError:  # gone: it differs from any that is there
         return None
 
 

@@ -321,7 +321,7 @@ def logged(folder: Path, in_process: bool) -> Iterator[bool]:
 def _write_log(log: Path, text: str) -> list[str]:
     """Write what FMUs printed, and return what is to be said of it; nothing that goes wrong here ends a command."""
     if not text:
-        with suppress(OSError):
+        with suppress(OSError):  # there is none, mostly
             log.unlink()  # of an earlier run
         return []
     try:

@@ -70,6 +70,6 @@ def open_(
             webbrowser.open(bench.address)
 
     print("Ctrl-C ends the workbench; what it is running then is interrupted and saved.", flush=True)
-    with contextlib.suppress(KeyboardInterrupt):
+    with contextlib.suppress(KeyboardInterrupt):  # how it is meant to end
         bench.run(ready)
     return DONE

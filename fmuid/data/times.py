@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import Any, Literal
 
 import numpy as np
@@ -189,10 +190,8 @@ def _seconds(dates: pd.Series[Any]) -> tuple[Any, pd.Timestamp]:
 
 def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
     """Return the dates that texts are, None where they are none."""
-    try:
+    with suppress(ValueError, TypeError):  # the other orders are tried below
         return pd.to_datetime(texts, format="ISO8601")
-    except (ValueError, TypeError):
-        pass
     if not texts.str.contains(r"\d+[./-]\w+[./-]\d+.*:", regex=True).all():
         return None
     readings = []

@@ -249,7 +249,7 @@ class _Examining:
             try:
                 news = News.of(self.at(point), self.known)
                 ratio, _ = self.variance(point)
-            except SimulationError:
+            except SimulationError:  # too large a step for the model: what was reached before stays
                 break
             naming = self.named(news, chance)
             if not naming.named:  # large at the healthy machine, and none where it was said to be

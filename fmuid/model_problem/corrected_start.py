@@ -54,7 +54,7 @@ def corrected_start(problem: Problem, start: Floats, progress: Progress | None =
         other.parameters = parameters
         try:
             result = method.search(other, progress, theta)
-        except FmuidError:
+        except FmuidError:  # the exact search sets out from where this one did
             break
         finally:
             problem.count(other)
@@ -81,7 +81,7 @@ def _corrected(problem: Problem, index: int, start: Floats) -> tuple[Simulator, 
         if side is None:
             return None
         slopes, _, _ = side.output_slopes(start[problem.parameters.for_experiment(index)[1]])
-    except FmuidError:
+    except FmuidError:  # a start is not worth an error: the search itself says what is wrong with the model
         return None
     if not np.isfinite(slopes).all() or not slopes.any():
         return None

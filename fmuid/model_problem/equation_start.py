@@ -45,7 +45,7 @@ def equation_start(problem: Problem, start: Floats) -> Floats | None:
     try:
         records = [_WeakRecord.of(problem, index, start) for index in range(len(problem.experiments))]
         found = _fitted(problem, [each for each in records if each is not None], start)
-    except FmuidError:
+    except FmuidError:  # a start is not worth an error: the search itself says what is wrong with the model
         return None
     return None if found is None else _with_initial_states(problem, records, found)
 

@@ -87,7 +87,7 @@ class Job:
         """Ask it to end: it writes what it has found so far."""
         if self.running:
             self.asked = self.asked or time.monotonic()
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):  # it has just ended
                 os.kill(self._child.pid, _INTERRUPT)
 
     def insist(self) -> None:
@@ -104,14 +104,14 @@ class Job:
             with self._events.open("rb") as file:
                 file.seek(position)
                 text = file.read()
-        except OSError:
+        except OSError:  # it has written none yet
             return [], position
         whole = text[: text.rfind(b"\n") + 1]
         return [of_line(line) for line in whole.decode("utf-8").splitlines()], position + len(whole)
 
     def printed(self) -> str:
         """Return what it has printed."""
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # its folder is gone
             return self._printed.read_text(encoding="utf-8", errors="replace")
         return ""
 

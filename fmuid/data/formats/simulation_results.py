@@ -71,5 +71,5 @@ def _text(characters: npt.NDArray[np.str_]) -> str:
     joined = "".join(characters).strip(" \0")
     try:
         return joined.encode("latin-1").decode("utf-8")
-    except UnicodeError:
+    except UnicodeError:  # from a tool that writes characters indeed
         return joined

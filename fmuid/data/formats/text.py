@@ -67,7 +67,7 @@ def read_text(path: Path, source: str) -> RawTable:
     """
     opened = _opener(path, source)
     for encoding in (None, "cp1252"):
-        with suppress(UnicodeDecodeError):
+        with suppress(UnicodeDecodeError):  # the next encoding is tried, and then it is refused
             return _read(opened, source, encoding)
     raise InputError(f"{source}: the file is no text in UTF-8, UTF-16 or cp1252: save it as UTF-8")
 
@@ -180,7 +180,7 @@ def _layout(source: str, text: str) -> _Layout:
     for separator, decimal in _DIALECTS:
         try:
             read = list(islice(_rows(io.StringIO(text), separator), _ROWS_LOOKED_AT))
-        except csv.Error:
+        except csv.Error:  # no table with this separator
             continue
         rows, blank = _without_blank_ends([_plain(row, separator) for _, row in read])
         head = find_head(rows, decimal)
@@ -261,7 +261,7 @@ def _samples(
                 skipinitialspace=True,
                 low_memory=False,
             )[names]
-    except pd.errors.EmptyDataError:
+    except pd.errors.EmptyDataError:  # a header alone; how few rows there are is said by who needs them
         return pd.DataFrame({name: [] for name in names})
     except (csv.Error, pd.errors.ParserError) as error:
         raise _no_table(source, str(error).strip()) from None

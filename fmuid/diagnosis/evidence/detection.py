@@ -56,7 +56,7 @@ def fit(news: News, causes: Sequence[Cause]) -> CauseFit:
                 continue
             try:
                 covariance = np.linalg.inv(information[kept][:, kept])
-            except np.linalg.LinAlgError:
+            except np.linalg.LinAlgError:  # these causes cannot be told apart; each by itself is tried too
                 continue
             sizes = covariance @ score[kept]
             statistic = float(score[kept] @ sizes)

@@ -7,6 +7,7 @@ import math
 import re
 import zipfile
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -317,11 +318,9 @@ def _name(element: Element) -> str:
 
 def _integer(text: str | None, what: str) -> int:
     """Return a value reference, an index or a size."""
-    try:
+    with suppress(ValueError):  # refused below, as a number out of range is
         if 0 <= (number := int(text or "")) < 2**32:
             return number
-    except ValueError:
-        pass
     raise InputError(f"has {what} = {text}, which is no unsigned 32-bit integer")
 
 

@@ -40,13 +40,11 @@ def make(parent: Path | None) -> Path | None:
     """Return a new group below one, named with this process, which is to sweep it; None where there can be none."""
     if parent is None:
         return None
-    try:
+    with contextlib.suppress(OSError):  # without the right to make groups, processes are found by their parents
         group = Path(tempfile.mkdtemp(prefix=f"fmuid-{_namespace()}-{os.getpid()}-", dir=parent))
         if (group / "cgroup.kill").exists():  # Linux 5.14
             return group
         group.rmdir()
-    except OSError:
-        pass
     return None
 
 
@@ -78,7 +76,7 @@ def sweep(parent: Path | None) -> None:
     if parent is None:
         return
     for group in parent.glob("fmuid-*"):
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # another process sweeps too
             # process ids of another namespace say nothing here
             found = re.fullmatch(rf"fmuid-{_namespace()}-(\d+)-\w+", group.name)
             if found is None or group.stat().st_uid != os.geteuid():
@@ -105,7 +103,7 @@ def memory(group: Path | None) -> float:
 
 def _write(group: Path | None, name: str, text: str) -> None:
     if group is not None:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # groups are an extra (`make`)
             (group / name).write_text(text)
 
 

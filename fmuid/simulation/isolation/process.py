@@ -232,7 +232,7 @@ class Host:
     def close(self) -> None:
         """Let it free its instances and end it."""
         if self.alive:
-            with contextlib.suppress(End):
+            with contextlib.suppress(End):  # it is killed below either way
                 self.order("close", limit=CLOSING_LIMIT)
             self.kill()
 
@@ -244,7 +244,7 @@ class Host:
         if numbered(self.pid) not in (self._numbered, None):
             return
         for end in (os.kill, os.killpg):
-            with contextlib.suppress(ProcessLookupError, PermissionError):
+            with contextlib.suppress(ProcessLookupError, PermissionError):  # gone meanwhile
                 end(self.pid, signal.SIGKILL)
 
     def kill(self) -> None:

@@ -223,7 +223,7 @@ def _write_lines_at_once() -> None:
     """Let what FMUs print be there when they crash."""
     libc = ctypes.CDLL(None)
     for name in ("stdout", "__stdoutp"):
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError):  # each C library has one of the two names
             libc.setvbuf(ctypes.c_void_p.in_dll(libc, name), None, _IOLBF, 0)
             return
 
@@ -247,12 +247,12 @@ class Server:
                     return
                 name, *arguments = pickle.loads(data)
                 answers.send(self._fork(descriptors, *arguments) if name == "fork" else self._wait(*arguments))
-        except (EOFError, ConnectionError):
+        except (EOFError, ConnectionError):  # the other side was killed
             return
         finally:
             for host in self._hosts:
                 for end in (os.kill, os.killpg):
-                    with contextlib.suppress(OSError):
+                    with contextlib.suppress(OSError):  # gone meanwhile
                         end(host, signal.SIGKILL)
             self._hosts.clear()
             cgroup.sweep(self._group)
@@ -303,7 +303,7 @@ class Server:
             if not orphans:
                 return
             for pid in orphans:  # whose own children come here in their turn
-                with contextlib.suppress(OSError):
+                with contextlib.suppress(OSError):  # gone meanwhile
                     os.kill(pid, signal.SIGKILL)
                     os.waitpid(pid, os.WNOHANG)
             time.sleep(0.001)

@@ -186,7 +186,7 @@ class BatchPage:
         )
         log = self.place / "logs" / f"case-{case:06d}.txt"
         said = ""
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # it has printed nothing
             said = f"<h3>What it printed</h3><pre>{escaped(log.read_text(errors='replace'))}</pre>"
         self.case.text = f"{self._what_if(found)}<div class=scroll><table><tbody>{cells}</tbody></table></div>{said}"
 

@@ -239,7 +239,7 @@ class StudyPage:
         away = theta - result.values
         try:
             return math.sqrt(max(0.0, float(away @ np.linalg.solve(result.covariance, away))))
-        except np.linalg.LinAlgError:
+        except np.linalg.LinAlgError:  # a direction is undetermined: there is no distance along it
             return math.nan
 
     # --- the last optimum
