@@ -73,6 +73,8 @@ def test_refusals_name_the_remedy() -> None:
         value("sinn(a)")
     with pytest.raises(InputError, match="takes 1 argument, not 2"):
         value("exp(a, b)")
+    with pytest.raises(InputError, match=r"'a \+ True' cannot be computed \(it holds a truth value\): write numbers"):
+        value("a + True")
     with pytest.raises(InputError, match="an expression has 1201 characters: write at most 1000"):
         value("a" + "+a" * 600)
     with pytest.raises(InputError, match="the axes d, q need an angle or a speed"):

@@ -198,6 +198,8 @@ def test_a_file_keeps_the_diagnosis(look: Look, tmp_path: Path) -> None:
     assert read.to_json_dict() == found.to_json_dict()
     assert verdict(read) == verdict(found)
     assert read["rotor"].reference == found["rotor"].reference
+    with pytest.raises(fmuid.InputError, match=r"fault 'rotor' has no size 'angle'; it has \w+"):
+        read["rotor"]["angle"]
     (tmp_path / "other.json").write_text("{}", encoding="utf-8")
     with pytest.raises(fmuid.InputError, match=r"other\.json does not say which fmuid .*give the diagnosis\.json of a"):
         fmuid.Diagnosis.from_json(tmp_path / "other.json")
@@ -220,6 +222,17 @@ def test_a_file_keeps_the_diagnosis(look: Look, tmp_path: Path) -> None:
         ({"parameters": {"ea": fmuid.Parameter(1.0, prior=fmuid.Normal(0, 1))}}, "has a prior"),
         ({"parameters": {"ea": fmuid.Parameter(1.0)}, "angles": ["eb"]}, "did you mean 'ea'"),
         ({"parameters": {"a": fmuid.Parameter(1.0)}, "angles": ["a"]}, "may belong to no size"),
+        (
+            {"parameters": {"ea": fmuid.Parameter(1.0, per_experiment=True)}},
+            "'ea' is one per experiment: diagnose each experiment by itself",
+        ),
+        (
+            {
+                "parameters": {name: fmuid.Parameter(0.0, nominal=1.0) for name in ("s", "a", "b")},
+                "angles": {"a": fmuid.Angle("s"), "b": fmuid.Angle("s")},
+            },
+            "the size 's' has two angles: one locates it",
+        ),
     ],
 )
 def test_what_is_no_fault_is_refused(words: dict[str, Any], said: str) -> None:

@@ -112,6 +112,7 @@ def test_the_command_finds_nothing_in_a_sound_machine(study: Path, capsys: pytes
         ("ea = {", "dR = {", "has no 'dR', and the fault no model of its own"),
         ("inflate = { g = 5, h = 5 }", "inflate = { g = -5 }", "a number above 0"),
         ("[diagnosis]", '[estimator]\nloss = "huber"\n[diagnosis]', 'does not go with loss = "huber"'),
+        ("[diagnosis]", "[noise]\nrelative = 0.1\n[diagnosis]", "leave noise.relative out"),
         (STUDY[STUDY.index("[diagnosis.faults.stator]") :], "", "[diagnosis] has no faults"),
         (STUDY[STUDY.index("[diagnosis]") :], "", "has no [diagnosis]"),
     ],

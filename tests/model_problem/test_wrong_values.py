@@ -66,6 +66,7 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
     "names": (lambda: fmuid.linear_least_squares([[1.0], [2.0]], [1.0, 2.0], TEXT), "names must be a list"),
     "interval": (lambda: fmuid.linear_least_squares(np.eye(3)[:, :1] + 1, [1.0, 2.0, 3.0]).intervals(TEXT), "level"),
     "cutoff": (lambda: equation(cutoff=TEXT), "cutoff must be a positive number of rad/s, not 'abc'"),
+    "no terms": (lambda: equation(terms={}), "terms are missing: name each parameter with the term"),
     "order": (lambda: equation(order=1.5), "order must be 1, 2"),
     "target": (lambda: equation(TIMES), "target must be a fmuid.Term"),
     "terms": (lambda: equation(terms=[FALLING]), "terms must be a mapping of parameters"),

@@ -179,6 +179,11 @@ REFUSED = {
         "",
         "[model] needs the key 'fmu', the path of the FMU, or [[model.components]]",
     ),
+    "place of a column": (
+        "discard = 0.05",
+        "discard = 0.05\ntime = 0",
+        "[experiments][0] time must be a name, or a place from 1, not 0",
+    ),
     "syntax": ('title = "Coil"', "title = Coil", "study.toml is not valid TOML: invalid value (at line 2, column 9)"),
 }
 

@@ -31,7 +31,7 @@ from fmuid.workbench import Folder
 from fmuid.workbench.folder import FoundResult, FoundStudy
 from fmuid.workbench.home import _results, _studies
 from fmuid.workbench.jobs import Jobs
-from fmuid.workbench.pages.batch import BatchPage
+from fmuid.workbench.pages.batch import BatchPage, case_settings
 from fmuid.workbench.pages.results import Predicting, Writing, _compared, build
 from tests.support.begun_batch import batch
 from tests.support.coil_study import COIL, STUDY, coil_table
@@ -127,6 +127,11 @@ def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
         assert all(f'id="{place}"' in body for place in places)
 
 
+def test_a_page_of_no_results_says_where_they_are_chosen(tmp_path: Path) -> None:
+    with pytest.raises(fmuid.InputError, match="choose results on the first page"):
+        build(Document(), SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()))
+
+
 def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
     batch(tmp_path / "out", 2)
     doc: Any = Document()
@@ -176,6 +181,8 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     assert Path(study.path.parent, study.experiments[0].table).resolve() == case.table.resolve()
     assert study.model.values["L"] == case.held["L"]
     assert {name: each.start for name, each in study.parameters.items()} == {"R": 4.02}
+    with pytest.raises(fmuid.InputError, match=r"study\.toml has no case 4 any more"):
+        case_settings(tmp_path / "study.toml", 4, page.frame.iloc[0])
     told = " ".join(text for text, _ in doc.template_variables["pieces"])
     assert 'href="http://host:8787/status?a=&lt;b&gt;"' in told
     (tmp_path / "out/batch.json").write_text(json.dumps(manifest | {"dashboard": "javascript:alert(1)", "study": {}}))
@@ -224,6 +231,19 @@ def dropped(name: str, content: bytes) -> FileInput:
     return FileInput(filename=name, value=base64.b64encode(content).decode())
 
 
+def test_what_is_to_be_predicted_is_looked_at_first(tmp_path: Path) -> None:
+    page = Predicting(Document(), Folder(tmp_path), Jobs(), tmp_path)
+    for given, said in (
+        (FileInput(filename="", value=""), "choose a table, or drop one"),
+        (dropped("../../evil.exe", b"no"), "evil.exe is no table: give a file of the kinds"),
+        (FileInput(filename="torn.csv", value="dGlt%"), "torn.csv did not arrive whole: drop it again"),
+    ):
+        page.dropped = given
+        page.begin()
+        assert said in page.run.state.text
+        assert page.run.job is None
+
+
 @pytest.mark.slow
 def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
@@ -233,11 +253,6 @@ def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
     doc: Any = Document()
     page = Predicting(doc, Folder(tmp_path), Jobs(), tmp_path / "results")
     assert page.chosen.options == ["", "first.csv", "second.csv"]
-    page.begin()
-    assert "choose a table" in page.run.state.text
-    page.dropped = dropped("../../evil.exe", b"no")
-    page.begin()
-    assert "evil.exe is no table" in page.run.state.text
     page.dropped = dropped("../third.csv", (tmp_path / "second.csv").read_bytes())
     page.begin()
     assert page.run.job is not None
