@@ -1,9 +1,8 @@
 from .apply import AppliedValue as AppliedValue
 from .apply import apply_result as apply_result
 from .apply import write_estimates as write_estimates
-from .batch_words import summary_words as summary_words
-from .batch_words import write_overview as write_overview
-from .batch_words import write_summary as write_summary
+from .batch_tables import write_overview as write_overview
+from .batch_tables import write_summary as write_summary
 from .comparisons import ComparisonFindings as ComparisonFindings
 from .comparisons import estimate_rows as estimate_rows
 from .comparisons import run_comparison as run_comparison
@@ -27,5 +26,6 @@ from .preparations import prepared_columns as prepared_columns
 from .run import Identified as Identified
 from .run import SearchInterruptedError as SearchInterruptedError
 from .run import run_study as run_study
+from .words.batch import summary_words as summary_words
 from .words.describe import describe as describe
 from .words.diagnosis import healthy_record_words as healthy_record_words

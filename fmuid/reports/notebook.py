@@ -15,7 +15,7 @@ from fmuid.diagnosis import Diagnosis
 from fmuid.errors import InputError
 from fmuid.estimation import Result, optima_table
 from fmuid.fmi import FMU
-from fmuid.reports.batch_words import noted
+from fmuid.reports.batch_tables import noted
 from fmuid.reports.findings import Findings
 from fmuid.reports.interactive import estimates
 from fmuid.reports.interactive.style import Units

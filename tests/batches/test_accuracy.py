@@ -12,7 +12,7 @@ import pytest
 import fmuid
 from fmuid.batches.run_case import VOLATILE, CaseRunner
 from fmuid.batches.summary import summarize
-from fmuid.reports.batch_words import summary_words
+from fmuid.reports.words.batch import summary_words
 from fmuid.simulation import executor_of
 from fmuid.studies.study import Study
 from tests.support.paths import ROOT

@@ -17,8 +17,9 @@ from fmuid.batches.run_case import directions_of, directions_text
 from fmuid.batches.statistics import EstimateDoubt, statistics
 from fmuid.batches.summary import condensed, summarize
 from fmuid.estimation.covariance import Determined, Direction
-from fmuid.reports.batch_words import summary_words, write_summary
+from fmuid.reports.batch_tables import write_summary
 from fmuid.reports.console.batch import show_batch
+from fmuid.reports.words.batch import summary_words
 from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row
 
 # --- numbers

@@ -6,8 +6,8 @@ import numpy as np
 
 from fmuid.batches.statistics import EstimateDoubt, estimates, optimum_numbers
 from fmuid.batches.summary import MAX_LEVELS, summarize
-from fmuid.reports.batch_words import summary_words
 from fmuid.reports.console.batch import show_batch
+from fmuid.reports.words.batch import summary_words
 from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row, starts
 
 # --- groups

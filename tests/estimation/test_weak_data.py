@@ -28,6 +28,10 @@ TIMES = 1e-3 * np.arange(600)
 STEPS = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 15)
 
 
+def of(function: Callable[[Floats], Floats], y: Floats, **parameters: Parameter) -> LeastSquares:
+    return LeastSquares.from_function(function, y, parameters)
+
+
 def noise(seed: int, std: float) -> Floats:
     return std * np.random.default_rng(seed).standard_normal(TIMES.size)
 
@@ -46,10 +50,8 @@ def coil_result(voltage: Floats, **priors: Normal) -> Result:
 def test_a_fault_that_looks_like_another_resistance() -> None:
     """At constant voltage only R + dR shows."""
     y = 1.0 / (4.0 + 1.0) + noise(3, 1e-3)
-    parameters = {"R": Parameter(4.0), "dR": Parameter(0.0, nominal=1.0)}
-    result = identify(
-        LeastSquares.from_function(lambda theta: np.full(600, 1.0 / (theta[0] + theta[1])), y, parameters)
-    )
+    either = of(lambda p: np.full(600, 1.0 / (p[0] + p[1])), y, R=Parameter(4.0), dR=Parameter(0.0, nominal=1.0))
+    result = identify(either)
     assert not result.converged
     assert result.outcome is Outcome.UNDETERMINED
     assert ending(result) == (
@@ -388,14 +390,9 @@ def test_a_start_far_from_anything_makes_no_warnings(start: float) -> None:
         (lambda: Parameter(0.0, nominal=1e-300), "nominal must be greater than 0"),
         (lambda: Normal(0.0, 1e300), "the std of a prior must not exceed"),
         (lambda: Noise(1e-300), "too extreme to calculate with"),
+        (lambda: of(line, np.full(600, 1e300), slope=Parameter(1.0)), "of output 'y' is 1e\\+300 in magnitude"),
         (
-            lambda: LeastSquares.from_function(line, np.full(600, 1e300), {"slope": Parameter(1.0)}),
-            "a sample of output 'y' is 1e\\+300 in magnitude",
-        ),
-        (
-            lambda: identify(
-                LeastSquares.from_function(lambda theta: np.exp(theta[0] * TIMES), TIMES, {"a": Parameter(1e4)})
-            ),
+            lambda: identify(of(lambda theta: np.exp(theta[0] * TIMES), TIMES, a=Parameter(1e4))),
             "the simulation with a = 10000 fails .*; start elsewhere",
         ),
     ],

@@ -10,7 +10,7 @@ import pytest
 
 from fmuid.batches.statistics import Columns
 from fmuid.batches.summary import summarize
-from fmuid.reports.batch_words import write_summary
+from fmuid.reports.batch_tables import write_summary
 from fmuid.reports.console.batch import show_batch
 from fmuid.reports.figures import paint
 from fmuid.reports.figures import style as plots

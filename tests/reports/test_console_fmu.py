@@ -18,7 +18,7 @@ from fmuid.errors import InputError
 from fmuid.fmi.files.description import Variable
 from fmuid.models.facts import Facts, facts, lines
 from fmuid.reports.console import fmu as console_fmu
-from fmuid.reports.console.layout import TERMINAL_ROWS, columns_of, console, show_notes, table_of
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of, table_of_rows
 from fmuid.reports.words.models import capability_words, run_words
 from fmuid.studies import skeleton
 from fmuid.text import bounded
@@ -262,7 +262,7 @@ def test_plain_tables_are_those_of_rich() -> None:
     heads, right = ["name", "start", "description"], ["start"]
     rows = [["R", "1.5", "resistance"], ["温度", "273.15", "äöü [b]x[/b]"], ["a_longer_name", "", "é"]]
     out = io.StringIO()
-    table = table_of("", columns_of(heads, rows), right)
+    table = table_of_rows("", heads, rows, right)
     Console(file=out, width=200).print(table)
     expected = [line.rstrip() for line in out.getvalue().splitlines()]
     assert [

@@ -11,7 +11,7 @@ import pandas as pd
 
 from fmuid.batches.statistics import EstimateDoubt
 from fmuid.batches.summary import Summary
-from fmuid.reports.batch_words import noted
+from fmuid.reports.batch_tables import noted
 
 Array = npt.NDArray[np.float64]
 

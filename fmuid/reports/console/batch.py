@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 from rich.table import Table
 
-from fmuid.reports.batch_words import failure_words, note, summary_words
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows
+from fmuid.reports.words.batch import failure_words, note, summary_words
 from fmuid.text import rounded, unit_text, with_std
 
 if TYPE_CHECKING:

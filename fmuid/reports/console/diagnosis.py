@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from fmuid.reports.console.layout import (
-    columns_of,
     console,
     show_remarks,
     show_sentences,
@@ -19,13 +18,14 @@ from fmuid.reports.words.diagnosis import (
     chance,
     change_name,
     change_size,
+    faults_columns,
     hypothesis_notes,
     scope_notes,
     simulation_notes,
     strain_words,
     verdict,
 )
-from fmuid.text import rounded, unit_text, with_std
+from fmuid.text import with_std
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Diagnosis, Evidence
@@ -71,29 +71,3 @@ def _show_evidence(evidence: Evidence) -> None:
 def _common(found: Diagnosis) -> dict[str, tuple[float, float]]:
     """Return the nominal parameters beside the fault that was named, or without any."""
     return dict(found[found.named[0]].common if found.named else found.nominal)
-
-
-def faults_columns(found: Diagnosis) -> dict[str, list[str]]:
-    """Return the table of the faults looked for; what concerns one as a whole stands in its first row."""
-    heads = ("fault", "size", "value", "interval (95 %)", "unit", "at", "D", "threshold", "probability", "")
-    rows = []
-    for each in found.hypotheses:
-        for k, size in enumerate(each.sizes):
-            (low, high), known, width = size.interval(), math.isfinite(size.std), 0.5 * size.std
-            at = size.angle and each.located(size, found.level)
-            found_to_be = "named" if each.name in found.named else "less likely" if each.name in found.called else ""
-            rows.append(
-                (
-                    "" if k else each.name,
-                    size.name,
-                    with_std(size.value, size.std) if known else "not determined",
-                    f"{rounded(low, width)} to {rounded(high, width)}" if known else "",
-                    unit_text(size.unit),
-                    f"{size.angle} = {with_std(size.angle_value, size.angle_std)}" if at else "",
-                    "" if k else f"{each.statistic:.4g}",
-                    "" if k else f"{each.threshold:.4g}",
-                    chance(size.probability if k else each.adjusted),
-                    "" if k else found_to_be,
-                )
-            )
-    return columns_of(heads, rows)

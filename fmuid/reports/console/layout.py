@@ -83,13 +83,8 @@ def table_of(title: str, columns: Mapping[str, Sequence[str | Text]], right: Seq
 
 def table_of_rows(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], right: Sequence[str] = ()) -> Table:
     """Return rows of cells as such a table."""
-    return table_of(title, columns_of(heads, rows), right)
-
-
-def columns_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> dict[str, list[str]]:
-    """Return rows of cells as columns."""
     given = list(rows)
-    return {head: [row[k] for row in given] for k, head in enumerate(heads)}
+    return table_of(title, {head: [row[k] for row in given] for k, head in enumerate(heads)}, right)
 
 
 # --- fmuid simulate ---------------------------------------------------------------------

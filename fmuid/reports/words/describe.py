@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from fmuid.assessment import Diagnostics, Posterior, Reading, Uncertainty
 from fmuid.diagnosis import Diagnosis, Monitor
-from fmuid.estimation import LinearEstimate, Result
+from fmuid.estimation import Estimator, LinearEstimate, Result
 from fmuid.reports.words.diagnosis import diagnosis_words
-from fmuid.reports.words.linear_models import linear_words
 from fmuid.reports.words.monitoring import monitoring_sentences
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
 from fmuid.reports.words.result import capitalised, result_words
 from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
+from fmuid.text import with_std
 
 Found = Result | LinearEstimate | Diagnostics | Reading | Uncertainty | Posterior | Diagnosis | Monitor
+
+THOUGHTS = {
+    Estimator.LEAST_SQUARES: "unbiased where the regressors are free of noise and the residual is white",
+    Estimator.EQUATION_ERROR: (
+        "noise in measured terms biases these values, which their standard deviations do not show: "
+        "a start for identify, not a result"
+    ),
+    Estimator.INSTRUMENTAL_VARIABLES: "free of the bias by noise in measured terms, as far as the model is right",
+}
+"""What is to be thought of an estimator."""
 
 
 def describe(found: Found) -> str:
@@ -50,7 +60,7 @@ def _sentences(found: Found) -> tuple[str, ...]:
         case Result():
             return result_words(found)
         case LinearEstimate():
-            return linear_words(found)
+            return _linear_words(found)
         case Diagnostics():
             return residual_words(found)
         case Reading():
@@ -63,3 +73,15 @@ def _sentences(found: Found) -> tuple[str, ...]:
             return diagnosis_words(found)
         case Monitor():
             return tuple(monitoring_sentences(found))
+
+
+def _linear_words(estimate: LinearEstimate) -> tuple[str, ...]:
+    """Return the values with their standard deviations, then what is to be thought of them."""
+    values = ", ".join(
+        f"{name} = {with_std(value, std)}"
+        for name, value, std in zip(estimate.names, estimate.values.tolist(), estimate.std.tolist(), strict=True)
+    )
+    words = (values, THOUGHTS[estimate.estimator])
+    if estimate.converged:
+        return words
+    return *words, f"the instruments had not settled after {estimate.rounds} rounds: give a start nearer by"

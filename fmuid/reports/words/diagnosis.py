@@ -9,7 +9,7 @@ from fmuid.assessment import LEAST_STD_FACTOR
 from fmuid.diagnosis import Basis
 from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
-from fmuid.text import has_unit, listed, with_std
+from fmuid.text import has_unit, listed, rounded, unit_text, with_std
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -243,3 +243,29 @@ def healthy_record_words(cost: pd.DataFrame) -> list[str]:
             f"that with an endless one; with one {lengths.iloc[enough]:g} times as long, {times.iloc[enough]:.3g} times"
         )
     return said
+
+
+def faults_columns(found: Diagnosis) -> dict[str, list[str]]:
+    """Return the table of the faults looked for; what concerns one as a whole stands in its first row."""
+    heads = ("fault", "size", "value", "interval (95 %)", "unit", "at", "D", "threshold", "probability", "")
+    rows = []
+    for each in found.hypotheses:
+        for k, size in enumerate(each.sizes):
+            (low, high), known, width = size.interval(), math.isfinite(size.std), 0.5 * size.std
+            at = size.angle and each.located(size, found.level)
+            found_to_be = "named" if each.name in found.named else "less likely" if each.name in found.called else ""
+            rows.append(
+                (
+                    "" if k else each.name,
+                    size.name,
+                    with_std(size.value, size.std) if known else "not determined",
+                    f"{rounded(low, width)} to {rounded(high, width)}" if known else "",
+                    unit_text(size.unit),
+                    f"{size.angle} = {with_std(size.angle_value, size.angle_std)}" if at else "",
+                    "" if k else f"{each.statistic:.4g}",
+                    "" if k else f"{each.threshold:.4g}",
+                    chance(size.probability if k else each.adjusted),
+                    "" if k else found_to_be,
+                )
+            )
+    return {head: [row[k] for row in rows] for k, head in enumerate(heads)}

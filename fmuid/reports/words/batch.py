@@ -1,33 +1,24 @@
-"""What the summary of a batch says in words, and its tables as files."""
+"""What the summary of a batch says in words."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
-from fmuid.batches import BatchResult, Dependence, EstimateDoubt, Summary
+from fmuid.batches import Dependence, EstimateDoubt, Summary
 from fmuid.estimation import AccuracyOutcome
-from fmuid.files import write_json, write_table
-from fmuid.reports.origin import made_from
 from fmuid.reports.words.directions import open_words
 from fmuid.reports.words.result import ENDS
-from fmuid.studies import Study
 from fmuid.text import has_unit, rounded
 
 Row = Mapping[Any, Any]
 
-TABLES = ("summary", "groups", "failures", "optima")
 IN_GROUPS = {
     EstimateDoubt.STD_TOO_SMALL: "its stated std is too small",
     EstimateDoubt.STD_TOO_LARGE: "its stated std is too large",
     EstimateDoubt.BIASED: "it is biased",
 }
-
-
 ACCURACY = {
     AccuracyOutcome.SHIFTED: "are shifted by that error, which their std include",
     AccuracyOutcome.UNKNOWN: "may be shifted by that error: not all their std are known",
@@ -40,57 +31,13 @@ ACCURACY = {
 """What is to be said of cases whose simulation did not pass its check."""
 
 
-# --- files
+def summary_words(summary: Summary) -> list[str]:
+    """Return sentences on what the numbers of a batch mean.
 
-
-def write_summary(summary: Summary, folder: Path) -> list[Path]:
-    """Write the tables that have rows as CSV into a folder and return their paths; those of an earlier summary go.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
+    They are on which cases the estimates are over, how these lie against what they state and against the truth, how far
+    they depend on the settings, and where searches from several starts ended.
     """
-    failures = summary.failures.assign(message=[failure_words(row) for row in summary.failures.to_dict("records")])
-    failures = failures.drop(columns="undetermined")
-    found = (noted(summary.parameters), noted(summary.groups), failures, summary.optima)
-    tables = {name: table for name, table in zip(TABLES, found, strict=True) if len(table)}
-    for name in set(TABLES) - set(tables):
-        (folder / f"{name}.csv").unlink(missing_ok=True)
-    return [write_table(folder / f"{name}.csv", table) for name, table in tables.items()]
-
-
-def write_overview(summary: Summary, found: BatchResult, study: Study) -> Path:
-    """Write ``summary.json``, which has what the tables of a batch do not say, and return its path.
-
-    Parameters
-    ----------
-    summary : Summary
-    found : BatchResult
-    study : Study
-        Of the batch.
-
-    Raises
-    ------
-    InputError
-        If the folder of the batch cannot be written to.
-    """
-    content = {
-        **made_from(study),
-        "words": summary_words(summary),
-        "statuses": {str(row["status"]): row["cases"] for row in summary.statuses.to_dict("records")},
-        "truth": found.truth,
-        "units": found.units,
-        "given_noise": found.given_noise,
-    }
-    return write_json(found.folder / "summary.json", content)
-
-
-def noted(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of statistics with ``note`` in place of ``doubts``: what is surely not as stated, by how much."""
-    if not len(table):
-        return table
-    return table.drop(columns="doubts").assign(note=[note(row) for row in table.to_dict("records")])
+    return [*_counts(summary), *_estimates(summary), *_settings(summary), *_optima(summary), *_accuracy(summary)]
 
 
 def note(row: Row) -> str:
@@ -114,18 +61,6 @@ def failure_words(row: Row) -> str:
     said = str(row["message"])
     ends = {outcome.value: words for outcome, words in ENDS.items()} if row["status"] == "not converged" else {}
     return ": ".join(filter(None, [ends.get(said, said), "; ".join(open_words(*each) for each in row["undetermined"])]))
-
-
-# --- sentences
-
-
-def summary_words(summary: Summary) -> list[str]:
-    """Return sentences on what the numbers of a batch mean.
-
-    They are on which cases the estimates are over, how these lie against what they state and against the truth, how far
-    they depend on the settings, and where searches from several starts ended.
-    """
-    return [*_counts(summary), *_estimates(summary), *_settings(summary), *_optima(summary), *_accuracy(summary)]
 
 
 def _counts(summary: Summary) -> Iterator[str]:
