@@ -119,11 +119,8 @@ def test_a_bound_holds_a_runaway() -> None:
 def test_parameters_may_travel_far_for_a_gain() -> None:
     """Ten powers of ten, as long as the fit gains by it."""
     y = np.exp(-2.0 * TIMES) + noise(4, 1e-3)
-    result = identify(
-        LeastSquares.from_function(
-            lambda theta: theta[0] * 1e-10 * np.exp(-theta[1] * TIMES), y, {"a": Parameter(1.0), "k": Parameter(50.0)}
-        )
-    )
+    decay = of(lambda p: p[0] * 1e-10 * np.exp(-p[1] * TIMES), y, a=Parameter(1.0), k=Parameter(50.0))
+    result = identify(decay)
     assert result.converged
     assert result.values == pytest.approx([1e10, 2.0], rel=1e-2)
 
@@ -179,9 +176,7 @@ def test_nearly_alike_parameters_are_named_together() -> None:
     """Their estimates lie a thousand times where they began, and are as uncertain: no number to be sure of."""
     y = 1.0 / (5.0 + 1e-6 * TIMES) + noise(5, 1e-3)
     parameters = {"R": Parameter(4.0), "dR": Parameter(0.5, nominal=1.0)}
-    result = identify(
-        LeastSquares.from_function(lambda theta: 1.0 / (theta[0] + theta[1] * (1.0 + 1e-6 * TIMES)), y, parameters)
-    )
+    result = identify(of(lambda p: 1.0 / (p[0] + p[1] * (1.0 + 1e-6 * TIMES)), y, **parameters))
     assert not result.converged
     assert ending(result).startswith("undetermined: R and dR cannot be told apart in effect: only R + dR is determined")
     assert (result.std > 0.3 * np.abs(result.values)).all()
