@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.typing import ArrayLike
 
 import fmuid
 from fmuid.arrays import Floats
@@ -28,7 +29,7 @@ TIMES = 1e-3 * np.arange(600)
 STEPS = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 15)
 
 
-def of(function: Callable[[Floats], Floats], y: Floats, **parameters: Parameter) -> LeastSquares:
+def of(function: Callable[[Floats], Floats], y: ArrayLike, **parameters: Parameter) -> LeastSquares:
     return LeastSquares.from_function(function, y, parameters)
 
 

@@ -307,3 +307,29 @@ def test_ranges_of_sliders() -> None:
         for place in (0.0, 123.0, PLACES):
             assert reach.place(reach.value(place)) == pytest.approx(place)
     assert wide.including(-1.0).logarithmic is False
+
+
+def test_another_experiment_is_shown_with_what_is_known_of_it(path: Path, tmp_path: Path) -> None:
+    text = path.read_text()
+    entry = text[text.index("[[experiments]]") : text.index("[parameters]")]
+    words = text.replace("[parameters]", entry.replace("first.csv", "second.csv") + "[parameters]")
+    words = words.replace("R = {", "R = { per_experiment = true,")
+    for name, seed in (("first", 1), ("second", 2)):
+        coil_table(tmp_path / f"{name}.csv", 0.0, seed=seed)
+    (tmp_path / "study.toml").write_text(words)
+    (tmp_path / "results").mkdir()
+    result(tmp_path / "results", {"R[first]": (4.1, 0.1), "L": (0.1, 0.01)})
+    page = Page(tmp_path / "study.toml")
+    assert "+19 std off" in page.rows["R"].title.text
+    first, chosen = page.page.live.record.measured.copy(), page.page.simulators[1]
+    page.page._choose(1)
+    page.settle()
+    assert page.page.simulator is chosen
+    assert not np.array_equal(page.page.live.record.measured, first)
+    np.testing.assert_allclose(page.shown(), chosen(page.page.theta)[:, 0], rtol=1e-12)
+    assert "std off" not in page.rows["R"].title.text  # nothing is known of it here
+    page.page._go_to_optimum()
+    assert page.rows["L"].value == 0.1
+    shown = page.shown().copy()
+    page.page._show(page.page.simulators[0], page.page.theta, np.zeros((3, 1)), "", 0.0)  # of the one before: too late
+    np.testing.assert_array_equal(page.shown(), shown)

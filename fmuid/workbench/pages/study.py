@@ -31,7 +31,7 @@ from fmuid.workbench.pages.sliders import ParameterRow, stacked
 from fmuid.workbench.shell import SHEET, WIDE, argument, arguments, button, dress, words
 
 if TYPE_CHECKING:
-    from fmuid.data import Parameter
+    pass
 
 # Of so many states one can go back.
 MOST_UNDONE = 100
@@ -250,13 +250,9 @@ class StudyPage:
             self.optimum = Result.from_json(folder / "result.json") if is_file(folder / "result.json") else None
         except InputError:
             self.optimum = None
-        values = self._at_optimum()
-        for each in self.rows:
-            each.know(values.get(each.name))
-        self.to_optimum.disabled = not values
         self._haunt()
-        if move and values:
-            self.put({name: value for name, (value, _) in values.items()})
+        if move and self._at_optimum():
+            self._go_to_optimum()
         else:
             self._tell_command()
             self.ask()
@@ -268,19 +264,17 @@ class StudyPage:
             return found
         place = {name: i for i, name in enumerate(result.names)}
         for each in self.rows:
-            name = self._name_in(each.parameter, each.name)
+            name = each.parameter.name_in(self.simulator.experiment.name, each.name)
             if name in place:
                 found[each.name] = float(result.values[place[name]]), float(result.std[place[name]])
         return found
 
-    def _name_in(self, parameter: Parameter, name: str) -> str:
-        try:
-            return parameter.name_in(self.simulator.experiment.name, name)
-        except InputError:
-            return name
-
     def _haunt(self) -> None:
+        """Show what the result says of the experiment shown: at the sliders, and as a ghost in the figure."""
         values = self._at_optimum()
+        for each in self.rows:
+            each.know(values.get(each.name))
+        self.to_optimum.disabled = not values
         if not values:
             self.live.haunt(None)
             return
