@@ -18,6 +18,9 @@
   const item = document.getElementById("item");
   if (item === null || typeof Bokeh === "undefined") return;
   Bokeh.set_log_level("warn");
+  // Bokeh lets what lies on its overlay, as lines that follow a slider, run over the axes.
+  const line = Bokeh.Models.get("GlyphRenderer").prototype.default_view.prototype;
+  Object.defineProperty(line, "needs_clip", { value: true });
   const lost = document.getElementById("lost");
   Bokeh.embed.embed_items({}, [JSON.parse(item.textContent)]).then(drawn, () => (lost.hidden = false));
 

@@ -60,6 +60,7 @@ class LiveFit:
         plots = [plot for j in self.outputs for plot in (self._upper(j), self._lower(j))]
         for plot in plots:
             shade_uncounted(plot, record)
+            plot.toolbar.active_drag.dimensions = "width"  # the heights follow what is in it
         self.figure = below_each_other(plots, dense=True)
 
     # --- what is shown
@@ -128,11 +129,14 @@ class LiveFit:
         size = 3 if len(self.record.times) > 600 else 5
         seen = plot.scatter("t", f"m{j}", source=self.dots, size=size, fill_color=GREY, fill_alpha=0.6, line_color=None)
         ghost = plot.line("t", f"g{j}", source=self.ghosts, line_color=AMBER, line_width=1.6, line_dash="dashed")
-        line = plot.line("t", f"s{j}", source=self.lines, line_color=BLUE, line_width=1.8, level="overlay")
+        look: dict[str, Any] = {"line_color": BLUE, "line_width": 1.8}
+        line = plot.line("t", f"s{j}", source=self.lines, level="overlay", **look)
+        # Bokeh empties the legend of what has new data, and fills it with what is painted below the overlay
+        key = plot.line([np.nan], [np.nan], **look)
         plot.hover(
             line, ("time", "@t{0.0000} s"), ("simulated", f"@s{j}{{0.00000}}"), ("residual", f"@r{j}{{0.00000}}")
         )
-        plot.legend([("measured", [seen]), ("simulated", [line]), ("last optimum", [ghost])])
+        plot.legend([("measured", [seen]), ("simulated", [key]), ("last optimum", [ghost])])
         plot.xaxis.visible = False
         return plot
 
