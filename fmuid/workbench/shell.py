@@ -89,6 +89,7 @@ def dress(doc: Any, title: str, pieces: Sequence[tuple[str, str]], *libraries: s
     """
     scheme = argument(doc, SCHEME) or "light"
     doc.title, doc.template = title, template()
+    doc.config.update(reconnect_session=False, notify_connection_status=False)  # the page's script sees to it
     doc.template_variables.update(variables(title, pieces, scheme, ("bokeh", *libraries)))
 
 

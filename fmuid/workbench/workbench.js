@@ -1,6 +1,7 @@
 // Begins the page's session, and has pages drawn in the colours of the browser.
 (function () {
   "use strict";
+  const AGAIN = 1000; // ms
   const query = window.matchMedia("(prefers-color-scheme: dark)");
   const secure = location.protocol === "https:" ? "; Secure" : "";
 
@@ -22,7 +23,27 @@
   const line = Bokeh.Models.get("GlyphRenderer").prototype.default_view.prototype;
   Object.defineProperty(line, "needs_clip", { value: true });
   const lost = document.getElementById("lost");
-  Bokeh.embed.embed_items({}, [JSON.parse(item.textContent)]).then(drawn, () => (lost.hidden = false));
+  Bokeh.embed.embed_items({}, [JSON.parse(item.textContent)]).then(drawn, () => say("This page could not begin: load it anew."));
+
+  function say(words) {
+    lost.textContent = words;
+    lost.hidden = false;
+  }
+
+  // The connection was cut, or the workbench has ended, which cannot be told apart: asked again until one answers. Then
+  // the page is loaded anew, with what its sliders show.
+  function cut(doc) {
+    say(
+      "The workbench does not answer. This page is loaded anew as soon as it does; if fmuid open has ended, start it again " +
+        "and open the address that it prints. What it was running is not lost: it goes on, or has saved what it had found."
+    );
+    setTimeout(async function ask() {
+      const answer = await fetch("/own/workbench.js").catch(() => null);
+      if (answer === null) setTimeout(ask, AGAIN);
+      else if (answer.ok) location.replace(doc.get_model_by_name("command")?.tags[0] ?? location.href);
+      else say("The workbench was started anew: open the address that it has printed.");
+    }, AGAIN);
+  }
 
   // A name for what has none to be read out: sliders, typed values, switches that are all labelled alike. A table is
   // passed over by the keyboard, which would stop at each of its cells: its cases are chosen by their number.
@@ -44,10 +65,7 @@
 
   // What the server follows is there; then come the figures that are as they are, one section after the other.
   async function drawn() {
-    for (const doc of Bokeh.documents) {
-      doc.on_event("connection_lost", () => (lost.hidden = false));
-      doc.on_event("client_reconnected", () => (lost.hidden = true));
-    }
+    for (const doc of Bokeh.documents) doc.on_event("connection_lost", cut);
     for (const view of Bokeh.index.roots ?? Object.values(Bokeh.index)) name(view);
     const still = document.getElementById("figures");
     if (still === null) return;

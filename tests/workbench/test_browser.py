@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
+from scipy.signal import lfilter
+from tornado.netutil import bind_sockets
 
 from fmuid.simulation import AVAILABLE
 from fmuid.workbench import Folder, Workbench
 from tests.support.begun_batch import batch
 from tests.support.browser import PATIENCE, chromium
 from tests.support.coil_study import COIL, STUDY, coil_table
+from tests.support.cut_wire import Wire
 from tests.support.misbehaving import Mode, misbehaving_fmu
 from tests.support.results import result
 
@@ -64,12 +70,18 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def address(folder: Path) -> Iterator[str]:
-    bench, ready = Workbench(Folder(folder)), threading.Event()
+    with running(Workbench(Folder(folder))) as bench:
+        yield bench.address
+
+
+@contextmanager
+def running(bench: Workbench) -> Iterator[Workbench]:
+    ready = threading.Event()
     thread = threading.Thread(target=bench.run, args=(ready.set,))
     thread.start()
     try:
         assert ready.wait(PATIENCE)
-        yield bench.address
+        yield bench
     finally:
         bench.stop()
         thread.join(PATIENCE)
@@ -154,6 +166,76 @@ def test_the_keyboard_alone_moves_holds_and_identifies(browser: Any, address: st
     wait(browser, f"{MODEL}('state').text.includes('Done')")
     assert (folder / "results/report.html").is_file()
     assert any("hold" in each for each in seen)
+    assert quiet(browser)
+
+
+def behind(bench: Workbench, wire: Wire | None = None) -> Wire:
+    """Have a wire lead to a workbench, which listens elsewhere."""
+    found = wire or Wire(bench._sockets[0].getsockname())
+    bench._sockets.pop().close()
+    bench._sockets = bind_sockets(0, "127.0.0.1")
+    found.server = bench._sockets[0].getsockname()
+    return found
+
+
+def test_a_page_that_was_cut_off_goes_on_and_one_whose_workbench_ended_says_so(browser: Any, folder: Path) -> None:
+    said = "return document.getElementById('lost').textContent"
+    bench = Workbench(Folder(folder))
+    wire = behind(bench)
+    with running(bench):
+        wire.mend()
+        open_study(browser, bench.address)
+        assert browser.execute_script(said) == ""
+        browser.execute_script(f"{MODEL}('typed R').value = '9.5'; {MODEL}('hold L').active = true; window.old = true")
+        wait(browser, f"{MODEL}('command').text.includes('parameters.L=')")
+        wire.cut()
+        wait(browser, "!document.getElementById('lost').hidden")
+        assert "does not answer" in browser.execute_script(said)
+        wire.mend()
+        wait(browser, f"!window.old && {DRAWN}")
+        assert browser.execute_script(f"return [{MODEL}('typed R').value, {MODEL}('hold L').active]") == ["9.5", True]
+        press(browser, "Identify")
+        wait(browser, f"{MODEL}('state').text.includes('Done')")
+        assert (folder / "results/result.json").is_file()
+        wire.cut()
+    other = Workbench(Folder(folder))
+    behind(other, wire)
+    with running(other):
+        wire.mend()
+        wait(browser, "document.getElementById('lost').textContent.includes('started anew')")
+    wire.cut()
+
+
+LONG, STEP = 1_000_000, 1e-3
+
+
+def test_a_million_samples_are_zoomed_to_single_ones(browser: Any, address: str, folder: Path) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    rng = np.random.default_rng(5)
+    voltage = np.repeat(rng.choice([-1.0, 1.0], LONG // 50), 50)
+    R, L = 6.0, 0.05  # the starts: what the page simulates, exactly, for a held voltage
+    decay = np.exp(-R / L * STEP)
+    exact = lfilter([0.0, (1.0 - decay) / R], [1.0, -decay], voltage)
+    times = STEP * np.arange(LONG)
+    measured = exact + 0.01 * rng.standard_normal(LONG)
+    pd.DataFrame({"time": times, "u": voltage, "i": measured}).to_parquet(folder / "long.parquet")
+    (folder / "long.toml").write_text(STUDY.replace("first.csv", "long.parquet"))
+    open_study(browser, address, "long.toml")
+    wait(browser, f"{MODEL}('misfit').text.includes('misfit of i')")
+    figure = browser.execute_script(FIND, "", ".bk-events")
+    across = figure.size["width"]
+    widths = [LONG * STEP]
+    for _ in range(4):
+        drag = ActionChains(browser, duration=20).move_to_element_with_offset(figure, -across // 20, 0)
+        drag.click_and_hold().move_by_offset(across // 20, 10).move_by_offset(across // 20, 10).release().perform()
+        wait(browser, f"(t => t[t.length - 1] - t[0] < {0.5 * widths[-1]!r})({MODEL}('lines').data.t)")
+        drawn = browser.execute_script(f"const d = {MODEL}('lines').data; return [[...d.t], [...d.s0]]")
+        widths.append(drawn[0][-1] - drawn[0][0])
+        rows = np.searchsorted(times, np.array(drawn[0]) - STEP / 2)
+        np.testing.assert_allclose(drawn[1], exact[rows], atol=1e-5)
+    assert widths[-1] < 2.0
+    assert len(rows) == rows[-1] - rows[0] + 1  # each sample
     assert quiet(browser)
 
 

@@ -77,9 +77,9 @@ class Identifying:
             self._follow()
         self._tell_result()
 
-    def _figures(self) -> Any:
-        plots = []
-        for key, text in [("c", "criterion"), *((f"v{i}", name) for i, name in enumerate(self.names))]:
+    def _figures(self, searched: Mapping[str, float]) -> Any:
+        plots, free = [], [each for each in enumerate(self.names) if math.isfinite(_of(searched, each[1]))]
+        for key, text in [("c", "criterion"), *((f"v{i}", name) for i, name in free)]:
             plot = Panel(x="iteration", y=text, height=190, y_axis_type="log" if key == "c" else "linear")
             plot.line("k", key, source=self.trace, line_color=BLUE, line_width=1.8)
             plot.scatter("k", key, source=self.trace, size=5, fill_color=BLUE, line_color=None)
@@ -119,6 +119,8 @@ class Identifying:
     def _clear(self) -> None:
         empty: dict[str, list[float]] = {key: [] for key in self.trace.data}
         self.trace.data, self.refused.data = empty, {"k": [], "c": []}
+        self.hint.text = "<p>The search begins …</p>"
+        self.search.children = [self.hint]
 
     def _add(self, events: Sequence[Event]) -> None:
         """Draw the steps of the search, and move the sliders with them."""
@@ -130,9 +132,9 @@ class Identifying:
             for i, name in enumerate(self.names):
                 columns[f"v{i}"] = [_of(each.values, name) for each in taken]
             self.trace.stream(columns)
-            if self.hint in self.search.children:  # empty figures have no ranges
-                self.search.children = [self._figures()]
             last = taken[-1].values
+            if self.hint in self.search.children:  # empty figures have no ranges
+                self.search.children = [self._figures(last)]
             self.page.put({name: _of(last, name) for name in self.names if math.isfinite(_of(last, name))}, note=False)
         away = [each for each in steps if not each.accepted and math.isfinite(each.criterion)]
         if away:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
+from urllib.parse import quote
 
 import numpy as np
 from bokeh.layouts import column, row
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 # Of so many states one can go back.
 MOST_UNDONE = 100
+# The argument of the page's address that names a parameter to hold.
+HOLD = "hold"
 
 
 class Bench(Protocol):
@@ -47,7 +50,9 @@ class Bench(Protocol):
 def build(doc: Any, bench: Bench) -> None:
     """Fill a document with the page of the study that its address names."""
     path, given = bench.folder.path(argument(doc, "file")), arguments(doc, "set")
-    StudyPage(doc, bench, path, Study.read(path, given, isolated=AVAILABLE), argument(doc, SCHEME), given)
+    page = StudyPage(doc, bench, path, Study.read(path, given, isolated=AVAILABLE), argument(doc, SCHEME), given)
+    for each in page.rows:
+        each.hold.active = each.name in arguments(doc, HOLD)
 
 
 class StudyPage:
@@ -297,16 +302,7 @@ class StudyPage:
 
     def settings(self, command: str = "") -> list[str]:
         """Return what ``--set`` has to say for a command to begin where the sliders are."""
-        found = []
-        for each in self.rows:
-            name = f'"{each.name}"' if any(mark in each.name for mark in " '") else each.name
-            if each.held:
-                found.append(f"parameters.{name}={each.value:.9g}")
-            elif each.value != each.parameter.start:
-                found.append(f"parameters.{name}.start={each.value:.9g}")
-            if each.prior is not each.parameter.prior and each.prior is not None and not each.held:
-                prior = f"{{ mean = {each.prior.mean:.9g}, std = {each.prior.std:.9g} }}"
-                found.append(f"parameters.{name}.prior={prior}")
+        found = [word for each in self.rows for word in _said_of(each, hold=each.held)]
         found += self.identifying.settings() if command == "identify" else []
         return [word for setting in (*self._given, *found) for word in ("--set", setting)]
 
@@ -317,6 +313,23 @@ class StudyPage:
     def _tell_command(self) -> None:
         lines = (command_text(self.words("simulate")), command_text(self.words("identify")))
         self.command.text = f"<pre>{escaped(lines[0])}<br>{escaped(lines[1])}</pre>"
+        # where a page that was cut off goes on
+        shown = [("set", each) for each in self._given]
+        shown += [("set", word) for each in self.rows for word in _said_of(each, hold=False)]
+        shown += [(HOLD, each.name) for each in self.rows if each.held]
+        tail = "".join(f"&{name}={quote(value, safe='')}" for name, value in shown)
+        self.command.tags = [address("study", self.bench.folder, self.path) + tail]
+
+
+def _said_of(row: ParameterRow, *, hold: bool) -> list[str]:
+    """Return what ``--set`` has to say of a parameter for it to be as its row shows it."""
+    name = f'"{row.name}"' if any(mark in row.name for mark in " '") else row.name
+    if hold:
+        return [f"parameters.{name}={row.value:.9g}"]
+    found = [f"parameters.{name}.start={row.value:.9g}"] if row.value != row.parameter.start else []
+    if row.prior is not row.parameter.prior and row.prior is not None:
+        found.append(f"parameters.{name}.prior={{ mean = {row.prior.mean:.9g}, std = {row.prior.std:.9g} }}")
+    return found
 
 
 def _cell(name: str, value: str, more: str = "") -> str:
