@@ -49,8 +49,11 @@ class Noise:
     coloured : bool
         Whether estimates weigh the samples by the colour of each output's noise, as the residual of a first search
         shows it (generalised least squares): they are sharper where noise is slow and records are long.
+    period : float, optional
+        After how long, s, the excitation repeats; default: as the inputs show it. Errors of the model that return with
+        it are allowed for in the standard deviations.
     experiments : mapping of str to Noise
-        What holds in an experiment of that name in place of all this; only the four forms.
+        What holds in an experiment of that name in place of all this; only the four forms and `period`.
 
     Raises
     ------
@@ -72,10 +75,11 @@ class Noise:
     weights: Level | Mapping[str, Level] | None = None
     common: bool | Sequence[str] = False
     coloured: bool = False
+    period: float | None = None
     experiments: Mapping[str, Noise] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for word in (*FORMS, "start"):
+        for word in (*FORMS, "start", "period"):
             given = getattr(self, word)
             if given is None or (word == "variance" and isinstance(given, str) and given == "estimate"):
                 continue
@@ -84,7 +88,8 @@ class Noise:
             object.__setattr__(self, word, found if isinstance(given, Mapping) else found[""])
         for name, own in self.experiments.items():
             if own.start is not None or own.common or own.coloured or own.experiments:
-                raise InputError(f"the noise of experiment {name!r} has {', '.join(FORMS)} only: say the rest of all")
+                words = ", ".join((*FORMS, "period"))
+                raise InputError(f"the noise of experiment {name!r} has {words} only: say the rest of all")
 
     def form(self, output: str) -> tuple[str, Any]:
         """Return which of the four forms says the noise of an output, and what it says; "" where none does.
@@ -100,6 +105,11 @@ class Noise:
             raise InputError(f"noise has both {said[0][0]} and {said[1][0]} of output {output!r}: keep one of the two")
         return said[0] if said else ("", None)
 
+    def period_in(self, experiment: str) -> float | None:
+        """Return after how long, s, the excitation of an experiment repeats, as far as that is said."""
+        own = self.experiments.get(experiment)
+        return self.period if own is None or own.period is None else own.period
+
     def among(self, experiments: Sequence[str]) -> Noise:
         """Return the noise of some experiments, by their names."""
         return replace(self, experiments={name: own for name, own in self.experiments.items() if name in experiments})
@@ -112,7 +122,7 @@ class Noise:
         InputError
             If the noise is said in another form.
         """
-        for word in ("std", "relative", "weights", "common", "coloured", "experiments"):
+        for word in ("std", "relative", "weights", "common", "coloured", "period", "experiments"):
             if getattr(self, word):
                 raise InputError(f"a diagnosis takes the noise as noise.variance alone: leave noise.{word} out")
         return None if isinstance(self.variance, str) else self.variance

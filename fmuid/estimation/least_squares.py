@@ -26,6 +26,7 @@ from fmuid.data import (
 )
 from fmuid.data import Noise as Noise
 from fmuid.errors import InputError, check_kind
+from fmuid.estimation.colour.cycles import check_periods
 from fmuid.estimation.colour.innovations import Weights
 from fmuid.estimation.colour.series import Series, period_of, series_of
 from fmuid.estimation.model_derivatives import Sensitivity
@@ -147,6 +148,9 @@ class LeastSquares:
         if noise.coloured and self.loss is not None:
             raise InputError(f'noise.coloured goes with loss = "linear", not "{loss}": leave one of the two out')
 
+        if noise.period or noise.experiments:
+            check_periods(self.series, noise, len(parameters))
+
     @staticmethod
     def from_function(
         function: Callable[[Floats], ArrayLike],
@@ -209,8 +213,8 @@ class LeastSquares:
 
     @cached_property
     def periods(self) -> dict[str, float]:
-        """After how long, s, the inputs of each experiment repeat, 0 where they do not."""
-        return {each.name: period_of(each) for each in self.experiments}
+        """After how long, s, each experiment's excitation repeats, as is said or its inputs show, 0 where not."""
+        return {each.name: self.noise.period_in(each.name) or period_of(each) for each in self.experiments}
 
     def _check_counts(self) -> None:
         for name, count in zip(self.output_names, self.counts, strict=True):

@@ -105,9 +105,13 @@ class NoiseForms(Words):
         None, "a sample of weight w has the variance σ²/w, with one σ², estimated, for all outputs that have weights"
     )
 
+    period: Positive | None = word(
+        None, "s after which the excitation repeats, as errors of the model then do; default: what the inputs show", 4.0
+    )
+
     def forms(self) -> Noise:
         """Return these words as an object."""
-        return Noise(self.variance, std=self.std, relative=self.relative, weights=self.weights)
+        return Noise(self.variance, std=self.std, relative=self.relative, weights=self.weights, period=self.period)
 
 
 class NoiseWords(NoiseForms):

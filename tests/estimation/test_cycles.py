@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +17,8 @@ from scipy import linalg
 
 from fmuid.arrays import Floats
 from fmuid.assessment.residuals import examine_residuals
-from fmuid.data import Experiment, FunctionPredictor, Parameter
+from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter
+from fmuid.errors import InputError
 from fmuid.estimation.colour.cycles import Returning, _likelihoods, _products, _sides, _summed
 from fmuid.estimation.colour.sandwich import sandwich_of
 from fmuid.estimation.colour.series import Series, period_of
@@ -33,7 +35,7 @@ CLOCK = STEP * np.arange(PERIOD)
 JACOBIAN = np.tile(np.column_stack([np.exp(-CLOCK), -3.0 * CLOCK * np.exp(-CLOCK)]), (CYCLES, 1))
 PARAMETERS = {"a": Parameter(0.1), "k": Parameter(0.1)}
 
-Noise = Callable[[np.random.Generator], Floats]
+Drawn = Callable[[np.random.Generator], Floats]
 
 
 def recorded(inputs: Floats, output: Floats | None = None) -> Experiment:
@@ -78,6 +80,43 @@ def test_what_does_not_repeat_has_no_period(kind: str) -> None:
         "short": square(1.7),
     }
     assert period_of(recorded(inputs[kind])) == 0.0
+
+
+def test_a_period_is_said_where_inputs_do_not_show_it() -> None:
+    """A table without inputs; the same estimates as with the input that shows it."""
+    rng = np.random.default_rng(3)
+    noise = np.tile(ar1(rng, 0.8, PERIOD), CYCLES) + rng.standard_normal(COUNT)
+    times = STEP * np.arange(COUNT)
+
+    def widths(said: Noise | None) -> Floats:
+        problem = LeastSquares.from_function(lambda p: JACOBIAN @ p, noise, PARAMETERS, times=times, noise=said)
+        return identify(problem).std
+
+    _, shown = fitted(noise)
+    np.testing.assert_allclose(widths(Noise(period=PERIOD * STEP)), shown.std, rtol=1e-6)
+    own = Noise(experiments={"experiment": Noise(period=PERIOD * STEP)})
+    np.testing.assert_allclose(widths(own), shown.std, rtol=1e-6)
+    assert (widths(None) < 0.5 * shown.std).all()
+
+
+@pytest.mark.parametrize(
+    ("period", "said"),
+    [
+        (100.3 * STEP, "is 100.3 samples of 'y', and must be a whole number, 25 at least"),
+        (20 * STEP, "is 20 samples of 'y'"),
+        (600 * STEP, "is 600 of 1000 samples: there must be nearly two cycles"),
+    ],
+)
+def test_periods_that_cannot_be_used_are_refused(period: float, said: str) -> None:
+    predictor = FunctionPredictor(lambda theta: JACOBIAN @ theta, (COUNT, 1))
+    with pytest.raises(InputError, match=re.escape(f"noise.period, {period:g} s, of experiment 'experiment' {said}")):
+        LeastSquares([predictor], [recorded(square())], PARAMETERS, noise=Noise(period=period))
+
+
+def test_a_period_of_unequal_steps_is_refused() -> None:
+    times = np.sort(np.random.default_rng(0).uniform(0.0, 30.0, COUNT))
+    with pytest.raises(InputError, match="are not equally spaced"):
+        LeastSquares.from_function(lambda p: JACOBIAN @ p, times, PARAMETERS, times=times, noise=Noise(period=4.0))
 
 
 @pytest.fixture
@@ -160,11 +199,11 @@ def test_where_nothing_returns_hardly_anything_changes(kind: str, monkeypatch: p
     assert examine_residuals(problem, result).returning == ()
 
 
-def returns(level: float, share: float = 0.8) -> Noise:
+def returns(level: float, share: float = 0.8) -> Drawn:
     return lambda rng: level * np.tile(ar1(rng, share, PERIOD), CYCLES)
 
 
-def ar(share: float) -> Noise:
+def ar(share: float) -> Drawn:
     return lambda rng: ar1(rng, share, COUNT)
 
 
@@ -176,7 +215,7 @@ def walk(rng: np.random.Generator) -> Floats:
     return 0.1 * np.cumsum(rng.standard_normal(COUNT))
 
 
-CASES: dict[str, tuple[Noise, ...]] = {
+CASES: dict[str, tuple[Drawn, ...]] = {
     "white": (white,),
     "AR(1) 0.5": (ar(0.5),),
     "AR(1) 0.8": (ar(0.8),),
@@ -193,7 +232,7 @@ CASES: dict[str, tuple[Noise, ...]] = {
 }
 
 
-def covered(parts: tuple[Noise, ...], draws: int) -> tuple[float, float, float]:
+def covered(parts: tuple[Drawn, ...], draws: int) -> tuple[float, float, float]:
     """Return the shares of 95 % intervals with and without what returns that hold 0, and by what they are wider."""
     inside, without, wider = [], [], []
     for seed in range(draws):

@@ -70,6 +70,7 @@ def test_noise(folder: Path) -> None:
         ("std = 0.2", Noise(std=0.2)),
         ("relative = 0.01", Noise(relative=0.01)),
         ('weights = "w"', Noise(weights="w")),
+        ("period = 4.0", Noise(period=4.0)),
     ):
         assert Study.read(write(folder, FULL.replace('variance = "estimate"', words))).noise == noise
 

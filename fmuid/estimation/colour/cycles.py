@@ -35,8 +35,10 @@ import numpy as np
 from scipy import fft
 
 from fmuid.arrays import Flags, Floats
+from fmuid.data import Noise
+from fmuid.errors import InputError
 from fmuid.estimation.colour.autoregression import ENOUGH, Autoregression
-from fmuid.estimation.colour.series import Series
+from fmuid.estimation.colour.series import LONGEST, Series
 from fmuid.estimation.colour.slow import Bins, rises
 
 # Periods are whole numbers of samples to this.
@@ -44,7 +46,7 @@ WHOLE = 1e-3
 # The weight of there being nothing that returns, before the data are asked.
 NOTHING = 0.9
 # Memories in samples, from so many to this share of the cycle, ...
-SHORTEST, LONGEST_SHARE = 0.5, 0.25
+SHORTEST, LONGEST_SHARE = 0.5, 0.5
 # ... and variances, from this share of the noise's least power (of its mean one, where that is more) to so many times
 # all there is, have points this far from each other in their logarithms; so many follow where few variances matter.
 LEAST, WEAKEST, MOST, STEP, FINE = 0.03, 1e-6, 2.0, 0.5 * math.log(2.0), 31
@@ -97,6 +99,31 @@ class Returning:
         return np.asarray((logs**2) @ self.weights - (logs @ self.weights) ** 2)
 
 
+def check_periods(series: Sequence[Series], noise: Noise, parameters: int) -> None:
+    """Check that each period said of an excitation is one that errors in its series can be asked for.
+
+    Raises
+    ------
+    InputError
+        If not.
+    """
+    for each in series:
+        period = noise.period_in(each.experiment)
+        if period is None:
+            continue
+        cycle, least, count = period / each.step, max(ENOUGH, 2 * parameters), int(each.places[-1]) + 1
+        named = f"noise.period, {period:g} s, of experiment {each.experiment!r}"
+        if not each.regular:
+            raise InputError(f"{named}: the samples are not equally spaced; resample the table, or leave it out")
+        if abs(cycle - round(cycle)) > WHOLE or cycle < least:
+            raise InputError(
+                f"{named} is {cycle:.7g} samples of {each.output!r}, and must be a whole number, {least} at least: "
+                "give the time of several periods that are"
+            )
+        if cycle > LONGEST * count:
+            raise InputError(f"{named} is {cycle:.7g} of {count} samples: there must be nearly two cycles")
+
+
 def returning(
     residual: Floats,
     basis: Floats,
@@ -111,7 +138,7 @@ def returning(
     residual, basis : (n,) and (n, k) arrays
         As in `fmuid.estimation.colour.grid.Rows`.
     periods : mapping of str to float
-        Of the inputs of each experiment, s; 0 where they do not repeat.
+        Of the excitation of each experiment, s; 0 where it does not repeat.
     noise : sequence of (Series, Autoregression)
     given : (n_outputs,) array of bool
         Outputs whose variance was given.
