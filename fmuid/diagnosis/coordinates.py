@@ -14,7 +14,7 @@ from enum import Enum
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
 from fmuid.data import Experiment, Parameter
 from fmuid.diagnosis.evidence.causes import Cause
 from fmuid.diagnosis.faults import Fault
@@ -157,6 +157,12 @@ class Coordinates:
     def normal(self) -> Floats:
         """What a sound machine may have of each (N,)."""
         return np.array([coordinate.normal for coordinate in self.each])
+
+    @property
+    def slow(self) -> Flags:
+        """Which are of the machine (N,), whose changes build up, not of a sensor."""
+        sensors = (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)
+        return np.array([coordinate.kind not in sensors for coordinate in self.each], bool)
 
     def of(self, kind: CauseKind, variable: str | None = None, fault: str = "") -> list[int]:
         """Return the places of the coordinates of a kind, of one variable or of all, of one fault."""

@@ -8,6 +8,7 @@ D. Siegmund, "Confidence sets in change-point problems", Int. Statistical Review
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -71,11 +72,6 @@ class Onsets:
         found = np.einsum("tc,tc->t", self.score, self.sizes)
         return np.where(self.cause.sign * self.score[:, 0] < 0, 0.0, found) if self.cause.sign else found
 
-    @property
-    def covariances(self) -> Floats:
-        """Of these sizes (T, c, c)."""
-        return np.asarray(np.linalg.inv(self._certain))
-
     def log_evidence(self, rise: float) -> Floats:
         """Return the log Bayes factor of each onset against nothing new (T,).
 
@@ -96,48 +92,45 @@ class Onsets:
 
 @dataclass(frozen=True, eq=False)
 class Dated:
-    """When a cause began, by a flat prior over the time.
+    """When a cause began and how, by a flat prior over the time.
 
     Attributes
     ----------
+    cause : Cause
+    shape : Shape
+        The likelier one.
     clock : float
-        The most likely onset, s of all that was seen.
+        The most likely onset of this shape, s of all that was seen.
     between : (float, float)
-        The smallest set that holds the onset with 95 %, from its first to its last time.
-    size : (c,) array
-        Mean over the onsets.
-    covariance : (c, c) array
-        Of the size, the spread over the onsets included.
+        The smallest set that holds the onset with 95 %, whatever its shape, from its first to its last time.
     log_evidence : float
         Of the cause, whenever it began, against nothing new.
     """
 
+    cause: Cause
+    shape: Shape
     clock: float
     between: tuple[float, float]
-    size: Floats
-    covariance: Floats
     log_evidence: float
 
 
-def dated(onsets: Onsets, rise: float) -> Dated:
-    """Return when a cause began; `rise` as for `Onsets.log_evidence`."""
-    evidence = onsets.log_evidence(rise)
-    weights = np.exp(evidence - evidence.max()) * onsets.widths
+def dated(onsets: Sequence[Onsets], rise: float) -> Dated:
+    """Return when a cause began, by the same onsets in each shape; `rise` as for `Onsets.log_evidence`."""
+    first = onsets[0]
+    evidence = np.array([each.log_evidence(rise) for each in onsets])
+    weights = np.exp(evidence - evidence.max()) * first.widths
+    best = int(np.argmax(weights.sum(axis=1)))
     total = float(weights.sum())
-    weights /= total
-    order = np.argsort(-weights, kind="stable")
-    within = order[: int(np.searchsorted(np.cumsum(weights[order]), SET)) + 1]
-    sizes = onsets.sizes
-    size = weights @ sizes
-    off = sizes - size
-    covariance = np.einsum("t,tij->ij", weights, onsets.covariances + off[:, :, None] * off[:, None, :])
-    # between two onsets lies any time; the columns, which have no transient after an onset, see it up to a block late
-    first, last = within.min(), within.max()
-    low = onsets.clock[first] - (onsets.widths[first - 1] if first else 0.0)
+    share = weights.sum(axis=0) / total
+    order = np.argsort(-share, kind="stable")
+    within = order[: int(np.searchsorted(np.cumsum(share[order]), SET)) + 1]
+    low, high = within.min(), within.max()
+    # between two onsets lies any time
+    since = first.clock[low] - (first.widths[low - 1] if low else 0.0)
     return Dated(
-        float(onsets.clock[int(np.argmax(evidence))]),
-        (float(low), float(onsets.clock[last] + onsets.widths[last])),
-        size,
-        covariance,
-        float(evidence.max()) + math.log(total / float(onsets.widths.sum())),
+        first.cause,
+        onsets[best].shape,
+        float(first.clock[int(np.argmax(evidence[best]))]),
+        (float(since), float(first.clock[high] + first.widths[high])),
+        float(evidence.max()) + math.log(total / (len(onsets) * float(first.widths.sum()))),
     )

@@ -1,6 +1,7 @@
 """Watching: the likelihood of all onsets of all causes, brought up to date window by window, as steps and as ramps.
 
-A step of a cause from time t_k on has the columns J_c 1[t ≥ t_k], a ramp J_c (t − t_k)₊. What may drift without being
+A step of a cause from time t_k on has the columns J_c w(t − t_k), where w says how much of a change shows by then
+(`BuildUp`), a ramp J_c (t − t_k)₊. What may drift without being
 a fault is another number in each window and is eliminated there (the marginal likelihood of a window); everything else
 is the same all the time and is estimated over all windows, together with what was known of it. So each onset has three
 sums, its own information, that shared with the coordinates, and its score, to which a new window adds: nothing is
@@ -24,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.arrays import Flags, Floats
+from fmuid.diagnosis.evidence.build_up import BuildUp
 from fmuid.diagnosis.evidence.causes import Cause
 from fmuid.diagnosis.evidence.information import Information, Known, News
 from fmuid.diagnosis.evidence.onset import Onsets, Shape
@@ -60,8 +62,8 @@ class Blocks:
         return Information(self.matrices.sum(axis=0), self.scores.sum(axis=0))
 
 
-# What the watch has of each onset: its place, and its sums.
-_PLACES = ("clock", "window", "begins")
+# What the watch has of each onset: its place with the sums of all before its window, and its own sums.
+_PLACES = ("clock", "window", "begins", "total_before", "score_before")
 _SUMS = ("step_own", "step_shared", "step_score", "ramp_own", "ramp_shared", "ramp_score")
 
 
@@ -74,6 +76,8 @@ class Watch:
         Before the first window, of all coordinates.
     drift : (N,) array
         Standard deviation of what may change without being new, at any time and from window to window.
+    slow : (N,) array of bool, optional
+        Which coordinates' changes build up, where `build_up` says how; default: none.
 
     Attributes
     ----------
@@ -83,16 +87,20 @@ class Watch:
         Of the last one, s of all that was seen.
     pinned : (float, float)
         Onsets in this time are kept, s.
+    build_up : BuildUp
     """
 
-    def __init__(self, known: Known, drift: Floats) -> None:
+    def __init__(self, known: Known, drift: Floats, slow: Flags | None = None) -> None:
         self.known, self._drift = known.drifting(drift), drift
         n = drift.size
+        self._slow = np.zeros(n, bool) if slow is None else slow
+        self.build_up = BuildUp()
         self._least = np.zeros(n)
         self.windows, self.end = 0, 0.0
         self.pinned = (math.inf, -math.inf)
         self._total, self._score = np.zeros((n, n)), np.zeros(n)
-        self._of: dict[str, Any] = dict(zip(_PLACES, (np.zeros(0), np.zeros(0, int), np.zeros(0, bool)), strict=True))
+        places = np.zeros(0), np.zeros(0, int), np.zeros(0, bool), np.zeros((0, n, n)), np.zeros((0, n))
+        self._of: dict[str, Any] = dict(zip(_PLACES, places, strict=True))
         shapes = ((0, n, n), (0, n, n), (0, n)) * 2
         self._of |= {name: np.zeros(shape) for name, shape in zip(_SUMS, shapes, strict=True)}
 
@@ -102,18 +110,30 @@ class Watch:
         other._of = dict(self._of)  # arrays are replaced, never changed
         return other
 
+    def building_up(self, build_up: BuildUp) -> Watch:
+        """Return a watch in whose next windows changes build up so."""
+        other = self.copy()
+        other.build_up = build_up
+        return other
+
     def add(self, window: Blocks) -> None:
         """Add a window, later than all before."""
-        own = _Window(window, self._drift)
-        ahead = window.edges[0] - self._of["clock"]
-        grown = own.added(ahead)
-        new = own.onsets()
+        own = _Window(window, self._drift, self._slow, self.build_up)
+        clock = self._of["clock"]
+        grown = own.added(clock)
+        recent = np.flatnonzero(window.edges[0] - clock < self.build_up.lasts)
+        building = own.steps(clock[recent]) if recent.size else {}
+        new = own.sums(window.edges[:-1])
         count = len(window.scores)
-        places = (window.edges[:-1], np.full(count, self.windows), np.arange(count) == 0)
+        before = (np.repeat(each[None], count, axis=0) for each in (self._total, self._score))
+        places = (window.edges[:-1], np.full(count, self.windows), np.arange(count) == 0, *before)
         for name, value in zip(_PLACES, places, strict=True):
             self._of[name] = np.concatenate([self._of[name], value])
         for name in _SUMS:
-            self._of[name] = np.concatenate([self._of[name] + grown[name], new[name]])
+            old = self._of[name] + grown[name]
+            if name in building:
+                old[recent] = self._of[name][recent] + building[name]
+            self._of[name] = np.concatenate([old, new[name]])
         self._least = self._least + LEAST * np.diag(window.whole.matrix)
         self._total = self._total + own.matrix
         self._score = self._score + own.score
@@ -204,9 +224,9 @@ class Watch:
         if not late.size:
             return None
         first, last = late[0], early[-1] if early.size else np.flatnonzero(begins)[0]
-        before = Information(self._total - self._of["step_own"][last], self._score - self._of["step_score"][last])
-        after = Information(self._of["step_own"][first], self._of["step_score"][first])
-        return News.of(after, self.known.after_also(before).drifting(self._drift)), float(clock[first])
+        early_on, until = (Information(self._of["total_before"][k], self._of["score_before"][k]) for k in (last, first))
+        after = Information(self._total - until.matrix, self._score - until.score)
+        return News.of(after, self.known.after_also(early_on).drifting(self._drift)), float(clock[first])
 
     # --- files
 
@@ -218,6 +238,8 @@ class Watch:
             "score": self._score,
             "seen": np.array([self.windows, self.end, *self.pinned]),
             "least": self._least,
+            "lags": self.build_up.lags,
+            "shown": self.build_up.shown,
         }
 
     def restored(self, state: Mapping[str, Any]) -> Watch:
@@ -225,6 +247,7 @@ class Watch:
         other = self.copy()
         other._of = {name: state[name] for name in (*_PLACES, *_SUMS)}
         other._total, other._score, other._least = state["total"], state["score"], state["least"]
+        other.build_up = BuildUp(state["lags"], state["shown"])
         windows, other.end, *pinned = state["seen"].tolist()
         other.windows, other.pinned = int(windows), (pinned[0], pinned[1])
         if other._total.shape != self._total.shape:
@@ -252,8 +275,8 @@ def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -
 class _Window:
     """A window without what drifts: M = (P⁻² + G)⁻¹ takes it out of all sums."""
 
-    def __init__(self, window: Blocks, drift: Floats) -> None:
-        self.window = window
+    def __init__(self, window: Blocks, drift: Floats, slow: Flags, build_up: BuildUp) -> None:
+        self.window, self._slow, self._build_up = window, slow, build_up
         whole = window.whole
         scaled = np.eye(drift.size) + whole.matrix * np.outer(drift, drift)
         self._taken = np.linalg.inv(scaled) * np.outer(drift, drift)
@@ -263,10 +286,7 @@ class _Window:
         self.matrix, self.score = self._step[1:]
 
     def _without(self, own: Floats, shared: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return own and shared information and the score of columns, without what drifts.
-
-        `shared` is symmetric: blocks of the same Gram matrices.
-        """
+        """Return own and shared information and the score of columns, without what drifts."""
         drawn = self._taken @ shared
         return (
             own - np.swapaxes(shared, -1, -2) @ drawn,
@@ -274,21 +294,31 @@ class _Window:
             score - np.swapaxes(shared, -1, -2) @ (self._taken @ self._whole.score),
         )
 
-    def onsets(self) -> dict[str, Floats]:
-        """Return the sums of the onsets at the begins of its blocks."""
-        edges = self.window.edges
-        middle = 0.5 * (edges[1:] + edges[:-1])
-        late = middle[None, :] - edges[:-1, None]  # of block b after onset k
-        found: dict[str, Floats] = {}
-        for shape, weight in ((Shape.STEP, (late > 0) * 1.0), (Shape.RAMP, np.maximum(late, 0.0))):
-            own = np.tensordot(weight**2, self.window.matrices, axes=1)
-            shared = np.tensordot(weight, self.window.matrices, axes=1)
-            found |= _named(shape, self._without(own, shared, weight @ self.window.scores))
-        return found
-
-    def added(self, before: Floats) -> dict[str, Floats]:
-        """Return what the window adds to the sums of onsets that lie so long before its begin (T,)."""
+    def sums(self, clock: Floats) -> dict[str, Floats]:
+        """Return what the window adds to the sums of onsets at some times (T,), as it is."""
         edges, matrices, scores = self.window.edges, self.window.matrices, self.window.scores
+        late = 0.5 * (edges[1:] + edges[:-1]) - clock[:, None]  # of a block after an onset
+        ramp = np.maximum(late, 0.0)
+        own, shared = np.tensordot(ramp**2, matrices, axes=1), np.tensordot(ramp, matrices, axes=1)
+        return self.steps(clock) | _named(Shape.RAMP, self._without(own, shared, ramp @ scores))
+
+    def steps(self, clock: Floats) -> dict[str, Floats]:
+        """Return what the window adds to the sums of steps at some times (T,)."""
+        matrices, scores, slow = self.window.matrices, self.window.scores, self._slow
+        once = (self.window.edges[1:] > clock[:, None]) * 1.0
+        own, shared, score = np.tensordot(once, matrices, axes=1), np.tensordot(once, matrices, axes=1), once @ scores
+        if self._build_up.lasts and slow.any():
+            part = self._build_up.shares(clock, self.window.edges)
+            mixed, twice = np.tensordot(part, matrices, axes=1), np.tensordot(part**2, matrices, axes=1)
+            shared = np.where(slow, mixed, shared)
+            own = np.where(slow[:, None] & slow, twice, np.where(slow[:, None] | slow, mixed, own))
+            score = np.where(slow, part @ scores, score)
+        return _named(Shape.STEP, self._without(own, shared, score))
+
+    def added(self, clock: Floats) -> dict[str, Floats]:
+        """Return what the window adds to the sums of onsets before it (T,)."""
+        edges, matrices, scores = self.window.edges, self.window.matrices, self.window.scores
+        before = edges[0] - clock
         late = 0.5 * (edges[1:] + edges[:-1]) - edges[0]
         once, twice = (np.tensordot(late**power, matrices, axes=1) for power in (1, 2))
         a = before[:, None, None]

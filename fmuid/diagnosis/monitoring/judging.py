@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fmuid.diagnosis.coordinates import Coordinates
-from fmuid.diagnosis.evidence.causes import Cause
 from fmuid.diagnosis.evidence.naming import weighed
 from fmuid.diagnosis.evidence.onset import Dated, Shape, dated
 from fmuid.diagnosis.evidence.watch import Watch
@@ -27,7 +26,6 @@ class Judgement:
         The coordinates of the best one.
     when : Dated
         Of its first cause.
-    shape : Shape
     since : float
         From when on whole windows have it, s of all that was seen; infinite where none has yet.
     """
@@ -35,7 +33,6 @@ class Judgement:
     explanations: tuple[Explanation, ...]
     columns: tuple[int, ...]
     when: Dated
-    shape: Shape
     since: float
 
 
@@ -53,18 +50,16 @@ def judged(
         As for `fmuid.diagnosis.evidence.naming.name`.
     """
     causes = coordinates.causes
-    every = {shape: watch.onsets(causes, shape) for shape in Shape}
-    dates = [(dated(each, watch.end), each.cause, shape) for shape, found in every.items() for each in found]
-    when, cause, shape = max(dates, key=lambda each: each[0].log_evidence + math.log(each[1].probability))
+    every = zip(*(watch.onsets(causes, shape) for shape in Shape), strict=True)
+    dates = [dated(each, watch.end) for each in every]
+    when = max(dates, key=lambda each: each.log_evidence + math.log(each.cause.probability))
     for _ in range(2):  # the name may be another one than that by which it was dated
         apart = watch.apart(*when.between)
         news, since = (watch.news(when.clock), math.inf) if apart is None else apart
         _, likely = weighed(news, causes, level, model_error)
-        best: Cause = likely[0].causes[0]
-        if best is cause or cause in likely[0].causes:
+        if when.cause in likely[0].causes:
             break
-        mine = [each for each in dates if each[1] is best]
-        when, cause, shape = max(mine, key=lambda each: each[0].log_evidence)
+        when = next(each for each in dates if each.cause is likely[0].causes[0])
     said = tuple(Explanation(changes(each.causes, each.fit, coordinates, faults), each.odds) for each in likely)
     columns = tuple(i for each in likely[0].causes for i in each.columns)
-    return Judgement(said, columns, when, shape, since)
+    return Judgement(said, columns, when, since)

@@ -161,7 +161,7 @@ class Now:
 
     def _onset(self, found: Judgement) -> Onset:
         first, last = found.when.between
-        return Onset(self.moment(found.when.clock), self.moment(first), self.moment(last), found.shape)
+        return Onset(self.moment(found.when.clock), self.moment(first), self.moment(last), found.when.shape)
 
     def alarmed(self, label: str, time: float) -> tuple[Alarm, ...]:
         """Return the alarms with that of one more window, "" for none."""

@@ -1,0 +1,67 @@
+"""Whether a simulation forgets in time what it starts from, and how fast: starts before windows against early ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fmuid.arrays import Flags, Floats
+from fmuid.data import Experiment
+from fmuid.diagnosis.comparison import Juxtaposition
+from fmuid.diagnosis.evidence.build_up import BuildUp
+from fmuid.diagnosis.monitoring.windows import Window, part_of
+from fmuid.errors import InputError
+
+# Simulations from an early and from a late start agree after the transient to this share of the noise's deviation.
+TRANSIENT_SHARE = 0.2
+# So many windows have a start of their own.
+MOST_COMPARED = 8
+
+
+def build_up_of(
+    made: Juxtaposition, record: Experiment, windows: Sequence[Window], transient: float, point: Floats, slow: Flags
+) -> BuildUp:
+    """Return how a change builds up in the outputs, by what is left of other starts before some windows.
+
+    Parameters
+    ----------
+    made : Juxtaposition
+    record : Experiment
+    windows : sequence of Window
+        Two or more, one after the other.
+    transient : float
+        What is simulated before each, s.
+    point : (N,) array
+        Where the machine is simulated.
+    slow : (N,) array of bool
+        Whose changes build up.
+
+    Raises
+    ------
+    InputError
+        If the transient lasts longer.
+    SimulationError
+        If a simulation fails.
+    """
+    compared = windows[: MOST_COMPARED + 1]
+    whole = part_of(record, compared, transient)
+    early, columns = made.machine(whole).linearise(point)
+    std = np.array([made.healthy.whitening.std(name) for name in record.output_names])
+    left = []
+    for each in compared[1:]:
+        part = part_of(record, [each], transient)
+        rows = slice(each.lead - compared[0].lead, each.stop - compared[0].lead)
+        off = np.abs(made.machine(part).outputs(point) - early[rows]) / std
+        left.append(np.sum(off**2, axis=1))
+        most = off[part.counted].max(initial=0.0)
+        if most > TRANSIENT_SHARE:
+            raise InputError(
+                f"{record.source}: the transient lasts longer than {transient:g} s: what a simulation "
+                f"starts from still shows then, by {most:.2g} standard deviations of the noise; "
+                "give a longer transient, and windows longer than that"
+            )
+    length = min(each.size for each in left)
+    seen = (columns / std[:, None])[:, :, slow]
+    step = float(np.median(np.diff(whole.times)))
+    return BuildUp.of(np.mean([each[:length] for each in left], axis=0), seen.reshape(len(seen), -1), step)
