@@ -102,10 +102,11 @@ class Autoregression:
         """The variance of the process against that of its innovation, Σ h²."""
         response = self._of_coefficients
         if self.pole:
-            from scipy.signal import lfilter  # slow to import
-
-            pulse = np.concatenate([response, np.zeros(self.memory)])
-            response = lfilter([1.0, -self.zero], [1.0, -self.pole], pulse)
+            # scipy.signal would filter it too, and takes long to import
+            count = response.size + self.memory
+            slow = np.append(1.0, (self.pole - self.zero) * self.pole ** np.arange(count - 1))
+            size = fft.next_fast_len(2 * count, real=True)
+            response = fft.irfft(fft.rfft(response, size) * fft.rfft(slow, size), size)[:count]
         return float(response @ response)
 
     @property
