@@ -43,7 +43,7 @@ LEAST_STD_FACTOR = 1.25
 LARGE_CORRELATION = 0.1
 # a mean in standard deviations.
 LARGE_OFFSET_STDS = 0.1
-# ... what returns with each cycle of the inputs is worth a sentence where it is more likely there than not.
+# ... what returns with each cycle of the excitation is worth a sentence where it is more likely there than not.
 MORE_LIKELY = 0.5
 
 
@@ -134,7 +134,7 @@ def _slow(noise: ColouredNoise) -> tuple[SlowResidual, ...]:
 
 @dataclass(frozen=True)
 class ReturningResidual:
-    """What comes back in a residual with each cycle of the inputs (`fmuid.estimation.colour.cycles`).
+    """What comes back in a residual with each cycle of the excitation (`fmuid.estimation.colour.cycles`).
 
     Attributes
     ----------
@@ -170,8 +170,8 @@ class Diagnostics:
     weighed : bool
         Whether samples were weighed by the colour of their noise: `widening` is against noise of that colour then.
     returning : tuple of ReturningResidual
-        Where the standard deviations allow for what comes back with each cycle of the inputs, and it more likely does
-        than not.
+        Where the standard deviations allow for what comes back with each cycle of the excitation, and it more likely
+        does than not.
     """
 
     series: tuple[ResidualSeries, ...]

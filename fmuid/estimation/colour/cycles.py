@@ -131,7 +131,7 @@ def returning(
     noise: Sequence[tuple[Series, Autoregression]],
     given: Flags,
 ) -> tuple[Returning, ...]:
-    """Return what returns with each cycle of the inputs, of each series whose experiment has some.
+    """Return what returns with each cycle of the excitation, of each series whose experiment has some.
 
     Parameters
     ----------

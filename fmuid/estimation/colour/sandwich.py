@@ -85,7 +85,7 @@ class ColouredNoise:
     weights : Weights or None
         By which the samples were weighed (`LeastSquares.weigh`).
     returning : tuple of Returning
-        Errors that come back with each cycle of the inputs.
+        Errors that come back with each cycle of the excitation.
     """
 
     series: tuple[Series, ...]
@@ -196,7 +196,7 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
 
 
 def _with_returning(found: Sandwich, rows: Rows, periods: Mapping[str, float], weights: Weights | None) -> Sandwich:
-    """Return a sandwich with what returns with each cycle of the inputs, and the noise's weights."""
+    """Return a sandwich with what returns with each cycle of the excitation, and the noise's weights."""
     own = found.noise
     known = [each for each in zip(own.series, own.models, strict=True) if not rows.white[each[0].group]]
     returns = returning(rows.residual, rows.basis, periods, known, rows.given)

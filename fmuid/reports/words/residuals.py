@@ -103,12 +103,12 @@ def _slow(found: Diagnostics) -> list[str]:
 
 
 def _returning(found: Diagnostics) -> list[str]:
-    """Say where the standard deviations allow for what comes back with each cycle of the inputs."""
+    """Say where the standard deviations allow for what comes back with each cycle of the excitation."""
     several = len({each.experiment for each in found.series}) > 1
     return [
         f"In the residual of {each.output}{f' in {each.experiment}' if several else ''} something comes back with each "
-        f"cycle of the inputs, every {each.period:.3g} s ({100 * each.share:.2g} % of its variance): an error of the "
-        "model, which no number of cycles averages out; the standard deviations allow for it"
+        f"cycle of the excitation, every {each.period:.3g} s ({100 * each.share:.2g} % of its variance): an error of "
+        "the model, which no number of cycles averages out; the standard deviations allow for it"
         for each in found.returning
     ]
 
