@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from fmuid.arrays import Floats
 from fmuid.assessment import Compared, IncomparableError, compare, examine_residuals
@@ -85,6 +86,20 @@ def test_a_wrong_model_is_rejected() -> None:
     assert found.tests[2].probability > 0.01
     assert found.ranks[-1].name == "line"
     assert found.dependence > 2.0
+
+
+def test_the_likelihood_ratio_of_polynomials() -> None:
+    """n ln(S₁/S₂), divided by how many samples are worth one independent sample; χ² with as many freedoms as freed."""
+    y = line(2, 0.5)
+    small, large = candidate(y, 2, "small"), candidate(y, 4, "large")
+    found = compare([small, large])
+    squares = [np.sum((y - np.polynomial.Polynomial.fit(TIMES, y, order)(TIMES)) ** 2) for order in (1, 3)]
+    ratio = TIMES.size * math.log(squares[0] / squares[1])
+    (test,) = found.tests
+    assert found.dependence > 1.5
+    assert test.statistic == pytest.approx(ratio / found.dependence, rel=1e-6)
+    assert test.probability == pytest.approx(stats.chi2.sf(ratio / found.dependence, 2), rel=1e-5)
+    assert test.uncorrected == pytest.approx(stats.chi2.sf(ratio, 2), rel=1e-5)
 
 
 def test_nesting_is_claimed_only_where_it_is_known() -> None:
