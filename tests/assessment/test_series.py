@@ -8,6 +8,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from fmuid.arrays import Floats
+from fmuid.assessment.residual_series import examine_outputs
 from fmuid.assessment.series import (
     LaggedSeries,
     Taken,
@@ -20,6 +21,7 @@ from fmuid.assessment.series import (
     positions,
     whiteness,
 )
+from fmuid.data.predictors import Table
 from tests.support.problems import ar1
 
 
@@ -208,3 +210,14 @@ def test_the_band_is_bartletts_sum() -> None:
     series = LaggedSeries(lagged(u, 10), u)
     assert series.correlate(x, noise).std == pytest.approx(math.sqrt(total / 400), rel=1e-9)
     assert series.correlate(x, np.ones(1)).std == pytest.approx(math.sqrt(1.0 / 400), rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6])
+def test_a_mean_is_judged_by_the_independent_samples_it_is_of(share: float) -> None:
+    """Of noise with the autocorrelation share^lag, n samples are worth n (1 - share)/(1 + share) in a mean."""
+    values = 0.1 + ar1(np.random.default_rng(3), share, 4000)
+    table = Table("run", np.arange(4000.0), ("y",), values[:, None], np.ones((4000, 1), dtype=np.bool_))
+    (series,) = examine_outputs(table, np.zeros((4000, 1)), [np.arange(4000)])
+    score = values.mean() / values.std() * math.sqrt(4000 * (1.0 - share) / (1.0 + share))
+    assert abs(score) > 2.0
+    assert stats.norm.isf(series.mean_probability / 2.0) == pytest.approx(abs(score), rel=0.1)
