@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from fmuid.arrays import Floats
+from fmuid.errors import RefusedError
 from fmuid.estimation.finite_differences import FiniteDifferences
-from fmuid.estimation.model_derivatives import RELATIVE_ERROR, ModelSensitivities, RefusedError
+from fmuid.estimation.model_derivatives import RELATIVE_ERROR, ModelSensitivities
 
 TIMES = np.linspace(0.0, 3.0, 50)
 THETA = np.array([2.0, 0.7])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ def test_a_command_that_does_not_end_is_asked_again_and_then_ended(
     tmp_path: Path, asked: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
-    monkeypatch.setattr(jobs.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     job = jobs.Job(tmp_path / "study.toml", tmp_path, ["identify", "study.toml"])
     job.insist()
     assert asked == []  # nobody has asked

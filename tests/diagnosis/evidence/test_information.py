@@ -46,6 +46,28 @@ def test_a_healthy_record_and_what_is_normal() -> None:
         Known.after(Information.of(jacobian, residual), np.array([1.0, 0.0, 1.0, 1.0]))
 
 
+def test_scatter_of_records_beyond_their_noise_is_the_error_of_the_model() -> None:
+    """Where it is all that they scatter by, its covariance is theirs: once to find it, once for the next record."""
+    jacobian, count = 1e6 * record(9)[0], 8
+    truths = np.random.default_rng(10).standard_normal((count, 4)) * UNITS
+    records = [Information.of(jacobian, jacobian @ x) for x in truths]
+    known = Known.after_several(records, 1e3 * UNITS)
+    # of the inverse of a covariance of K records, (K - 1)/(K - 3): the variance of a t of K - 1 degrees of freedom
+    expected = np.cov((truths / UNITS).T) * (1.0 + 1.0 / count) * (count - 1) / (count - 3)
+    assert known.covariance / np.outer(UNITS, UNITS) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    assert known.mean / UNITS == pytest.approx(np.mean(truths / UNITS, axis=0))
+
+
+def test_of_larger_variances_less_is_known() -> None:
+    """Twice the variance of all noise: the same data divided by the root of two."""
+    jacobian, residual = record(11)
+    sure = Known(np.zeros(4), np.zeros((4, 4)))
+    found = News.of(Information.of(jacobian, residual), sure).tempered(2.0)
+    same = News.of(Information.of(jacobian / np.sqrt(2.0), residual / np.sqrt(2.0)), sure)
+    assert found.information == pytest.approx(same.information)
+    assert found.score == pytest.approx(same.score)
+
+
 @pytest.mark.slow
 def test_nothing_new_leaves_scores_with_the_information_as_covariance() -> None:
     """Over healthy and new records without anything new, h ~ N(0, F): the level of every test rests on it."""
