@@ -132,6 +132,11 @@ def test_a_page_of_no_results_says_where_they_are_chosen(tmp_path: Path) -> None
         build(Document(), SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()))
 
 
+def test_a_folder_without_a_batch_is_no_page_of_one(tmp_path: Path) -> None:
+    with pytest.raises(fmuid.InputError, match=r"has no batch\.json: it is no folder of a batch"):
+        BatchPage(Document(), Folder(tmp_path), tmp_path, "light")
+
+
 def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
     batch(tmp_path / "out", 2)
     doc: Any = Document()

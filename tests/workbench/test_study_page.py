@@ -16,6 +16,7 @@ from bokeh.events import ButtonClick
 from bokeh.models import Button
 
 from fmuid.data import Normal, Parameter
+from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.reports import run_study
 from fmuid.reports.page.identification import CAPTIONS
@@ -333,3 +334,22 @@ def test_another_experiment_is_shown_with_what_is_known_of_it(path: Path, tmp_pa
     shown = page.shown().copy()
     page.page._show(page.page.simulators[0], page.page.theta, np.zeros((3, 1)), "", 0.0)  # of the one before: too late
     np.testing.assert_array_equal(page.shown(), shown)
+
+
+def test_a_distance_is_told_only_where_there_is_one(page: Page, tmp_path: Path) -> None:
+    """Of a direction that is open, one that is known for sure, and a file that cannot be read there is none."""
+    for values, told in (((0.1, 0.01), True), ((0.1, None), False), ((0.1, 0.0), False), (None, False)):
+        if values is None:
+            (tmp_path / "result.json").write_text("{")
+        else:
+            result(tmp_path, {"R": (4.0, 0.1), "L": values})
+        page.page.show_result(tmp_path)
+        page.settle()
+        assert ("from the optimum" in page.page.misfit.text) == told, values
+        assert page.page.to_optimum.disabled == (values is None)
+
+
+def test_a_study_without_parameters_has_no_sliders(path: Path) -> None:
+    study = Study.of({**Study.read(path).data, "parameters": {}}, path)
+    with pytest.raises(InputError, match="no parameters: name at least one"):
+        StudyPage(Document(), Bench(Folder(path.parent)), path, study, "light")
