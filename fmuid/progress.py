@@ -243,7 +243,8 @@ def of_line(line: str) -> Event:
         If it is none.
     """
     found = json.loads(line)
-    kinds = {kind.__name__: kind for kind in Event.__subclasses__() if kind.__module__ == __name__}
+    known: list[type[Event]] = [Event, *Event.__subclasses__()]
+    kinds = {kind.__name__: kind for kind in known if kind.__module__ == __name__}
     if not isinstance(found, dict) or found.get("event") not in kinds:
         raise ValueError(f"no event: {line[:80]!r}")
     kind = kinds[found["event"]]

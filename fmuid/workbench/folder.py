@@ -87,7 +87,7 @@ class FoundResult:
         given = _content(path).get("study")
         file = given.get("file") if isinstance(given, dict) else given
         # a search for faults says its study's name alone, as its files are to be passed on
-        near = [path.parent / file, path.parent.parent / file] if isinstance(file, str) and file else []
+        near = [each / file for each in path.parents[:DEEPEST]] if isinstance(file, str) and file else []
         return cls(path, RESULTS[path.name], next((each.resolve() for each in near if is_file(each)), None))
 
     @property

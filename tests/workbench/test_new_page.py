@@ -80,6 +80,7 @@ def test_what_is_done_first_is_drawn_before_and_after(page: NewPage) -> None:
     )
     page.prepare["resample"].value = "many"
     assert "role=alert" in page.said.text
+    assert page.command.text == ""  # of what is not to be written
 
 
 @pytest.mark.slow

@@ -40,6 +40,7 @@ from tests.support.results import result
 
 PATIENCE = 120.0
 EVENTS_SEEN: tuple[Event, ...] = (
+    Event(task="uncertainty", share=0.0),
     SearchStep(number=2, criterion=math.inf, damping=0.1, accepted=False, values={"R": 4.0}),
     GlobalStep(task="spread", done=3, total=9, criterion=1.5, values={"R": 4.0}, simulations=30),
     BatchStep(done=1, total=4, failed=0, rate=0.0, left=math.inf, threads=2),
@@ -83,8 +84,8 @@ def test_the_first_page_says_what_there_is(tmp_path: Path) -> None:
     assert "/results?file=a/results" in page
     assert "2 parameters, 1 table" in page
     bare = FoundStudy(tmp_path / "a/broken.toml", "faults")
-    for folder_name, kind, word in (("b", "monitoring", "monitored"), ("", "diagnosis", "diagnosed")):
-        (tmp_path / "a" / folder_name).mkdir(exist_ok=True)
+    for folder_name, kind, word in (("b/c", "monitoring", "monitored"), ("", "diagnosis", "diagnosed")):
+        (tmp_path / "a" / folder_name).mkdir(parents=True, exist_ok=True)
         kept = tmp_path / "a" / folder_name / f"{kind}.json"
         kept.write_text(json.dumps({"study": {"file": "broken.toml", "digest": "0"}}))
         page = _studies(folder, [bare], [FoundResult.of(kept)], set())

@@ -79,7 +79,7 @@ class Identifying:
 
     def _figures(self, searched: Mapping[str, float]) -> Any:
         plots, free = [], [each for each in enumerate(self.names) if math.isfinite(_of(searched, each[1]))]
-        for key, text in [("c", "criterion"), *((f"v{i}", name) for i, name in free)]:
+        for key, text in [("c", "criterion"), *((f"v{i}", self.page.rows[i].text) for i, _ in free)]:
             plot = Panel(x="iteration", y=text, height=190, y_axis_type="log" if key == "c" else "linear")
             plot.line("k", key, source=self.trace, line_color=BLUE, line_width=1.8)
             plot.scatter("k", key, source=self.trace, size=5, fill_color=BLUE, line_color=None)

@@ -123,7 +123,7 @@ class NewPage:
             self.records = begin(self.folder.path(self.fmu.value), where, self.asked)
             self.command.text = f"<pre>{escaped(command_text(self.words()))}</pre>"
         except FmuidError as error:
-            self.said.text = f"<p class=error role=alert>{escaped(error)}</p>"
+            self.said.text, self.command.text = f"<p class=error role=alert>{escaped(error)}</p>", ""
             return
         self._offer()
         self.said.text = "".join(_record(record, self.folder) for record in self.records)

@@ -15,6 +15,8 @@ from fmuid.workbench.home import escaped
 from fmuid.workbench.jobs import Job, Jobs, command_text
 from fmuid.workbench.shell import LINE, button, words
 
+INTERRUPTED = "error: interrupted"
+"""What a command prints that was cancelled before it had anything to save."""
 EVERY = 150
 """Milliseconds between two looks at a command that runs."""
 
@@ -128,7 +130,9 @@ class Run:
     def _tell_end(self, job: Job) -> None:
         printed = job.printed()
         error = next((line for line in reversed(printed.splitlines()) if line.startswith("error: ")), "")
-        if error:
+        if job.asked and error.strip() == INTERRUPTED:
+            self.state.text = f"<p role=status>Cancelled after {job.seconds:.1f} s; nothing was found yet.</p>"
+        elif error:
             self.refuse(error.removeprefix("error: "))
         else:
             how = "Cancelled; what it had found is saved" if job.asked else "Done" if job.code == 0 else "Ended"

@@ -106,11 +106,16 @@ class ParameterRow:
     parameter : Parameter
     changed : callable
         Called when somebody has moved, typed or held something; with True once a drag has ended.
+
+    Attributes
+    ----------
+    text : str
+        The name with its unit.
     """
 
     def __init__(self, name: str, unit: str | None, parameter: Parameter, changed: Callable[[bool], object]) -> None:
         self.name, self.parameter, self._changed = name, parameter, changed
-        self._text = label(name, unit)
+        self.text = label(name, unit)
         self.value = parameter.start
         self.estimate: tuple[float, float] | None = None
         self.reach, self._quiet = reach_of(parameter), False
@@ -216,7 +221,7 @@ class ParameterRow:
 
     def _write(self) -> None:
         self.typed.value = f"{self.value:.6g}"
-        self.title.text = f"<b>{escape(self._text)}</b><br><small>{self._distance()}</small>"
+        self.title.text = f"<b>{escape(self.text)}</b><br><small>{self._distance()}</small>"
 
     def _distance(self) -> str:
         """Say how far it is from the last optimum."""

@@ -233,7 +233,7 @@ class StudyPage:
             cells.append(_cell(f"misfit of {name}", f"{100 * share:.3g} %", more))
         away = self._distance(theta)
         cells += [_cell("from the optimum", f"{away:.3g} std")] if math.isfinite(away) else []
-        cells.append(_cell("simulated in", f"{1000 * seconds:.3g} ms"))
+        cells.append(_cell("simulated in", f"{seconds:.3g} s" if seconds >= 1.0 else f"{1000 * seconds:.3g} ms"))
         return f"<div class=numbers role=status>{''.join(cells)}</div>"
 
     def _noise(self) -> dict[str, float]:
