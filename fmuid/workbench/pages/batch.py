@@ -34,6 +34,8 @@ MOST_ROWS = 5000
 SILENT = 10.0
 WIDTHS = {"case": 60, "status": 110, "criterion": 90, "message": 600}
 """Of columns, pixels."""
+WIDEST = 1430
+"""Of the table: the last column takes what the others leave."""
 _GRID = """
 .slick-header-columns,.slick-header-column{background:var(--card)!important;color:var(--soft)!important}
 .slick-row,.slick-cell{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important}
@@ -161,7 +163,9 @@ class BatchPage:
         shown = frame.iloc[:MOST_ROWS]
         names = [name for name in _columns(frame) if name in shown]
         if [each.field for each in self.table.columns] != names:
-            self.table.columns = [_column(name, shown[name]) for name in names]
+            *others, last = (_column(name, shown[name]) for name in names)
+            last.width = max(last.width, WIDEST - sum(each.width for each in others))
+            self.table.columns = [*others, last]
         self.source.data = {name: _plain(shown[name]) for name in names}
 
     def _choose(self, indices: list[int]) -> None:
