@@ -13,8 +13,9 @@ from fmuid.errors import InputError
 from fmuid.estimation.criterion import prepare
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.radius import GROW, SHRINK_LEAST, SHRINK_MOST, Radius
 from fmuid.estimation.marquardt.search import Iteration, State, search
-from fmuid.estimation.marquardt.step import best_step, triangle
+from fmuid.estimation.marquardt.step import Step, best_step, triangle
 from fmuid.estimation.method import Marquardt
 
 TIMES = np.linspace(0.0, 3.0, 120)
@@ -267,3 +268,28 @@ def test_units_do_not_matter() -> None:
 def test_bad_settings(words: dict[str, object]) -> None:
     with pytest.raises(InputError, match=next(iter(words))):
         Marquardt(**words)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("slope", "fall", "share"),
+    [
+        (-1.0, -2.0, 0.25),  # 1 - 2t + 4t² rises by 2 and has its least value at a quarter of the step
+        (-1.0, -0.5, 0.4),
+        (-1.0, -30.0, SHRINK_MOST),  # at 1/32: not as short at once
+        (-1.0, 0.2, SHRINK_LEAST),  # at 0.56
+        (0.5, -0.2, SHRINK_LEAST),  # bends downwards: it has none
+    ],
+)
+def test_a_poor_step_is_shortened_to_the_least_value_of_its_parabola(slope: float, fall: float, share: float) -> None:
+    """J(t) = J(0) + 2 slope t + bend t² along the step, with J(0) - J(1) = fall."""
+    step, radius = Step(np.ones(2), 1.0, 4.0, np.zeros(2, np.bool_)), Radius(8.0)
+    radius.judge(step, 5.0, fall, slope, 0.0, moved=True)
+    assert radius.value == pytest.approx(share * 5.0)
+
+
+def test_a_good_step_lengthens_the_next() -> None:
+    step, radius = Step(np.ones(2), 1.0, 4.0, np.zeros(2, np.bool_)), Radius(8.0)
+    assert radius.judge(step, 5.0, 3.9, -4.0, 0.0, moved=True)
+    assert radius.value == GROW * 5.0
+    assert radius.judge(step, 5.0, 2.0, -4.0, 0.0, moved=True)  # half of what was predicted
+    assert radius.value == GROW * 5.0
