@@ -284,7 +284,8 @@ class _Profiler:
                 side.end = min(max(end, self.criterion.lower[self.index]), self.criterion.upper[self.index])
                 self._remark_held(side, side.points[-1])
                 return
-            step = self._next_step(point, abs(self._value(point) - value))
+            # the step asked for: shortened ones would come ever nearer to where simulations fail
+            step = self._next_step(point, step)
             here = point
 
     def _keep(self, side: _Side, point: Point) -> None:
@@ -307,7 +308,7 @@ class _Profiler:
         return max(wanted, LEAST_STEP_SHARE * self.magnitude)
 
     def _next_step(self, point: Point, last: float) -> float:
-        """Return the step that raises τ by its share, as its slope says, and not much longer than the last one."""
+        """Return the step that raises τ by its share, as its slope says, and not much longer than the last."""
         slope, level = self._slope(point), math.sqrt(self.threshold)
         usable = slope > 0 and self._root(point) > LEAST_ROOT_SHARE * level
         wanted = level / STEPS_PER_SIDE / slope if usable else math.inf

@@ -257,6 +257,23 @@ def test_simulations_fail_before_the_level(edge: float) -> None:
 # --- bounds
 
 
+def test_simulations_fail_where_the_profile_is_flat() -> None:
+    """Each step towards the edge is shorter than the last: the walk must end nevertheless."""
+
+    def fragile(theta: Array) -> Array:
+        if theta[1] > 100.0:
+            raise ArithmeticError("too fast")
+        return saturating(theta)
+
+    measured = rise_problem(std=0.6, rate=20.0).measured
+    problem = LeastSquares.from_function(fragile, measured, {"top": Parameter(4.0), "rate": Parameter(0.7)})
+    profile = only(problem, identify(problem), "rate")
+    assert profile.upper == math.inf
+    assert profile.remarks[-1].kind is EndKind.FAILING
+    assert profile.values[-1] == pytest.approx(100.0, rel=0.2)
+    assert len(profile.values) < 40
+
+
 def test_ends_at_its_own_bound() -> None:
     problem = rise_problem(std=0.5)
     free = only(problem, identify(problem), "rate")
