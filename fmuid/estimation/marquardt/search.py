@@ -33,8 +33,9 @@ from fmuid.estimation.marquardt.step import Step, best_step, triangle
 
 # The search ends where, all together, the parameters have no more than this share of their standard deviations to go.
 OFFSET_TOLERANCE = 1e-3
-# A rough search, after which the problem will change anyway, ends at this share.
-ROUGH_OFFSET = 0.1
+# A rough search, after which other variances of the noise will be taken, ends where the way left changes these by no
+# more than this share (it leaves offset²/dof of the sum of squares), or at this share of the standard deviations.
+ROUGH_CHANGE, ROUGH_OFFSET = 5e-4, 0.1
 # Where so little is left of the way, the Jacobian hardly changes any more: one that was made here is good enough for
 # the steps that remain, if its differences are.
 NEAR_OFFSET = 0.03
@@ -73,7 +74,7 @@ def search(
         Changed in place; `outcome` is set at the end.
     settings : MarquardtSettings
     rough : bool
-        End already where a tenth of the standard deviations is left, to go on with a changed problem.
+        End already where what is left hardly changes the variances of the noise, to go on with a changed problem.
     """
     return _Descent(problem, state, settings, rough).run()
 
@@ -300,7 +301,7 @@ class _Descent:
         """Decide whether the search is over, before it takes another step."""
         state, rejections = self.state, self.radius.rejections
         offset, change = self._remaining()
-        if self.rough and offset <= ROUGH_OFFSET:
+        if self.rough and offset <= max(ROUGH_OFFSET, math.sqrt(ROUGH_CHANGE * self.free)):
             return Outcome.CONVERGED
         if self.accurate and offset <= OFFSET_TOLERANCE and change <= self.settings.tolerance:
             return Outcome.CONVERGED
