@@ -43,6 +43,8 @@ from fmuid.processes import MEMORY_KEPT
 SAMPLES, LOOP_SECONDS, EVERY, LINES = 50, 20.0, 1.0, 12
 # Of a run, in which processes start and code is loaded.
 WARM = 0.2
+# Looks at a run, one a second, that its costs are found from at least.
+LEAST_SAMPLES = 5
 KINDS = ("driver", "keeper", "workers", "servers", "hosts")
 
 LOOP = """
@@ -154,6 +156,12 @@ class Run:
         when = finished.astype("int64") / 1e6
         begun = when[when > self.began].min()
         usable = [each for each in self.samples if each.when > begun and "hosts" in each.kinds.values()]
+        if len(usable) < LEAST_SAMPLES:
+            passed = self.samples[-1].when - self.began if self.samples else 0.0
+            raise SystemExit(
+                f"too few seconds with cases in {passed:.0f} s of a run, start included: give more --minutes, or wait "
+                "until the machine has less to do"
+            )
         first, last = usable[int(WARM * len(usable))], usable[-2]  # in the last one some may have ended
         computed = dict.fromkeys(KINDS, 0.0)
         for pid in set(first.computed) & set(last.computed):
@@ -224,7 +232,7 @@ def main() -> None:
             runs.append(Run(study, output, *words))
             runs[1].wait(40.0 * chosen.minutes, signal.SIGTERM)
         plain.append(loops(study, chosen.workers))
-        finished = pd.read_parquet(output / "cases", columns=["finished"])["finished"]
+        finished = Batch(study, output, max_cases=chosen.cases).dataset.read()["finished"]
         rate = show_costs(sum(plain) / 2, runs, finished)
         all_take = f"at this rate all take {chosen.cases / rate / 3600:.2f} h"
         print(f"{len(finished)} of {chosen.cases} cases were run; {all_take}")
