@@ -34,7 +34,7 @@ from fmuid.studies import Study
 # A batch of more is more often a slip in an axis than meant.
 MAX_CASES = 100_000
 # Rows wait so long for the disk, s, or so many times what the last writing took; what a kill costs at most.
-WRITE_SECONDS, WRITE_SHARE = 1.0, 20.0
+WRITE_SECONDS, WRITE_SHARE = 3.0, 20.0
 # The rate is that of the last so many seconds.
 RATE_SECONDS = 30.0
 

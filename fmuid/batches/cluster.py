@@ -32,7 +32,7 @@ ANSWER_SECONDS = 10.0
 # So many groups wait or run for each thread of a worker: it goes on while results and the next group travel.
 GROUPS_PER_THREAD = 3
 # A group takes about so long, s: what scheduling it costs, some ms, is nothing beside; what its loss costs, little.
-GROUP_SECONDS = 1.5
+GROUP_SECONDS = 3.0
 # Cases of a group, however short each is: their rows are small beside `GROUP_MB`.
 MOST_GROUP_CASES = 5000
 # Records of a group, MB: it waits in the memory of the scheduler.

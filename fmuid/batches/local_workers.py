@@ -16,10 +16,18 @@ from pathlib import Path
 
 from fmuid.processes import watch_lifeline
 
-CALM = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
-"""What Dask leaves out here: profiles, which only its dashboard shows, and 50 looks a second at how late its loops are.
+CALM = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.worker.memory.monitor-interval": "1s",
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.admin.system-monitor.disk": False,
+    "distributed.admin.system-monitor.gil.enabled": False,
+}
+"""What Dask leaves out here, or does less often: profiles and statistics, which only its dashboard shows, and 50 looks
+a second at how late its loops are, 10 at the memory of workers, whose FMUs are not in it.
 
-Both took a tenth of a processor beside two workers, whether there was anything to do or not.
+They took a tenth of a processor beside two workers, whether there was anything to do or not.
 """
 
 

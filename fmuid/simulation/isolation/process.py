@@ -37,7 +37,7 @@ Far above what buffers and caches of a sound FMU take up, far below what a machi
 """
 
 PREPARATION_LIMIT = 120.0  # s for instantiation and loading code: some FMUs read large files
-LOOK_SECONDS = 0.05  # between looks whether all is well with a host that works
+LOOK_SECONDS = 0.1  # between looks whether all is well with a host that works
 PRINTED_KEPT_BYTES = 1 << 16  # of what FMUs print that are kept until they are read: a thousand lines
 PRINTED_LARGEST_BYTES = 1 << 20  # that may pile up in the file before it is cut
 MOST_RELATIVES = 100  # processes below it, also ended ones, for which nobody there waits
