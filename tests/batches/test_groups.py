@@ -31,10 +31,10 @@ def test_sizes_of_groups() -> None:
         seen.append(count)
         sizes.learn(count, 0.04 * count + (2.0 if len(seen) == 1 else 0.0))
     assert seen[:4] == [1, 1, 2, 4]  # the first took long, and its worker is warm now
-    assert seen[-1] == 37  # 1.5 s
+    assert seen[-1] == 75  # 3 s
     assert sizes.next(40, 2) == 10
     assert sizes.next(3, 2) == 1
-    sizes.learn(37, 370.0)
+    sizes.learn(75, 750.0)
     assert sizes.next(10_000, 2) == 1
 
 

@@ -208,21 +208,25 @@ def _burg(columns: Floats, weights: Floats, there: Flags, orders: int) -> tuple[
     """Return the reflection coefficients, and Schwarz's criterion of the orders that they make."""
     reflections: list[float] = []
     scores: list[float] = []
-    score = 0.0
-    # one after the other and in place, in the cache of the processor
-    ahead, behind = [x[1:].copy() for x in columns], [x[:-1].copy() for x in columns]
-    mask, gaps, shares = there[1:] & there[:-1], not there.all(), weights.tolist()
+    score, length, gaps, mask = 0.0, there.size, not there.all(), there
+    # all columns in one row, those of negative weight at its end
+    sorted_weights = np.sort(weights)[::-1, None]
+    ahead = (columns[np.argsort(-weights)] * np.sqrt(np.abs(sorted_weights))).ravel()
+    behind, positive = ahead.copy(), int(np.count_nonzero(weights >= 0.0)) * length
     for order in range(1, orders + 1):
+        # what is ahead belongs to what is behind as many samples before, and has none at the ends of a column
+        ahead[order - 1 :: length] = behind[length - order :: length] = 0.0
+        mask = mask[1:] & there[: length - order] if gaps else mask[1:]
         pairs = int(np.count_nonzero(mask)) if gaps else mask.size
         if pairs < 2 * order + MORE_PAIRS:
             break
         if gaps:
-            for x in (*ahead, *behind):
-                x *= mask
-        power = cross = 0.0
-        for weight, x, y in zip(shares, ahead, behind, strict=True):
-            power += weight * float(x @ x + y @ y)
-            cross += weight * float(x @ y)
+            ahead.reshape(-1, length)[:, order:] *= mask
+            behind.reshape(-1, length)[:, :-order] *= mask
+        x, y = ahead[order:], behind[:-order]
+        at = positive - order if positive < ahead.size else x.size
+        power = float(x[:at] @ x[:at] + y[:at] @ y[:at]) - float(x[at:] @ x[at:] + y[at:] @ y[at:])
+        cross = float(x[:at] @ y[:at]) - float(x[at:] @ y[at:])
         if not power > 0.0:  # what is added to the moments may make them improper
             break
         found, most = 2.0 * cross / power, 1.0 - 1.0 / pairs
@@ -232,12 +236,9 @@ def _burg(columns: Floats, weights: Floats, there: Flags, orders: int) -> tuple[
         scores.append(score)
         if abs(found) > most:
             break
-        for x, y in zip(ahead, behind, strict=True):
-            before = x.copy()
-            scipy.linalg.blas.daxpy(y, x, a=-reflection)
-            scipy.linalg.blas.daxpy(before, y, a=-reflection)
-        ahead, behind = [x[1:] for x in ahead], [y[:-1] for y in behind]
-        mask = mask[1:] & mask[:-1] if gaps else mask[1:]
+        before = x.copy()
+        scipy.linalg.blas.daxpy(y, x, a=-reflection)
+        scipy.linalg.blas.daxpy(before, y, a=-reflection)
     return reflections, scores
 
 
