@@ -203,8 +203,9 @@ class LeastSquares:
 
     @property
     def data(self) -> tuple[MeasuredSeries, ...]:
-        """Which measurements there are."""
-        return tuple(series for experiment in self.experiments for series in measured_series(experiment))
+        """Which measurements there are; of one of many problems nobody asks."""
+        asked = () if self.one_of_many else self.experiments
+        return tuple(series for experiment in asked for series in measured_series(experiment))
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
@@ -304,8 +305,7 @@ class LeastSquares:
             block = np.zeros((theta.size, kept.size))
             np.add.at(block, columns, derivatives(theta[columns]).reshape(columns.size, -1)[:, kept])
             blocks.append(block)
-        found = np.concatenate(blocks, axis=1)
-        return self._weighed(found)
+        return self._weighed(np.concatenate(blocks, axis=1))
 
     def refuse_derivatives(self, reason: str) -> None:
         """Note why differences serve in place of the derivatives of the model."""

@@ -107,7 +107,7 @@ class _Descent:
             self._renew()
         while state.outcome is None:
             low, high = self.problem.lower - state.theta, self.problem.upper - state.theta
-            newton = best_step(self.reduced, self.lengths, low, high, least=self.least)
+            newton = best_step(self.reduced, self.lengths, low, high, math.inf, self.least, self.decomposed)
             state.held = newton.held & ((low >= 0) | (high <= 0))
             self._measure(newton)
             state.outcome = self._ended()
@@ -141,14 +141,16 @@ class _Descent:
         unit = 1.0 / self.problem.magnitudes(state.theta)
         self.lengths = np.maximum(self.lengths, np.where(columns > 0, columns, unit))
         # what its rounding makes of the reduction, too, as in the covariance
-        self.singular = np.linalg.svd(self.reduced[:, :-1] / self.lengths, compute_uv=False)
+        u, self.singular, vt = np.linalg.svd(self.reduced[:, :-1] / self.lengths, full_matrices=False)
+        self.decomposed = u, self.singular, vt
         rounding = np.finfo(float).eps * max(state.jacobian.shape) * float(self.singular[0])
         self.least = max(self._error(central=state.central), rounding)
 
     def _error(self, *, central: bool) -> float:
         """Return the singular value of J D⁻¹ that errors of a Jacobian alone may make."""
         errors = self.problem.jacobian_error(self.state.theta, self.state.residual, central=central)
-        return float(np.linalg.norm(errors / self.lengths))
+        relative = errors / self.lengths
+        return math.sqrt(float(relative @ relative))
 
     def _suffices(self) -> bool:
         """Whether forward differences are accurate enough to find the optimum by.
@@ -208,7 +210,8 @@ class _Descent:
     def _try(self, newton: Step, low: Floats, high: Floats) -> tuple[Step, Floats, Floats]:
         """Simulate the step, or several where simulations fail; return the best, its theta and residual."""
         within = self._length(newton.step) <= self.radius.value
-        steps = [newton if within else best_step(self.reduced, self.lengths, low, high, self.radius.value, self.least)]
+        linear = self.reduced, self.lengths, low, high, self.radius.value, self.least, self.decomposed
+        steps = [newton if within else best_step(*linear)]
         if self.radius.failures >= EDGE_FAILURES:
             for i in range(low.size):
                 held = np.arange(low.size) == i
@@ -331,7 +334,8 @@ class _Descent:
     # --- numbers
 
     def _length(self, step: Floats) -> float:
-        return float(np.linalg.norm(self.lengths * step))
+        scaled = self.lengths * step
+        return math.sqrt(float(scaled @ scaled))
 
     def _relative_offset(self, predicted: float) -> float:
         """Return sqrt(dof predicted/‖r‖²): the way left in standard deviations of the parameters (Bates and Watts)."""

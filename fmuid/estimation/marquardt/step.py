@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
+from typing import TypeAlias
 
 import numpy as np
 import scipy
@@ -31,6 +32,9 @@ RADIUS_TOLERANCE = 0.1
 MOST_SECULAR_ITERATIONS = 30
 # Singular values below this one are zero whatever the accuracy, or quotients overflow.
 SMALLEST_SINGULAR_VALUE = 1e-100
+
+
+Decomposed: TypeAlias = tuple[Floats, Floats, Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +65,13 @@ def _upper(rows: int, columns: int) -> Flags:
 
 
 def best_step(
-    reduced: Floats, lengths: Floats, lower: Floats, upper: Floats, radius: float = math.inf, least: float = 0.0
+    reduced: Floats,
+    lengths: Floats,
+    lower: Floats,
+    upper: Floats,
+    radius: float = math.inf,
+    least: float = 0.0,
+    decomposed: Decomposed | None = None,
 ) -> Step:
     """Return the step that minimises ‖R p + q‖² within lower ≤ p ≤ upper and ‖D p‖ ≤ radius.
 
@@ -77,6 +87,8 @@ def best_step(
         Longest ‖D p‖ of the free parameters; infinite for the Gauss–Newton step.
     least : float
         Singular values of R D⁻¹ up to this one are taken as zero, and no step goes in their directions.
+    decomposed : U, S and Vᵀ, optional
+        The singular value decomposition of R D⁻¹, where it is known.
     """
     matrix, vector = reduced[:, :-1], reduced[:, -1]
     scaled, slope = matrix / lengths, matrix.T @ vector
@@ -86,7 +98,8 @@ def best_step(
     while not held.all():
         free = ~held
         target = vector + matrix[:, held] @ step[held]
-        inner, damping = _damped(scaled[:, free], target, radius, least)
+        known = decomposed if decomposed is not None and free.all() else _svd(scaled[:, free])
+        inner, damping = _damped(known, target, radius, least)
         step[free] = inner / lengths[free]
         above, below = step > upper, step < lower
         if not (above | below).any():
@@ -100,15 +113,20 @@ def best_step(
     return Step(step, damping, float(vector @ vector - after @ after), held)
 
 
-def _damped(matrix: Floats, vector: Floats, radius: float, least: float) -> tuple[Floats, float]:
+def _svd(matrix: Floats) -> Decomposed:
+    u, s, vt = np.linalg.svd(matrix, full_matrices=False)
+    return u, s, vt
+
+
+def _damped(decomposed: Decomposed, vector: Floats, radius: float, least: float) -> tuple[Floats, float]:
     """Return the p that minimises ‖A p + b‖² + λ‖p‖², and λ ≥ 0 such that ‖p‖ is at most about the radius.
 
     With A = U S Vᵀ and z = Uᵀb, p = −V S z/(S² + λ); 1/‖p‖ is nearly linear in λ, which is why Newton's method on
     1/‖p‖ − 1/Δ (Hebden, Moré) needs two or three steps. Singular values that may as well be zero move nothing.
     """
-    u, s, vt = np.linalg.svd(matrix, full_matrices=False)
+    u, s, vt = decomposed
     sz = s * (u.T @ vector)
-    least = min(max(least, np.finfo(float).eps * max(matrix.shape) * s[0]), s[0] / 2.0)
+    least = min(max(least, np.finfo(float).eps * max(len(u), vt.shape[1]) * s[0]), s[0] / 2.0)
     square = np.where(s > max(least, SMALLEST_SINGULAR_VALUE), s**2, np.inf)
     damping = 0.0
     for _ in range(MOST_SECULAR_ITERATIONS):
