@@ -135,8 +135,9 @@ class Run:
         elif error:
             self.refuse(error.removeprefix("error: "))
         else:
-            how = "Cancelled; what it had found is saved" if job.asked else "Done" if job.code == 0 else "Ended"
-            self.state.text = f"<p role=status>{how} after {job.seconds:.1f} s.</p>"
+            how = "Cancelled" if job.asked else "Done" if job.code == 0 else "Ended"
+            more = "; what it had found is saved" if job.asked else ""
+            self.state.text = f"<p role=status>{how} after {job.seconds:.1f} s{more}.</p>"
         log = f"<pre>{escaped(command_text(job.words))}\n{escaped(printed)}</pre>"
         self.state.text += f"<details><summary>What it printed</summary>{log}</details>"
 
@@ -144,7 +145,7 @@ class Run:
 def _words(event: Event | None, job: Job) -> str:
     """Say where a command stands: by its last event, or by the last line of one that has told none."""
     if event is None:
-        return next((line.strip() for line in reversed(job.printed().splitlines()) if line.strip()), "beginning")
+        return next((line.strip(" .") for line in reversed(job.printed().splitlines()) if line.strip()), "beginning")
     if isinstance(event, SearchStep):
         return f"iteration {event.number}, criterion {event.criterion:.6g}"
     return event_words(event)
