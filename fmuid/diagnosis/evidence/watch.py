@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.arrays import Flags, Floats
+from fmuid.arrays import Flags, Floats, Indices
 from fmuid.diagnosis.evidence.build_up import BuildUp
 from fmuid.diagnosis.evidence.causes import Cause
 from fmuid.diagnosis.evidence.information import Information, Known, News
@@ -118,37 +118,36 @@ class Watch:
 
     def add(self, window: Blocks) -> None:
         """Add a window, later than all before."""
-        own = _Window(window, self._drift, self._slow, self.build_up)
-        clock = self._of["clock"]
-        grown = own.added(clock)
-        recent = np.flatnonzero(window.edges[0] - clock < self.build_up.lasts)
-        building = own.steps(clock[recent]) if recent.size else {}
-        new = own.sums(window.edges[:-1])
-        count = len(window.scores)
+        kept, count = np.flatnonzero(self._kept()), len(window.scores)
+        clock = self._of["clock"][kept]
+        recent = int(np.searchsorted(clock, window.edges[0] - self.build_up.lasts, side="right"))
+        own = _Window(window, self._drift, self._slow, self.build_up, clock[recent:])
         before = (np.repeat(each[None], count, axis=0) for each in (self._total, self._score))
         places = (window.edges[:-1], np.full(count, self.windows), np.arange(count) == 0, *before)
-        for name, value in zip(_PLACES, places, strict=True):
-            self._of[name] = np.concatenate([self._of[name], value])
+        for name, new in zip(_PLACES, places, strict=True):
+            self._of[name] = _followed(self._of[name], kept, new)
+        grown = own.added(clock)
         for name in _SUMS:
-            old = self._of[name] + grown[name]
-            if name in building:
-                old[recent] = self._of[name][recent] + building[name]
-            self._of[name] = np.concatenate([old, new[name]])
-        self._least = self._least + LEAST * np.diag(window.whole.matrix)
+            late = self._of[name][kept[recent:]]
+            self._of[name] = found = _followed(self._of[name], kept, own.new[name])
+            found[: kept.size] += grown[name]
+            if name in own.recent:
+                found[recent : kept.size] = late + own.recent[name]
+        self._least = self._least + LEAST * np.diag(own.whole)
         self._total = self._total + own.matrix
         self._score = self._score + own.score
         self.windows, self.end = self.windows + 1, float(window.edges[-1])
-        self._thin()
 
-    def _thin(self) -> None:
+    def _kept(self) -> Flags:
+        """Return which onsets are kept when a window more is there."""
         begins, window = self._of["begins"], self._of["window"]
         clock, (low, high) = self._of["clock"], self.pinned
-        kept = begins | (window > self.windows - 1 - FINE) | ((low <= clock) & (clock <= high))
+        kept = begins | (window > self.windows - FINE) | ((low <= clock) & (clock <= high))
         at = np.flatnonzero(begins)
-        if at.size > MOST:
-            kept[at[1 : at.size // 2 : 2]] = False  # the first one stays: what has been wrong from the begin on
-        if not kept.all():
-            self._of = {name: value[kept] for name, value in self._of.items()}
+        if at.size + 1 > MOST:
+            # the first one stays: what has been wrong from the begin on
+            kept[at[1 : (at.size + 1) // 2 : 2]] = False
+        return np.asarray(kept)
 
     def clocks(self) -> Floats:
         """Return when the onsets that are kept begin (T,), s of all that was seen."""
@@ -273,68 +272,93 @@ def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -
 
 
 class _Window:
-    """A window without what drifts: M = (P⁻² + G)⁻¹ takes it out of all sums."""
+    """A window without what drifts: M = (P⁻² + G)⁻¹ takes it out of all sums.
 
-    def __init__(self, window: Blocks, drift: Floats, slow: Flags, build_up: BuildUp) -> None:
-        self.window, self._slow, self._build_up = window, slow, build_up
-        whole = window.whole
-        scaled = np.eye(drift.size) + whole.matrix * np.outer(drift, drift)
-        self._taken = np.linalg.inv(scaled) * np.outer(drift, drift)
-        self._taken = 0.5 * (self._taken + self._taken.T)
-        self._whole = whole
-        self._step = self._without(whole.matrix, whole.matrix, whole.score)
-        self.matrix, self.score = self._step[1:]
+    Parameters
+    ----------
+    recent : (R,) array
+        Onsets before it whose changes build up in it.
+
+    Attributes
+    ----------
+    whole : (N, N) array
+        Its information.
+    matrix, score : (N, N) and (N,) array
+        Its information and its score, without what drifts.
+    new, recent : dict of str to array
+        The sums of the onsets at the begins of its blocks, and what it adds to those of steps a little earlier.
+    """
+
+    def __init__(self, window: Blocks, drift: Floats, slow: Flags, build_up: BuildUp, recent: Floats) -> None:
+        count, n = window.scores.shape
+        self._edges = edges = window.edges
+        self._flat = np.hstack([window.matrices.reshape(count, n * n), window.scores])
+        middle, at = 0.5 * (edges[1:] + edges[:-1]), np.concatenate([recent, edges[:-1]])
+        late, ramp = middle - edges[0], np.maximum(middle - edges[:-1, None], 0.0)
+        after = (edges[1:] > at[:, None]).astype(np.float64)
+        whole, once, twice, rise, square, step = self._of(
+            np.ones((1, count)), late[None], late[None] ** 2, ramp, ramp**2, after
+        )
+        own, (shared, score) = step[0], step
+        if build_up.lasts and slow.any():
+            part = build_up.shares(at, edges)
+            mixed, both = self._of(part, part**2)
+            own = np.where(slow[:, None] & slow, both[0], np.where(slow[:, None] | slow, mixed[0], own))
+            shared, score = np.where(slow, mixed[0], shared), np.where(slow, mixed[1], score)
+        self.whole, self._whole_score, self._once = whole[0][0], whole[1][0], once[0][0]
+        taken = np.linalg.inv(np.eye(n) + self.whole * np.outer(drift, drift)) * np.outer(drift, drift)
+        self._taken = 0.5 * (taken + taken.T)
+        found = self._without(
+            np.concatenate([whole[0], twice[0], square[0], own]),
+            np.concatenate([whole[0], once[0], rise[0], shared]),
+            np.concatenate([whole[1], once[1], rise[1], score]),
+        )
+        ends = np.cumsum([1, 1, count, recent.size])
+        all_of, self._ramp, ramps, steps, new = zip(*(np.split(each, ends) for each in found), strict=True)
+        self._step = tuple(each[0] for each in all_of)
+        _, self.matrix, self.score = self._step
+        self.recent = _named(Shape.STEP, steps) if recent.size else {}
+        self.new = _named(Shape.STEP, new) | _named(Shape.RAMP, ramps)
+
+    def _of(self, *weights: Floats) -> list[tuple[Floats, Floats]]:
+        """Return information (k, N, N) and score (k, N) of the blocks, each with some weights (k, B)."""
+        sums = np.vstack(weights) @ self._flat
+        n = math.isqrt(sums.shape[1])  # N² + N columns
+        parts = np.split(sums, np.cumsum([len(each) for each in weights[:-1]]))
+        return [(each[:, : n * n].reshape(-1, n, n), each[:, n * n :]) for each in parts]
 
     def _without(self, own: Floats, shared: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
         """Return own and shared information and the score of columns, without what drifts."""
-        drawn = self._taken @ shared
+        drawn, mixed = self._taken @ shared, np.swapaxes(shared, -1, -2)
         return (
-            own - np.swapaxes(shared, -1, -2) @ drawn,
-            shared - self._whole.matrix @ drawn,
-            score - np.swapaxes(shared, -1, -2) @ (self._taken @ self._whole.score),
+            own - mixed @ drawn,
+            shared - self.whole @ drawn,
+            score - mixed @ (self._taken @ self._whole_score),
         )
-
-    def sums(self, clock: Floats) -> dict[str, Floats]:
-        """Return what the window adds to the sums of onsets at some times (T,), as it is."""
-        edges, matrices, scores = self.window.edges, self.window.matrices, self.window.scores
-        late = 0.5 * (edges[1:] + edges[:-1]) - clock[:, None]  # of a block after an onset
-        ramp = np.maximum(late, 0.0)
-        own, shared = np.tensordot(ramp**2, matrices, axes=1), np.tensordot(ramp, matrices, axes=1)
-        return self.steps(clock) | _named(Shape.RAMP, self._without(own, shared, ramp @ scores))
-
-    def steps(self, clock: Floats) -> dict[str, Floats]:
-        """Return what the window adds to the sums of steps at some times (T,)."""
-        matrices, scores, slow = self.window.matrices, self.window.scores, self._slow
-        once = (self.window.edges[1:] > clock[:, None]) * 1.0
-        own, shared, score = np.tensordot(once, matrices, axes=1), np.tensordot(once, matrices, axes=1), once @ scores
-        if self._build_up.lasts and slow.any():
-            part = self._build_up.shares(clock, self.window.edges)
-            mixed, twice = np.tensordot(part, matrices, axes=1), np.tensordot(part**2, matrices, axes=1)
-            shared = np.where(slow, mixed, shared)
-            own = np.where(slow[:, None] & slow, twice, np.where(slow[:, None] | slow, mixed, own))
-            score = np.where(slow, part @ scores, score)
-        return _named(Shape.STEP, self._without(own, shared, score))
 
     def added(self, clock: Floats) -> dict[str, Floats]:
-        """Return what the window adds to the sums of onsets before it (T,)."""
-        edges, matrices, scores = self.window.edges, self.window.matrices, self.window.scores
-        before = edges[0] - clock
-        late = 0.5 * (edges[1:] + edges[:-1]) - edges[0]
-        once, twice = (np.tensordot(late**power, matrices, axes=1) for power in (1, 2))
-        a = before[:, None, None]
+        """Return what the window adds to the sums of onsets before it (T,), steps that show by now."""
+        before = self._edges[0] - clock
+        powers = np.column_stack([np.ones(clock.size), before, before**2])
         # of onsets so long before, all is a polynomial of that time
-        mixed = once @ self._taken @ self._whole.matrix
-        ramp = self._without(twice, once, late @ scores)
-        own, shared, score = self._step
-        return _named(Shape.STEP, self._step) | _named(
-            Shape.RAMP,
-            (
-                ramp[0] + a * (2.0 * once - mixed - mixed.T) + a**2 * own,
-                ramp[1] + a * shared,
-                ramp[2] + before[:, None] * score,
-            ),
+        mixed = self._once @ self._taken @ self.whole
+        ramp, (own, shared, score) = [each[0] for each in self._ramp], self._step
+        grown = np.stack([ramp[0], 2.0 * self._once - mixed - mixed.T, own]).reshape(3, -1)
+        sums = (
+            (powers @ grown).reshape(-1, *own.shape),
+            (powers[:, :2] @ np.stack([ramp[1], shared]).reshape(2, -1)).reshape(-1, *own.shape),
+            powers[:, :2] @ np.stack([ramp[2], score]),
         )
+        return _named(Shape.STEP, self._step) | _named(Shape.RAMP, sums)
 
 
-def _named(shape: Shape, sums: tuple[Floats, Floats, Floats]) -> dict[str, Floats]:
+def _followed(values: Any, kept: Indices, new: Any) -> Any:
+    """Return some rows, and then others."""
+    found = np.empty((kept.size + len(new), *values.shape[1:]), values.dtype)
+    np.take(values, kept, axis=0, out=found[: kept.size], mode="clip")  # without a copy in between
+    found[kept.size :] = new
+    return found
+
+
+def _named(shape: Shape, sums: Sequence[Floats]) -> dict[str, Floats]:
     return {f"{shape.value}_{name}": each for name, each in zip(("own", "shared", "score"), sums, strict=True)}
