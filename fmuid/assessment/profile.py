@@ -51,8 +51,6 @@ FLAT_MAGNITUDES, FLAT_STDS = 1000.0, 10.0
 LEAST_ROOT_SHARE = 0.03
 # Where simulations fail, a step is shortened by this factor, at most so many times.
 STEP_REDUCTION, MOST_REDUCTIONS = 0.25, 4
-# and not below this share of the way from the estimate: the limit up to which they work is not sought more closely.
-LEAST_ADVANCE = 1e-3
 # An end is found where τ equals its level to this relative error; one more Newton step then leaves its square.
 END_TOLERANCE = 1e-3
 END_STEPS = 12
@@ -323,8 +321,6 @@ class _Profiler:
             if point is not None:
                 return point
             step *= STEP_REDUCTION
-            if abs(step) < LEAST_ADVANCE * abs(value - self._value(self.origin)):
-                break
         return None
 
     # --- its end
