@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import stat
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from fmuid.errors import InputError
-from fmuid.fmi.files.description import Variable
+from fmuid.fmi.files.description import Unit, Variable
 from fmuid.fmi.files.unpacking import file_digest, unpacked
 from fmuid.fmi.fmu import FMU
 from fmuid.fmi.instance import Instance
@@ -60,6 +61,15 @@ def test_units_convert_both_ways(probe: ProbeMaker) -> None:
     )  # which it does not define
     with pytest.raises(InputError, match="'deg', the unit of the column of 'u', does not convert to 'rad/s'"):
         description.conversion(speed, "deg")
+
+
+def test_display_units_are_the_fmus_own() -> None:
+    """Of one with an offset, as the standard's example has it: degF = 1.8 K - 459.67."""
+    kelvin = Unit("K", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 0.0, {"my_degF": (1.8, -459.67)})
+    described = replace(FMU(FMUS / "Coil" / "Coil.fmu").description, units={"K": kelvin})
+    warm = next(iter(described.variables.values()))._replace(unit="K")
+    factor, offset = described.conversion(warm, "my_degF")
+    assert factor * 212.0 + offset == pytest.approx(373.15)
 
 
 def test_a_variable_without_a_unit_takes_what_needs_no_conversion(probe: ProbeMaker) -> None:
