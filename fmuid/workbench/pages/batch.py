@@ -67,7 +67,7 @@ class BatchPage:
         self.table.autosize_mode = "none"  # else all columns are squeezed into a narrow window
         self.table.stylesheets = [_GRID]
         self.case = words("case", "<p>Choose a case in the table.</p>")
-        self.drawn = column([], name="drawn", **WIDE)
+        self.drawn = column([words("none", "<p>No case has converged yet.</p>")], name="drawn", **WIDE)
         for each in (self.status, self.text):
             each.on_change("value", lambda _attr, _old, _new: self._filter())
         self.source.selected.on_change("indices", lambda _attr, _old, new: self._choose(new))
@@ -141,7 +141,9 @@ class BatchPage:
     def _draw(self) -> None:
         """Draw the estimates so far."""
         if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
-            truth, units = self.manifest.get("truth") or {}, dict[str, str]()
+            summary = self.place / "summary.json"  # there once it has ended
+            units = json.loads(summary.read_text(encoding="utf-8")).get("units") or {} if is_file(summary) else {}
+            truth = self.manifest.get("truth") or {}
             plots = [in_scheme(plot, self.scheme) for plot in figures.over_cases(self.frame, truth, units)]
             self.drawn.children = [side_by_side(plots)]
 
