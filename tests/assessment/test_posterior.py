@@ -219,6 +219,7 @@ def test_nothing_holds_what_data_leave_open() -> None:
     posterior, _ = sampled(sum_only(Parameter(1.0), Parameter(1.0)))
     assert (posterior.doubt, posterior.doubtful) == (SamplingDoubt.RUNAWAY, "a")
     assert posterior_words(posterior).startswith("nothing holds a, the samples run away: give a prior or bounds")
+    assert posterior.intervals().to_numpy().tolist() == [[-math.inf, math.inf]] * 2
 
 
 # --- coverage

@@ -179,6 +179,7 @@ class Posterior:
         """Return the interval of highest density of each parameter, columns ``lower`` and ``upper``.
 
         The shortest one that holds so much of the samples; where one that ends at a bound is hardly longer, that one.
+        All that the bounds leave where nothing holds a parameter: samples that run away tell nothing of any.
 
         Raises
         ------
@@ -186,6 +187,8 @@ class Posterior:
             If the level is not between 0 and 1.
         """
         check_level(level)
+        if self.doubt is SamplingDoubt.RUNAWAY:
+            return pd.DataFrame({"lower": self.lower, "upper": self.upper}, index=list(self.names))
         columns = zip(np.sort(self.samples, axis=0).T, self.lower, self.upper, strict=True)
         ends = np.array([_densest(own, level, lower, upper) for own, lower, upper in columns])
         return pd.DataFrame(ends, columns=["lower", "upper"], index=list(self.names))

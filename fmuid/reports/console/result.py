@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
-from fmuid.assessment import CONFIDENCE_LEVEL, LEAST_STD_FACTOR
+from fmuid.assessment import CONFIDENCE_LEVEL, LEAST_STD_FACTOR, SamplingDoubt
 from fmuid.estimation import Outcome
 from fmuid.model_problem import RIVAL_CRITERION
 from fmuid.models import HowRun
@@ -235,7 +235,7 @@ def _intervals(out: Console, found: Findings, there: Uncertainty) -> Table:
     for kind in kinds:
         ends = limits[kind].to_numpy().tolist()
         columns[kind] = [_interval(lower, upper, value) for (lower, upper), value in zip(ends, values, strict=True)]
-    if posterior is not None:
+    if posterior is not None and posterior.doubt is not SamplingDoubt.RUNAWAY:
         pairs = zip(posterior.mean.tolist(), posterior.std.tolist(), strict=True)
         columns["posterior mean"] = [with_std(mean, std) for mean, std in pairs]
     columns["unit"] = list(map(unit_text, found.unit_of.values()))
