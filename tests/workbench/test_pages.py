@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 from bokeh.events import ButtonClick
-from bokeh.models import FileInput
+from bokeh.models import ColumnDataSource, FileInput, Range1d
 
 import fmuid
 from fmuid.batches import Cases
@@ -25,14 +25,17 @@ from fmuid.estimation import Result
 from fmuid.progress import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
 from fmuid.reports import run_study
 from fmuid.reports.console.progress import Display
+from fmuid.reports.page.document import Part, written_parts
+from fmuid.reports.page.fits import fit_sections
 from fmuid.reports.page.write import contents
+from fmuid.simulation import Fit
 from fmuid.studies import Study, read_toml
 from fmuid.workbench import Folder
 from fmuid.workbench.folder import FoundResult, FoundStudy
 from fmuid.workbench.home import _results, _studies
 from fmuid.workbench.jobs import Jobs
 from fmuid.workbench.pages.batch import BatchPage, case_settings
-from fmuid.workbench.pages.results import Predicting, Writing, _compared, build
+from fmuid.workbench.pages.results import PLACE, Predicting, Writing, _compared, _zoomed, build
 from tests.support.begun_batch import batch
 from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.isolated import wait_until
@@ -126,6 +129,38 @@ def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
         assert places
         body = "".join(text for text, _ in told["pieces"])
         assert all(f'id="{place}"' in body for place in places)
+
+
+def test_a_long_fit_is_thinned_anew_where_one_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    times, rng = np.linspace(0.0, 10.0, 50_001), np.random.default_rng(1)
+    simulated = np.sin(times)[:, None]
+    half, counted = np.full_like(simulated, 0.3), np.ones_like(simulated, dtype=bool)
+    measured = simulated + rng.normal(0.0, 0.1, simulated.shape)
+    record = Fit("first", times, ("i",), ("A",), measured, simulated, counted)
+    short = Fit("second", times[:600], ("i",), ("A",), measured[:600], simulated[:600], counted[:600])
+    doc, due = Document(), list[Any]()
+    monkeypatch.setattr(doc, "add_next_tick_callback", due.append)
+    sections = fit_sections("fit", "Fit", "", (record, short), {"first": (half, 0.95)})
+    (part,), names = _zoomed(doc, [Part("", "", True, [], "", sections)])
+    assert names == [root.name for root in doc.roots] == ["fit"]
+    assert written_parts([part])[0].count(PLACE) == len(names)
+    assert part.sections[1] is sections[1]  # all of its samples are there
+    (across,) = doc.select({"type": Range1d})
+    lines, dots = sorted(doc.select({"type": ColumnDataSource}), key=lambda source: "s0" not in source.data)
+    assert len(lines.data["t"]) < 5000
+    across.update(start=2.0, end=2.1)
+    assert len(due) == 1  # once for both ends
+    due.pop()()
+    rows = slice(9999, 10_501)  # one more at the beginning
+    for source in (lines, dots):
+        np.testing.assert_array_equal(source.data["t"], times[rows])
+        np.testing.assert_allclose(source.data["m0"], measured[rows, 0], rtol=1e-6)
+    np.testing.assert_allclose(lines.data["r0"], (measured - simulated)[rows, 0], rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(lines.data["b0"], (simulated + half)[rows, 0], rtol=1e-6)
+    across.update(start=0.0, end=10.0)
+    due.pop()()
+    assert lines.data["t"][[0, -1]].tolist() == [0.0, 10.0]
+    assert len(lines.data["t"]) < 5000
 
 
 def test_a_page_of_no_results_says_where_they_are_chosen(tmp_path: Path) -> None:

@@ -241,7 +241,7 @@ def test_a_failing_simulation_is_a_line(page: Page) -> None:
 def test_zooming_shows_more_of_less(page: Page) -> None:
     live, times = page.page.live, page.page.live.record.times
     live.across.update(start=float(times[100]), end=float(times[200]))
-    live.draw(live.record.simulated)
+    page.settle()
     assert live.lines.data["t"][0] == times[99]
     assert live.lines.data["t"][-1] == times[200]
     assert live.dots.data["t"][0] == times[99]

@@ -70,7 +70,12 @@ def drawn_outputs(record: Fit) -> list[int]:
 
 
 def fit(
-    record: Fit, half_width: Floats | None = None, degree: float = CONFIDENCE_LEVEL, *, rows: slice = slice(None)
+    record: Fit,
+    half_width: Floats | None = None,
+    degree: float = CONFIDENCE_LEVEL,
+    *,
+    rows: slice = slice(None),
+    given: tuple[Any, Any, Any] | None = None,
 ) -> Any:
     """Draw the outputs of an experiment: measured dots, the simulated line, the residual below.
 
@@ -87,14 +92,14 @@ def fit(
         Of the band.
     rows : slice
         What of the record is drawn.
+    given : tuple of Bokeh's source of lines, source of dots and range, optional
+        That are drawn in place of new ones.
     """
     outputs, misfit = drawn_outputs(record), record.misfit
-    cut = {name: getattr(record, name)[rows] for name in ("times", "measured", "simulated", "counted")}
-    record, half_width = replace(record, **cut), None if half_width is None else half_width[rows]
-    lines, dots = sources(record, outputs, half_width)
+    lines, dots, across = given or (*sources(record, outputs, half_width, rows), None)
     band = "" if half_width is None else f"{100 * degree:.4g} % band"
-    times = record.times
-    across = Range1d(float(times[0]), float(times[-1]), bounds="auto")
+    record = _cut(record, rows)
+    across = across or Range1d(float(record.times[0]), float(record.times[-1]), bounds="auto")
     cross = Span(dimension="height", line_dash="dotted", line_color=GREY)
     plots: list[Any] = []
     for j in outputs:
@@ -107,12 +112,20 @@ def fit(
     return below_each_other(plots, dense=True)
 
 
-def sources(record: Fit, outputs: Sequence[int], half_width: Floats | None = None) -> tuple[Sketch, Sketch]:
+def _cut(record: Fit, rows: slice) -> Fit:
+    cut = {name: getattr(record, name)[rows] for name in ("times", "measured", "simulated", "counted")}
+    return replace(record, **cut)
+
+
+def sources(
+    record: Fit, outputs: Sequence[int], half_width: Floats | None = None, rows: slice = slice(None)
+) -> tuple[Sketch, Sketch]:
     """Return the rows that draw the lines, by least and greatest, and those that are drawn as dots, evenly.
 
     Columns are ``t``, and of output number j ``m``, ``s`` and ``r`` with the number: measured, simulated, residual;
     with a band its borders ``a`` and ``b``, and those around zero, ``n`` and ``w``.
     """
+    record, half_width = _cut(record, rows), None if half_width is None else half_width[rows]
     simulated, measured = record.simulated[:, outputs], record.measured[:, outputs]
     kept = extremes(np.hstack([simulated, measured - simulated]), MAX_ROWS)
     lines = _columns(record, outputs, kept)

@@ -1,4 +1,4 @@
-"""A fit that is simulated anew while somebody looks: one experiment, redrawn within a frame.
+"""Fits that are drawn anew while somebody looks: of another simulation, within a frame, or another stretch of time.
 
 Only what changes is painted: the simulated line and its residual lie on Bokeh's overlay, above the measured dots, the
 axes and the line of the last optimum, which are painted anew when the ranges change. Ranges are those of the server,
@@ -16,7 +16,8 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from fmuid.arrays import Floats, Indices
-from fmuid.reports.interactive.fit import shade_uncounted
+from fmuid.assessment import CONFIDENCE_LEVEL
+from fmuid.reports.interactive.fit import drawn_outputs, fit, shade_uncounted, sources
 from fmuid.reports.interactive.sketch import BasicTicker, Sketch, live
 from fmuid.reports.interactive.style import AMBER, BLUE, DARK, GREY, MAX_OUTPUTS, RED, Panel, below_each_other
 from fmuid.reports.thinning import evenly, extremes
@@ -27,6 +28,79 @@ from fmuid.text import label
 ROWS, DOTS = 1600, 700
 # An upper figure whose lines fill less than this of its height is drawn anew, with so much room around.
 LEAST_FILLED, ROOM = 0.35, 0.12
+Later = Callable[[Callable[[], None]], object]
+"""What has a callable called in a moment, as ``add_next_tick_callback`` of a document."""
+
+
+class Stretch:
+    """The stretch of time that is looked at.
+
+    Parameters
+    ----------
+    times : (K,) array
+        Of the record, s.
+    later : Later
+    redraw : callable
+        Called when another stretch is looked at, once for both of its ends.
+
+    Attributes
+    ----------
+    across : Range1d
+    """
+
+    def __init__(self, times: Floats, later: Later, redraw: Callable[[], None]) -> None:
+        self._times, self._later, self._redraw, self._due = times, later, redraw, False
+        self.across = Range1d(float(times[0]), float(times[-1]), bounds="auto")
+        for end in ("start", "end"):
+            self.across.on_change(end, lambda _attr, _old, _new: self._moved())
+
+    @property
+    def rows(self) -> slice:
+        """The rows of it, and one more at each end."""
+        first, last = np.searchsorted(self._times, [self.across.start, self.across.end])
+        return slice(max(0, int(first) - 1), min(len(self._times), int(last) + 1))
+
+    def _moved(self) -> None:
+        if not self._due:
+            self._due = True
+            self._later(self._draw)
+
+    def _draw(self) -> None:
+        self._due = False
+        self._redraw()
+
+
+class ZoomedFit:
+    """The figure of a fit, thinned anew for each stretch of time that is looked at.
+
+    Parameters
+    ----------
+    later : Later
+    record, half_width, degree
+        As for `fmuid.reports.interactive.fit.fit`.
+
+    Attributes
+    ----------
+    figure : Sketch
+        Its sources and range of time are Bokeh's own models.
+    """
+
+    def __init__(
+        self,
+        later: Later,
+        record: Fit,
+        half_width: Floats | None = None,
+        degree: float = CONFIDENCE_LEVEL,
+    ) -> None:
+        self._shown = record, drawn_outputs(record), half_width
+        self.stretch = Stretch(record.times, later, self._draw)
+        self.lines, self.dots = ColumnDataSource(), ColumnDataSource()
+        self._draw()
+        self.figure = fit(record, half_width, degree, given=(self.lines, self.dots, self.stretch.across))
+
+    def _draw(self) -> None:
+        lines, dots = sources(*self._shown, self.stretch.rows)
+        self.lines.data, self.dots.data = lines.data, dots.data
 
 
 class LiveFit:
@@ -36,8 +110,7 @@ class LiveFit:
     ----------
     record : Fit
         What is shown at first.
-    zoomed : callable
-        Called when another stretch of time is looked at; `draw` shows more of it then.
+    later : Later
 
     Attributes
     ----------
@@ -45,13 +118,11 @@ class LiveFit:
         Its sources and ranges are Bokeh's own models.
     """
 
-    def __init__(self, record: Fit, zoomed: Callable[[], object] = lambda: None) -> None:
+    def __init__(self, record: Fit, later: Later) -> None:
         self.record, self._ghost = record, np.full_like(record.simulated, np.nan)
         self.outputs = range(min(len(record.outputs), MAX_OUTPUTS))
-        times = record.times
-        self.across = Range1d(float(times[0]), float(times[-1]), bounds="auto")
-        self.across.on_change("start", lambda _attr, _old, _new: zoomed())
-        self.across.on_change("end", lambda _attr, _old, _new: zoomed())
+        self.stretch = Stretch(record.times, later, lambda: self.draw(self.record.simulated))
+        self.across = self.stretch.across
         self.lines, self.dots, self.ghosts = (ColumnDataSource(name=name) for name in ("lines", "dots", "ghosts"))
         self._shown: tuple[float, float] | None = None
         self.uppers = [Range1d(0.0, 1.0) for _ in self.outputs]
@@ -68,7 +139,7 @@ class LiveFit:
     def draw(self, simulated: Floats) -> None:
         """Show another simulation (K, n_outputs)."""
         self.record = replace(self.record, simulated=simulated)
-        rows = self._window()
+        rows = self.stretch.rows
         if (rows.start, rows.stop) != self._shown:
             self._shown = rows.start, rows.stop
             self._still(rows)
@@ -86,7 +157,7 @@ class LiveFit:
     def haunt(self, simulated: Floats | None) -> None:
         """Show the simulation (K, n_outputs) of the last optimum behind, or nothing."""
         self._ghost = np.full_like(self.record.simulated, np.nan) if simulated is None else simulated
-        self._still(self._window())
+        self._still(self.stretch.rows)
 
     def _still(self, rows: slice) -> None:
         """Show what stays while a parameter is dragged."""
@@ -97,12 +168,6 @@ class LiveFit:
         ghost = self._ghost[rows, : len(self.outputs)]
         kept: Indices = extremes(ghost, ROWS)
         self.ghosts.data = {"t": times[kept], **{f"g{j}": ghost[kept, j].astype(np.float32) for j in self.outputs}}
-
-    def _window(self) -> slice:
-        """Return the rows of the stretch of time that is looked at, and one more at each end."""
-        times, low, high = self.record.times, self.across.start, self.across.end
-        first, last = np.searchsorted(times, [low, high])
-        return slice(max(0, int(first) - 1), min(len(times), int(last) + 1))
 
     def _reach(self, j: int, simulated: Floats, measured: Floats, residual: Floats) -> None:
         """Move the ranges of an output where lines leave them, or hardly fill them."""

@@ -48,6 +48,8 @@ class Section:
         HTML above the figures, in which all that is not ours is escaped.
     zoom : Sketch, optional
         A stretch of the only figure, which print shows beside it.
+    fit : tuple
+        What the only figure shows as much of as can be seen: arguments of `fmuid.reports.interactive.fit.fit`.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Section:
     columns: int = 3
     body: str = ""
     zoom: Any = None
+    fit: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

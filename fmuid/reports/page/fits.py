@@ -47,7 +47,7 @@ def fit_sections(
         whole, part = fit.fit(record, *band), fit.fit(record, *band, rows=fit.zoom(record))
         words = heading + (f": {record.experiment}" if len(records) > 1 else "")
         anchor, text = (name, caption) if k == 0 else (f"{name}-{k + 1}", "")
-        sections.append(Section(anchor, words, text, [whole], 1, zoom=part))
+        sections.append(Section(anchor, words, text, [whole], 1, zoom=part, fit=(record, *band)))
     return sections
 
 

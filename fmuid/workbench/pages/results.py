@@ -21,7 +21,8 @@ from fmuid.estimation import Result
 from fmuid.files import file_name, is_file, replacing
 from fmuid.reports import estimate_rows
 from fmuid.reports.interactive import comparison
-from fmuid.reports.interactive.style import DARK
+from fmuid.reports.interactive.live import ZoomedFit, in_scheme
+from fmuid.reports.interactive.style import DARK, MAX_DOTS, MAX_ROWS
 from fmuid.reports.page.document import Part, Section, table, written_parts
 from fmuid.reports.page.write import contents
 from fmuid.studies import read_toml
@@ -31,7 +32,7 @@ from fmuid.workbench.folder import TABLES, Folder, FoundResult, choices, tables
 from fmuid.workbench.home import address, escaped, file_address
 from fmuid.workbench.jobs import Job, Jobs, command_text
 from fmuid.workbench.pages.running import Run
-from fmuid.workbench.shell import LINE, SHEET, argument, arguments, dress, words
+from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, arguments, dress, words
 
 
 def build(doc: Any, bench: Any) -> None:
@@ -41,8 +42,9 @@ def build(doc: Any, bench: Any) -> None:
     if not places:
         raise InputError("choose results on the first page")
     title, parts = contents(places[0]) if len(places) == 1 else _compared(folder, places)
+    parts, zoomed = _zoomed(doc, parts)
     body, drawings = written_parts(parts)
-    shown = [(body, "")]
+    shown = list(zip(body.split(PLACE), [*zoomed, ""], strict=True))
     if len(places) == 1 and is_file(places[0] / "result.json"):
         doc.add_root(Predicting(doc, folder, bench.jobs, places[0]).layout)
         shown += [("<section><h3>Predict another record</h3>", "predict"), ("</section>", "")]
@@ -52,11 +54,32 @@ def build(doc: Any, bench: Any) -> None:
     if len(places) == 1 and is_file(places[0] / "report.html"):
         link = file_address(folder, places[0] / "report.html")
         shown.insert(0, (f'<p><a href="{link}">The same as a page to be mailed</a></p>', ""))
-    # as in a report: models of a server would take it seconds, in which it answers nobody
+    # the others as in a report: models of a server would take it seconds, in which it answers nobody
     colors = DARK if argument(doc, SCHEME) == "dark" else {}
     figures = json.dumps({"drawings": drawings, "colors": colors})  # in this order: what is referred to comes before
     doc.template_variables["figures"] = Markup(figures.replace("<", "\\u003c"))
     dress(doc, title, shown, "bokeh-widgets")
+
+
+def _zoomed(doc: Any, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:
+    """Have the document follow fits with more samples than can be seen; return parts with places for them, and names.
+
+    Such a figure is thinned anew for the stretch of time that is looked at.
+    """
+    names: list[str] = []
+
+    def placed(section: Section) -> Section:
+        if not section.fit or len(section.fit[0].times) <= min(MAX_ROWS, MAX_DOTS):
+            return section
+        figure = ZoomedFit(doc.add_next_tick_callback, *section.fit).figure
+        doc.add_root(column(in_scheme(figure, argument(doc, SCHEME)), name=section.name, **WIDE))
+        names.append(section.name)
+        return replace(section, figures=(), body=section.body + PLACE)
+
+    return [replace(part, sections=[placed(each) for each in part.sections]) for part in parts], names
+
+
+PLACE = "<!-- a figure that the document follows -->"
 
 
 def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:

@@ -74,7 +74,7 @@ class StudyPage:
         ]
         self.optimum: Result | None = None
         self.shown = np.full(len(self.rows), np.nan)  # the values whose simulation is shown
-        self._undone, self._due = [self._state()], False
+        self._undone = [self._state()]
         self._newest: Newest[Floats] = Newest(self._simulate)
         doc.on_session_destroyed(lambda _context: self._newest.close())
         self._make()
@@ -105,7 +105,7 @@ class StudyPage:
     def _drawing(self) -> LiveFit:
         nothing = np.full((len(self.simulator.experiment.times), len(self.simulator.output_names)), np.nan)
         record = fit_of(self.study.system, self.simulator.experiment, nothing)
-        return LiveFit(record, self._zoomed)
+        return LiveFit(record, self.doc.add_next_tick_callback)
 
     def _lay_out(self) -> None:
         buttons = row(self.undo, self.to_starts, self.to_optimum, sizing_mode="stretch_width")
@@ -203,16 +203,6 @@ class StudyPage:
             return
         self.live.draw(outputs)
         self.misfit.text = self._misfit(theta, seconds)
-
-    def _zoomed(self) -> None:
-        """Have another stretch of time drawn, once for both of its ends."""
-        if not self._due:
-            self._due = True
-            self.doc.add_next_tick_callback(self._redraw)
-
-    def _redraw(self) -> None:
-        self._due = False
-        self.live.draw(self.live.record.simulated)
 
     def _choose(self, number: int) -> None:
         self.simulator = self.simulators[number]
