@@ -173,7 +173,10 @@ class Findings(Plotted):
         content |= {"level": self.level, "experiments": self._experiments()}
         content |= self.origin or {}
         content |= {
-            "diagnostics": {"words": list(residual_words(self.diagnostics)), **self.diagnostics.to_json_dict()},
+            "diagnostics": {
+                "words": list(residual_words(self.diagnostics, self.output_units)),
+                **self.diagnostics.to_json_dict(),
+            },
             "consistency": {"words": list(reading_words(self.reading)), **self.reading.to_json_dict()},
         }
         if self.result.optima:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -228,6 +229,7 @@ def test_an_offset_is_named() -> None:
     problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"slow": Parameter(2.0)})
     found = examine_residuals(problem, identify(problem))
     assert any(line.startswith("The residual of y has the mean 0.4") for line in residual_words(found))
+    assert any(re.search(r"the mean 0\.4\d+ A, ", line) for line in residual_words(found, {"y": "A"}))
     assert only(found).mean_probability < 1e-10
 
 

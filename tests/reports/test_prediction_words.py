@@ -19,12 +19,12 @@ def prediction(ratio: float, **more: Any) -> Any:
         output="i", fit=93.5, rmse=0.2, unit="A", expected=expected, inside=0.94, samples=50, ratio=ratio
     )
     own = {"scores": [score], "undetermined": (), "estimated": None, "level": 0.95, "residuals": None}
-    return SimpleNamespace(fit=SimpleNamespace(experiment="run"), **own | more)
+    return SimpleNamespace(fit=SimpleNamespace(experiment="run", outputs=("i",), units=("A",)), **own | more)
 
 
 @pytest.fixture(autouse=True)
 def no_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.reports.words.prediction.residual_words", lambda _: ())
+    monkeypatch.setattr("fmuid.reports.words.prediction.residual_words", lambda *_: ())
 
 
 @pytest.mark.parametrize(

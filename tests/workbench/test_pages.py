@@ -99,14 +99,20 @@ def test_the_first_page_says_what_there_is(tmp_path: Path) -> None:
 
 
 def test_results_stand_side_by_side(tmp_path: Path) -> None:
-    for name, value in (("first", 4.0), ("second", 4.5)):
+    told: dict[str, dict[str, Any]] = {
+        "first": {"R": {"value": 4.0, "unit": "Ohm"}, "L": {"value": 2.0, "unit": "H"}, "k": {"value": 1.0}},
+        "second": {"R": {"value": 4.5}, "L": {"value": 2000.0, "unit": "mH"}},  # of an earlier version: R without
+    }
+    for name, parameters in told.items():
         (tmp_path / name).mkdir()
-        result(tmp_path / name, {"R": (value, 0.1), name: (1.0, 0.2)})
+        whole = {key: {"std": 0.1, "start": 1.0} | each for key, each in parameters.items()}
+        result(tmp_path / name, {key: (each["value"], 0.1) for key, each in parameters.items()}, parameters=whole)
     _, (part,) = _compared(Folder(tmp_path), [tmp_path / "first", tmp_path / "second"])
-    assert "4.00 ± 0.10" in part.table
-    assert "4.50 ± 0.10" in part.table
+    rows = [re.findall(r"<t[hd][^>]*>([^<]*)<", row) for row in part.table.split("<tr>")[2:]]
+    assert rows[0] == ["R (Ohm)", "4.00 ± 0.10", "4.50 ± 0.10"]
+    assert rows[1:] == [["L (H)", "2.00 ± 0.10", ""], ["k", "1.00 ± 0.10", ""], ["L (mH)", "", "2000.00 ± 0.10"]]
     assert "fmuid compare first second" in part.table
-    (of_r,) = part.sections[0].figures  # nothing stands beside what only one has
+    of_r, *_ = part.sections[0].figures  # nothing stands beside what only one has
     (drawn,) = {renderer.data_source for renderer in of_r.renderers}
     np.testing.assert_allclose(drawn.data["value"], [4.0, 4.5])
     np.testing.assert_allclose(drawn.data["upper"] - drawn.data["value"], 0.196, rtol=1e-3)

@@ -26,7 +26,8 @@ def prediction_words(found: Prediction) -> tuple[str, ...]:
     if found.estimated is not None and not found.estimated.converged:
         names = listed(found.estimated.names)
         said.append(f"Estimated again on this record, {names}: {ENDS[found.estimated.outcome]}")
-    return *said, *residual_words(found.residuals)
+    units = dict(zip(found.fit.outputs, found.fit.units, strict=True))
+    return *said, *residual_words(found.residuals, units)
 
 
 def _score_words(found: Prediction, score: OutputScore) -> str:

@@ -6,10 +6,11 @@ An error of the model that its parameters make up for leaves a residual in which
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from fmuid.assessment import LARGE_KURTOSIS, LEAST_STD_FACTOR, OUTLIER_STDS, RESIDUAL_LEVEL, Trait
-from fmuid.text import listed
+from fmuid.text import listed, unit_text
 
 if TYPE_CHECKING:
     from fmuid.assessment import Diagnostics, Finding, ResidualSeries
@@ -18,13 +19,13 @@ if TYPE_CHECKING:
 FAR_FROM_WHITE = 0.5
 
 
-def residual_words(found: Diagnostics) -> tuple[str, ...]:
-    """Return what is to be known of the residuals, in sentences; one at least."""
+def residual_words(found: Diagnostics, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
+    """Return what is to be known of the residuals, in sentences, one at least; with the units of the outputs."""
     large = [each for each in found.findings if each.large]
     coloured = [each for each in large if each.trait is Trait.COLOURED]
-    said = [_large(found, each) for each in coloured]
+    said = [_large(found, each, units or {}) for each in coloured]
     said += _widening(found, coloured=bool(coloured))
-    said += [_large(found, each) for each in large if each.trait is not Trait.COLOURED]
+    said += [_large(found, each, units or {}) for each in large if each.trait is not Trait.COLOURED]
     said += _off_grid(found)
     said += _returning(found)
     quiet = not said
@@ -36,7 +37,7 @@ def _name(found: Diagnostics, series: ResidualSeries) -> str:
     return f"{series.output} in {series.experiment}" if several else series.output
 
 
-def _large(found: Diagnostics, finding: Finding) -> str:
+def _large(found: Diagnostics, finding: Finding, units: Mapping[str, str | None]) -> str:
     """Return a sentence on what is large enough to be said by itself."""
     series, name = finding.series, _name(found, finding.series)
     if finding.trait is Trait.COLOURED:
@@ -47,9 +48,10 @@ def _large(found: Diagnostics, finding: Finding) -> str:
             "the model or the noise has dynamics of its own"
         )
     if finding.trait is Trait.OFFSET:
+        mean = f"{series.mean:.3g} {unit_text(units.get(series.output))}".rstrip()
         return (
-            f"The residual of {name} has the mean {series.mean:.3g}, {abs(series.mean) / series.std:.2g} of its "
-            "standard deviation: a sensor's offset, or something constant that the model lacks"
+            f"The residual of {name} has the mean {mean}, {abs(series.mean) / series.std:.2g} of its standard "
+            "deviation: a sensor's offset, or something constant that the model lacks"
         )
     if finding.input is not None:
         one = finding.input

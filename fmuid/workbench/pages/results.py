@@ -26,7 +26,7 @@ from fmuid.reports.interactive.style import DARK, MAX_DOTS, MAX_ROWS
 from fmuid.reports.page.document import Part, Section, table, written_parts
 from fmuid.reports.page.write import contents
 from fmuid.studies import read_toml
-from fmuid.text import with_std
+from fmuid.text import label, with_std
 from fmuid.workbench.access import SCHEME
 from fmuid.workbench.folder import TABLES, Folder, FoundResult, choices, tables
 from fmuid.workbench.home import address, escaped, file_address
@@ -85,10 +85,15 @@ PLACE = "<!-- a figure that the document follows -->"
 def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
     """Return the title and the part of a page that shows results side by side."""
     results = {folder.name(place): Result.from_json(place / "result.json") for place in places}
-    names = list(dict.fromkeys(name for each in results.values() for name in each.names))
+    units = {name: unit for each in results.values() for name, unit in each.units.items()}
+    labels = {  # of a result that says no unit as others have it; those in another unit are in another row
+        key: [label(name, each.units.get(name, units.get(name))) for name in each.names]
+        for key, each in results.items()
+    }
+    names = list(dict.fromkeys(name for each in labels.values() for name in each))
     columns = {"parameter": names}
     for key, result in results.items():
-        known = dict(zip(result.names, zip(result.values.tolist(), result.std.tolist(), strict=True), strict=True))
+        known = dict(zip(labels[key], zip(result.values.tolist(), result.std.tolist(), strict=True), strict=True))
         columns[key] = [_estimate(known.get(name)) for name in names]
     rows = pd.DataFrame([each for key, result in results.items() for each in estimate_rows(key, result)])
     sections = [Section("estimates", "Estimates and their 95 % intervals", "", comparison.estimates(rows), 2)]
