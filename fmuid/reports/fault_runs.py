@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from fmuid import files
-from fmuid.data import record_files
+from fmuid.data import Experiment, record_files
 from fmuid.diagnosis import Diagnosis, Monitor
 from fmuid.errors import InputError
 from fmuid.progress import Event, Progress
@@ -20,10 +20,10 @@ from fmuid.reports.origin import made_from
 from fmuid.reports.page.contents import read_json, read_table
 from fmuid.reports.page.faults import MONITORED_FILE, PREPARED_FILE
 from fmuid.reports.page.write import show_results
-from fmuid.reports.preparations import Prepared, prepared, prepared_each
+from fmuid.reports.preparations import prepared, prepared_table, said_of, thinned_again, words_of, write_prepared
 from fmuid.reports.words.diagnosis import verdict
 from fmuid.reports.words.monitoring import monitoring_sentences
-from fmuid.studies import Study, monitor_of, records_of, rule_of
+from fmuid.studies import ExperimentSettings, Study, monitor_of, records_of, rule_of
 
 RESIDUALS_FILE = "diagnosis-residuals.csv"
 """Residuals of the first experiment, of the healthy model and with the fault."""
@@ -167,30 +167,76 @@ def run_monitoring(
     study, target = _prepared(study, folder, figures is not None or report or append)
     monitor = monitor_of(study, rule_of(study))
     paths, written = [Path(table) for table in tables], list[Path]()
-    earlier, done = dict[str, Any](), list[Prepared]()
+    earlier, kept = dict[str, Any](), None
     if target is not None:
         if append:
             monitor.resume(target)
             earlier = read_json(target / "monitoring.json")
         files.make_folder(target)
+        kept = MonitoredTables(target, study.experiments[0], append=append)
     try:
-        for record in records_of(study, paths, monitor.records):
+        for record, raw in records_of(study, paths, monitor.records):
             monitor.add(record, progress)
-            if target is not None and len(done) < MAX_EXPERIMENTS:
-                given = study.experiments[0].model_copy(update={"name": record.name, "table": Path(record.source)})
-                done += prepared_each([(given, record)])
+            if kept is not None:
+                kept.add(record, raw)
     finally:  # what was found before a record that is wrong is kept, and can be appended to
-        if target is not None and monitor.records:
+        if target is not None and kept is not None and monitor.records:
             examined = (path for path in record_files(paths) if path.stem in monitor.records)
             told = made_from(study, examined)
             told["files"] = earlier.get("files", {}) | told["files"]
-            told["experiments"] = [*earlier.get("experiments", []), *_said(done)]
-            written += _write_prepared(target / MONITORED_FILE, done, append=append)
+            told["experiments"] = kept.said
+            written += kept.write()
             written += monitor.write(target, told | {"words": monitoring_sentences(monitor)})
     found = MonitoringFindings(monitor, tuple(written))
     _tell(progress, found)
     there = [] if target is None or not written else show_results(target, report=report, figures=figures)
     return replace(found, files=(*found.files, *there))
+
+
+class MonitoredTables:
+    """What was done with the tables of the first records that are monitored, kept beside what is found in them.
+
+    Parameters
+    ----------
+    folder : Path
+    given : ExperimentSettings
+        How records are read.
+    append : bool
+        Whether to go on with what the folder has.
+
+    Attributes
+    ----------
+    said : list of dict
+        What ``monitoring.json`` says of them.
+    """
+
+    def __init__(self, folder: Path, given: ExperimentSettings, *, append: bool) -> None:
+        self.path, self.given, self._new = folder / MONITORED_FILE, given, not append
+        earlier = read_json(folder / "monitoring.json") if append and files.is_file(folder / "monitoring.json") else {}
+        self.said: list[dict[str, Any]] = list(earlier.get("experiments", []))
+        table = read_table(self.path) if self.said and files.is_file(self.path) else pd.DataFrame()
+        self._tables = {each["name"]: table[table["experiment"] == each["name"]] for each in self.said if len(table)}
+
+    def add(self, record: Experiment, raw: pd.DataFrame) -> None:
+        """Note what was done with a table, or with what is new of one that grows."""
+        known = any(each["name"] == record.name for each in self.said)
+        if not words_of(self.given) or not (known or len(self.said) < MAX_EXPERIMENTS):
+            return
+        done = prepared_table(self.given.model_copy(update={"name": record.name}), record, raw)
+        if not known:
+            self.said += said_of([done])
+        before = self._tables.get(record.name, pd.DataFrame())
+        new = done.table[done.table["time"] > before["time"].max()] if len(before) and len(done.table) else done.table
+        if len(new):
+            whole, self._new = pd.concat([before, new], ignore_index=True), True
+            self._tables[record.name] = thinned_again(whole)
+
+    def write(self) -> list[Path]:
+        """Write the columns before and after, where there are new ones; return the file that there is."""
+        if self._new:
+            self._new = False
+            return write_prepared(self.path, list(self._tables.values()))
+        return [self.path] if self._tables else []
 
 
 def _prepared(study: Study | str | Path, folder: str | Path | None, needed: bool) -> tuple[Study, Path | None]:
@@ -209,10 +255,10 @@ def _written(folder: Path, study: Study, found: Diagnosis) -> list[Path]:
     """Write a diagnosis and, where it has them, the residuals without and with the fault that explains most."""
     done = prepared(study)
     content = {"verdict": verdict(found), **found.to_json_dict(), **made_from(study)}
-    content |= {"units": _units(study), "experiments": _said(done)}
+    content |= {"units": _units(study), "experiments": said_of(done)}
     written = [files.write_json(folder / "diagnosis.json", content)]
     written.append(files.write_table(folder / "diagnosis.csv", found.table))
-    written += _write_prepared(folder / PREPARED_FILE, done)
+    written += write_prepared(folder / PREPARED_FILE, (each.table for each in done))
     path = folder / RESIDUALS_FILE
     best = found[found.named[0]] if found.named else min(found.hypotheses, key=lambda each: each.probability)
     if found.result is None or best.result is None:
@@ -223,19 +269,6 @@ def _written(folder: Path, study: Study, found: Diagnosis) -> list[Path]:
         for output, unlike in zip(study.tables[0].output_names, residuals_of(frame), strict=True):
             columns[f"{kind}.{output}"] = unlike
     return [*written, files.write_table(path, pd.DataFrame(columns))]
-
-
-def _said(done: Sequence[Prepared]) -> list[dict[str, Any]]:
-    """Return what a JSON file says of what was done with tables."""
-    return [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in done]
-
-
-def _write_prepared(path: Path, done: Sequence[Prepared], *, append: bool = False) -> list[Path]:
-    """Write the columns of tables before and after, to those of earlier ones where they are to be added."""
-    tables = [read_table(path)] if append and files.is_file(path) else []
-    tables += [each.table for each in done if len(each.table)]
-    path.unlink(missing_ok=True)
-    return [files.write_table(path, pd.concat(tables, ignore_index=True))] if tables else []
 
 
 def residuals_of(frame: pd.DataFrame) -> list[pd.Series[float]]:

@@ -17,7 +17,7 @@ from fmuid import files
 from fmuid.diagnosis import STATE_FILE, Monitor
 from fmuid.errors import InputError, SimulationError
 from fmuid.reports.alarm_lines import AlarmLines
-from fmuid.reports.fault_runs import MonitoringFindings
+from fmuid.reports.fault_runs import MonitoredTables, MonitoringFindings
 from fmuid.reports.origin import made_from, made_now
 from fmuid.reports.page.write import show_results
 from fmuid.reports.words.monitoring import gap_words, monitoring_sentences
@@ -113,6 +113,7 @@ class _Running:
                 f"{folder} is of a run with another study or other models ({study.path} has changed since): "
                 "use the same, or another output folder"
             )
+        self.tables = MonitoredTables(folder, study.experiments[0], append=bool(beside))
         followed = beside.get("followed")
         self.follower = Follower(study.experiments[0], place, rule.window, rule.transient, followed)
         self.alarms = AlarmLines(**beside.get("alarms", {"study": study.title}))
@@ -157,6 +158,7 @@ class _Running:
         else:
             try:
                 self.monitor.add(piece.record, grows=piece.grows)
+                self.tables.add(piece.record, piece.raw)
                 self.follower.taken(piece, self.monitor.needed)
             except (InputError, SimulationError) as error:
                 self.follower.refused(piece)
@@ -184,8 +186,9 @@ class _Running:
             "alarms": asdict(self.alarms),
             "waiting": self.waiting,
         }
-        also = self.origin | made_now() | {"words": monitoring_sentences(self.monitor)}
-        self.written = [path.name for path in self.monitor.write(self.folder, also, lines, beside)]
+        also = self.origin | made_now() | {"words": monitoring_sentences(self.monitor), "experiments": self.tables.said}
+        prepared = self.tables.write()
+        self.written = [path.name for path in (*prepared, *self.monitor.write(self.folder, also, lines, beside))]
         self.changed = False
 
     def tell(self) -> None:

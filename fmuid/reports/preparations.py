@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pandas as pd
 
 from fmuid.arrays import Floats
 from fmuid.data import UNITS, column_of, numeric_column, time_name
+from fmuid.files import write_table
 from fmuid.reports.interactive.style import MAX_ROWS
 from fmuid.reports.thinning import extremes
 
@@ -52,24 +54,49 @@ def prepared(study: Study) -> tuple[Prepared, ...]:
     InputError
         If a table cannot be read.
     """
-    return prepared_each(zip(study.experiments, study.tables, strict=True))
-
-
-def prepared_each(experiments: Iterable[tuple[ExperimentSettings, Experiment]]) -> tuple[Prepared, ...]:
-    """Return what was done with the table of each experiment, as `prepared` does."""
     found: list[Prepared] = []
     read: tuple[list[Any], pd.DataFrame] | None = None
-    for given, experiment in experiments:
-        words = given.prepare.model_dump(exclude_defaults=True, by_alias=True)
-        if not words:
+    for given, experiment in zip(study.experiments, study.tables, strict=True):
+        if not words_of(given):
             continue
         key = [getattr(given, name) for name in _READ_BY]
         if read is None or read[0] != key:  # pieces of a record follow each other
             read = None  # two records at once may be more than there is room for
             read = key, given.read_frame(given.table)
-        units = dict(experiment.frame.attrs.get(UNITS, {}))
-        found.append(Prepared(given.name, words, units, prepared_columns(given, experiment, read[1])))
+        found.append(prepared_table(given, experiment, read[1]))
     return tuple(found)
+
+
+def said_of(done: Iterable[Prepared]) -> list[dict[str, Any]]:
+    """Return what a JSON file says of what was done with tables."""
+    return [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in done]
+
+
+def write_prepared(path: Path, tables: Iterable[pd.DataFrame]) -> list[Path]:
+    """Write the columns of tables before and after; one of an earlier run goes."""
+    some = [each for each in tables if len(each)]
+    path.unlink(missing_ok=True)
+    return [write_table(path, pd.concat(some, ignore_index=True))] if some else []
+
+
+def words_of(given: ExperimentSettings) -> dict[str, Any]:
+    """Return the words of ``[experiments.prepare]`` that are not its defaults."""
+    return given.prepare.model_dump(exclude_defaults=True, by_alias=True)
+
+
+def prepared_table(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame) -> Prepared:
+    """Return what was done with a table, as it was read, for an experiment."""
+    units = dict(experiment.frame.attrs.get(UNITS, {}))
+    return Prepared(given.name, words_of(given), units, prepared_columns(given, experiment, raw))
+
+
+def thinned_again(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the columns of a record that grows, each as thin as it may be drawn."""
+    parts = []
+    for _, rows in table.groupby(["column", "stage"], sort=False):
+        much = len(rows) > 2 * MAX_ROWS
+        parts.append(rows.iloc[extremes(rows[["value"]].to_numpy(np.float64), MAX_ROWS)] if much else rows)
+    return pd.concat(parts, ignore_index=True)
 
 
 def prepared_columns(

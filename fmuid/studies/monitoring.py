@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import pandas as pd
+
 from fmuid.data import Experiment, record_files
 from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Baseline, Design, HealthyEvidence, Monitor, Rule, show
 from fmuid.errors import InputError
@@ -99,8 +101,12 @@ def shown_by(study: Study) -> Callable[[Result], HealthyEvidence] | None:
     return shown
 
 
-def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -> Iterator[Experiment]:
-    """Read records one after the other, with the words of the study's first experiment.
+def records_of(
+    study: Study, paths: Sequence[Path], known: Sequence[str] = ()
+) -> Iterator[tuple[Experiment, pd.DataFrame]]:
+    """Read records one after the other, each with its table as it was before it was prepared.
+
+    They are read with the words of the study's first experiment.
 
     Parameters
     ----------
@@ -120,10 +126,11 @@ def records_of(study: Study, paths: Sequence[Path], known: Sequence[str] = ()) -
         if path.stem in known:
             continue
         try:
-            record = given.model_copy(update={"name": path.stem}).read_experiment(path)
+            raw = given.read_frame(path)
+            record = given.model_copy(update={"name": path.stem}).experiment(raw, str(path))
         except InputError as error:
             raise InputError(f"{error} (inputs and outputs are those of {study.path})") from None
-        yield record
+        yield record, raw
 
 
 def _healthy(study: Study) -> Baseline:

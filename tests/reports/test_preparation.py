@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import fmuid
+from fmuid.reports import run_following
+from fmuid.reports.fault_runs import MonitoredTables
+from fmuid.reports.interactive.style import MAX_ROWS
 from fmuid.reports.page.contents import Identification
 from fmuid.reports.page.faults import part_of_diagnosis, part_of_monitoring
 from fmuid.reports.page.preparation import preparation_words, sections
 from fmuid.reports.preparations import prepared
 from fmuid.reports.run import run_study
 from fmuid.studies import ExperimentSettings, Study
+from fmuid.studies.following import follower
 from tests.support.coil_study import COIL, coil_table
 from tests.support.live_figures import preparation
 
@@ -128,7 +134,9 @@ def test_the_report_draws_it_and_says_what_was_done(study: Study, tmp_path: Path
     assert 'id="preparation-2"' in page
 
 
-def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(tmp_path: Path) -> None:
+def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
     run_study(Study.of(coil.study, tmp_path / "coil.toml"), tmp_path / "healthy")
     faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
@@ -147,6 +155,56 @@ def test_the_pages_of_a_diagnosis_and_of_a_monitoring_draw_it_too(tmp_path: Path
     drawn = {each.name: each for each in part_of_monitoring(tmp_path / "out").sections}
     assert drawn["monitored"].caption.startswith("The table was cut from 0.1 s.")
     assert drawn["monitored-2"].heading.endswith("second")
+    monkeypatch.setattr(follower, "SETTLED", 0.0)
+    read, original = list[Path](), ExperimentSettings.read_frame
+
+    def read_frame(given: ExperimentSettings, path: Path, *more: Any) -> pd.DataFrame:
+        read.append(path)
+        return original(given, path, *more)
+
+    monkeypatch.setattr(ExperimentSettings, "read_frame", read_frame)
+    (tmp_path / "records").mkdir()
+    for name in ("faulty-coil", "second"):  # in two runs, the later of which goes on
+        shutil.copy(test.path, tmp_path / "records" / f"{name}.csv")
+        run_following(study, tmp_path / "records", tmp_path / "follow", until=lambda watching: watching.idle)
+    assert [path.stem for path in read if path.parent.name == "records"] == ["faulty-coil", "second"]  # each once
+    drawn = {each.name: each for each in part_of_monitoring(tmp_path / "follow").sections}
+    assert drawn["monitored"].caption.startswith("The table was cut from 0.1 s.")
+    assert drawn["monitored-2"].heading.endswith("second")
+    once, followed = (pd.read_csv(tmp_path / name / "monitoring-preparation.csv") for name in ("out", "follow"))
+    pd.testing.assert_frame_equal(once.drop(columns="experiment"), followed.drop(columns="experiment"))
+
+
+def test_a_record_that_grows_is_drawn_once_and_thin(tmp_path: Path) -> None:
+    coil = fmuid.datasets.coil().study
+    words = coil | {"experiments": [{**coil["experiments"][0], "prepare": {"columns": {"v": "2 * u"}}}]}
+    (given,) = Study.of(words, tmp_path / "coil.toml").experiments
+    times = 1e-3 * np.arange(30_000)
+    raw = pd.DataFrame({"time": times, "u": np.sin(times), "i": np.cos(times)})
+
+    def begun(*, append: bool) -> MonitoredTables:
+        return MonitoredTables(tmp_path, given, append=append)
+
+    def add(kept: MonitoredTables, first: int, end: int) -> pd.DataFrame:
+        piece = raw.iloc[first:end].reset_index(drop=True)
+        kept.add(given.model_copy(update={"name": "log"}).experiment(piece, "log.csv"), piece)
+        (path,) = kept.write()
+        (tmp_path / "monitoring.json").write_text(json.dumps({"experiments": kept.said}))
+        return pd.read_csv(path)
+
+    kept = begun(append=False)
+    add(kept, 0, 500)
+    add(kept, 400, 1000)  # its first rows were there before
+    table = add(begun(append=True), 900, 2000)
+    assert [each["name"] for each in kept.said] == ["log"]
+    np.testing.assert_allclose(table["time"], times[:2000])
+    np.testing.assert_allclose(table["value"], 2 * np.sin(times[:2000]))
+    assert set(table["column"] + table["stage"]) == {"vafter"}
+    table = add(begun(append=True), 1900, 30_000)
+    assert len(table) <= 2 * MAX_ROWS
+    np.testing.assert_allclose(table["time"].iloc[[0, -1]], times[[0, -1]])
+    assert begun(append=False).write() == []
+    assert not (tmp_path / "monitoring-preparation.csv").exists()
 
 
 def test_the_figure_shows_before_in_grey_and_after(study: Study, raw: pd.DataFrame) -> None:

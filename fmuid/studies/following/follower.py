@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from fmuid.data import TEXT, Experiment, missing_rows, numeric_column, tables_in, time_name
 from fmuid.errors import InputError
@@ -38,11 +39,14 @@ class Piece:
     Attributes
     ----------
     record : Experiment
+    raw : DataFrame
+        Its table as it was before it was prepared.
     grows : bool
         Whether more of it may come.
     """
 
     record: Experiment
+    raw: pd.DataFrame
     grows: bool
     _file: Followed
     _rows: NewRows | None = None
@@ -169,14 +173,15 @@ class Follower:
         if not settled and path.suffix.lower() not in WHOLE_OR_NOT:
             return
         try:
-            record = self.words.model_copy(update={"name": each.record}).read_experiment(path)
+            raw = self.words.read_frame(path)
+            record = self.words.model_copy(update={"name": each.record}).experiment(raw, str(path))
         except InputError as error:
             if settled:
                 each.mark(path, path.stat().st_size)
                 each.done = True
                 yield from self._say(each, str(error))
             return
-        yield Piece(record, False, each)
+        yield Piece(record, raw, False, each)
 
     def _of_rows(self, path: Path, each: Followed, others: bool) -> Iterator[Piece | FileRemark]:
         """Yield the rows of a text that are new, and let its record end where another file waits."""
@@ -228,7 +233,7 @@ class Follower:
         frame = rows.frame.iloc[:count]
         frame.attrs = rows.frame.attrs
         record = self.words.model_copy(update=update).experiment(frame, str(path))
-        return Piece(record, not last, each, rows, int(rows.starts[count]), splits)
+        return Piece(record, frame, not last, each, rows, int(rows.starts[count]), splits)
 
     def _end(self, path: Path, each: Followed, at: int) -> None:
         """Let a record end at a byte, and another one begin there."""
