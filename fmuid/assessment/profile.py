@@ -306,7 +306,7 @@ class _Profiler:
         return max(wanted, LEAST_STEP_SHARE * self.magnitude)
 
     def _next_step(self, point: Point, last: float) -> float:
-        """Return the step that raises τ by its share, as its slope says, and not much longer than the last."""
+        """Return the step that raises τ by its share, as its slope says, and not much longer than the last one."""
         slope, level = self._slope(point), math.sqrt(self.threshold)
         usable = slope > 0 and self._root(point) > LEAST_ROOT_SHARE * level
         wanted = level / STEPS_PER_SIDE / slope if usable else math.inf

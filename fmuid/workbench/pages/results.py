@@ -34,6 +34,9 @@ from fmuid.workbench.jobs import Job, Jobs, command_text
 from fmuid.workbench.pages.running import Run
 from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, arguments, dress, words
 
+# Where a figure that the document follows stands in the text of a page.
+PLACE = "<!-- figure -->"
+
 
 def build(doc: Any, bench: Any) -> None:
     """Fill a document with the page of the folders that its address names."""
@@ -77,9 +80,6 @@ def _zoomed(doc: Any, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:
         return replace(section, figures=(), body=section.body + PLACE)
 
     return [replace(part, sections=[placed(each) for each in part.sections]) for part in parts], names
-
-
-PLACE = "<!-- a figure that the document follows -->"
 
 
 def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:

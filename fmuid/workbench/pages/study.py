@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 from urllib.parse import quote
 
 import numpy as np
@@ -31,9 +31,6 @@ from fmuid.workbench.pages.newest import Newest
 from fmuid.workbench.pages.sliders import ParameterRow, stacked
 from fmuid.workbench.shell import SHEET, WIDE, argument, arguments, button, dress, words
 
-if TYPE_CHECKING:
-    pass
-
 # Of so many states one can go back.
 MOST_UNDONE = 100
 # The argument of the page's address that names a parameter to hold.
@@ -51,8 +48,9 @@ def build(doc: Any, bench: Bench) -> None:
     """Fill a document with the page of the study that its address names."""
     path, given = bench.folder.path(argument(doc, "file")), arguments(doc, "set")
     page = StudyPage(doc, bench, path, Study.read(path, given, isolated=AVAILABLE), argument(doc, SCHEME), given)
+    held = arguments(doc, HOLD)
     for each in page.rows:
-        each.hold.active = each.name in arguments(doc, HOLD)
+        each.hold.active = each.name in held
 
 
 class StudyPage:
