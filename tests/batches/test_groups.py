@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import signal
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from distributed import KilledWorker
+from distributed.utils import LoopRunner, sync
 
 from fmuid.batches import cluster
 from fmuid.batches.cluster import GroupSizes
@@ -81,3 +84,28 @@ def test_a_group_whose_workers_die_is_taken_apart() -> None:
     found = [each for each in crew.run(None, np.arange(12), lambda _: {}) if each is not None]
     assert sorted(row["case"] for each in found for row in each.rows) == [case for case in range(12) if case != 5]
     assert [each.given_up for each in found if each.given_up] == [(5,)]
+
+
+def test_an_interrupt_before_the_loop_answers(caplog: pytest.LogCaptureFixture) -> None:
+    """Ctrl-C while Dask's loop is busy with something else leaves no log lines on the terminal."""
+    runner: Any = LoopRunner(asynchronous=False)
+    runner.start()
+
+    async def late() -> None:
+        raise AssertionError
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        with cluster._quiet():
+            runner.loop.add_callback(time.sleep, 0.2)
+            signal.setitimer(signal.ITIMER_REAL, 0.05)
+            with pytest.raises(KeyboardInterrupt):
+                sync(runner.loop, late)
+            time.sleep(0.3)  # the loop comes to it
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        runner.stop()
+    assert caplog.text == ""
