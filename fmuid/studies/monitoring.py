@@ -11,7 +11,6 @@ from fmuid.data import Experiment, record_files
 from fmuid.diagnosis import FALSE_ALARM_LEVEL, MISS_PROBABILITY, Baseline, Design, HealthyEvidence, Monitor, Rule, show
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.studies.diagnosis import FaultSearch
 from fmuid.studies.study import Study
 
 
@@ -24,7 +23,7 @@ def rule_of(study: Study) -> Rule:
         If the study has no ``[diagnosis]``, a record is to be cut and nothing says how long the transient is, or the
         rule is wrong.
     """
-    return study.monitoring.rule(study.experiments[0].discard, _settings(study).level)
+    return study.monitoring.rule(study.experiments[0].discard, study.fault_search.level)
 
 
 def monitor_of(study: Study, rule: Rule) -> Monitor:
@@ -35,7 +34,7 @@ def monitor_of(study: Study, rule: Rule) -> Monitor:
     InputError
         If the study has none, or models and healthy result do not fit together.
     """
-    settings = _settings(study)
+    settings = study.fault_search
     hypotheses = settings.hypotheses(study.system, study.model, study.data)
     try:
         return Monitor(
@@ -60,7 +59,7 @@ def design_of(
     InputError
         If the study has no such fault, or models and healthy result do not fit together.
     """
-    settings = _settings(study)
+    settings = study.fault_search
     if fault not in settings.faults:
         raise InputError(f"{settings.where} has no fault {fault!r}, only {', '.join(settings.faults)}")
     model = settings.faults[fault].fault(study.system, study.model)
@@ -136,13 +135,4 @@ def records_of(
 def _healthy(study: Study) -> Baseline:
     """Return the healthy machine of a study, with its records."""
     read = study.experiments[0].read_experiment
-    return _settings(study).baseline(study.model, study.parameters, study.noise, read)
-
-
-def _settings(study: Study) -> FaultSearch:
-    if study.diagnosis is None:
-        raise InputError(
-            f'{study.path} has no [diagnosis]: give it, with healthy = "healthy/result.json" and the fault '
-            "models as [diagnosis.faults.<name>]"
-        )
-    return study.diagnosis
+    return study.fault_search.baseline(study.model, study.parameters, study.noise, read)

@@ -201,11 +201,10 @@ class Study(Displayed):
         InputError
             If the tables of ``[batch]`` match no file.
         """
-        faults = self.diagnosis.faults.values() if self.diagnosis is not None else ()
-        models = [self.model, *(fault.model for fault in faults if fault.model is not None)]
+        faults, tables = ({}, ()) if self.diagnosis is None else (self.diagnosis.faults, self.diagnosis.tables)
+        models = [self.model, *(fault.model for fault in faults.values() if fault.model is not None)]
         found = [path for model in models for path, _ in model.components.values()]
-        found += [given.table for given in self.experiments] + [source.path for source in self._all_sources]
-        found += self.diagnosis.tables if self.diagnosis is not None else ()
+        found += [*(given.table for given in self.experiments), *(each.path for each in self._all_sources), *tables]
         return tuple(dict.fromkeys([*found, *(self.batch.records().values() if self.batch is not None else ())]))
 
     @property
@@ -253,8 +252,7 @@ class Study(Displayed):
         """
         if not self.parameters:
             raise InputError(
-                f"{self.path}: no parameters: name at least one to identify under [parameters], "
-                "such as R = { start = 4.0 }"
+                f"{self.path}: no parameters: name at least one under [parameters], such as R = {{ start = 4.0 }}"
             )
         _ = self.notes  # checks that the results which priors are taken from are of this model
         tables = self.tables if experiments is None else experiments
@@ -321,6 +319,14 @@ class Study(Displayed):
         """
         return identify(problem, self.estimator, progress, start, accuracy=self.accuracy, remedies=self.remedies)
 
+    @property
+    def fault_search(self) -> FaultSearch:
+        """What ``[diagnosis]`` says; `InputError` where there is none."""
+        if self.diagnosis is not None:
+            return self.diagnosis
+        remedy = 'give it, with healthy = "healthy/result.json" and the fault models as [diagnosis.faults.<name>]'
+        raise InputError(f"{self.path} has no [diagnosis]: {remedy}")
+
     def diagnose(self, progress: Progress | None = None) -> Diagnosis:
         """Look for the faults that ``[diagnosis]`` names.
 
@@ -336,19 +342,13 @@ class Study(Displayed):
         SimulationError
             If the simulation fails at the healthy estimate.
         """
-        settings = self.diagnosis
-        if settings is None:
-            raise InputError(
-                f'{self.path} has no [diagnosis]: give it, with healthy = "healthy/result.json" and the fault '
-                "models as [diagnosis.faults.<name>]"
-            )
         from fmuid.diagnosis import diagnose  # and all that decides
 
+        settings = self.fault_search
         hypotheses = settings.hypotheses(self.system, self.model, self.data)
         how = settings.how(self.estimator.marquardt, self.sensitivity, self.accuracy)
         try:
-            read = self.experiments[0].read_experiment
-            healthy = settings.baseline(self.model, self.parameters, self.noise, read)
+            healthy = settings.baseline(self.model, self.parameters, self.noise, self.experiments[0].read_experiment)
             return diagnose(self.tables, healthy, hypotheses, self.system, how, progress)
         except InputError as error:
             raise InputError(f"{settings.where}: {error}") from None
