@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import gc
+import os
 import signal
 import subprocess
 import sys
@@ -19,12 +21,14 @@ import pytest
 import fmuid
 from fmuid.arrays import Floats
 from fmuid.data.experiment import Experiment
-from fmuid.errors import SimulationError
+from fmuid.errors import FmuidError, SimulationError
 from fmuid.models.component import Isolation
 from fmuid.models.system import System
-from fmuid.processes import MEMORY_KEPT
+from fmuid.processes import MEMORY_KEPT, Child
 from fmuid.simulation.executor import executor_of
+from fmuid.simulation.isolation import fork_server
 from fmuid.simulation.isolation.channel import Channel, Look
+from fmuid.simulation.isolation.ends import KILLED, End
 from fmuid.simulation.isolation.fork_server import SERVER, ForkServer
 from fmuid.simulation.isolation.process import Host
 from fmuid.simulation.simulator import Simulator
@@ -263,3 +267,39 @@ def test_who_has_the_number_of_a_host_by_now_is_left_alone(how: str) -> None:
         finally:
             stranger.kill()
     host.kill()
+
+
+def test_a_server_that_ends_as_soon_as_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One sentence after some starts, not a loop."""
+    monkeypatch.setattr(fork_server, "MOST_STARTS", 2)
+    monkeypatch.setattr(fork_server, "Child", lambda _module, *words, **options: Child("keyword", *words, **options))
+    server = ForkServer()
+    with pytest.raises(FmuidError, match=r"isolation\.server, .* ends again and again .*: have FMUs run inside this"):
+        server.fork([], [])
+    assert server.status(1) is None
+
+
+def test_a_system_that_makes_no_more_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    answer = os.strerror(errno.EAGAIN)
+    monkeypatch.setattr(ForkServer, "_ask", lambda *_words, **_options: answer)
+    with pytest.raises(FmuidError, match=f"^no process can be made for the FMU: {answer}$"):
+        ForkServer().fork([], [])
+
+
+def test_a_host_that_never_begins(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def order(host: Host, *_words: object, **_options: object) -> None:
+        host.kill()
+        raise End(KILLED, signal.SIGKILL)
+
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
+    monkeypatch.setattr(Host, "order", order)
+    with pytest.raises(FmuidError, match=r"^the process that is to run .* ends again and again before it has begun$"):
+        simulator([2.0, 0.5, 0.0])
+
+
+def test_simulations_that_were_cancelled_are_not_taken_up(folder: Path) -> None:
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
+    executor: Any = executor_of(simulator.system)
+    executor.cancel()
+    with pytest.raises(FmuidError, match=r"^the simulations of .*\.fmu were cancelled$"):
+        executor._host()
