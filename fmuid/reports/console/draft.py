@@ -102,7 +102,7 @@ def asked_about(record: Record) -> Record:
             show_record(changed)
             record = changed
         except InputError as error:
-            show_remarks([str(error).removeprefix("--map ")])
+            show_remarks([str(error)])
     return record
 
 

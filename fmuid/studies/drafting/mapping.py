@@ -142,12 +142,12 @@ def of_tables(description: Description, causality: str) -> list[str]:
 def _check_given(variable: str, column: str, variables: Sequence[str], columns: Sequence[str]) -> None:
     if variable not in variables:
         raise InputError(
-            f"--map {variable}={column}: the FMU has no input or output {variable!r}{nearest(variable, variables)}: "
-            "write --map variable=column"
+            f"mapping {variable}={column}: the FMU has no input or output {variable!r}{nearest(variable, variables)}: "
+            "write variable=column"
         )
     if column and column not in columns:
         near = nearest(column, columns) or f"; it has {', '.join(columns[:12])}{', …' if len(columns) > 12 else ''}"
-        raise InputError(f"--map {variable}={column}: the table has no column {column!r}{near}")
+        raise InputError(f"mapping {variable}={column}: the table has no column {column!r}{near}")
 
 
 Step = Callable[["Variable", str, str], bool]
