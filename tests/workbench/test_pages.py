@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 from bokeh.events import ButtonClick
-from bokeh.models import ColumnDataSource, FileInput, Range1d
+from bokeh.models import Button, ColumnDataSource, FileInput, Range1d
 
 import fmuid
 from fmuid.batches import Cases
@@ -29,12 +29,13 @@ from fmuid.reports.page.document import Part, written_parts
 from fmuid.reports.page.fits import fit_sections
 from fmuid.reports.page.write import contents
 from fmuid.simulation import Fit
-from fmuid.studies import Study, read_toml
+from fmuid.studies import Study, origin_of, read_toml
 from fmuid.workbench import Folder
 from fmuid.workbench.folder import FoundResult, FoundStudy
 from fmuid.workbench.home import _results, _studies
 from fmuid.workbench.jobs import Jobs
 from fmuid.workbench.pages.batch import BatchPage, case_settings
+from fmuid.workbench.pages.remedies import Remedied
 from fmuid.workbench.pages.results import PLACE, Predicting, Writing, _compared, _zoomed, build
 from tests.support.begun_batch import batch
 from tests.support.coil_study import COIL, STUDY, coil_table
@@ -64,6 +65,17 @@ def test_commands_tell_their_events(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert repr(tuple(map(of_line, told))) == repr(EVENTS_SEEN)
     with pytest.raises(ValueError, match="no event"):
         of_line("{}")
+
+
+def bench_of(path: Path) -> Any:
+    return SimpleNamespace(folder=Folder(path), jobs=Jobs())
+
+
+def asked_for(*files: str) -> Any:
+    doc: Any = Document()
+    request = SimpleNamespace(arguments={"file": [name.encode() for name in files]})
+    doc._session_context = lambda: SimpleNamespace(request=request)
+    return doc
 
 
 def test_the_first_page_says_what_there_is(tmp_path: Path) -> None:
@@ -112,10 +124,42 @@ def test_results_stand_side_by_side(tmp_path: Path) -> None:
     assert rows[0] == ["R (Ohm)", "4.00 ± 0.10", "4.50 ± 0.10"]
     assert rows[1:] == [["L (H)", "2.00 ± 0.10", ""], ["k", "1.00 ± 0.10", ""], ["L (mH)", "", "2000.00 ± 0.10"]]
     assert "fmuid compare first second" in part.table
-    of_r, *_ = part.sections[0].figures  # nothing stands beside what only one has
+    (of_r,) = part.sections[0].figures  # nothing stands beside what only one has, nor beside another unit
     (drawn,) = {renderer.data_source for renderer in of_r.renderers}
     np.testing.assert_allclose(drawn.data["value"], [4.0, 4.5])
     np.testing.assert_allclose(drawn.data["upper"] - drawn.data["value"], 0.196, rtol=1e-3)
+
+
+def test_from_results_to_what_would_help(tmp_path: Path) -> None:
+    """A link leads to the study as it was for the result: started elsewhere, held, with a prior, at another table."""
+    for k, name in enumerate(("first.csv", "other.csv")):
+        coil_table(tmp_path / name, 0.0, seed=k)
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY.replace("[parameters]", "[parameters]\nk = { start = 2.0 }\n"))
+    given = ["experiments.0.table=other.csv", "parameters.R.start=7.5", "parameters.k=3", "title=A b"]
+    given += ["parameters.L.prior={ mean = 0.1, std = 1e-3 }"]
+    run = Study.read(path, given)
+    for name, std in (("open", None), ("known", 0.1)):
+        (tmp_path / name).mkdir()
+        result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, std)}, study=origin_of(run, tmp_path / name))
+    doc = asked_for("open")
+    build(doc, bench_of(tmp_path))
+    text = "".join(each for each, _ in doc.template_variables["pieces"])
+    hold, prior = (html.unescape(each) for each in re.findall('class=go href="([^"]*)"', text))
+    for link, act in ((hold, "hold"), (prior, "prior")):
+        asked = parse_qs(urlsplit(link).query)
+        assert asked["file"] == ["study.toml"]
+        assert asked[act] == ["L"]
+        assert Study.read(path, asked["set"]).data == run.data
+    designing = next(each for each in doc.roots if each.name == "designing")
+    assert "compare excitations" in {each.name for each in designing.select({"type": Button})}
+    build(doc := asked_for("known"), bench_of(tmp_path))
+    assert "designing" not in {each.name for each in doc.roots}
+    _, (part,) = _compared(Folder(tmp_path), [tmp_path / "open", tmp_path / "known"])
+    assert part.table.count("Hold L") == 1
+    assert 'href="/results?file=open#remedies"' in part.table
+    path.unlink()
+    assert Remedied(Folder(tmp_path), tmp_path / "open").names == []
 
 
 def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
@@ -124,10 +168,8 @@ def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, 0.01)})
     for asked in (names[:1], names):
-        doc: Any = Document()
-        request = SimpleNamespace(arguments={"file": [name.encode() for name in asked]})
-        doc._session_context = lambda request=request: SimpleNamespace(request=request)
-        build(doc, SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()))
+        doc = asked_for(*asked)
+        build(doc, bench_of(tmp_path))
         told = doc.template_variables
         assert [root for _, root in told["pieces"] if root] == [root.name for root in doc.roots]
         drawings = json.loads(told["figures"])["drawings"]
@@ -246,7 +288,7 @@ def test_a_result_is_passed_on_by_commands(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(STUDY)
     assert run_study(tmp_path / "study.toml", tmp_path / "results").succeeded
     doc: Any = Document()
-    page = Writing(doc, Folder(tmp_path), Jobs(), tmp_path / "results")
+    page = Writing(doc, bench_of(tmp_path), tmp_path / "results")
     assert page.fmus[page.fmu.value] == COIL.resolve()
     assert "fmuid report" in page.command.text
     assert "fmuid apply" in page.command.text
@@ -279,7 +321,7 @@ def dropped(name: str, content: bytes) -> FileInput:
 
 
 def test_what_is_to_be_predicted_is_looked_at_first(tmp_path: Path) -> None:
-    page = Predicting(Document(), Folder(tmp_path), Jobs(), tmp_path)
+    page = Predicting(Document(), bench_of(tmp_path), tmp_path)
     for given, said in (
         (FileInput(filename="", value=""), "choose a table, or drop one"),
         (dropped("../../evil.exe", b"no"), "evil.exe is no table: give a file of the kinds"),
@@ -298,7 +340,7 @@ def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(STUDY)
     assert run_study(tmp_path / "study.toml", tmp_path / "results").succeeded
     doc: Any = Document()
-    page = Predicting(doc, Folder(tmp_path), Jobs(), tmp_path / "results")
+    page = Predicting(doc, bench_of(tmp_path), tmp_path / "results")
     assert page.chosen.options == ["", "first.csv", "second.csv"]
     page.dropped = dropped("../third.csv", (tmp_path / "second.csv").read_bytes())
     page.begin()

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
@@ -43,11 +45,12 @@ class Bench:
 class Page:
     """A page and what runs its callbacks."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, given: Sequence[str] = ()) -> None:
         self.doc: Any = Document()
         self.due: list[Any] = []  # in the order in which a server would call them
         self.doc.on_change(self._note)
-        self.page = StudyPage(self.doc, Bench(Folder(path.parent)), path, Study.read(path), "light")
+        study = Study.read(path, given)
+        self.page = StudyPage(self.doc, Bench(Folder(path.parent)), path, study, "light", given)
         self.rows = {each.name: each for each in self.page.rows}
         self.settle()
 
@@ -157,6 +160,28 @@ def test_the_command_says_what_the_page_shows(page: Page, path: Path) -> None:
     assert study.model.values["R"] == page.rows["R"].value
 
 
+def test_what_the_address_gave_is_said_once(path: Path) -> None:
+    given = ['parameters."R".start=7', "estimator.max_iterations=9"]
+    page = Page(path, given)
+    page.rows["R"].typed.value = "8"
+    assert page.page.words("identify")[2:] == ["--set", "parameters.R.start=8", "--set", given[1]]
+    asked = parse_qs(urlsplit(page.page.command.tags[0]).query)
+    assert asked["set"] == ["parameters.R.start=8", given[1]]
+
+
+def test_what_another_study_found_is_not_shown_as_this_ones(path: Path, tmp_path: Path) -> None:
+    for name in ("first.csv", "study.toml"):
+        (tmp_path / name).write_bytes((path.parent / name).read_bytes())
+    (tmp_path / "other.toml").write_text(path.read_text())
+    (tmp_path / "results").mkdir()
+    result(tmp_path / "results", {"R": (4.0, 0.1), "L": (0.1, None)}, study={"file": "../other.toml"})
+    for name, own in (("study.toml", False), ("other.toml", True)):
+        page = Page(tmp_path / name).page
+        assert (page.optimum is not None) == own
+        assert ("is of another study" in page.identifying.text.text) != own
+        assert bool(page.identifying.remedies.layout.children) == own
+
+
 def test_what_is_asked_for_besides_is_what_a_study_says(page: Page, path: Path) -> None:
     identifying = page.page.identifying
     identifying.how.value, identifying.starts.value = "whole bounds, many starts", 7
@@ -196,8 +221,8 @@ def test_from_not_determined_to_the_remedy(page: Page, path: Path, tmp_path: Pat
     page.rows["L"].std.value = "none"
     assert page.page.words("identify")[2:] == []
     page.rows["L"]._take_prior()
-    remedies.compare()
-    assert "choose tables" in remedies.run.state.text
+    remedies.excitations.compare()
+    assert "choose tables" in remedies.excitations.run.state.text
     result(tmp_path, {"R": (4.0, 0.1), "L": (0.1, 0.1)})
     remedies.tell(tmp_path)
     assert remedies.layout.children == []

@@ -57,20 +57,22 @@ def bars(names: list[str], values: Floats, text: str) -> Any:
 
 
 def estimates(table: pd.DataFrame) -> list[Any]:
-    """Draw the estimates that several results have of a parameter, with their intervals.
+    """Draw the estimates that several results have of a parameter in the same unit, with their intervals.
 
     Parameters
     ----------
     table : DataFrame
-        ``result``, ``parameter``, ``unit``, ``value``, ``lower`` and ``upper``.
+        ``result``, ``parameter``, ``unit``, ``value``, ``lower`` and ``upper``; without a unit it is as the first one
+        that has one says.
     """
     plots = []
-    for name, rows in list(table.groupby("parameter", sort=False))[:MAX_PARAMETERS]:
+    known = table["unit"].fillna("").replace("", None)
+    units = known.fillna(known.groupby(table["parameter"]).transform("first")).fillna("")
+    for (name, unit), rows in list(table.groupby([table["parameter"], units], sort=False))[:MAX_PARAMETERS]:
         if len(rows) < 2:
             continue
         factors = [str(each) for each in rows["result"]]
-        text = label(str(name), rows["unit"].iloc[0])
-        plot, _ = rows_of(factors, text, head=90)
+        plot, _ = rows_of(factors, label(str(name), str(unit)), head=90)
         data = {key: rows[key].to_numpy(np.float64) for key in ("value", "lower", "upper")}
         data = {key: np.where(np.isfinite(each), each, np.nan) for key, each in data.items()}
         source = ColumnDataSource({"name": factors, **data})

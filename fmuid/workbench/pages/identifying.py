@@ -13,6 +13,7 @@ from bokeh.layouts import column
 from bokeh.models import ColumnDataSource, Select, Spinner
 
 from fmuid.errors import InputError
+from fmuid.files import is_file
 from fmuid.progress import Event, SearchStep
 from fmuid.reports.interactive.live import in_scheme
 from fmuid.reports.interactive.style import BLUE, MAX_PARAMETERS, RED, Panel
@@ -36,6 +37,7 @@ PROFILES, POSTERIOR = "profiles", "posterior"
 MAPS = 28
 """Pairs of parameters that are offered for a map, at most."""
 STARTS = 20
+OTHERS = " What <code>results</code> has is of another study of this folder, and is written over."
 UNCERTAIN = ("profiles", "maps", "posterior")
 """The sections of a report on more than standard deviations."""
 
@@ -150,8 +152,9 @@ class Identifying:
         """Show verdict, table, what would help and the figures of uncertainty of what is in the folder of results."""
         folder: Path = self.page.results
         where: Folder = self.page.bench.folder
-        if not (folder / "result.json").is_file():
-            self.text.text = "<p>There is no result yet: press Identify.</p>"
+        if not self.page.has_result(folder):
+            more = "" if not is_file(folder / "result.json") else OTHERS
+            self.text.text = f"<p>There is no result yet: press Identify.{more}</p>"
             return
         try:
             part = identification.part(folder)

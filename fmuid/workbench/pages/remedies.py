@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
+from urllib.parse import quote
 
 from bokeh.layouts import column, row
 
+from fmuid.errors import InputError
 from fmuid.estimation import Result
+from fmuid.files import is_file
+from fmuid.studies import read_toml, study_of
 from fmuid.text import of_parameter
-from fmuid.workbench.folder import beside, tables
+from fmuid.workbench.folder import Folder, beside, tables
 from fmuid.workbench.home import address, escaped
 from fmuid.workbench.jobs import Job
 from fmuid.workbench.pages.running import Run
@@ -38,6 +44,9 @@ class Page(Protocol):
     def results(self) -> Path:
         """Where the command writes."""
 
+    def has_result(self, folder: Path) -> bool:
+        """Whether a folder has a result of this study."""
+
     def words(self, command: str) -> list[str]:
         """Return the command."""
 
@@ -49,6 +58,51 @@ class Page(Protocol):
 
     def show_result(self, folder: Path, *, move: bool = False) -> None:
         """Show a result as the last optimum."""
+
+
+class Excitations:
+    """What compares excitations for a study, by ``fmuid design``, into the folder of a result.
+
+    Parameters
+    ----------
+    doc : Document
+    bench : Bench
+    study : Path
+    results : Path
+        The folder of the result.
+    settings : callable
+        Returns what ``--set`` has to say, each after the word itself.
+
+    Attributes
+    ----------
+    layout : Bokeh model
+    """
+
+    def __init__(self, doc: Any, bench: Any, study: Path, results: Path, settings: Callable[[], Sequence[str]]) -> None:
+        self.where, self.study, self.folder, self._settings = bench.folder, study, results / DESIGN, settings
+        self.run = Run(doc, bench.jobs, self.folder, {"Compare excitations": self.compare}, ended=self._end)
+        known = [self.where.name(path) for path in tables(self.where)]
+        self.tables = several("excitations, tables of inputs", known, "excitations")
+        self.compared = words("compared")
+        advice = words(
+            "advice",
+            "<p>Or measure what shows it: <code>fmuid design</code> compares excitations before they are measured.</p>",
+        )
+        self.layout = column(advice, self.tables, self.run.layout, self.compared, name="designing", **WIDE)
+
+    def compare(self) -> None:
+        """Begin ``fmuid design`` with the tables that are chosen."""
+        if not self.tables.value:
+            self.run.refuse("choose tables: what the inputs would be, such as of a faster or longer record")
+            return
+        given = [beside(path, self.study) for path in map(self.where.path, self.tables.value)]
+        output = beside(self.folder, self.study)
+        self.run.begin(self.study, ["design", self.study.name, *given, "--output", output, *self._settings()])
+
+    def _end(self, job: Job) -> None:
+        link = address("results", self.where, self.folder)
+        done = job.code == 0 and self.where.has(self.folder)
+        self.compared.text = f'<p><a href="{link}">The excitations compared</a></p>' if done else ""
 
 
 class Remedies:
@@ -65,37 +119,25 @@ class Remedies:
 
     def __init__(self, page: Page) -> None:
         self.page = page
-        self.folder = page.results / DESIGN
-        self.run = Run(page.doc, page.bench.jobs, self.folder, {"Compare excitations": self.compare}, ended=self._end)
-        known = [page.bench.folder.name(path) for path in tables(page.bench.folder)]
-        self.tables = several("excitations, tables of inputs", known, "excitations")
-        self.compared = words("compared")
+        self.excitations = Excitations(page.doc, page.bench, page.path, page.results, lambda: page.words("design")[2:])
         self.layout = column([], name="remedies", **WIDE)
 
     def tell(self, folder: Path) -> None:
         """Offer what helps for each parameter that the result in a folder does not determine."""
-        result = Result.from_json(folder / "result.json")
-        names = undetermined(result)
-        rows = [each for each in self.page.rows if any(of_parameter(name, each.name) for name in names)]
-        if not rows:
-            self.layout.children = []
-            return
+        names = undetermined(Result.from_json(folder / "result.json"), [each.name for each in self.page.rows])
         lines = []
-        for each in rows:
-            hold = button(f"Hold {each.name}", partial(self._hold, each.name))
-            prior = button(f"Give {each.name} a prior", partial(self._prior, each.name))
-            text = words("which", f"<p><b>{escaped(each.name)}</b> is not determined:</p>")
-            text.sizing_mode, text.width = "fixed", 190
-            lines.append(row(text, hold, prior, sizing_mode="stretch_width", stylesheets=[LINE]))
+        for name in names:
+            hold = button(f"Hold {name}", partial(self._hold, name))
+            prior = button(f"Give {name} a prior", partial(self._prior, name))
+            text = words("which", f"<p>{_which(name)}</p>")
+            lines.append(column(text, row(hold, prior, stylesheets=[LINE]), **WIDE))
         heading = words("remedy", "<h3>What would help</h3>")
-        advice = words(
-            "advice",
-            "<p>Or measure what shows it: <code>fmuid design</code> compares excitations before they are measured.</p>",
-        )
-        self.layout.children = [heading, *lines, advice, self.tables, self.run.layout, self.compared]
+        self.layout.children = [heading, *lines, self.excitations.layout] if names else []
 
     def _hold(self, name: str) -> None:
-        self._row(name).hold.active = True
+        row = self._row(name)
+        self.page.put({name: row.parameter.start}, note=False)  # the data say nothing against it, nor for its estimate
+        row.hold.active = True
 
     def _prior(self, name: str) -> None:
         self._row(name).give_prior()
@@ -103,26 +145,84 @@ class Remedies:
     def _row(self, name: str) -> Any:
         return next(each for each in self.page.rows if each.name == name)
 
-    def compare(self) -> None:
-        """Begin ``fmuid design`` with the tables that are chosen."""
-        where = self.page.bench.folder
-        if not self.tables.value:
-            self.run.refuse("choose tables: what the inputs would be, such as of a faster or longer record")
+
+def undetermined(result: Result, parameters: Sequence[str]) -> list[str]:
+    """Return the parameters of a study that a result does not determine, or hardly."""
+    names = {name for name, std in zip(result.names, result.std, strict=True) if not math.isfinite(std)}
+    names.update(name for each in (*result.undetermined, *result.weak) for name in each.names)
+    return [each for each in parameters if any(of_parameter(name, each) for name in names)]
+
+
+class Remedied:
+    """The study of a result that does not determine all parameters, where the folder has it.
+
+    Parameters
+    ----------
+    folder : Folder
+    place : Path
+        The folder of the result.
+
+    Attributes
+    ----------
+    names : list of str
+        The parameters; none where all are determined, or the study is not there any more.
+    study : Path
+    settings : list of str
+        What ``--set`` has to say for the study to be as it was for this result.
+    """
+
+    def __init__(self, folder: Folder, place: Path) -> None:
+        self.names, self.settings = list[str](), list[str]()
+        try:
+            study, result = study_of(place), Result.from_json(place / "result.json")
+            self.study, now = study.path, read_toml(study.path) if is_file(study.path) else {}
+        except InputError:
             return
-        design, study, *settings = self.page.words("design")
-        given = [beside(path, self.page.path) for path in map(where.path, self.tables.value)]
-        output = beside(self.folder, self.page.path)
-        self.run.begin(self.page.path, [design, study, *given, "--output", output, *settings])
+        if now and folder.has(self.study):
+            self.names = undetermined(result, list(study.parameters))
+            self.settings = list(_settings(now, study.data))
+            self._address = address("study", folder, self.study)
 
-    def _end(self, job: Job) -> None:
-        link = address("results", self.page.bench.folder, self.folder)
-        done = job.code == 0 and self.page.bench.folder.has(self.folder)
-        self.compared.text = f'<p><a href="{link}">The excitations compared</a></p>' if done else ""
+    def links(self) -> str:
+        """Return links to the study's page on which one of the parameters is held, or given a prior, as HTML."""
+        more = "".join(f"&set={quote(each, safe='')}" for each in self.settings)
+        acts = (("hold", "Hold {}"), ("prior", "Give {} a prior"))
+        return "".join(
+            f"<p>{_which(name)} "
+            + "".join(
+                f'<a class=go href="{escaped(f"{self._address}{more}&{act}={quote(name)}")}">'
+                f"{escaped(label.format(name))}</a>"
+                for act, label in acts
+            )
+            + "</p>"
+            for name in self.names
+        )
 
 
-def undetermined(result: Result) -> list[str]:
-    """Return the parameters of a result that the data do not determine, or hardly."""
-    open_ = [name for name, std in zip(result.names, result.std, strict=True) if not math.isfinite(std)]
-    return list(
-        dict.fromkeys([*open_, *(name for each in (*result.undetermined, *result.weak) for name in each.names)])
-    )
+def _which(name: str) -> str:
+    return f"<b>{escaped(name)}</b> is not determined:"
+
+
+def _settings(before: Any, after: Any, where: str = "") -> Iterator[str]:
+    """Yield what ``--set`` has to say for a study's content to become another one."""
+    if isinstance(before, dict) and isinstance(after, dict):
+        if not where:  # held, which moves it from the parameters to the values of the model
+            held = before.get("parameters", {}).keys() - after.get("parameters", {}).keys()
+            yield from (f'parameters."{name}"={after["model"]["values"][name]!r}' for name in sorted(held))
+        for key, value in after.items():
+            if before.get(key) != value:
+                yield from _settings(before.get(key), value, f'{where}."{key}"' if where else key)
+    elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        for k, (old, new) in enumerate(zip(before, after, strict=True)):
+            if old != new:
+                yield from _settings(old, new, f"{where}.{k}")
+    else:
+        yield f"{where}={_toml(after)}"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(key)} = {_toml(each)}" for key, each in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return repr(value) if isinstance(value, float) else json.dumps(value)

@@ -31,11 +31,14 @@ from fmuid.workbench.access import SCHEME
 from fmuid.workbench.folder import TABLES, Folder, FoundResult, choices, tables
 from fmuid.workbench.home import address, escaped, file_address
 from fmuid.workbench.jobs import Job, Jobs, command_text
+from fmuid.workbench.pages.remedies import Excitations, Remedied
 from fmuid.workbench.pages.running import Run
 from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, arguments, dress, words
 
 # Where a figure that the document follows stands in the text of a page.
 PLACE = "<!-- figure -->"
+# The section of what would help.
+REMEDIES = "remedies"
 
 
 def build(doc: Any, bench: Any) -> None:
@@ -48,12 +51,8 @@ def build(doc: Any, bench: Any) -> None:
     parts, zoomed = _zoomed(doc, parts)
     body, drawings = written_parts(parts)
     shown = list(zip(body.split(PLACE), [*zoomed, ""], strict=True))
-    if len(places) == 1 and is_file(places[0] / "result.json"):
-        doc.add_root(Predicting(doc, folder, bench.jobs, places[0]).layout)
-        shown += [("<section><h3>Predict another record</h3>", "predict"), ("</section>", "")]
     if len(places) == 1:
-        doc.add_root(Writing(doc, folder, bench.jobs, places[0]).layout)
-        shown += [("<section><h3>Pass it on</h3>", "writing"), ("</section>", "")]
+        shown += _acts(doc, bench, places[0])
     if len(places) == 1 and is_file(places[0] / "report.html"):
         link = file_address(folder, places[0] / "report.html")
         shown.insert(0, (f'<p><a href="{link}">The same as a page to be mailed</a></p>', ""))
@@ -62,6 +61,22 @@ def build(doc: Any, bench: Any) -> None:
     figures = json.dumps({"drawings": drawings, "colors": colors})  # in this order: what is referred to comes before
     doc.template_variables["figures"] = Markup(figures.replace("<", "\\u003c"))
     dress(doc, title, shown, "bokeh-widgets")
+
+
+def _acts(doc: Any, bench: Any, place: Path) -> list[tuple[str, str]]:
+    """Add to the document what can be done with a result, and return the pieces of the page that have it."""
+    found = list[tuple[str, Any]]()
+    if is_file(place / "result.json"):
+        open_ = Remedied(bench.folder, place)
+        if open_.names:
+            given = [word for each in open_.settings for word in ("--set", each)]
+            layout = Excitations(doc, bench, open_.study, place, lambda: given).layout
+            found.append((f"<section id={REMEDIES}><h3>What would help</h3>{open_.links()}", layout))
+        found.append(("<section><h3>Predict another record</h3>", Predicting(doc, bench, place).layout))
+    found.append(("<section><h3>Pass it on</h3>", Writing(doc, bench, place).layout))
+    for _, layout in found:
+        doc.add_root(layout)
+    return [piece for text, layout in found for piece in ((text, layout.name), ("</section>", ""))]
 
 
 def _zoomed(doc: Any, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:
@@ -100,7 +115,15 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
     part = Part("Side by side", f"{len(results)} results", True, [], table(columns, numbers=list(results)), sections)
     words = command_text(["compare", *results])
     note = f"<h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre>"
+    note += "".join(f"<h3>{escaped(folder.name(place))}</h3>{_onward(folder, place)}" for place in places)
     return "Results side by side", [replace(part, table=part.table + note)]
+
+
+def _onward(folder: Folder, place: Path) -> str:
+    """Return links from one of several results to its own page, and to what would help."""
+    link, open_ = address("results", folder, place), Remedied(folder, place)
+    more = f'<p><a class=go href="{link}#{REMEDIES}">Compare excitations</a></p>' if open_.names else ""
+    return f'<p><a class=go href="{link}">All figures</a></p>{open_.links()}{more}'
 
 
 def _estimate(known: tuple[float, float] | None) -> str:
@@ -109,14 +132,13 @@ def _estimate(known: tuple[float, float] | None) -> str:
     return with_std(*known) if math.isfinite(known[1]) else f"{known[0]:.6g}, not determined"
 
 
-class Predicting:
-    """What predicts a table that is chosen or dropped, by ``fmuid predict``.
+class Acting:
+    """What is done with a result by commands.
 
     Parameters
     ----------
     doc : Document
-    folder : Folder
-    jobs : Jobs
+    bench : Bench
     place : Path
         The folder of the result.
 
@@ -125,15 +147,27 @@ class Predicting:
     layout : Bokeh model
     """
 
-    def __init__(self, doc: Any, folder: Folder, jobs: Jobs, place: Path) -> None:
-        self.folder, self.place = folder, place
-        self.run = Run(doc, jobs, place / "prediction", {"Predict": self.begin}, ended=self._end)
-        known = [folder.name(path) for path in tables(folder)]
+    layout: Any
+
+    def __init__(self, doc: Any, bench: Any, place: Path) -> None:
+        self.folder: Folder = bench.folder
+        self.place, self.said = place, words("written")
+        self._make(doc, bench.jobs)
+
+    def _make(self, doc: Any, jobs: Jobs) -> None:
+        raise NotImplementedError
+
+
+class Predicting(Acting):
+    """What predicts a table that is chosen or dropped, by ``fmuid predict``."""
+
+    def _make(self, doc: Any, jobs: Jobs) -> None:
+        self.run = Run(doc, jobs, self.place / "prediction", {"Predict": self.begin}, ended=self._end)
+        known = [self.folder.name(path) for path in tables(self.folder)]
         self.chosen = Select(title="a table of the folder", options=["", *known], value="", name="table")
         self.dropped = FileInput(value="", filename="", title="or drop one here", accept=",".join(TABLES), name="drop")
         for each in (self.chosen, self.dropped):
             each.stylesheets = [SHEET]
-        self.said = words("predicted")
         inputs = row(self.chosen, self.dropped, sizing_mode="stretch_width", stylesheets=[LINE])
         self.layout = column(inputs, self.run.layout, self.said, name="predict", sizing_mode="stretch_width")
 
@@ -175,33 +209,19 @@ class Predicting:
         self.said.text = f'<p><a href="{link}">The prediction</a></p>' if job.code == 0 else ""
 
 
-class Writing:
-    """What writes the report of a result, by ``fmuid report``, and its values into an FMU, by ``fmuid apply``.
+class Writing(Acting):
+    """What writes the report of a result, by ``fmuid report``, and its values into an FMU, by ``fmuid apply``."""
 
-    Parameters
-    ----------
-    doc : Document
-    folder : Folder
-    jobs : Jobs
-    place : Path
-        The folder of the result.
-
-    Attributes
-    ----------
-    layout : Bokeh model
-    """
-
-    def __init__(self, doc: Any, folder: Folder, jobs: Jobs, place: Path) -> None:
-        self.folder, self.place = folder, place
+    def _make(self, doc: Any, jobs: Jobs) -> None:
         acts = {"Write the report": lambda: self.begin(self.reporting)}
-        self.fmus = _fmus(folder, place) if is_file(place / "result.json") else {}
+        self.fmus = _fmus(self.folder, self.place) if is_file(self.place / "result.json") else {}
         names = list(self.fmus)
         self.fmu = Select(title="FMU", options=names, value=names[0] if names else "", name="fmu", stylesheets=[SHEET])
         self.fmu.on_change("value", lambda _attr, _old, _new: self._tell())
-        self.command, self.said = words("commands"), words("written")
+        self.command = words("commands")
         if names:
             acts["Apply to the FMU"] = lambda: self.begin(self.applying)
-        self.run = Run(doc, jobs, place, acts, ended=self._end)
+        self.run = Run(doc, jobs, self.place, acts, ended=self._end)
         parts = [self.fmu, self.run.layout] if names else [self.run.layout]
         self.layout = column(*parts, self.said, self.command, name="writing", sizing_mode="stretch_width")
         self._tell()

@@ -15,8 +15,6 @@ from fmuid.workbench.home import escaped
 from fmuid.workbench.jobs import Job, Jobs, command_text
 from fmuid.workbench.shell import LINE, button, words
 
-INTERRUPTED = "error: interrupted"
-"""What a command prints that was cancelled before it had anything to save."""
 EVERY = 150
 """Milliseconds between two looks at a command that runs."""
 
@@ -130,13 +128,12 @@ class Run:
     def _tell_end(self, job: Job) -> None:
         printed = job.printed()
         error = next((line for line in reversed(printed.splitlines()) if line.startswith("error: ")), "")
-        if job.asked and error.strip() == INTERRUPTED:
-            self.state.text = f"<p role=status>Cancelled after {job.seconds:.1f} s; nothing was found yet.</p>"
-        elif error:
-            self.refuse(error.removeprefix("error: "))
+        error = error.removeprefix("error: ")
+        if error and not job.asked:
+            self.refuse(error)
         else:
             how = "Cancelled" if job.asked else "Done" if job.code == 0 else "Ended"
-            more = "; what it had found is saved" if job.asked else ""
+            more = f": {escaped(error)}" if error else "; what it had found is saved" if job.asked else ""
             self.state.text = f"<p role=status>{how} after {job.seconds:.1f} s{more}.</p>"
         log = f"<pre>{escaped(command_text(job.words))}\n{escaped(printed)}</pre>"
         self.state.text += f"<details><summary>What it printed</summary>{log}</details>"

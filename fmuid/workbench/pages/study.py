@@ -23,7 +23,7 @@ from fmuid.reports.interactive.live import LiveFit, in_scheme
 from fmuid.simulation import AVAILABLE, Simulator, fit_of, parameter_units
 from fmuid.studies import Study
 from fmuid.workbench.access import SCHEME
-from fmuid.workbench.folder import Folder
+from fmuid.workbench.folder import Folder, FoundResult
 from fmuid.workbench.home import address, escaped
 from fmuid.workbench.jobs import Jobs, command_text
 from fmuid.workbench.pages.identifying import Identifying
@@ -33,8 +33,8 @@ from fmuid.workbench.shell import SHEET, WIDE, argument, arguments, button, dres
 
 # Of so many states one can go back.
 MOST_UNDONE = 100
-# The argument of the page's address that names a parameter to hold.
-HOLD = "hold"
+# The arguments of the page's address that name a parameter to hold, and one that is to be given a prior.
+HOLD, PRIOR = "hold", "prior"
 
 
 class Bench(Protocol):
@@ -48,9 +48,11 @@ def build(doc: Any, bench: Bench) -> None:
     """Fill a document with the page of the study that its address names."""
     path, given = bench.folder.path(argument(doc, "file")), arguments(doc, "set")
     page = StudyPage(doc, bench, path, Study.read(path, given, isolated=AVAILABLE), argument(doc, SCHEME), given)
-    held = arguments(doc, HOLD)
+    held, doubted = arguments(doc, HOLD), arguments(doc, PRIOR)
     for each in page.rows:
         each.hold.active = each.name in held
+        if each.name in doubted:
+            each.give_prior()
 
 
 class StudyPage:
@@ -84,6 +86,11 @@ class StudyPage:
     def results(self) -> Path:
         """The folder that the command writes into."""
         return self.path.parent / "results"
+
+    def has_result(self, folder: Path) -> bool:
+        """Whether a folder has a result of this study, and not of another one that writes there too."""
+        path = folder / "result.json"
+        return is_file(path) and FoundResult.of(path).study in (None, self.path.resolve())
 
     # --- parts of the page
 
@@ -246,7 +253,7 @@ class StudyPage:
     def show_result(self, folder: Path, *, move: bool = False) -> None:
         """Show a result as the last optimum: its ghost, its intervals, how far one is away from it."""
         try:
-            self.optimum = Result.from_json(folder / "result.json") if is_file(folder / "result.json") else None
+            self.optimum = Result.from_json(folder / "result.json") if self.has_result(folder) else None
         except InputError:
             self.optimum = None
         self._haunt()
@@ -292,7 +299,7 @@ class StudyPage:
         """Return what ``--set`` has to say for a command to begin where the sliders are."""
         found = [word for each in self.rows for word in _said_of(each, hold=each.held)]
         found += self.identifying.settings() if command == "identify" else []
-        return [word for setting in (*self._given, *found) for word in ("--set", setting)]
+        return [word for setting in _last_of(*self._given, *found) for word in ("--set", setting)]
 
     def words(self, command: str) -> list[str]:
         """Return a command that does what the page shows, to be given in the study's folder."""
@@ -302,11 +309,16 @@ class StudyPage:
         lines = (command_text(self.words("simulate")), command_text(self.words("identify")))
         self.command.text = f"<pre>{escaped(lines[0])}<br>{escaped(lines[1])}</pre>"
         # where a page that was cut off goes on
-        shown = [("set", each) for each in self._given]
-        shown += [("set", word) for each in self.rows for word in _said_of(each, hold=False)]
+        said = [word for each in self.rows for word in _said_of(each, hold=False)]
+        shown = [("set", word) for word in _last_of(*self._given, *said)]
         shown += [(HOLD, each.name) for each in self.rows if each.held]
         tail = "".join(f"&{name}={quote(value, safe='')}" for name, value in shown)
         self.command.tags = [address("study", self.bench.folder, self.path) + tail]
+
+
+def _last_of(*settings: str) -> list[str]:
+    """Return settings without those that a later one replaces."""
+    return list({each.partition("=")[0].replace('"', ""): each for each in settings}.values())
 
 
 def _said_of(row: ParameterRow, *, hold: bool) -> list[str]:
