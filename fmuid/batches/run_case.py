@@ -26,7 +26,7 @@ from fmuid.batches.draws import noise
 from fmuid.batches.parcel import Copies
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
-from fmuid.estimation import Accuracy, Direction, Outcome, Result
+from fmuid.estimation import Accuracy, Direction, Outcome, Result, Waypoints, waypoints
 from fmuid.files import as_json
 from fmuid.model_problem import CheckedRegion, Problem, identify
 from fmuid.simulation import executor_of
@@ -44,6 +44,12 @@ SYSTEMS_KEPT = 4
 AT_START = 3
 """Calls of a simulator that hardly ever depend on what was measured: the start, the noise of its simulation, and the
 differences of its first derivatives."""
+
+MANY_DRAWS = 10
+"""So many draws of the noise borrow derivatives from the first one's search, which a worker makes beforehand."""
+
+CASE_ERRORS = MemoryError, ArithmeticError, np.linalg.LinAlgError
+"""What fails a case, beside errors of this package."""
 
 WHOLE, NUMBER, TEXT, FLAG, TIMESTAMP = "int64", "float64", "string", "bool", "datetime64[us, UTC]"
 
@@ -98,6 +104,7 @@ class CaseRunner:
         self._tables: _Recent[Path | None, tuple[Experiment, ...]] = _Recent()
         self._before: tuple[object, Problem] | None = None  # what the case before had to be simulated, and its problem
         self._truths: _Recent[object, tuple[Floats, ...]] = _Recent()
+        self._ways: _Recent[object, Waypoints | None] = _Recent()
         self._regions: _Recent[object, CheckedRegion] = _Recent()
         self._worker = f"{platform.node()}:{os.getpid()}"
         self._system = study.system
@@ -131,7 +138,7 @@ class CaseRunner:
             words = self._identify(case, problem)
         except FmuidError as error:
             words = _failure(str(error))
-        except (MemoryError, ArithmeticError, np.linalg.LinAlgError) as error:
+        except CASE_ERRORS as error:
             words = _failure(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
         counted = {"simulations": problem.simulations, "rejected": problem.failures} if problem is not None else {}
         none = dict.fromkeys(("iterations", "simulations", "rejected", "finer", "checked"), 0)
@@ -147,18 +154,35 @@ class CaseRunner:
         SimulationError
             If the truth cannot be simulated.
         """
-        experiments = self._tables.get(case.table, lambda: self._read(case.table))
-        if case.draw is not None and self._drawn is not None:
-            experiments = self._disturbed(case, case.draw, self._drawn, experiments)
+        read = experiments = self._tables.get(case.table, lambda: self._read(case.table))
+        drawn = self._drawn
+        if case.draw is not None and drawn is not None:
+            experiments = self._disturbed(case, case.draw, drawn, read)
         key = case.table, case.free, tuple(case.held.items())
         like = self._before[1] if self._before and self._before[0] == key else None
         problem = problem_of(self.study, experiments, case.free, case.held, case.starts, like)
         problem.one_of_many = case.draw is not None and self.cases.settings.starts is None
         self._before = key, problem
+        if problem.one_of_many and drawn is not None and self._often(drawn):
+            problem.waypoints = self._ways.get((case.record, *key), lambda: self._way(case, drawn, read))
         if problem.one_of_many and like is None:
             for each in problem.simulators:
                 each.remember(AT_START)
         return problem
+
+    def _often(self, drawn: NoiseDraws) -> bool:
+        """Whether so many cases differ in their noise alone that a search beforehand pays."""
+        product = self.cases.settings.combine == "product"
+        return product and drawn.draws >= MANY_DRAWS and not self.study.estimator.whole_box
+
+    def _way(self, case: Case, drawn: NoiseDraws, experiments: tuple[Experiment, ...]) -> Waypoints | None:
+        """Return the derivatives along the way that the first draw takes, whichever draw asks; None where it fails."""
+        try:
+            first = self._disturbed(case, 0, drawn, experiments)
+            problem = problem_of(self.study, first, case.free, case.held, case.starts)
+            return waypoints(problem, self.study.estimator.marquardt)
+        except (FmuidError, *CASE_ERRORS):
+            return None
 
     def _identify(self, case: Case, problem: Problem) -> dict[str, object]:
         """Identify the parameters of a case and return the columns that this fills."""

@@ -36,6 +36,7 @@ from .global_search.optima import merged as merged
 from .global_search.optima import optima_table as optima_table
 from .global_search.search import GlobalSearch as GlobalSearch
 from .identification import identify as identify
+from .identification import waypoints as waypoints
 from .least_squares import LeastSquares as LeastSquares
 from .linear_models.equations import equation_error as equation_error
 from .linear_models.equations import instrumental_variables as instrumental_variables
@@ -49,6 +50,7 @@ from .marquardt.search import State as State
 from .marquardt.search import search as search
 from .marquardt.step import best_step as best_step
 from .marquardt.step import triangle as triangle
+from .marquardt.waypoints import Waypoints as Waypoints
 from .method import Marquardt as Marquardt
 from .method import Method as Method
 from .misfit import misfits as misfits

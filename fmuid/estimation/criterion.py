@@ -166,6 +166,19 @@ class Criterion:
         base = self.problem.measured - self.unwhiten(residual)
         return self._completed(self._derivatives.jacobian(theta, base, central=central), residual)
 
+    def known_jacobian(self, theta: Floats, residual: Floats) -> Floats | None:
+        """Return the Jacobian (n_rows, N) of a waypoint close to theta, None where there is none."""
+        ways = self.problem.waypoints
+        if ways is None or self.problem.weights is not None:
+            return None
+        derivatives = ways.near(theta, self.magnitudes(theta))
+        return None if derivatives is None else self._completed(derivatives * -self._weights, residual)
+
+    def derivatives(self, theta: Floats, residual: Floats) -> Floats:
+        """Return the derivatives (N, n) of the simulation itself at theta, where the residual is known."""
+        base = self.problem.measured - self.unwhiten(residual)
+        return np.asarray(self._derivatives.jacobian(theta, base, central=False) / -self._weights, dtype=np.float64)
+
     def first_jacobian(self, theta: Floats, base: Floats, residual: Floats) -> tuple[Floats, Flags]:
         """Return the Jacobian at the start, and which parameters act on any output (N,).
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,7 @@ from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.local_model import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.search import Iteration, MarquardtSettings, State, search
+from fmuid.estimation.marquardt.waypoints import Waypoints
 from fmuid.estimation.misfit import log_likelihood
 from fmuid.estimation.result import Result
 from fmuid.progress import Progress, SearchStep
@@ -31,6 +33,8 @@ MAX_ROUNDS = 10
 # Where outliers outweigh everything else the mean ψ′ of a robust loss may vanish or be negative, and says nothing of
 # the covariance; it is taken to be this much at least.
 LEAST_CURVATURE = 0.05
+# Memory that the derivatives at waypoints may take, bytes.
+LARGEST_WAYPOINTS = 16_000_000
 
 
 def identify(
@@ -98,6 +102,24 @@ def point_result(problem: LeastSquares, theta: Floats) -> Result:
     )
 
 
+def waypoints(problem: LeastSquares, settings: MarquardtSettings) -> Waypoints:
+    """Search, and return the derivatives of the simulation at the points that the search went through.
+
+    Raises
+    ------
+    SimulationError, InputError, SensitivityError, KeyboardInterrupt
+        If the search does not come through.
+    """
+    found = _Identification(problem, settings, None, None)
+    if found.run().outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
+    n = len(problem.parameters)
+    most = LARGEST_WAYPOINTS // (8 * problem.measured.size * n)
+    thetas = np.array([step.theta for _, step in found.trace[1:] if step.accepted][:most]).reshape(-1, n)
+    residuals = found.criterion.residuals(thetas)
+    return Waypoints(thetas, tuple(map(found.criterion.derivatives, thetas, residuals)))
+
+
 class _Identification:
     """The rounds of one identification and what they leave behind."""
 
@@ -134,7 +156,8 @@ class _Identification:
         return self.state.outcome or Outcome.INTERRUPTED
 
     def _search(self, number: int, rough: bool) -> None:
-        for iteration in search(self.criterion, self.state, self.settings, rough=rough):
+        known = self.criterion.known_jacobian
+        for iteration in search(self.criterion, self.state, self.settings, rough=rough, known=known):
             self.trace.append((number, iteration))
             if self.progress is not None:
                 self.progress(self._step(iteration))
@@ -198,7 +221,7 @@ class _Identification:
         state, before = self.state, self.criterion
         self.criterion = before.reweighted(self._next_variance())
         residual, jacobian = before.converted(self.criterion, state.residual, state.jacobian)
-        self.state = State(state.theta, residual, jacobian, state.central, state.fresh, state.iterations, state.rate)
+        self.state = replace(state, residual=residual, jacobian=jacobian, outcome=None, reduced=None)
 
     # --- the result
 

@@ -29,6 +29,7 @@ from fmuid.errors import InputError, check_kind
 from fmuid.estimation.colour.cycles import check_periods
 from fmuid.estimation.colour.innovations import Weights
 from fmuid.estimation.colour.series import Series, period_of, series_of
+from fmuid.estimation.marquardt.waypoints import Waypoints
 from fmuid.estimation.model_derivatives import Sensitivity
 from fmuid.estimation.numerical_noise import LARGEST_VALUE, NoiseLevel, noise_level
 
@@ -83,10 +84,10 @@ class LeastSquares:
         Where samples are weighed by the colour of their noise: what makes it white in `measured` and all predictions.
     one_of_many : bool
         Whether there are others that differ in their measurements only: all set out by the same simulations then.
-    simulations : int
-        How many simulations of an experiment were made so far.
-    failures : int
-        How many of the thetas asked for so far could not be simulated.
+    waypoints : Waypoints or None
+        Derivatives that were found on the way of another one of many.
+    simulations, failures : int
+        How many simulations of an experiment were made so far, and how many thetas could not be simulated.
 
     Raises
     ------
@@ -123,14 +124,14 @@ class LeastSquares:
         self.parameters = ParameterSet(parameters, [e.name for e in experiments], joint_prior)
         self.experiments = tuple(experiments)
         self._predictors = tuple(predictors)
-        self.sensitivity = sensitivity
         self._derivatives = tuple(derivatives)
-        self._refusal = ""
+        self.sensitivity, self._refusal = sensitivity, ""
         noise = noise or Noise()
         self.noise, self.loss = noise, loss_of(loss)
         self.simulations = self.failures = 0
         self.weights: Weights | None = None
         self.one_of_many = False
+        self.waypoints: Waypoints | None = None
         self._reasons: dict[int, tuple[Floats, Exception | None]] = {}  # of the last failure, by experiment
         self.output_names = tuple(dict.fromkeys(name for e in experiments for name in e.output_names))
         if not self.output_names:
@@ -147,7 +148,6 @@ class LeastSquares:
         self._check_counts()
         if noise.coloured and self.loss is not None:
             raise InputError(f'noise.coloured goes with loss = "linear", not "{loss}": leave one of the two out')
-
         if noise.period or noise.experiments:
             check_periods(self.series, noise, len(parameters))
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fmuid.batches.case_problem import problem_of
 from fmuid.batches.cases import Cases, truth_of
-from fmuid.batches.run_case import VOLATILE, CaseRunner, directions_of
+from fmuid.batches.run_case import MANY_DRAWS, VOLATILE, CaseRunner, directions_of
 from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
@@ -245,3 +245,15 @@ def test_parameters_per_experiment(case_folder: Path) -> None:
     assert "start.R" in row
     held = study_of(case_folder, {"noise": noise, "values": {"R": [3.8]}}, experiments=tables, parameters=parameters)
     assert truth_of(held) == {"R[run1]": 3.8, "R[run2]": 4.4, "L": 0.1}
+
+
+def test_many_draws_borrow_derivatives_from_the_first_whichever_comes_first(case_folder: Path) -> None:
+    few, many = monte_carlo(case_folder, MANY_DRAWS - 1), monte_carlo(case_folder, MANY_DRAWS)
+    for k in (3, 0):
+        row, fresh = many(k).row, monte_carlo(case_folder, MANY_DRAWS)(k).row
+        assert bits(row) == bits(fresh)
+        found, alone = (pd.Series(each).infer_objects() for each in (row, few(k).row))
+        assert found["simulations"] < alone["simulations"]
+        for name in "RL":
+            assert abs(found[f"value.{name}"] - alone[f"value.{name}"]) < 1e-3 * alone[f"std.{name}"]
+            assert found[f"std.{name}"] == pytest.approx(alone[f"std.{name}"], rel=1e-3)

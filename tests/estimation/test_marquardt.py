@@ -11,11 +11,13 @@ from fmuid.arrays import Floats
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.criterion import prepare
+from fmuid.estimation.identification import identify, waypoints
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.radius import GROW, SHRINK_LEAST, SHRINK_MOST, Radius
 from fmuid.estimation.marquardt.search import Iteration, State, search
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
+from fmuid.estimation.marquardt.waypoints import Waypoints
 from fmuid.estimation.method import Marquardt
 
 TIMES = np.linspace(0.0, 3.0, 120)
@@ -293,3 +295,24 @@ def test_a_good_step_lengthens_the_next() -> None:
     assert radius.value == GROW * 5.0
     assert radius.judge(step, 5.0, 2.0, -4.0, 0.0, moved=True)  # half of what was predicted
     assert radius.value == GROW * 5.0
+
+
+@pytest.mark.parametrize(("wrong", "most"), [(1.0, 0.8), (-3.0, 1.5)])
+def test_derivatives_along_the_way_of_another_search_lead_to_the_same_optimum(wrong: float, most: float) -> None:
+    """Those of a search with other noise spare simulations; even wrong ones change no estimate, nor its covariance."""
+    parameters = {f"p{i}": each for i, each in enumerate(STARTS)}
+
+    def problem(seed: int) -> LeastSquares:
+        return LeastSquares.from_function(decay, measured(seed=seed), parameters)
+
+    alone, other = identify(problem(2)), problem(2)
+    way = waypoints(problem(3), Marquardt())
+    for theta, derivatives in zip(way.thetas, way.derivatives, strict=True):
+        np.testing.assert_allclose(derivatives, jacobian(TIMES, *theta.tolist()).T, rtol=1e-4, atol=1e-5)
+    other.waypoints = Waypoints(way.thetas, tuple(wrong * each for each in way.derivatives))
+    found = identify(other)
+    assert found.outcome is Outcome.CONVERGED
+    assert found.simulations < most * alone.simulations
+    assert (np.abs(found.values - alone.values) < 1e-3 * alone.std).all()
+    np.testing.assert_allclose(found.std, alone.std, rtol=1e-3)
+    assert other.waypoints.near(way.thetas[-1] * (1.0, 1.0, 1.06), np.abs(way.thetas[-1])) is None

@@ -117,6 +117,8 @@ class State:
         By which the last Gauss–Newton steps came nearer to the optimum.
     outcome : Outcome or None
         How the search ended, None while it has not.
+    borrowed : bool
+        Whether it is that of a waypoint close by.
     held : (N,) array of bool
         Parameters on a bound that the criterion would push further out.
     reduced : (N+1, N+1) array or None
@@ -131,5 +133,6 @@ class State:
     iterations: int = 0
     rate: float = 1.0
     outcome: Outcome | None = None
+    borrowed: bool = False
     held: Flags = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     reduced: Floats | None = None

@@ -16,7 +16,8 @@ Technometrics 23 (2), 1981.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
 
 import numpy as np
 
@@ -39,6 +40,8 @@ ROUGH_CHANGE, ROUGH_OFFSET = 5e-4, 0.1
 # Where so little is left of the way, the Jacobian hardly changes any more: one that was made here is good enough for
 # the steps that remain, if its differences are.
 NEAR_OFFSET = 0.03
+# A Jacobian that was borrowed from a point close by serves no nearer to the optimum than this.
+BORROWED_OFFSET = 0.3
 # Where the criterion's fall drowns in the simulation's noise and new Jacobians bring the optimum no nearer than by this
 # factor, nothing more can be gained.
 SETTLED_RATIO = 0.8
@@ -61,9 +64,16 @@ NOISE_MARGIN = 3.0
 # standard deviation of the parameters is worth, but no more than this share.
 RUNAWAY_GROWTH, RUNAWAY_GAIN = 100.0, 0.01
 
+Known: TypeAlias = Callable[[Floats, Floats], Floats | None]
+
 
 def search(
-    problem: ResidualFunction, state: State, settings: MarquardtSettings, *, rough: bool = False
+    problem: ResidualFunction,
+    state: State,
+    settings: MarquardtSettings,
+    *,
+    rough: bool = False,
+    known: Known | None = None,
 ) -> Iterator[Iteration]:
     """Search from a state that has residual and Jacobian; yield every step, and leave the result in the state.
 
@@ -75,15 +85,25 @@ def search(
     settings : MarquardtSettings
     rough : bool
         End already where what is left hardly changes the variances of the noise, to go on with a changed problem.
+    known : callable, optional
+        Gives for theta (N,) and residual (n_rows,) the Jacobian of a point close by, where one is known. It serves
+        far from the optimum; what is not rough converges by Jacobians of its own.
     """
-    return _Descent(problem, state, settings, rough).run()
+    return _Descent(problem, state, settings, rough, known).run()
 
 
 class _Descent:
     """The loop of `search` and what it remembers from step to step."""
 
-    def __init__(self, problem: ResidualFunction, state: State, settings: MarquardtSettings, rough: bool) -> None:
-        self.problem, self.state, self.settings, self.rough = problem, state, settings, rough
+    def __init__(
+        self,
+        problem: ResidualFunction,
+        state: State,
+        settings: MarquardtSettings,
+        rough: bool,
+        known: Known | None,
+    ) -> None:
+        self.problem, self.state, self.settings, self.rough, self.known = problem, state, settings, rough, known
         self.square = _square(state.residual)
         self.free = max(state.residual.size - state.theta.size, 1)  # degrees of freedom
         self.lengths = np.zeros(state.theta.size)
@@ -175,6 +195,8 @@ class _Descent:
 
     def _outdated(self) -> bool:
         """Whether the Jacobian has to be made anew at the best point before the next step."""
+        if self.state.borrowed:
+            return self.offset <= BORROWED_OFFSET or self.radius.rejections > 0 or self.stagnation.stuck
         if self.state.fresh:
             # many simulated rejections in a row: forward differences may be what is wrong
             suspicious = self.radius.rejections > SUSPICIOUS_REJECTIONS and not self.radius.failures
@@ -193,8 +215,12 @@ class _Descent:
         state = self.state
         close = self._close(self.offset if state.fresh else state.rate * self.fresh_offset)
         central = central or (close and not self._suffices()) or self.radius.rejections > SUSPICIOUS_REJECTIONS
+        far = not (central or close or state.fresh or self.radius.rejections)
+        jacobian = self.known(state.theta, state.residual) if far and self.known is not None else None
+        state.borrowed = jacobian is not None
         try:
-            jacobian = self.problem.jacobian(state.theta, state.residual, central=central)
+            if jacobian is None:
+                jacobian = self.problem.jacobian(state.theta, state.residual, central=central)
         except SensitivityError:
             state.outcome = Outcome.FAILING
             return
@@ -284,7 +310,8 @@ class _Descent:
         self.change = float(np.max(np.abs(newton.step) / self.problem.magnitudes(self.state.theta)))
         if self.state.fresh:
             self.fresh_offset, self.fresh_change = self.offset, self.change
-            self.accurate = self.state.central or (self._close(self.offset) and self._suffices())
+            sound = not self.state.borrowed
+            self.accurate = sound and (self.state.central or (self._close(self.offset) and self._suffices()))
             self.near = self.accurate and self.offset <= NEAR_OFFSET
             if 0.0 < self.previous_offset < math.inf:
                 self.state.rate = min(self.offset / self.previous_offset, 1.0)
