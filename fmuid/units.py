@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 BASE = ("kilogram", "meter", "second", "ampere", "kelvin", "mole", "candela", "radian")
@@ -45,7 +45,7 @@ class BaseUnit:
     offset: float
 
 
-@cache
+@lru_cache(maxsize=1024)
 def parse_unit(text: str) -> BaseUnit | None:
     """Return what a unit is in base units, None where the text is no unit that is known (pint's, with Modelica's).
 

@@ -90,7 +90,9 @@ def split_header(header: str) -> tuple[str, str | None]:
 def is_unit(text: str) -> bool:
     """Return whether a text is a unit that is known."""
     text = text.strip()
-    return text in SECONDS or parse_unit(text) is not None
+    # rows of samples are asked too where decimals are not those of the table
+    number = text != "1" and (is_number(text) or is_number(text, ","))
+    return text in SECONDS or (not number and parse_unit(text) is not None)
 
 
 def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str], dict[str, str]]:

@@ -39,7 +39,7 @@ _ROWS_LOOKED_AT = 200
 _END = 1 << 14
 """Bytes in which lines after the samples are looked for."""
 _SPACES = r"\s+"
-_DIALECTS = [(separator, decimal) for separator in (",", ";", "\t", "|", _SPACES) for decimal in (".", ",")]
+_SEPARATORS = (",", ";", "\t", "|", _SPACES)
 _COMMENT = ("#", "%", "//")
 
 
@@ -177,19 +177,20 @@ def _rows(lines: Iterator[str] | IO[str], separator: str) -> Iterator[tuple[int,
 def _layout(source: str, text: str) -> _Layout:
     """Return the layout with the most columns of numbers, the first of those with as many."""
     best, most = None, 0
-    for separator, decimal in _DIALECTS:
+    for separator in _SEPARATORS:
         try:
             read = list(islice(_rows(io.StringIO(text), separator), _ROWS_LOOKED_AT))
         except csv.Error:  # no table with this separator
             continue
         rows, blank = _without_blank_ends([_plain(row, separator) for _, row in read])
-        head = find_head(rows, decimal)
-        if head is not None and len(head.names) == 1 and decimal == ",":
-            continue  # "0,1" alone may as well be two cells
-        columns = _numeric_columns(rows[head.first :], len(head.names), decimal) if head else 0
-        if head is not None and columns > most:
-            width = len(head.names) + blank
-            most, best = columns, _Layout(separator, decimal, head, read[head.first - 1][0], width)
+        for decimal in (".", ","):
+            head = find_head(rows, decimal)
+            if head is None or (len(head.names) == 1 and decimal == ","):
+                continue  # "0,1" alone may as well be two cells
+            columns = _numeric_columns(rows[head.first :], len(head.names), decimal)
+            if columns > most:
+                width = len(head.names) + blank
+                most, best = columns, _Layout(separator, decimal, head, read[head.first - 1][0], width)
     return best or _as_it_is(source, text)
 
 

@@ -62,9 +62,9 @@ class Blocks:
         return Information(self.matrices.sum(axis=0), self.scores.sum(axis=0))
 
 
-# What the watch has of each onset: its place with the sums of all before its window, and its own sums.
-_PLACES = ("clock", "window", "begins", "total_before", "score_before")
-_SUMS = ("step_own", "step_shared", "step_score", "ramp_own", "ramp_shared", "ramp_score")
+# What the watch has of each onset: its place, the sums of all before its window (information and score), and its own
+# sums as a step and as a ramp (its own information, that shared with the coordinates, and its score), a row each.
+_KEPT = ("clock", "window", "begins", "before", "step", "ramp")
 
 
 class Watch:
@@ -99,10 +99,9 @@ class Watch:
         self.windows, self.end = 0, 0.0
         self.pinned = (math.inf, -math.inf)
         self._total, self._score = np.zeros((n, n)), np.zeros(n)
-        places = np.zeros(0), np.zeros(0, int), np.zeros(0, bool), np.zeros((0, n, n)), np.zeros((0, n))
-        self._of: dict[str, Any] = dict(zip(_PLACES, places, strict=True))
-        shapes = ((0, n, n), (0, n, n), (0, n)) * 2
-        self._of |= {name: np.zeros(shape) for name, shape in zip(_SUMS, shapes, strict=True)}
+        sums = np.zeros((0, n * n + n)), *[np.zeros((0, 2 * n * n + n))] * 2
+        places = np.zeros(0), np.zeros(0, int), np.zeros(0, bool)
+        self._of: dict[str, Any] = dict(zip(_KEPT, (*places, *sums), strict=True))
 
     def copy(self) -> Watch:
         """Return a watch that goes on by itself."""
@@ -122,17 +121,13 @@ class Watch:
         clock = self._of["clock"][kept]
         recent = int(np.searchsorted(clock, window.edges[0] - self.build_up.lasts, side="right"))
         own = _Window(window, self._drift, self._slow, self.build_up, clock[recent:])
-        before = (np.repeat(each[None], count, axis=0) for each in (self._total, self._score))
-        places = (window.edges[:-1], np.full(count, self.windows), np.arange(count) == 0, *before)
-        for name, new in zip(_PLACES, places, strict=True):
-            self._of[name] = _followed(self._of[name], kept, new)
-        grown = own.added(clock)
-        for name in _SUMS:
-            late = self._of[name][kept[recent:]]
-            self._of[name] = found = _followed(self._of[name], kept, own.new[name])
-            found[: kept.size] += grown[name]
-            if name in own.recent:
-                found[recent : kept.size] = late + own.recent[name]
+        before = np.append(self._total, self._score)
+        places = (window.edges[:-1], self.windows, np.arange(count) == 0, before, own.steps, own.ramps)
+        for name, new in zip(_KEPT, places, strict=True):
+            self._of[name] = _followed(self._of[name], kept, count, new)
+        self._of["step"][:recent] += own.step
+        self._of["step"][recent : kept.size] += own.recent
+        self._of["ramp"][: kept.size] += own.rising(clock)
         self._least = self._least + LEAST * np.diag(own.whole)
         self._total = self._total + own.matrix
         self._score = self._score + own.score
@@ -162,7 +157,7 @@ class Watch:
     def _news(self, at: Any, shape: Shape = Shape.STEP) -> tuple[Floats, Floats]:
         """Return F (T, N, N) and h (T, N) of the onsets at some places, for all coordinates as causes."""
         after = self._posterior()
-        own, shared, score = (self._of[f"{shape.value}_{name}"][at] for name in ("own", "shared", "score"))
+        own, shared, score = _parts(self._of[shape.value][at], self._score.size)
         mixed = np.swapaxes(shared, 1, 2)
         information = own - mixed @ after.covariance @ shared + np.diag(self._least)
         return self._beside_drift(information, score - mixed @ after.mean, 1.0 if shape is Shape.STEP else self.end)
@@ -175,13 +170,12 @@ class Watch:
         rise : float
             Of a ramp: the time in which it may drift so much, s.
         """
-        at = np.flatnonzero(self._drift)
-        if not at.size:
-            return information, score
-        shared = information[:, :, at]
-        core = np.linalg.inv(shared[:, at] + np.diag((rise / self._drift[at]) ** 2))
-        drawn = shared @ core
-        return information - drawn @ np.swapaxes(shared, 1, 2), score - (drawn @ score[:, at, None])[..., 0]
+        for i in np.flatnonzero(self._drift):
+            shared = information[:, :, i]
+            share = shared / (shared[:, i] + (rise / self._drift[i]) ** 2)[:, None]
+            information = information - share[:, :, None] * shared[:, None]
+            score = score - share * score[:, i, None]
+        return information, score
 
     def statistics(self, causes: Sequence[Cause]) -> tuple[Floats, Floats]:
         """Return the begins of windows (T,) and D of each cause as a step from there on (T, m)."""
@@ -223,7 +217,9 @@ class Watch:
         if not late.size:
             return None
         first, last = late[0], early[-1] if early.size else np.flatnonzero(begins)[0]
-        early_on, until = (Information(self._of["total_before"][k], self._of["score_before"][k]) for k in (last, first))
+        n = self._score.size
+        before = [self._of["before"][k] for k in (last, first)]
+        early_on, until = (Information(each[: n * n].reshape(n, n), each[n * n :]) for each in before)
         after = Information(self._total - until.matrix, self._score - until.score)
         return News.of(after, self.known.after_also(early_on).drifting(self._drift)), float(clock[first])
 
@@ -244,7 +240,7 @@ class Watch:
     def restored(self, state: Mapping[str, Any]) -> Watch:
         """Return the watch that a state is of; it must be of the same coordinates."""
         other = self.copy()
-        other._of = {name: state[name] for name in (*_PLACES, *_SUMS)}
+        other._of = {name: state[name] for name in _KEPT}
         other._total, other._score, other._least = state["total"], state["score"], state["least"]
         other.build_up = BuildUp(state["lags"], state["shown"])
         windows, other.end, *pinned = state["seen"].tolist()
@@ -285,80 +281,70 @@ class _Window:
         Its information.
     matrix, score : (N, N) and (N,) array
         Its information and its score, without what drifts.
-    new, recent : dict of str to array
-        The sums of the onsets at the begins of its blocks, and what it adds to those of steps a little earlier.
+    step : (2 N² + N,) array
+        What it adds to the sums of steps that show by now.
+    recent, steps, ramps : (R, 2 N² + N) and (B, 2 N² + N) array
+        What it adds to those of steps a little earlier, and the sums of the onsets at the begins of its blocks.
     """
 
     def __init__(self, window: Blocks, drift: Floats, slow: Flags, build_up: BuildUp, recent: Floats) -> None:
         count, n = window.scores.shape
         self._edges = edges = window.edges
-        self._flat = np.hstack([window.matrices.reshape(count, n * n), window.scores])
+        flat = np.hstack([window.matrices.reshape(count, n * n), window.scores])
         middle, at = 0.5 * (edges[1:] + edges[:-1]), np.concatenate([recent, edges[:-1]])
         late, ramp = middle - edges[0], np.maximum(middle - edges[:-1, None], 0.0)
         after = (edges[1:] > at[:, None]).astype(np.float64)
-        whole, once, twice, rise, square, step = self._of(
-            np.ones((1, count)), late[None], late[None] ** 2, ramp, ramp**2, after
-        )
-        own, (shared, score) = step[0], step
+        plain = np.vstack([np.ones((1, count)), late[None], late[None] ** 2, ramp, ramp**2, after]) @ flat
+        matrices, scores = plain[:, : n * n].reshape(-1, n, n), plain[:, n * n :]
+        rise, square, step = slice(3, 3 + count), slice(3 + count, 3 + 2 * count), slice(3 + 2 * count, None)
+        own, shared, score = matrices[step], matrices[step], scores[step]
         if build_up.lasts and slow.any():
             part = build_up.shares(at, edges)
-            mixed, both = self._of(part, part**2)
-            own = np.where(slow[:, None] & slow, both[0], np.where(slow[:, None] | slow, mixed[0], own))
-            shared, score = np.where(slow, mixed[0], shared), np.where(slow, mixed[1], score)
-        self.whole, self._whole_score, self._once = whole[0][0], whole[1][0], once[0][0]
+            found = np.vstack([part, part**2]) @ flat
+            mixed, both = found[: at.size, : n * n].reshape(-1, n, n), found[at.size :, : n * n].reshape(-1, n, n)
+            own = np.where(slow[:, None] & slow, both, np.where(slow[:, None] | slow, mixed, own))
+            shared, score = np.where(slow, mixed, shared), np.where(slow, found[: at.size, n * n :], score)
+        self.whole, self._whole_score, self._once = matrices[0], scores[0], matrices[1]
         taken = np.linalg.inv(np.eye(n) + self.whole * np.outer(drift, drift)) * np.outer(drift, drift)
         self._taken = 0.5 * (taken + taken.T)
-        found = self._without(
-            np.concatenate([whole[0], twice[0], square[0], own]),
-            np.concatenate([whole[0], once[0], rise[0], shared]),
-            np.concatenate([whole[1], once[1], rise[1], score]),
+        sums = self._without(
+            np.concatenate([matrices[:1], matrices[2:3], matrices[square], own]),
+            np.concatenate([matrices[:2], matrices[rise], shared]),
+            np.concatenate([scores[:2], scores[rise], score]),
         )
-        ends = np.cumsum([1, 1, count, recent.size])
-        all_of, self._ramp, ramps, steps, new = zip(*(np.split(each, ends) for each in found), strict=True)
-        self._step = tuple(each[0] for each in all_of)
-        _, self.matrix, self.score = self._step
-        self.recent = _named(Shape.STEP, steps) if recent.size else {}
-        self.new = _named(Shape.STEP, new) | _named(Shape.RAMP, ramps)
+        first = 2 + count + recent.size
+        self.step, self._ramp, self.ramps = sums[0], sums[1], sums[2 : 2 + count]
+        self.recent, self.steps = sums[2 + count : first], sums[first:]
+        _, (self.matrix,), (self.score,) = _parts(sums[:1], n)
 
-    def _of(self, *weights: Floats) -> list[tuple[Floats, Floats]]:
-        """Return information (k, N, N) and score (k, N) of the blocks, each with some weights (k, B)."""
-        sums = np.vstack(weights) @ self._flat
-        n = math.isqrt(sums.shape[1])  # N² + N columns
-        parts = np.split(sums, np.cumsum([len(each) for each in weights[:-1]]))
-        return [(each[:, : n * n].reshape(-1, n, n), each[:, n * n :]) for each in parts]
-
-    def _without(self, own: Floats, shared: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return own and shared information and the score of columns, without what drifts."""
+    def _without(self, own: Floats, shared: Floats, score: Floats) -> Floats:
+        """Return own and shared information and the score of columns, without what drifts, a row each."""
         drawn, mixed = self._taken @ shared, np.swapaxes(shared, -1, -2)
-        return (
-            own - mixed @ drawn,
-            shared - self.whole @ drawn,
-            score - mixed @ (self._taken @ self._whole_score),
-        )
+        parts = (own - mixed @ drawn, shared - self.whole @ drawn, score - mixed @ (self._taken @ self._whole_score))
+        return np.hstack([each.reshape(len(score), -1) for each in parts])
 
-    def added(self, clock: Floats) -> dict[str, Floats]:
-        """Return what the window adds to the sums of onsets before it (T,), steps that show by now."""
+    def rising(self, clock: Floats) -> Floats:
+        """Return what the window adds to the sums of ramps that begin before it (T,)."""
         before = self._edges[0] - clock
-        powers = np.column_stack([np.ones(clock.size), before, before**2])
         # of onsets so long before, all is a polynomial of that time
         mixed = self._once @ self._taken @ self.whole
-        ramp, (own, shared, score) = [each[0] for each in self._ramp], self._step
-        grown = np.stack([ramp[0], 2.0 * self._once - mixed - mixed.T, own]).reshape(3, -1)
-        sums = (
-            (powers @ grown).reshape(-1, *own.shape),
-            (powers[:, :2] @ np.stack([ramp[1], shared]).reshape(2, -1)).reshape(-1, *own.shape),
-            powers[:, :2] @ np.stack([ramp[2], score]),
+        square = mixed.size
+        linear = np.append(2.0 * self._once - mixed - mixed.T, self.step[square:])
+        quadratic = np.append(self.step[:square], np.zeros(self.step.size - square))
+        return np.asarray(
+            np.column_stack([np.ones(clock.size), before, before**2]) @ np.stack([self._ramp, linear, quadratic])
         )
-        return _named(Shape.STEP, self._step) | _named(Shape.RAMP, sums)
 
 
-def _followed(values: Any, kept: Indices, new: Any) -> Any:
-    """Return some rows, and then others."""
-    found = np.empty((kept.size + len(new), *values.shape[1:]), values.dtype)
+def _parts(sums: Floats, n: int) -> tuple[Floats, Floats, Floats]:
+    """Return what rows of sums are: own and shared information (T, N, N), and scores (T, N)."""
+    own, shared = (sums[:, k * n * n : (k + 1) * n * n].reshape(-1, n, n) for k in range(2))
+    return own, shared, sums[:, 2 * n * n :]
+
+
+def _followed(values: Any, kept: Indices, count: int, new: Any) -> Any:
+    """Return some rows, and then so many others."""
+    found = np.empty((kept.size + count, *values.shape[1:]), values.dtype)
     np.take(values, kept, axis=0, out=found[: kept.size], mode="clip")  # without a copy in between
     found[kept.size :] = new
     return found
-
-
-def _named(shape: Shape, sums: Sequence[Floats]) -> dict[str, Floats]:
-    return {f"{shape.value}_{name}": each for name, each in zip(("own", "shared", "score"), sums, strict=True)}

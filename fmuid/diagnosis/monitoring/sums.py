@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -42,16 +44,19 @@ class WindowSums:
         """Return its blocks by the clock of all records, which is later by `shift`."""
         return Blocks(self.edges + shift, self.grams[:, 1:, 1:], self.grams[:, 1:, 0])
 
-    @property
+    @cached_property
+    def _gram(self) -> Floats:
+        return np.asarray(self.grams.sum(axis=0))
+
+    @cached_property
     def whole(self) -> Information:
         """What the window says of all coordinates."""
-        gram = self.grams.sum(axis=0)
-        return Information(gram[1:, 1:], gram[1:, 0])
+        return Information(self._gram[1:, 1:], self._gram[1:, 0])
 
     def squares(self, at: Floats) -> float:
         """Return the sum of squares of what is left at some coordinates (N,)."""
         along = np.concatenate([[1.0], -at])
-        return max(0.0, float(along @ self.grams.sum(axis=0) @ along))
+        return max(0.0, float(along @ self._gram @ along))
 
 
 def summed(
@@ -92,6 +97,7 @@ def summed(
         grams = np.zeros((count, whole.shape[2], whole.shape[2]))
         for (times, values), (low, high) in zip(white, inside, strict=True):
             cuts = low + np.searchsorted(times[low:high], edges[1:-1] - window.slack)
-            for k, rows in enumerate(np.split(values[low:high], cuts - low)):
+            for k, (first, last) in enumerate(pairwise([low, *cuts.tolist(), high])):
+                rows = values[first:last]
                 grams[k] += rows.T @ rows
         yield WindowSums(window, edges, grams, samples)
