@@ -172,8 +172,8 @@ class CaseRunner:
 
     def _often(self, drawn: NoiseDraws) -> bool:
         """Whether so many cases differ in their noise alone that a search beforehand pays."""
-        product = self.cases.settings.combine == "product"
-        return product and drawn.draws >= MANY_DRAWS and not self.study.estimator.whole_box
+        study, product = self.study, self.cases.settings.combine == "product"
+        return product and drawn.draws >= MANY_DRAWS and not (study.estimator.whole_box or study.model.choices)
 
     def _way(self, case: Case, drawn: NoiseDraws, experiments: tuple[Experiment, ...]) -> Waypoints | None:
         """Return the derivatives along the way that the first draw takes, whichever draw asks; None where it fails."""

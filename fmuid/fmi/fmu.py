@@ -77,7 +77,7 @@ class FMU(Displayed):
 
     @cached_property
     def directory(self) -> Path:
-        """The folder of the unpacked FMU, in the user's cache.
+        """The folder of the unpacked FMU, in the user's cache, where it is put if it is not there yet.
 
         Raises
         ------
@@ -85,16 +85,6 @@ class FMU(Displayed):
             If the archive is refused, or nothing can be written there.
         """
         return unpacked(self.file, self.digest, self.path)
-
-    def unpack(self) -> Path:
-        """Unpack the FMU into the user's cache, if it is not there yet, and return its `directory`.
-
-        Raises
-        ------
-        InputError
-            As `directory`.
-        """
-        return self.directory
 
     def library(self, identifier: str) -> Path:
         """Return the shared library of one interface for this platform.

@@ -45,14 +45,8 @@ _LOCAL_HEADER = 30
 _SHOWN = 80
 # Errors of zipfile for damaged archives.
 _DAMAGES = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    EOFError,
-    NotImplementedError,
-    OSError,
-    OverflowError,
-    ValueError,
+    *(zipfile.BadZipFile, zlib.error, struct.error),
+    *(EOFError, NotImplementedError, OSError, OverflowError, ValueError),
 )
 
 

@@ -227,7 +227,7 @@ class IsolatedExecutor:
 
     def _begin(self, host: Host) -> None:
         for _, model in self._models:
-            model.fmu.unpack()  # here, where what is wrong with it can be said
+            _ = model.fmu.directory  # unpacked here, where what is wrong with it can be said
         self._known.clear()
         host.order("start", self._components, self._limit, self._resets, limit=FIRST_TIME_LIMIT)
 
