@@ -145,7 +145,8 @@ def test_from_results_to_what_would_help(tmp_path: Path) -> None:
     doc = asked_for("open")
     build(doc, bench_of(tmp_path))
     text = "".join(each for each, _ in doc.template_variables["pieces"])
-    hold, prior = (html.unescape(each) for each in re.findall('class=go href="([^"]*)"', text))
+    study, hold, prior = (html.unescape(each) for each in re.findall('class=go href="([^"]*)"', text))
+    assert study == "/study?file=study.toml"
     for link, act in ((hold, "hold"), (prior, "prior")):
         asked = parse_qs(urlsplit(link).query)
         assert asked["file"] == ["study.toml"]
@@ -153,6 +154,10 @@ def test_from_results_to_what_would_help(tmp_path: Path) -> None:
         assert Study.read(path, asked["set"]).data == run.data
     designing = next(each for each in doc.roots if each.name == "designing")
     assert "compare excitations" in {each.name for each in designing.select({"type": Button})}
+    words = Remedied(Folder(tmp_path), tmp_path / "open").designing
+    design = Study.read(path, [word for word in words if word != "--set"])
+    assert design.known_variance == {"i": 1.0}  # as the result says
+    assert [(name, each.start) for name, each in design.parameters.items()] == [("R", 4.0), ("L", 0.05)]
     build(doc := asked_for("known"), bench_of(tmp_path))
     assert "designing" not in {each.name for each in doc.roots}
     _, (part,) = _compared(Folder(tmp_path), [tmp_path / "open", tmp_path / "known"])

@@ -15,7 +15,7 @@ from bokeh.layouts import column, row
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import is_file
-from fmuid.studies import read_toml, study_of
+from fmuid.studies import Study, read_toml, study_of
 from fmuid.text import of_parameter
 from fmuid.workbench.folder import Folder, beside, tables
 from fmuid.workbench.home import address, escaped
@@ -169,6 +169,8 @@ class Remedied:
     study : Path
     settings : list of str
         What ``--set`` has to say for the study to be as it was for this result.
+    designing : list of str
+        The same words for excitations to be compared at what is known since: the other estimates, the noise.
     """
 
     def __init__(self, folder: Folder, place: Path) -> None:
@@ -181,6 +183,11 @@ class Remedied:
         if now and folder.has(self.study):
             self.names = undetermined(result, list(study.parameters))
             self.settings = list(_settings(now, study.data))
+            known = dict(zip(result.names, result.values.tolist(), strict=True))
+            found = [name for name in study.parameters if name in known and name not in self.names]
+            more = [f'parameters."{name}".start={known[name]!r}' for name in found]
+            told = last_of(*self.settings, *more, *noise_of(study, result))
+            self.designing = [word for each in told for word in ("--set", each)]
             self._address = address("study", folder, self.study)
 
     def links(self) -> str:
@@ -197,6 +204,18 @@ class Remedied:
             + "</p>"
             for name in self.names
         )
+
+
+def last_of(*settings: str) -> list[str]:
+    """Return settings without those that a later one replaces."""
+    return list({each.partition("=")[0].replace('"', ""): each for each in settings}.values())
+
+
+def noise_of(study: Study, result: Result | None) -> list[str]:
+    """Return what ``--set`` has to say for the noise to be known: what a study does not say of it, a result does."""
+    known = study.known_variance
+    found = {} if result is None else {name: each for name, each in result.noise_variance.items() if name not in known}
+    return [f"noise.variance={_toml(known | found)}"] if found else []
 
 
 def _which(name: str) -> str:

@@ -37,7 +37,7 @@ from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, arguments, dress,
 
 # Where a figure that the document follows stands in the text of a page.
 PLACE = "<!-- figure -->"
-# The section of what would help.
+# The place of what would help.
 REMEDIES = "remedies"
 
 
@@ -49,13 +49,13 @@ def build(doc: Any, bench: Any) -> None:
         raise InputError("choose results on the first page")
     title, parts = contents(places[0]) if len(places) == 1 else _compared(folder, places)
     parts, zoomed = _zoomed(doc, parts)
+    if len(places) == 1:
+        parts, helping = _helped(doc, bench, places[0], parts)
+        zoomed = [*helping, *zoomed]
     body, drawings = written_parts(parts)
     shown = list(zip(body.split(PLACE), [*zoomed, ""], strict=True))
     if len(places) == 1:
-        shown += _acts(doc, bench, places[0])
-    if len(places) == 1 and is_file(places[0] / "report.html"):
-        link = file_address(folder, places[0] / "report.html")
-        shown.insert(0, (f'<p><a href="{link}">The same as a page to be mailed</a></p>', ""))
+        shown = [_elsewhere(folder, places[0]), *shown, *_acts(doc, bench, places[0])]
     # the others as in a report: models of a server would take it seconds, in which it answers nobody
     colors = DARK if argument(doc, SCHEME) == "dark" else {}
     figures = json.dumps({"drawings": drawings, "colors": colors})  # in this order: what is referred to comes before
@@ -63,20 +63,36 @@ def build(doc: Any, bench: Any) -> None:
     dress(doc, title, shown, "bokeh-widgets")
 
 
+def _elsewhere(folder: Folder, place: Path) -> tuple[str, str]:
+    """Return the piece of a page that leads from a result to its study and its report."""
+    study, report = next(map(FoundResult.of, filter(is_file, [place / "result.json"])), None), place / "report.html"
+    links = {}
+    if study is not None and study.study is not None and folder.has(study.study):
+        links["What-if and identify"] = address("study", folder, study.study)
+    if is_file(report):
+        links["The same as a page to be mailed"] = file_address(folder, report)
+    return "<p>" + " ".join(f'<a class=go href="{link}">{text}</a>' for text, link in links.items()) + "</p>", ""
+
+
 def _acts(doc: Any, bench: Any, place: Path) -> list[tuple[str, str]]:
     """Add to the document what can be done with a result, and return the pieces of the page that have it."""
-    found = list[tuple[str, Any]]()
-    if is_file(place / "result.json"):
-        open_ = Remedied(bench.folder, place)
-        if open_.names:
-            given = [word for each in open_.settings for word in ("--set", each)]
-            layout = Excitations(doc, bench, open_.study, place, lambda: given).layout
-            found.append((f"<section id={REMEDIES}><h3>What would help</h3>{open_.links()}", layout))
-        found.append(("<section><h3>Predict another record</h3>", Predicting(doc, bench, place).layout))
-    found.append(("<section><h3>Pass it on</h3>", Writing(doc, bench, place).layout))
-    for _, layout in found:
+    found = {"Predict another record": Predicting(doc, bench, place).layout} if is_file(place / "result.json") else {}
+    found["Pass it on"] = Writing(doc, bench, place).layout
+    for layout in found.values():
         doc.add_root(layout)
-    return [piece for text, layout in found for piece in ((text, layout.name), ("</section>", ""))]
+    pieces = ((f"<section><h3>{head}</h3>", layout.name) for head, layout in found.items())
+    return [each for piece in pieces for each in (piece, ("</section>", ""))]
+
+
+def _helped(doc: Any, bench: Any, place: Path, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:
+    """Have a verdict that not all is determined be followed by what would help; return parts, and names of places."""
+    open_ = Remedied(bench.folder, place)
+    if not open_.names:
+        return list(parts), []
+    layout = Excitations(doc, bench, open_.study, place, lambda: open_.designing).layout
+    doc.add_root(layout)
+    more = f"<h3 id={REMEDIES}>What would help</h3>{open_.links()}{PLACE}"
+    return [replace(parts[0], table=parts[0].table + more), *parts[1:]], [layout.name]
 
 
 def _zoomed(doc: Any, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:

@@ -28,6 +28,7 @@ from fmuid.workbench.home import address, escaped
 from fmuid.workbench.jobs import Jobs, command_text
 from fmuid.workbench.pages.identifying import Identifying
 from fmuid.workbench.pages.newest import Newest
+from fmuid.workbench.pages.remedies import last_of, noise_of
 from fmuid.workbench.pages.sliders import ParameterRow, stacked
 from fmuid.workbench.shell import SHEET, WIDE, argument, arguments, button, dress, words
 
@@ -299,7 +300,8 @@ class StudyPage:
         """Return what ``--set`` has to say for a command to begin where the sliders are."""
         found = [word for each in self.rows for word in _said_of(each, hold=each.held)]
         found += self.identifying.settings() if command == "identify" else []
-        return [word for setting in _last_of(*self._given, *found) for word in ("--set", setting)]
+        found += noise_of(self.study, self.optimum) if command == "design" else []
+        return [word for setting in last_of(*self._given, *found) for word in ("--set", setting)]
 
     def words(self, command: str) -> list[str]:
         """Return a command that does what the page shows, to be given in the study's folder."""
@@ -310,15 +312,10 @@ class StudyPage:
         self.command.text = f"<pre>{escaped(lines[0])}<br>{escaped(lines[1])}</pre>"
         # where a page that was cut off goes on
         said = [word for each in self.rows for word in _said_of(each, hold=False)]
-        shown = [("set", word) for word in _last_of(*self._given, *said)]
+        shown = [("set", word) for word in last_of(*self._given, *said)]
         shown += [(HOLD, each.name) for each in self.rows if each.held]
         tail = "".join(f"&{name}={quote(value, safe='')}" for name, value in shown)
         self.command.tags = [address("study", self.bench.folder, self.path) + tail]
-
-
-def _last_of(*settings: str) -> list[str]:
-    """Return settings without those that a later one replaces."""
-    return list({each.partition("=")[0].replace('"', ""): each for each in settings}.values())
 
 
 def _said_of(row: ParameterRow, *, hold: bool) -> list[str]:
