@@ -60,7 +60,12 @@ class FoundStudy:
         """Whether a result is of this study; that of a batch has the study itself, by which it is known."""
         if result.kind != "batch":
             return result.study == self.path.resolve()
-        return "batch" in self.asks and result.content.get("study") == read_toml(self.path)
+        if "batch" not in self.asks:
+            return False
+        from fmuid.batches import NOT_IN_ROWS
+
+        asked = {key: value for key, value in read_toml(self.path).items() if key not in NOT_IN_ROWS}
+        return bool(result.content.get("study") == asked)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from bokeh.models import Button, ColumnDataSource, FileInput, Range1d
 
 import fmuid
 from fmuid.batches import Cases
+from fmuid.batches.parcel import Bundle
 from fmuid.cli.options import DONE, WRONG_INPUT
 from fmuid.estimation import Result
 from fmuid.progress import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
@@ -29,7 +30,7 @@ from fmuid.reports.page.document import Part, written_parts
 from fmuid.reports.page.fits import fit_sections
 from fmuid.reports.page.write import contents
 from fmuid.simulation import Fit
-from fmuid.studies import Study, origin_of, read_toml
+from fmuid.studies import Study, origin_of
 from fmuid.workbench import Folder
 from fmuid.workbench.folder import FoundResult, FoundStudy
 from fmuid.workbench.home import _results, _studies
@@ -260,7 +261,8 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     (tmp_path / "study.toml").write_text(STUDY + words)
     batch(tmp_path / "out", 3)
     manifest = json.loads((tmp_path / "out/batch.json").read_text())
-    manifest |= {"study": read_toml(tmp_path / "study.toml"), "dashboard": "http://host:8787/status?a=<b>"}
+    manifest |= Bundle(Study.read(tmp_path / "study.toml"), isolated=False, versions={}).manifest()
+    manifest |= {"dashboard": "http://host:8787/status?a=<b>"}
     (tmp_path / "out/batch.json").write_text(json.dumps(manifest))
     doc: Any = Document()
     page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
@@ -277,6 +279,7 @@ def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path
     assert {name: each.start for name, each in study.parameters.items()} == {"R": 4.02}
     with pytest.raises(fmuid.InputError, match=r"study\.toml has no case 4 any more"):
         case_settings(tmp_path / "study.toml", 4, page.frame.iloc[0])
+    assert doc.title == "Coil"
     told = " ".join(text for text, _ in doc.template_variables["pieces"])
     assert 'href="http://host:8787/status?a=&lt;b&gt;"' in told
     (tmp_path / "out/batch.json").write_text(json.dumps(manifest | {"dashboard": "javascript:alert(1)", "study": {}}))

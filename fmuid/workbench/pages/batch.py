@@ -23,7 +23,7 @@ from fmuid.reports.interactive import batch as figures
 from fmuid.reports.interactive.live import in_scheme
 from fmuid.studies import Study
 from fmuid.workbench.access import SCHEME
-from fmuid.workbench.folder import Folder, FoundResult, beside
+from fmuid.workbench.folder import Folder, FoundResult, FoundStudy, beside
 from fmuid.workbench.home import address, escaped
 from fmuid.workbench.pages.shown import EVERY, side_by_side
 from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, dress, words
@@ -81,11 +81,9 @@ class BatchPage:
         self._dress(cases)
 
     def _dress(self, cases: Any) -> None:
-        title = str((self.manifest.get("study") or {}).get("title") or self.place.name)
-        link = address("results", self.folder, self.place)
-        more = f'<p><a href="{link}">All figures</a></p>' if is_file(self.place / "summary.json") else ""
+        title, more = self.place.name if self.found is None else self.found.title, ""
         if urlsplit(dashboard := str(self.manifest.get("dashboard") or "")).scheme in ("http", "https"):
-            more += f'<p><a href="{escaped(dashboard)}" target="_blank" rel="noreferrer">What the workers do</a></p>'
+            more = f'<p><a href="{escaped(dashboard)}" target="_blank" rel="noreferrer">What the workers do</a></p>'
         pieces = [
             ("<section>", "state"),
             (f"{more}</section><section><h3>Estimates</h3>", "drawn"),
@@ -135,6 +133,8 @@ class BatchPage:
                 words.append(f"nothing written for {silent:.0f} s")
         bar = f"<progress value={done} max={max(total, 1)}></progress>" if total else ""
         text = f"{bar}<p>{escaped(', '.join(words))}</p>"
+        if is_file(self.place / "summary.json"):  # it has ended
+            text += f'<p><a href="{address("results", self.folder, self.place)}">All figures</a></p>'
         if text != self.state.text:
             self.state.text = text
 
@@ -160,8 +160,8 @@ class BatchPage:
             frame = frame[frame["status"].astype(str) == self.status.value]
         sought = self.text.value.strip().lower()
         if sought:
-            texts = frame.astype(str).agg(" ".join, axis=1).str.lower()
-            frame = frame[texts.str.contains(sought, regex=False)]
+            found = [any(sought in str(each).lower() for each in row) for row in frame.itertuples(index=False)]
+            frame = frame[found]
         shown = frame.iloc[:MOST_ROWS]
         names = [name for name in _columns(frame) if name in shown]
         if [each.field for each in self.table.columns] != names:
@@ -188,7 +188,7 @@ class BatchPage:
         cells = "".join(
             f"<tr><th scope=row>{escaped(name)}</th><td>{escaped(value)}</td></tr>"
             for name, value in found.items()
-            if not (isinstance(value, float) and math.isnan(value)) and value is not None
+            if pd.notna(value) and value != ""
         )
         log = self.place / "logs" / f"case-{case:06d}.txt"
         said = ""
@@ -198,9 +198,9 @@ class BatchPage:
 
     def _what_if(self, found: pd.Series[Any]) -> str:
         """Return the link to the study with what a case has been given and has found."""
-        study = self.study
-        if study is None:
+        if self.found is None:
             return ""
+        study = self.found.path
         try:
             given = case_settings(study, int(found["case"]), found)
         except InputError as error:
@@ -210,10 +210,10 @@ class BatchPage:
         return f'<p><a href="{escaped(link)}">What if, from this case on</a>{drawn}</p>'
 
     @cached_property
-    def study(self) -> Path | None:
-        """The study file of the folder that the batch is of; None where it was changed since, or is elsewhere."""
-        found = FoundResult.of(self.place / "batch.json")
-        return next((each.path for each in self.folder.look()[0] if each.has_run(found)), None)
+    def found(self) -> FoundStudy | None:
+        """The study of the folder that the batch is of; None where it was changed since, or is elsewhere."""
+        mine = FoundResult.of(self.place / "batch.json")
+        return next((each for each in self.folder.look()[0] if each.has_run(mine)), None)
 
 
 def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
