@@ -95,9 +95,13 @@ def wait(driver: Any, script: str, patience: float = PATIENCE) -> None:
 
 def open_study(driver: Any, address: str, name: str = "study.toml") -> None:
     driver.get(address)
+    driver.get(f"{address.split('?')[0]}study?file={name}")
+    wait_until_drawn(driver)
+
+
+def wait_until_drawn(driver: Any) -> None:
     from selenium.common.exceptions import TimeoutException
 
-    driver.get(f"{address.split('?')[0]}study?file={name}")
     try:
         wait(driver, DRAWN, 30.0)
     except TimeoutException:  # once in some runs on a loaded machine: loaded anew, as its user would
@@ -284,7 +288,7 @@ def test_the_keyboard_reaches_all_of_each_page(browser: Any, address: str, folde
     base = address.split("?")[0]
     for page, wanted in REACHED.items():
         browser.get(base + page)
-        wait(browser, DRAWN if page else "document.readyState === 'complete'")
+        wait_until_drawn(browser) if page else wait(browser, "document.readyState === 'complete'")
         wait(browser, "!document.getElementById('figures') || document.documentElement.dataset.drawn === 'all'")
         names = []
         for name, element in tabbed(browser):
@@ -332,7 +336,7 @@ def test_a_study_is_begun_in_the_browser(browser: Any, address: str, folder: Pat
     (folder / "coil.fmu").write_bytes(COIL.read_bytes())
     browser.get(address)
     browser.get(f"{address.split('?')[0]}new")
-    wait(browser, DRAWN)
+    wait_until_drawn(browser)
     browser.execute_script(f"{MODEL}('chosen').value = ['first.csv']; {MODEL}('output').value = 'made.toml'")
     wait(browser, f"{MODEL}('said').text.includes('600 samples')")
     wait(browser, f"!{MODEL}('write study').disabled")
@@ -357,6 +361,6 @@ def test_pages_are_as_wide_as_their_window(browser: Any, address: str, width: in
     of_labels = "[...Bokeh.documents[0].all_models].map(model => model.axis_label_text_color).filter(color => color)"
     assert browser.execute_script(f"return [...new Set({of_labels})]") == ["#e6edf3"]
     browser.get(f"{address.split('?')[0]}new")
-    wait(browser, DRAWN)
+    wait_until_drawn(browser)
     browser.execute_script(f"{MODEL}('chosen').value = ['first.csv']")
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
