@@ -45,6 +45,8 @@ LARGE_CORRELATION = 0.1
 LARGE_OFFSET_STDS = 0.1
 # ... what returns with each cycle of the excitation is worth a sentence where it is more likely there than not.
 MORE_LIKELY = 0.5
+# ... and has so much of the residual's variance: what returns in one output has a little in others by chance.
+LEAST_RETURNING = 0.01
 
 
 class Trait(Enum):
@@ -281,11 +283,13 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     off_grid = tuple((each.experiment, each.output) for each in result.noise.series if not each.regular)
     widening = dict(zip(result.names, result.widening.tolist(), strict=True))
     weighed = result.noise.weights is not None
-    returning = tuple(
-        ReturningResidual(each.series.output, each.series.experiment, each.period * each.series.step, each.share)
-        for each in result.noise.returning
-        if each.probability > MORE_LIKELY
-    )
+    shares: dict[tuple[str, str, float], float] = {}
+    for found in result.noise.returning:
+        for own, share in zip(found.series, found.shares.tolist(), strict=True):
+            if found.probability > MORE_LIKELY and share > LEAST_RETURNING:
+                key = (own.output, own.experiment, found.period * own.step)
+                shares[key] = min(shares.get(key, 0.0) + share, 1.0)
+    returning = tuple(ReturningResidual(*key, share) for key, share in shares.items())
     return Diagnostics(tuple(series), widening, off_grid, _slow(result.noise), weighed, returning)
 
 

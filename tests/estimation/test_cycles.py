@@ -19,7 +19,7 @@ from fmuid.arrays import Floats
 from fmuid.assessment.residuals import examine_residuals
 from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.colour.cycles import Returning, _likelihoods, _products, _sides, _summed
+from fmuid.estimation.colour.cycles import Folded, Returning, _floor, _likelihoods, _products, _sides, _summed
 from fmuid.estimation.colour.sandwich import sandwich_of
 from fmuid.estimation.colour.series import Series, period_of
 from fmuid.estimation.colour.slow import Bins
@@ -41,8 +41,9 @@ Drawn = Callable[[np.random.Generator], Floats]
 def recorded(inputs: Floats, output: Floats | None = None) -> Experiment:
     columns = {f"u{k}": own for k, own in enumerate(inputs.reshape(len(inputs), -1).T)}
     y = np.ones(len(inputs)) if output is None else output
-    frame = pd.DataFrame({"time": STEP * np.arange(len(inputs)), **columns, "y": y})
-    return Experiment(frame, list(columns), ["y"], interpolation="hold")
+    measured = {f"y{k or ''}": own for k, own in enumerate(y.reshape(len(y), -1).T)}
+    frame = pd.DataFrame({"time": STEP * np.arange(len(inputs)), **columns, **measured})
+    return Experiment(frame, list(columns), list(measured), interpolation="hold")
 
 
 def square(cycles: float = CYCLES) -> Floats:
@@ -50,8 +51,9 @@ def square(cycles: float = CYCLES) -> Floats:
 
 
 def fitted(noise: Floats) -> tuple[LeastSquares, Result]:
-    """The linearised a e^(−kt) in each cycle, both parameters 0 in truth."""
-    predictor = FunctionPredictor(lambda theta: JACOBIAN @ theta, (COUNT, 1))
+    """The linearised a e^(−kt) in each cycle, both parameters 0 in truth, measured once or, (n, m), several times."""
+    outputs = noise.size // COUNT
+    predictor = FunctionPredictor(lambda theta: np.repeat((JACOBIAN @ theta)[:, None], outputs, 1), (COUNT, outputs))
     problem = LeastSquares([predictor], [recorded(square(), noise)], PARAMETERS)
     return problem, identify(problem)
 
@@ -150,15 +152,18 @@ def test_likelihoods_are_those_of_the_dense_covariance(powers: Floats) -> None:
 
 
 def test_what_returns_adds_the_dense_covariance(powers: Floats) -> None:
-    """An error g of covariance Γ in each cycle and columns C: the covariance of Cᵀ(g, g, …) is ΣᵀΓΣ, Σ = C summed."""
-    columns = np.random.default_rng(2).standard_normal((COUNT, 3))
-    series = Series("experiment", "y", 0, np.arange(COUNT), np.arange(COUNT), STEP, True, 0, 0)
+    """An error g of covariance Γ in each cycle of two outputs, once g and once −g/2: of Cᵀ(g, −g/2, g, ...)."""
+    columns = np.random.default_rng(2).standard_normal((2 * COUNT, 3))
+    series = tuple(
+        Series("experiment", f"y{k}", k, np.arange(k, 2 * COUNT, 2), np.arange(COUNT), STEP, True, 0, k) for k in (0, 1)
+    )
     assert _sides(PERIOD).sum() == PERIOD
     np.testing.assert_allclose(
-        _summed(columns, series, PERIOD), columns.reshape(CYCLES, PERIOD, 3).sum(0) / CYCLES**0.5
+        _summed(columns, series[0], PERIOD), columns[::2].reshape(CYCLES, PERIOD, 3).sum(0) / CYCLES**0.5
     )
-    both = Returning(series, PERIOD, powers, np.array([powers, 2.0 * powers]), np.array([0.5, 0.3]), 0.0)
-    whole = np.tile(covariance(powers / CYCLES), (CYCLES, CYCLES))
+    factors, points, weights = np.array([1.0, -0.5]), np.array([powers, 2.0 * powers]), np.array([0.5, 0.3])
+    both = Returning(series, factors, PERIOD, powers, points, weights, np.zeros(2))
+    whole = np.kron(np.tile(covariance(powers / CYCLES), (CYCLES, CYCLES)), np.outer(factors, factors))
     np.testing.assert_allclose(both.gram(columns), columns.T @ whole @ columns, rtol=1e-9)
     assert both.probability == pytest.approx(0.8)
     own = np.diag(columns.T @ whole @ columns)
@@ -166,6 +171,41 @@ def test_what_returns_adds_the_dense_covariance(powers: Floats) -> None:
     weights = np.array([0.2, 0.5, 0.3])
     expected = weights @ logs**2 - (weights @ logs) ** 2
     np.testing.assert_allclose(both.scatter(columns, np.full(3, 5.0)), expected, rtol=1e-9)
+
+
+def test_the_noise_of_a_sum_of_outputs_has_the_dense_spectrum() -> None:
+    """Of two autoregressions of order 1 around a circle, w = (2, −1), whose innovations are correlated."""
+    shares, weights, common = (0.8, 0.3), np.array([2.0, -1.0]), np.array([[1.0, 0.6], [0.6, 2.0]])
+    series = Series("experiment", "y", 0, np.arange(COUNT), np.arange(COUNT), STEP, True, 0, 0)
+    responses = [1.0 / (1.0 - share * np.exp(-2j * np.pi * np.arange(PERIOD) / PERIOD)) for share in shares]
+    half = PERIOD // 2 + 1
+    folded = [Folded(series, np.zeros((PERIOD, 2)), own[:half], 1.0, 1.0) for own in responses]
+    filters = [np.linalg.inv(np.eye(PERIOD) - share * np.roll(np.eye(PERIOD), 1, axis=0)) for share in shares]
+    dense = sum(weights[i] * weights[j] * common[i, j] * filters[i] @ filters[j].T for i in range(2) for j in range(2))
+    np.testing.assert_allclose(_floor(folded, weights, common), np.fft.rfft(np.asarray(dense)[:, 0]).real, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("signs", "least", "most"), [((1.0, 1.0), 1.2, 1.7), ((1.0, -1.0), 0.0, 0.4)])
+def test_an_error_of_two_outputs_acts_at_once(signs: tuple[float, float], least: float, most: float) -> None:
+    """Outputs of the same sensitivities: it adds up (√2), or cancels; against errors of their own in each."""
+    rng = np.random.default_rng(5)
+    error, white = np.tile(ar1(rng, 0.8, PERIOD), CYCLES), rng.standard_normal((COUNT, 2))
+    problem, result = fitted(2.0 * np.outer(error, signs) + white)
+    assert result.noise is not None
+    assert result.local is not None
+    rest, found = sorted(result.noise.returning, key=lambda each: float(each.shares.sum()))
+    assert found.probability > 0.99
+    assert found.factors[1] / found.factors[0] == pytest.approx(signs[1] / signs[0], rel=0.1)
+    np.testing.assert_allclose(found.shares, 0.8, atol=0.21)
+    assert (rest.shares < 0.05).all()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fmuid.estimation.colour.cycles._together", lambda _folded, alone, _noise: alone)
+        apart = sandwich_of(problem, result.local, np.array([False, False]))
+    wider = np.sqrt(np.diag(result.covariance) / np.diag(apart.covariance))
+    assert (wider > least).all()
+    assert (wider < most).all()
+    said = [line for line in residual_words(examine_residuals(problem, result)) if "comes back" in line]
+    assert {line.split()[4] for line in said} == {"y", "y1"}
 
 
 def test_an_error_that_returns_is_found_said_and_allowed_for() -> None:
@@ -176,7 +216,7 @@ def test_an_error_that_returns_is_found_said_and_allowed_for() -> None:
     assert result.local is not None
     (found,) = result.noise.returning
     assert found.probability > 0.99
-    assert found.share == pytest.approx(0.5, abs=0.2)
+    assert found.shares == pytest.approx([0.5], abs=0.2)
     root = result.local.root
     gram = result.noise.gram(result.local.jacobian @ root)
     np.testing.assert_allclose(root @ gram @ root.T, result.covariance, rtol=1e-9)
@@ -215,6 +255,16 @@ def walk(rng: np.random.Generator) -> Floats:
     return 0.1 * np.cumsum(rng.standard_normal(COUNT))
 
 
+def twice(level: float, *signs: float) -> Drawn:
+    """One error in outputs of the same sensitivities, or in each an error of its own, beneath white noise."""
+
+    def draw(rng: np.random.Generator) -> Floats:
+        errors = np.column_stack([returns(level)(rng) for _ in range(1 if signs else 2)])
+        return np.asarray(errors * np.array(signs or (1.0, 1.0)) + rng.standard_normal((COUNT, 2)))
+
+    return draw
+
+
 CASES: dict[str, tuple[Drawn, ...]] = {
     "white": (white,),
     "AR(1) 0.5": (ar(0.5),),
@@ -229,6 +279,10 @@ CASES: dict[str, tuple[Drawn, ...]] = {
     "error 1, AR(1) 0.99 noise": (returns(1.0), ar(0.99)),
     "error 1, random walk": (returns(1.0), walk),
     "error 3, random walk and white": (returns(3.0), walk, white),
+    "two outputs, error 1 in both": (twice(1.0, 1.0, 1.0),),
+    "two outputs, error 1 with opposite signs": (twice(1.0, 1.0, -1.0),),
+    "two outputs, error 1 of its own in each": (twice(1.0),),
+    "two outputs, white": (twice(0.0),),
 }
 
 

@@ -32,9 +32,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
+from scipy import fft, linalg
+from scipy.sparse.csgraph import connected_components
 
-from fmuid.arrays import Flags, Floats
+from fmuid.arrays import Complexes, Flags, Floats
 from fmuid.data import Noise
 from fmuid.errors import InputError
 from fmuid.estimation.colour.autoregression import ENOUGH, Autoregression
@@ -52,17 +53,21 @@ SHORTEST, LONGEST_SHARE = 0.5, 0.5
 LEAST, WEAKEST, MOST, STEP, FINE = 0.03, 1e-6, 2.0, 0.5 * math.log(2.0), 31
 # Points matter whose log-likelihood is no further below the greatest.
 NEAR = 10.0
+# What returns in two series is correlated where their mean cycles are, by so many standard deviations of chance.
+RELATED = 2.0
 # Directions of which the fit has taken more than this share out of the mean cycle are not in the likelihood.
 TAKEN = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Returning:
-    """What returns with each cycle in one series.
+    """What returns with each cycle in one series, or in several at once.
 
     Attributes
     ----------
-    series : Series
+    series : tuple of Series
+    factors : (s,) array
+        By which it acts on each of them.
     period : int
         Samples of a cycle.
     powers : (f,) array
@@ -71,16 +76,17 @@ class Returning:
         G of each point of the grid that matters ...
     weights : (m,) array
         ... and its weight; the rest is that of nothing that returns.
-    share : float
-        Of the residual's variance that it has.
+    shares : (s,) array
+        Of the variance of the residual of each that it has.
     """
 
-    series: Series
+    series: tuple[Series, ...]
+    factors: Floats
     period: int
     powers: Floats
     points: Floats
     weights: Floats
-    share: float
+    shares: Floats
 
     @property
     def probability(self) -> float:
@@ -89,14 +95,18 @@ class Returning:
 
     def gram(self, columns: Floats) -> Floats:
         """Return what returns adds to CᵀΓC (k, k), of columns (n, k) over all rows."""
-        parts = _products(_summed(columns, self.series, self.period))
+        parts = _products(self._cycle(columns))
         return np.asarray(np.tensordot(self.powers, parts, 1))
 
     def scatter(self, columns: Floats, others: Floats) -> Floats:
         """Return the variances (k,) of log(cᵀΓc) over the grid, of each column, `others` (k,) what else is in it."""
-        powers = np.einsum("fii->if", _products(_summed(columns, self.series, self.period)))
+        powers = np.einsum("fii->if", _products(self._cycle(columns)))
         logs = np.log1p(powers @ self.points.T / np.maximum(others, np.finfo(float).tiny)[:, None])
         return np.asarray((logs**2) @ self.weights - (logs @ self.weights) ** 2)
+
+    def _cycle(self, columns: Floats) -> Floats:
+        parts = zip(self.factors, self.series, strict=True)
+        return np.asarray(sum(factor * _summed(columns, series, self.period) for factor, series in parts))
 
 
 def check_periods(series: Sequence[Series], noise: Noise, parameters: int) -> None:
@@ -124,14 +134,50 @@ def check_periods(series: Sequence[Series], noise: Noise, parameters: int) -> No
             raise InputError(f"{named} is {cycle:.7g} of {count} samples: there must be nearly two cycles")
 
 
+@dataclass(frozen=True, eq=False)
+class Folded:
+    """The mean cycle of a series, times the root of the number of cycles.
+
+    Attributes
+    ----------
+    series : Series
+    values : (T, 1 + k) array
+        Of its residual and of the basis, in the units of its noise model.
+    response : (f,) array
+        Of its noise to its innovation at the harmonics.
+    unit, square : float
+        Squares of its units, and the residual's mean one.
+    """
+
+    series: Series
+    values: Floats
+    response: Complexes
+    unit: float
+    square: float
+
+    @classmethod
+    def of(cls, rows: Floats, series: Series, model: Autoregression, period: float, *, given: bool) -> Folded | None:
+        """Return that of all rows (n, 1 + k); None where they have no whole cycles."""
+        time, residual = period / series.step, rows[series.rows, 0]
+        samples, square = round(time), float(residual @ residual) / residual.size
+        if samples < max(ENOUGH, 2 * (rows.shape[1] - 1)) or abs(time - samples) > WHOLE:
+            return None
+        if not square * model.variance > 0.0 or np.bincount(series.places % samples, minlength=samples).min() == 0:
+            return None
+        # where a variance is given the residual says how it is spread
+        unit = square / (model.variance * model.gain) if given else 1.0
+        values = _summed(rows, series, samples) / math.sqrt(unit)
+        return cls(series, values, model.transfer(samples), unit, square)
+
+
 def returning(
     residual: Floats,
     basis: Floats,
     periods: Mapping[str, float],
-    noise: Sequence[tuple[Series, Autoregression]],
+    grids: Sequence[tuple[Sequence[tuple[Series, Autoregression]], Floats]],
     given: Flags,
 ) -> tuple[Returning, ...]:
-    """Return what returns with each cycle of the excitation, of each series whose experiment has some.
+    """Return what returns with each cycle of the excitation, in the series of experiments that have some.
 
     Parameters
     ----------
@@ -139,25 +185,68 @@ def returning(
         As in `fmuid.estimation.colour.grid.Rows`.
     periods : mapping of str to float
         Of the excitation of each experiment, s; 0 where it does not repeat.
-    noise : sequence of (Series, Autoregression)
+    grids : sequence of (sequence of (Series, Autoregression), (m, m) array)
+        The series of each grid with their noise, and the covariance of their innovations.
     given : (n_outputs,) array of bool
         Outputs whose variance was given.
     """
-    found = []
-    for series, model in noise:
-        time = periods[series.experiment] / series.step
-        period, own = round(time), residual[series.rows]
-        square = float(own @ own) / own.size
-        if period < max(ENOUGH, 2 * basis.shape[1]) or abs(time - period) > WHOLE or not square * model.variance > 0.0:
-            continue
-        if np.bincount(series.places % period, minlength=period).min() == 0:
-            continue
-        # where a variance is given the residual says how it is spread
-        unit = square / (model.variance * model.gain) if given[series.group] else 1.0
-        spectrum = unit * model.variance * np.abs(model.transfer(period)) ** 2
-        rows = _summed(np.column_stack([residual, basis]), series, period)
-        found.append(_weighed(rows, spectrum, series, period, unit, square))
+    rows, found = np.column_stack([residual, basis]), []
+    for noise, innovations in grids:
+        each = [
+            Folded.of(rows, series, model, periods[series.experiment], given=bool(given[series.group]))
+            for series, model in noise
+        ]
+        known = [index for index, own in enumerate(each) if own is not None]
+        folded, common = [own for own in each if own is not None], innovations[np.ix_(known, known)]
+        alone = [_weighed([own], np.ones(1), np.ones(1), common[i : i + 1, i : i + 1]) for i, own in enumerate(folded)]
+        found += _together(folded, alone, common) if len(alone) > 1 else alone
     return tuple(found)
+
+
+def _together(folded: Sequence[Folded], alone: Sequence[Returning], innovations: Floats) -> list[Returning]:
+    """Return what returns in the series of one grid, where it is correlated between some in all of these at once."""
+    period = alone[0].period
+    taken = _taken(np.hstack([each.values[:, 1:] for each in folded]), 1.0)
+    left = period - taken.shape[1]
+    if left < period // 2:
+        return list(alone)
+    cycles = np.column_stack([each.values[:, 0] for each in folded])
+    cycles -= taken @ (taken.T @ cycles)
+    responses, counts = np.array([each.response for each in folded]), 2.0 * Bins.of(period).counts
+    noise = innovations * ((responses * _sides(period)) @ responses.conj().T).real
+    powers = np.array([_floor([each], np.ones(1), innovations[i : i + 1, i : i + 1]) for i, each in enumerate(folded)])
+    powers += np.array([each.powers for each in alone])
+    chance = np.sqrt((powers * counts) @ powers.T)
+    squares = cycles.T @ cycles
+    related = np.abs(squares * period / left - noise) > RELATED * chance
+    groups, found = connected_components(related)[1], []
+    for group in range(groups.max() + 1):
+        members = np.flatnonzero(groups == group)
+        if members.size == 1:
+            found.append(alone[int(members[0])])
+            continue
+        own = np.ix_(members, members)
+        vectors = linalg.eigh(squares[own], noise[own])[1]
+        factors = noise[own] @ vectors
+        chosen = [folded[i] for i in members.tolist()]
+        found += [_weighed(chosen, vectors[:, i], factors[:, i], innovations[own]) for i in range(members.size)]
+    return found
+
+
+def _floor(folded: Sequence[Folded], weights: Floats, innovations: Floats) -> Floats:
+    """Return the spectrum at the bins of harmonics (f,) of the noise of a sum of series with weights (m,)."""
+    responses = weights[:, None] * np.array([each.response for each in folded])
+    period = len(folded[0].values)
+    spectrum = np.sum(responses * (innovations @ responses.conj()), axis=0).real
+    return np.asarray(
+        np.add.reduceat(spectrum * _sides(period), Bins.of(period).edges) / (2.0 * Bins.of(period).counts)
+    )
+
+
+def _taken(values: Floats, scale: float) -> Floats:
+    """Return an orthonormal basis of what the fit has taken out of mean cycles, of columns (T, k) times a scale."""
+    vectors, sizes, _ = np.linalg.svd(values, full_matrices=False)
+    return np.asarray(vectors[:, sizes**2 > TAKEN * scale])
 
 
 def _summed(columns: Floats, series: Series, period: int) -> Floats:
@@ -187,14 +276,15 @@ def _sides(period: int) -> Floats:
     return found
 
 
-def _weighed(cycle: Floats, spectrum: Floats, series: Series, period: int, unit: float, square: float) -> Returning:
-    """Return what returns in a cycle of the residual and its basis (T, 1 + k) with noise of some spectrum (f,)."""
-    bins, sides, counts = Bins.of(period), _sides(period), 2.0 * Bins.of(period).counts
-    floor = np.add.reduceat(spectrum * sides, bins.edges) / counts
-    vectors, sizes, _ = np.linalg.svd(cycle[:, 1:], full_matrices=False)
-    parts = _products(np.column_stack([cycle[:, 0], vectors[:, sizes**2 > TAKEN]]))
+def _weighed(folded: Sequence[Folded], weights: Floats, factors: Floats, innovations: Floats) -> Returning:
+    """Return what returns in a sum of series with weights (m,), acting on each of them by factors (m,)."""
+    cycle = np.sum([weight * each.values for weight, each in zip(weights, folded, strict=True)], axis=0)
+    period, floor = len(cycle), _floor(folded, weights, innovations)
+    bins, counts = Bins.of(period), 2.0 * Bins.of(period).counts
+    scale = sum(weight**2 / each.unit for weight, each in zip(weights, folded, strict=True))
+    parts = _products(np.column_stack([cycle[:, 0], _taken(cycle[:, 1:], scale)]))
     mean = float(floor @ counts) / period
-    cycles = series.rows.size / period
+    cycles = folded[0].series.rows.size / period
     least, most = max(LEAST * float(floor.min()), WEAKEST * mean), MOST * cycles * mean
     variances = np.arange(math.log(least), math.log(most), STEP)
     memories = np.exp(np.arange(math.log(SHORTEST), math.log(LONGEST_SHARE * period), STEP))
@@ -215,14 +305,17 @@ def _weighed(cycle: Floats, spectrum: Floats, series: Series, period: int, unit:
         area = (finer[1] - finer[0]) / STEP
         powers, logs = heights(finer, shapes[matter.any(axis=0)])
     top = max(float(logs.max()), 0.0)
-    weights = np.exp(logs - top) * area / total * (1.0 - NOTHING)
-    weights /= weights.sum() + NOTHING * math.exp(-top)
-    kept = weights > np.exp(-NEAR) * weights.max()
-    powers, weights = powers[kept], weights[kept]
-    point = floor * np.expm1(weights @ np.log1p(powers / floor))
+    likely = np.exp(logs - top) * area / total * (1.0 - NOTHING)
+    likely /= likely.sum() + NOTHING * math.exp(-top)
+    kept = likely > np.exp(-NEAR) * likely.max()
+    powers, likely = powers[kept], likely[kept]
+    point = floor * np.expm1(likely @ np.log1p(powers / floor))
     # of what returns the noise model of the whole record has one cycle's share already
-    share = min(float(point @ counts) / period / max(cycles - 1.0, 1.0) / square, 1.0)
-    return Returning(series, period, point / unit, powers / unit, weights, share)
+    level = float(point @ counts) / period / max(cycles - 1.0, 1.0)
+    shares = factors**2 * level * np.array([each.unit / each.square for each in folded])
+    return Returning(
+        tuple(each.series for each in folded), factors, period, point, powers, likely, np.minimum(shares, 1.0)
+    )
 
 
 def _likelihoods(spectra: Floats, parts: Floats, counts: Floats) -> Floats:

@@ -198,7 +198,11 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
 def _with_returning(found: Sandwich, rows: Rows, periods: Mapping[str, float], weights: Weights | None) -> Sandwich:
     """Return a sandwich with what returns with each cycle of the excitation, and the noise's weights."""
     own = found.noise
-    known = [each for each in zip(own.series, own.models, strict=True) if not rows.white[each[0].group]]
+    known = []
+    for members, common in zip(_members([each.grid for each in own.series]), own.innovations, strict=True):
+        told = [k for k, i in enumerate(members) if not rows.white[own.series[i].group]]
+        noises = [(own.series[members[k]], own.models[members[k]]) for k in told]
+        known.append((noises, common[np.ix_(told, told)]))
     returns = returning(rows.residual, rows.basis, periods, known, rows.given)
     noise = replace(own, weights=weights, returning=returns)
     if not returns:
