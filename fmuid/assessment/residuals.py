@@ -48,6 +48,9 @@ MORE_LIKELY = 0.5
 # ... and has so much of the residual's variance: what returns in one output has a little in others by chance.
 LEAST_RETURNING = 0.01
 
+# Noise is slow for a record of which its time constant is more than this share.
+LONG_MEMORY = 0.2
+
 
 class Trait(Enum):
     """In what a residual differs from white normal noise."""
@@ -119,19 +122,43 @@ class SlowResidual:
     share: float
 
 
-def _slow(noise: ColouredNoise) -> tuple[SlowResidual, ...]:
-    """Return the slow noise of each model that has some."""
+@dataclass(frozen=True)
+class LongMemory:
+    """Noise so slow that its record hardly tells how slow.
+
+    Attributes
+    ----------
+    output : str
+    experiments : tuple of str
+        Which share one model of it.
+    time_constant : float
+        s.
+    record : float
+        How long the longest of them is, s.
+    """
+
+    output: str
+    experiments: tuple[str, ...]
+    time_constant: float
+    record: float
+
+
+def _slow(noise: ColouredNoise) -> tuple[tuple[SlowResidual, ...], tuple[LongMemory, ...]]:
+    """Return the slow noise of each model that has some, and whose memory is long for the record."""
     pools: dict[int, list[int]] = {}
-    for index, (series, model) in enumerate(zip(noise.series, noise.models, strict=True)):
-        if model.pole:
-            pools.setdefault(series.pool, []).append(index)
-    found = []
+    for index, series in enumerate(noise.series):
+        pools.setdefault(series.pool, []).append(index)
+    slow, long = [], []
     for members in pools.values():
         series, model = noise.series[members[0]], noise.models[members[0]]
         names = tuple(dict.fromkeys(noise.series[i].experiment for i in members))
-        constant = -series.step / math.log(model.pole)
-        found.append(SlowResidual(series.output, names, constant, model.slow_share))
-    return tuple(found)
+        constant = series.step * model.time_constant
+        record = series.step * (1 + max(int(noise.series[i].places[-1]) for i in members))
+        if model.pole:
+            slow.append(SlowResidual(series.output, names, -series.step / math.log(model.pole), model.slow_share))
+        if constant > LONG_MEMORY * record:
+            long.append(LongMemory(series.output, names, min(constant, record), record))
+    return tuple(slow), tuple(long)
 
 
 @dataclass(frozen=True)
@@ -174,6 +201,8 @@ class Diagnostics:
     returning : tuple of ReturningResidual
         Where the standard deviations allow for what comes back with each cycle of the excitation, and it more likely
         does than not.
+    long_memory : tuple of LongMemory
+        Noise so slow that the record hardly tells how slow.
     """
 
     series: tuple[ResidualSeries, ...]
@@ -182,6 +211,7 @@ class Diagnostics:
     slow: tuple[SlowResidual, ...] = ()
     weighed: bool = False
     returning: tuple[ReturningResidual, ...] = ()
+    long_memory: tuple[LongMemory, ...] = ()
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -244,7 +274,7 @@ class Diagnostics:
         ]
         off_grid = [list(each) for each in self.off_grid]
         content = {"findings": findings, "widening": self.widening, "off_grid": off_grid, "slow": self.slow}
-        content["returning"] = self.returning
+        content |= {"returning": self.returning, "long_memory": self.long_memory}
         plain: dict[str, Any] = as_json(content | {"weighed": self.weighed, "residuals": rows})
         return plain
 
@@ -290,7 +320,8 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
                 key = (own.output, own.experiment, found.period * own.step)
                 shares[key] = min(shares.get(key, 0.0) + share, 1.0)
     returning = tuple(ReturningResidual(*key, share) for key, share in shares.items())
-    return Diagnostics(tuple(series), widening, off_grid, _slow(result.noise), weighed, returning)
+    slow, long = _slow(result.noise)
+    return Diagnostics(tuple(series), widening, off_grid, slow, weighed, returning, long)
 
 
 def residuals_of(

@@ -63,8 +63,8 @@ def test_of_white_noise_words_say_what_was_tested() -> None:
     assert sentence == (
         "The residual of y looks like white normal noise that has nothing to do with the inputs, as far as was tested: "
         "whiteness (Ljung–Box over 25 lags), mean, correlation with u and normality (Jarque–Bera), each at a level of "
-        "1 %, with 1000 samples; nothing more was tested, and an error of the model that the parameters make up for "
-        "does not show there"
+        "1 %, with 1000 samples; nothing more was tested: an error of the model that the parameters make up for does "
+        "not show there, nor does slow noise too weak for so many samples"
     )
     assert found.widening == {name: pytest.approx(1.0, abs=0.15) for name in ("level", "slow", "fast")}
     series = only(found)
@@ -176,6 +176,18 @@ def test_slow_noise_is_said_where_the_intervals_allow_for_it(share: float) -> No
         assert each.time_constant == pytest.approx(0.5, rel=0.5)
         assert each.share == pytest.approx(share, abs=0.08)
         assert found.to_json_dict()["slow"][0]["output"] == "y"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.8, 0.999])
+def test_noise_too_slow_for_its_record_is_said(share: float) -> None:
+    """A time constant of 1000 samples in 1000; of 4.5, and none."""
+    found = examined(ar1(np.random.default_rng(2), share, COUNT))
+    said = [line for line in residual_words(found) if "is slow for its record (a time constant of about" in line]
+    assert len(said) == len(found.long_memory) == (share > 0.9)
+    for each in found.long_memory:
+        assert (each.output, each.experiments, each.record) == ("y", ("experiment",), pytest.approx(10.0))
+        assert 2.0 < each.time_constant <= 10.0
+        assert found.to_json_dict()["long_memory"][0]["record"] == pytest.approx(10.0)
 
 
 def test_standard_deviations_that_are_smaller_for_the_colour() -> None:

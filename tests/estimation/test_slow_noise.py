@@ -34,6 +34,15 @@ def test_spectra_and_gains_are_those_of_the_filter() -> None:
     assert MODEL.gain == pytest.approx(float(expected @ expected), rel=1e-4)
 
 
+def test_the_time_constant_is_that_of_the_slowest_real_pole() -> None:
+    """Of poles 0.8, −0.95 and 0.9 e^(±i); of slow noise beneath; of white noise."""
+    polynomial = np.convolve(np.convolve([1.0, -0.8], [1.0, 0.95]), [1.0, -1.8 * math.cos(1.0), 0.81])
+    own = Autoregression(-polynomial[1:], 1.0, 100)
+    assert own.time_constant == pytest.approx(-1.0 / math.log(0.8))
+    assert MODEL.time_constant == pytest.approx(-1.0 / math.log(0.97))
+    assert Autoregression(np.zeros(0), 1.0, 100).time_constant == 0.0
+
+
 def test_scatter_is_the_inverse_of_whittles_information() -> None:
     """The mean over all frequencies of the products of the derivatives of log transfer, by differences."""
     length, h = 8192, 1e-5

@@ -117,6 +117,13 @@ class Autoregression:
         # the innovations without it have variance · θ/φ (`fmuid.estimation.colour.slow`)
         return 1.0 - self.zero / self.pole * float(self._of_coefficients @ self._of_coefficients) / self.gain
 
+    @property
+    def time_constant(self) -> float:
+        """In how many samples the slowest part that does not oscillate falls to 1/e."""
+        roots = np.roots(np.concatenate([[1.0], -self.coefficients]))
+        slowest = max([self.pole, *roots[(roots.imag == 0.0) & (roots.real > 0.0)].real.tolist()])
+        return -1.0 / math.log(min(slowest, math.nextafter(1.0, 0.0))) if slowest > 0.0 else 0.0
+
     def scatter(self) -> Floats:
         """Return the covariance of log σ², all φ_j, and φ and θ where they are, times the number of samples."""
         order = self.coefficients.size

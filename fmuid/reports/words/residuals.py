@@ -29,7 +29,7 @@ def residual_words(found: Diagnostics, units: Mapping[str, str | None] | None = 
     said += _off_grid(found)
     said += _returning(found)
     quiet = not said
-    return tuple(said + _slow(found) + _summary(found, quiet=quiet))
+    return tuple(said + _slow(found) + _long(found) + _summary(found, quiet=quiet))
 
 
 def _name(found: Diagnostics, series: ResidualSeries) -> str:
@@ -104,6 +104,17 @@ def _slow(found: Diagnostics) -> list[str]:
     ]
 
 
+def _long(found: Diagnostics) -> list[str]:
+    """Say where noise is so slow that the record hardly tells how slow."""
+    several = len({each.experiment for each in found.series}) > 1
+    return [
+        f"The noise of {each.output}{f' in {listed(each.experiments)}' if several else ''} is slow for its record (a "
+        f"time constant of about {each.time_constant:.1g} s, in {each.record:.3g} s): how slow is hardly told, and the "
+        "standard deviations that it acts on are uncertain themselves; a longer record tells more"
+        for each in found.long_memory
+    ]
+
+
 def _returning(found: Diagnostics) -> list[str]:
     """Say where the standard deviations allow for what comes back with each cycle of the excitation."""
     several = len({each.experiment for each in found.series}) > 1
@@ -143,8 +154,8 @@ def _summary(found: Diagnostics, *, quiet: bool) -> list[str]:
     return [
         *lines,
         f"The {which} {like} white normal noise that has nothing to do with the inputs, as far as was tested: "
-        f"{_tested(examined)}; nothing more was tested, and an error of the model that the parameters make up for does "
-        "not show there",
+        f"{_tested(examined)}; nothing more was tested: an error of the model that the parameters make up for does "
+        "not show there, nor does slow noise too weak for so many samples",
     ]
 
 
