@@ -297,7 +297,7 @@ def covered(parts: tuple[Drawn, ...], draws: int) -> tuple[float, float, float]:
         assert result.local is not None
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("fmuid.estimation.colour.sandwich.returning", lambda *_: ())
-            before = sandwich_of(problem, result.local, np.array([False]))
+            before = sandwich_of(problem, result.local, np.zeros(len(problem.output_names), dtype=np.bool_))
         half = before_half(before.covariance, before.freedom)
         without.append(np.abs(result.values) < half)
         wider.append(float(np.mean((ends[:, 1] - ends[:, 0]) / (2.0 * half))))

@@ -18,6 +18,11 @@ logarithms, beside nothing that returns, which has the weight NOTHING before: a 
 an error is as weak as the noise or as slow as the cycle. log(S + G) is the mean over the grid, never less than log S,
 and the scatter of log V over the grid takes degrees of freedom away.
 
+What returns in several outputs at the same time may add up in the estimates, or cancel. The mean cycles z_a of the
+outputs of one grid have the covariances Σ_k Re z_a z̄_b, of which those of the noise are F = Σ_k Re S_ab(ω_k). Outputs
+for which both differ by more than chance are replaced by the sums Σ_a w_a z_a that make both matrices diagonal,
+WᵀFW = 1. Each sum is then treated as one output is; what returns in it acts on all of these outputs, by A = FW.
+
 References
 ----------
 H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika 58, 1971;
@@ -33,7 +38,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft, linalg
-from scipy.sparse.csgraph import connected_components
 
 from fmuid.arrays import Complexes, Flags, Floats
 from fmuid.data import Noise
@@ -219,9 +223,9 @@ def _together(folded: Sequence[Folded], alone: Sequence[Returning], innovations:
     chance = np.sqrt((powers * counts) @ powers.T)
     squares = cycles.T @ cycles
     related = np.abs(squares * period / left - noise) > RELATED * chance
-    groups, found = connected_components(related)[1], []
-    for group in range(groups.max() + 1):
-        members = np.flatnonzero(groups == group)
+    found: list[Returning] = []
+    for group in np.unique(np.linalg.matrix_power(related.astype(np.float64), len(alone)) > 0.0, axis=0):
+        members = np.flatnonzero(group)
         if members.size == 1:
             found.append(alone[int(members[0])])
             continue
