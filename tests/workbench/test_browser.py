@@ -15,6 +15,7 @@ from scipy.signal import lfilter
 from tornado.netutil import bind_sockets
 
 from fmuid.simulation import AVAILABLE
+from fmuid.studies import Study, origin_of
 from fmuid.workbench import Folder, Workbench
 from tests.support.begun_batch import batch
 from tests.support.browser import PATIENCE, chromium
@@ -302,6 +303,26 @@ def test_the_keyboard_reaches_all_of_each_page(browser: Any, address: str, folde
             wait(browser, f"{MODEL}('case').text.includes('hit &lt;b&gt;a wall')")
         if page.startswith("study"):
             wait(browser, f"{MODEL}('main').active === 2")
+    assert quiet(browser)
+
+
+def test_from_not_determined_to_excitations_and_a_prior(browser: Any, address: str, folder: Path) -> None:
+    (folder / "old").mkdir()
+    study = origin_of(Study.read(folder / "study.toml", ["parameters.R.start=5"]), folder / "old")
+    result(folder / "old", {"R": (4.0, 0.1), "L": (0.1, None)}, study=study)
+    browser.get(address)
+    base = address.split("?")[0]
+    browser.get(f"{base}results?file=old")
+    wait(browser, DRAWN)
+    browser.execute_script(f"{MODEL}('excitations').value = ['first.csv']")
+    press(browser, "Compare excitations")
+    wait(browser, f"{MODEL}('compared').text.includes('results?file=old/design')")
+    browser.find_element("link text", "Give L a prior").click()
+    wait(browser, f"{DRAWN} && {MODEL}('command')?.text.includes('parameters.L.prior')")
+    assert "--set parameters.R.start=5 " in browser.execute_script(f"return {MODEL}('command').text")
+    browser.get(f"{base}results?file=old/design")
+    wait(browser, "document.documentElement.dataset.drawn === 'all'")
+    assert "best: first" in browser.find_element("tag name", "main").text
     assert quiet(browser)
 
 

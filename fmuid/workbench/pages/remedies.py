@@ -185,7 +185,7 @@ class Remedied:
             self.settings = list(_settings(now, study.data))
             known = dict(zip(result.names, result.values.tolist(), strict=True))
             found = [name for name in study.parameters if name in known and name not in self.names]
-            more = [f'parameters."{name}".start={known[name]!r}' for name in found]
+            more = [f"parameters.{_key(name)}.start={known[name]!r}" for name in found]
             told = last_of(*self.settings, *more, *noise_of(study, result))
             self.designing = [word for each in told for word in ("--set", each)]
             self._address = address("study", folder, self.study)
@@ -227,10 +227,10 @@ def _settings(before: Any, after: Any, where: str = "") -> Iterator[str]:
     if isinstance(before, dict) and isinstance(after, dict):
         if not where:  # held, which moves it from the parameters to the values of the model
             held = before.get("parameters", {}).keys() - after.get("parameters", {}).keys()
-            yield from (f'parameters."{name}"={after["model"]["values"][name]!r}' for name in sorted(held))
+            yield from (f"parameters.{_key(name)}={after['model']['values'][name]!r}" for name in sorted(held))
         for key, value in after.items():
             if before.get(key) != value:
-                yield from _settings(before.get(key), value, f'{where}."{key}"' if where else key)
+                yield from _settings(before.get(key), value, f"{where}.{_key(key)}" if where else key)
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         for k, (old, new) in enumerate(zip(before, after, strict=True)):
             if old != new:
@@ -239,9 +239,13 @@ def _settings(before: Any, after: Any, where: str = "") -> Iterator[str]:
         yield f"{where}={_toml(after)}"
 
 
+def _key(name: str) -> str:
+    return name if name.isidentifier() else f'"{name}"'
+
+
 def _toml(value: Any) -> str:
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {_toml(each)}" for key, each in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key(key)} = {_toml(each)}" for key, each in value.items()) + " }"
     if isinstance(value, list):
         return "[" + ", ".join(map(_toml, value)) + "]"
     return repr(value) if isinstance(value, float) else json.dumps(value)

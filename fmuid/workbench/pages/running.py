@@ -54,6 +54,7 @@ class Run:
         self._doc, self._jobs, self._folder, self._heard, self._ended = doc, jobs, folder, told, ended
         self._position, self._callback = 0, None
         self._event: Event | None = None
+        self._stage = ("", 0.0, 0.0)  # the task that is being done, since when, s, and how much of it was done then
         self.job = jobs.of(folder)
         self.buttons = [button(label, act, button_type="primary") for label, act in acts.items()]
         self.stop = button("Cancel", self.cancel, disabled=True)
@@ -96,6 +97,8 @@ class Run:
         self._heard(events)
         if running:
             self._event = events[-1] if events else self._event
+            if events and events[-1].task != self._stage[0]:
+                self._stage = (events[-1].task, job.seconds, events[-1].share)
             self._tell()
             return
         if self._callback is not None:
@@ -115,7 +118,8 @@ class Run:
         if job is None:
             return
         share = math.nan if event is None else event.share
-        left = job.seconds * (1 - share) / share if share > 0 else math.nan
+        _, since, before = self._stage
+        left = (job.seconds - since) * (1 - share) / (share - before) if share > before else math.nan
         bar = f"<progress value={share:.3f} max=1></progress>" if math.isfinite(share) else "<progress></progress>"
         said = [_words(event, job), f"{job.seconds:.0f} s"]
         said += [f"about {left:.0f} s left"] if math.isfinite(left) else []
