@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,9 @@ ORDER_SECONDS = 0.2
 _runner: list[CaseRunner] = []  # of a process that runs cases
 
 
-def open_cases(data: Mapping[str, Any], path: Path, copies: Copies | None) -> None:
+def open_cases(data: Mapping[str, Any], path: Path, copies: Copies | None, no_way: set[Hashable]) -> None:
     """Make this process one that runs the cases of a study."""
-    _runner[:] = [CaseRunner(Study.of(data, path), copies)]
+    _runner[:] = [CaseRunner(Study.of(data, path), copies, no_way)]
 
 
 def run_cases(indices: Sequence[int]) -> tuple[list[CaseOutcome], float]:
@@ -114,4 +114,5 @@ class IsolatedCases:
 
     def _begin(self, host: Host) -> None:
         host.order("watch", limit=FIRST_TIME_LIMIT)
-        host.order("call", __name__, "open_cases", self._opened, limit=FIRST_TIME_LIMIT)
+        opened = *self._opened, self._careful.no_way
+        host.order("call", __name__, "open_cases", opened, limit=FIRST_TIME_LIMIT)

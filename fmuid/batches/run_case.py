@@ -10,7 +10,7 @@ import platform
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -82,11 +82,15 @@ class CaseRunner:
         With a ``[batch]``. Its tables may be missing, for which their cases fail.
     copies : Copies, optional
         Files of the study that are copies and go by the names of the originals in messages.
+    no_way : iterable, optional
+        What another runner's `no_way` has.
 
     Attributes
     ----------
     study : Study
     cases : Cases
+    no_way : set
+        Of what the draws borrow no derivatives, because simulations fail on the way.
     columns : dict of str to str
         All columns of a row in order, and their types as pandas calls them.
 
@@ -96,7 +100,7 @@ class CaseRunner:
         As `Cases`, or if an FMU cannot be read.
     """
 
-    def __init__(self, study: Study, copies: Copies | None = None) -> None:
+    def __init__(self, study: Study, copies: Copies | None = None, no_way: Iterable[Hashable] = ()) -> None:
         self.study, self.cases = study, Cases(study)
         self._copies = copies or Copies(Path(), {})
         self._drawn, self._seed = self.cases.settings.noise, self.cases.settings.seed
@@ -105,6 +109,7 @@ class CaseRunner:
         self._before: tuple[object, Problem] | None = None  # what the case before had to be simulated, and its problem
         self._truths: _Recent[object, tuple[Floats, ...]] = _Recent()
         self._ways: _Recent[object, Waypoints | None] = _Recent()
+        self.no_way = set(no_way)
         self._regions: _Recent[object, CheckedRegion] = _Recent()
         self._worker = f"{platform.node()}:{os.getpid()}"
         self._system = study.system
@@ -163,8 +168,9 @@ class CaseRunner:
         problem = problem_of(self.study, experiments, case.free, case.held, case.starts, like)
         problem.one_of_many = case.draw is not None and self.cases.settings.starts is None
         self._before = key, problem
-        if problem.one_of_many and drawn is not None and self._often(drawn):
-            problem.waypoints = self._ways.get((case.record, *key), lambda: self._way(case, drawn, read))
+        way = case.record, *key
+        if problem.one_of_many and drawn is not None and self._often(drawn) and way not in self.no_way:
+            problem.waypoints = self._ways.get(way, lambda: self._way(way, case, drawn, read))
         if problem.one_of_many and like is None:
             for each in problem.simulators:
                 each.remember(AT_START)
@@ -175,14 +181,23 @@ class CaseRunner:
         study, product = self.study, self.cases.settings.combine == "product"
         return product and drawn.draws >= MANY_DRAWS and not (study.estimator.whole_box or study.model.choices)
 
-    def _way(self, case: Case, drawn: NoiseDraws, experiments: tuple[Experiment, ...]) -> Waypoints | None:
-        """Return the derivatives along the way that the first draw takes, whichever draw asks; None where it fails."""
+    def _way(
+        self, way: Hashable, case: Case, drawn: NoiseDraws, experiments: tuple[Experiment, ...]
+    ) -> Waypoints | None:
+        """Return the derivatives along the way that the first draw takes, whichever draw asks.
+
+        None where a simulation fails on it: in a process of the case's own it might have taken that with it.
+        """
         try:
             first = self._disturbed(case, 0, drawn, experiments)
             problem = problem_of(self.study, first, case.free, case.held, case.starts)
-            return waypoints(problem, self.study.estimator.marquardt)
+            found = waypoints(problem, self.study.estimator.marquardt)
+            if not problem.failures:
+                return found
         except (FmuidError, *CASE_ERRORS):
-            return None
+            pass  # what it is the cases themselves say
+        self.no_way.add(way)
+        return None
 
     def _identify(self, case: Case, problem: Problem) -> dict[str, object]:
         """Identify the parameters of a case and return the columns that this fills."""

@@ -12,7 +12,8 @@ import pytest
 
 from fmuid.batches.run_case import CaseRunner
 from fmuid.studies.study import Study
-from tests.support.misbehaving import Mode, misbehaving_fmu
+from tests.support.coil_cases import bits
+from tests.support.misbehaving import Mode, Where, misbehaving_fmu
 
 if sys.platform == "win32":
     pytest.skip("processes of their own need fork", allow_module_level=True)
@@ -20,7 +21,7 @@ if sys.platform == "win32":
 from fmuid.batches.isolated_cases import IsolatedCases
 
 
-def study_of(folder: Path, modes: list[int]) -> Study:
+def study_of(folder: Path, modes: list[int], **other: Any) -> Study:
     times = 0.1 * np.arange(20.0)
     rng = np.random.default_rng(5)
     pd.DataFrame({"time": times, "u": 1.0, "x": 1.0 - np.exp(-times) + 0.01 * rng.normal(size=20)}).to_csv(
@@ -33,6 +34,7 @@ def study_of(folder: Path, modes: list[int]) -> Study:
         "estimator": {"accuracy": "off"},  # which only the first of like cases would simulate, and print, more for
         "batch": {"values": {"mode": [float(mode) for mode in modes]}},
     }
+    data |= other
     return Study.of(data, folder / "study.toml")
 
 
@@ -77,3 +79,32 @@ def test_a_case_that_ends_the_process_costs_no_other_of_its_order(
     assert found[1].log
     assert not found[3].log
     assert found[3].row["value.gain"] == found[0].row["value.gain"]
+
+
+@pytest.mark.slow
+def test_a_first_draw_that_ends_the_process_costs_the_others_one_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They borrow no derivatives from its search then, whoever runs them."""
+    fmu = str(misbehaving_fmu(tmp_path))
+    batch = {"noise": {"draws": 10, "std": 0.01, "truth": {"gain": 1.0, "mode": 0.0}}}
+
+    def draws(mode: Mode, low: float = 5.0, high: float = 6.0) -> Study:
+        values = {"mode": float(mode), "where": float(Where.STEP), "bad_from": low, "bad_to": high}
+        return study_of(tmp_path, [], model={"fmu": fmu, "values": values}, batch=batch)
+
+    gain = float(str(CaseRunner(draws(Mode.SOUND))(0).row["value.gain"]))
+    cases = IsolatedCases(draws(Mode.SEGFAULT, gain - 1e-4, gain + 1e-4))
+    plain = CaseRunner(draws(Mode.RETURN_ERROR, gain - 1e-4, gain + 1e-4))
+    begun: list[Any] = []
+    begin = cases._begin
+
+    def counted(host: Any) -> None:
+        begun.append(host)
+        begin(host)
+
+    monkeypatch.setattr(cases, "_begin", counted)
+    found = [cases.run([k])[0] for k in (1, 2, 3)]
+    assert len(begun) == 2
+    assert [bits(outcome.row) for outcome in found] == [bits(plain(k).row) for k in (1, 2, 3)]
+    assert {outcome.row["status"] for outcome in found} == {"converged"}
