@@ -81,7 +81,7 @@ def test_what_else_a_comparison_says() -> None:
     _, schwarz, coloured, priors = comparison_words(found, {})
     assert schwarz == "Schwarz's criterion, which charges more for parameters, prefers b"
     assert "600 samples are worth 150 independent ones, and log-likelihoods are divided by 4" in coloured
-    assert priors.startswith("b has priors, which cost it likelihood")
+    assert priors.startswith("Priors cost b likelihood")
 
 
 @pytest.mark.parametrize(

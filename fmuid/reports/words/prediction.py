@@ -114,7 +114,7 @@ def _by_likelihood(found: Comparison) -> list[str]:
             "criteria would be too sure"
         )
     if found.with_priors:
-        said.append(f"{listed(found.with_priors)} has priors, which cost it likelihood: its criterion is too large")
+        said.append(f"Priors cost {listed(found.with_priors)} likelihood: a criterion with priors is too large")
     return said
 
 
