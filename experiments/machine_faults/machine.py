@@ -181,7 +181,13 @@ def slope(x: Floats, reference: float, w: Windings) -> tuple[Floats, Floats]:
     return rates, currents
 
 
-def run(condition: Condition, references: Floats, sample_time: float, substeps: int) -> Floats:
+def run(
+    condition: Condition,
+    references: Floats,
+    sample_time: float,
+    substeps: int,
+    later: tuple[int, Condition] | None = None,
+) -> Floats:
     """Run the drive from 750 rpm without current or flux, controlled from the first sample on.
 
     Parameters
@@ -193,6 +199,8 @@ def run(condition: Condition, references: Floats, sample_time: float, substeps: 
         s.
     substeps : int
         Runge-Kutta steps of a sample.
+    later : (int, Condition), optional
+        From which sample on turns of the same phase are shorted.
 
     Returns
     -------
@@ -202,7 +210,27 @@ def run(condition: Condition, references: Floats, sample_time: float, substeps: 
     references, found = np.ascontiguousarray(references, dtype=np.float64), np.empty((references.size, 6))
     x = np.zeros(STATES)
     x[FLUXES + 1 : FLUXES + 6] = SPEED, SPEED, SPEED, LOAD * SPEED, 0.01  # the flux of the control must not be zero
-    h, w = ctypes.c_double(sample_time / substeps), _Pointers(windings(condition))
-    count = ctypes.c_int(references.size)
-    _compiled().integrate(_data(x), _data(references), count, h, ctypes.c_int(substeps), ctypes.byref(w), _data(found))
+    now, h = windings(condition), ctypes.c_double(sample_time / substeps)
+
+    def go_on(part: slice) -> None:
+        count, w = ctypes.c_int(len(found[part])), ctypes.byref(_Pointers(now))
+        pieces = _data(references[part]), count, h, ctypes.c_int(substeps), w, _data(found[part])
+        _compiled().integrate(_data(x), *pieces)
+
+    go_on(slice(None if later is None else later[0]))
+    if later is not None:
+        before, now = now, windings(later[1])
+        currents = np.linalg.solve(*_fluxes(x, before))
+        currents[2] = 0.0  # the shorted turns carry none yet; their flux goes on
+        reduced, left = _fluxes(x, now)
+        x[2] += (reduced @ currents - left)[2]
+        go_on(slice(later[0], None))
     return found
+
+
+def _fluxes(x: Floats, w: Windings) -> tuple[Floats, Floats]:
+    """Return what the stator's currents are multiplied by (3, 3), and its fluxes without those of the cage (3,)."""
+    c, s = cos(x[FLUXES]), sin(x[FLUXES])
+    turned = w.axes @ np.array([[c, -s], [s, c]])
+    reduced = w.inductance - turned @ w.coupling @ w.coupling.T @ turned.T
+    return reduced, x[:3] - turned @ w.coupling @ x[3 : 3 + BARS]

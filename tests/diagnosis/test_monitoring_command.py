@@ -54,7 +54,7 @@ def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.Capture
     study, records = str(folder / "study.toml"), folder / "records"
     assert run(["monitor", study, str(records), *words, "--no-report", "-o", str(folder / "whole")]) == 1
     assert (
-        "Fault: turns, since 0.1 s of day2 (95 %: 3.95 s of day1 to 0.25 s); alarm at 1 s of day2"
+        "Fault: turns, since 0 s of day2 (95 %: 3.95 s of day1 to 0.25 s); alarm at 1 s of day2"
         in capsys.readouterr().out
     )
     grown = ["-o", str(folder / "grown"), "--figures", "png", "--no-report"]

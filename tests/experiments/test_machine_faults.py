@@ -14,7 +14,7 @@ import pytest
 
 import fmuid
 from experiments import pages
-from experiments.machine_faults import machine, make_tables, models, study
+from experiments.machine_faults import machine, make_tables, models, onsets, study
 from experiments.machine_faults.machine import BARS, COILS, TRUTH, TURNS, Condition
 from fmuid.data.transforms import T23
 
@@ -234,3 +234,40 @@ def test_tables_of_the_page() -> None:
 def test_the_page_shows_the_draws(committed: pd.DataFrame) -> None:
     page = (study.HERE / "README.md").read_text(encoding="utf-8")
     assert pages.insert(page, study.tables(committed)) == page, "run python -m experiments.machine_faults.study"
+
+
+# ---- since when
+
+
+def test_the_page_shows_the_onsets() -> None:
+    assert onsets.table(pd.read_csv(onsets.FILE)) in (onsets.HERE / "README.md").read_text(encoding="utf-8")
+
+
+def test_a_short_circuit_comes_without_a_jump() -> None:
+    """Until then it is the healthy drive; then its currents go on, and become those of one that has always had it."""
+    references, step = np.full(1500, machine.SPEED), make_tables.SAMPLE_TIME
+    shorted = Condition(turns=10, phase=1)
+    sound, always = (machine.run(each, references, step, 20) for each in (Condition(), shorted))
+    found = machine.run(Condition(phase=1), references, step, 20, (500, shorted))
+    np.testing.assert_allclose(found[:501], sound[:501], atol=1e-9)
+    assert np.abs(found[501:510, 4:] - sound[501:510, 4:]).max() > 0.1
+    late = slice(1200, None)  # the angle is another one by then: sizes of currents and voltages
+    for columns in ([0, 1], [4, 5]):
+        one, other = (np.linalg.norm(each[late][:, columns], axis=1) for each in (found, always))
+        assert one.mean() == pytest.approx(other.mean(), rel=2e-3)
+
+
+@pytest.mark.slow
+def test_a_short_circuit_is_dated_at_once() -> None:
+    """Its current needs no state of the fault model, while the healthy parameters' columns build up slowly."""
+    rng = np.random.default_rng(3)
+    found = onsets.watched(onsets.record(10, 1, 3500, rng, 6000), rng)
+    names = [each.name for each in found.coordinates.each]  # type: ignore[union-attr]
+    slow = dict(zip(names, found._now.watch.slow.tolist(), strict=True))
+    assert not any(slow[f"stator.fault.eta_{phase}"] for phase in "abc")
+    assert all(slow[name] for name in ("Rr", "Lm", "rotor.eta0"))
+    (alarm,) = found.alarms
+    assert alarm.onset is not None
+    assert alarm.explanations[0].changes[0].label == "stator.fault.eta_b"
+    assert alarm.onset.likely.time == pytest.approx(3500 * make_tables.SAMPLE_TIME, abs=2 * onsets.BLOCK)
+    assert alarm.onset.first.time <= 3500 * make_tables.SAMPLE_TIME <= alarm.onset.last.time

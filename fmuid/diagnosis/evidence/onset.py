@@ -22,6 +22,8 @@ from fmuid.diagnosis.evidence.causes import Cause
 SET = 0.95
 # Information of an onset, against that of the most telling one, below which its size is anything.
 NOTHING = 1e-12
+# Onsets whose log evidence differs by less have the same samples after them: the first one is said.
+ALIKE = 1e-9
 
 
 class Shape(Enum):
@@ -130,7 +132,7 @@ def dated(onsets: Sequence[Onsets], rise: float) -> Dated:
     return Dated(
         first.cause,
         onsets[best].shape,
-        float(first.clock[int(np.argmax(evidence[best]))]),
+        float(first.clock[int(np.argmax(evidence[best] >= evidence[best].max() - ALIKE))]),
         (float(since), float(first.clock[high] + first.widths[high])),
         float(evidence.max()) + math.log(total / (len(onsets) * float(first.widths.sum()))),
     )

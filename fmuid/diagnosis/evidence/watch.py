@@ -76,8 +76,6 @@ class Watch:
         Before the first window, of all coordinates.
     drift : (N,) array
         Standard deviation of what may change without being new, at any time and from window to window.
-    slow : (N,) array of bool, optional
-        Which coordinates' changes build up, where `build_up` says how; default: none.
 
     Attributes
     ----------
@@ -88,13 +86,14 @@ class Watch:
     pinned : (float, float)
         Onsets in this time are kept, s.
     build_up : BuildUp
+    slow : (N,) array of bool
+        Which coordinates' changes build up so.
     """
 
-    def __init__(self, known: Known, drift: Floats, slow: Flags | None = None) -> None:
+    def __init__(self, known: Known, drift: Floats) -> None:
         self.known, self._drift = known.drifting(drift), drift
         n = drift.size
-        self._slow = np.zeros(n, bool) if slow is None else slow
-        self.build_up = BuildUp()
+        self.build_up, self.slow = BuildUp(), np.zeros(n, bool)
         self._least = np.zeros(n)
         self.windows, self.end = 0, 0.0
         self.pinned = (math.inf, -math.inf)
@@ -109,10 +108,10 @@ class Watch:
         other._of = dict(self._of)  # arrays are replaced, never changed
         return other
 
-    def building_up(self, build_up: BuildUp) -> Watch:
-        """Return a watch in whose next windows changes build up so."""
+    def building_up(self, build_up: BuildUp, slow: Flags) -> Watch:
+        """Return a watch in whose next windows changes of some coordinates build up so."""
         other = self.copy()
-        other.build_up = build_up
+        other.build_up, other.slow = build_up, slow
         return other
 
     def add(self, window: Blocks) -> None:
@@ -120,7 +119,7 @@ class Watch:
         kept, count = np.flatnonzero(self._kept()), len(window.scores)
         clock = self._of["clock"][kept]
         recent = int(np.searchsorted(clock, window.edges[0] - self.build_up.lasts, side="right"))
-        own = _Window(window, self._drift, self._slow, self.build_up, clock[recent:])
+        own = _Window(window, self._drift, self.slow, self.build_up, clock[recent:])
         before = np.append(self._total, self._score)
         places = (window.edges[:-1], self.windows, np.arange(count) == 0, before, own.steps, own.ramps)
         for name, new in zip(_KEPT, places, strict=True):
@@ -235,6 +234,7 @@ class Watch:
             "least": self._least,
             "lags": self.build_up.lags,
             "shown": self.build_up.shown,
+            "slow": self.slow,
         }
 
     def restored(self, state: Mapping[str, Any]) -> Watch:
@@ -242,7 +242,7 @@ class Watch:
         other = self.copy()
         other._of = {name: state[name] for name in _KEPT}
         other._total, other._score, other._least = state["total"], state["score"], state["least"]
-        other.build_up = BuildUp(state["lags"], state["shown"])
+        other.build_up, other.slow = BuildUp(state["lags"], state["shown"]), state["slow"]
         windows, other.end, *pinned = state["seen"].tolist()
         other.windows, other.pinned = int(windows), (pinned[0], pinned[1])
         if other._total.shape != self._total.shape:

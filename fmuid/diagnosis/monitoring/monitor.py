@@ -169,7 +169,7 @@ class Monitor:
     def _comparison(self, record: Experiment) -> Juxtaposition:
         if self._made is None:
             made = Juxtaposition.of(self.system, self.baseline, self.faults, self.causes, [record])
-            watch = Watch(made.healthy.known, made.healthy.drift, made.coordinates.slow)
+            watch = Watch(made.healthy.known, made.healthy.drift)
             if self._resumed:
                 watch = restored(watch, self._resumed)
             point = self._resumed.get("point", made.coordinates.healthy)
@@ -240,9 +240,8 @@ class Monitor:
 
     def _compare_starts(self, made: Juxtaposition, record: Experiment, windows: Sequence[Window]) -> None:
         """Check that the transient is over in time, and see how it passes."""
-        slow = made.coordinates.slow
-        found = build_up_of(made, record, windows, self.rule.transient, self._now.point, slow)
-        self._now = replace(self._now, watch=self._now.watch.building_up(found))
+        found, slow = build_up_of(made, record, windows, self.rule.transient, self._now.point)
+        self._now = replace(self._now, watch=self._now.watch.building_up(found, slow))
 
     def _finish(self, made: Juxtaposition, level: float) -> None:
         """Judge an alarm that lasts to the end of a record by all that was seen."""

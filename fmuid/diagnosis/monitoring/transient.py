@@ -9,7 +9,7 @@ import numpy as np
 from fmuid.arrays import Flags, Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.comparison import Juxtaposition
-from fmuid.diagnosis.evidence.build_up import BuildUp
+from fmuid.diagnosis.evidence.build_up import OVER, BuildUp
 from fmuid.diagnosis.monitoring.windows import Window, part_of
 from fmuid.errors import InputError
 
@@ -20,9 +20,11 @@ MOST_COMPARED = 8
 
 
 def build_up_of(
-    made: Juxtaposition, record: Experiment, windows: Sequence[Window], transient: float, point: Floats, slow: Flags
-) -> BuildUp:
-    """Return how a change builds up in the outputs, by what is left of other starts before some windows.
+    made: Juxtaposition, record: Experiment, windows: Sequence[Window], transient: float, point: Floats
+) -> tuple[BuildUp, Flags]:
+    """Return how a change builds up in the outputs, by what is left of other starts before some windows, and of what.
+
+    A change whose column is the same from the start on needs no state: it shows at once.
 
     Parameters
     ----------
@@ -34,6 +36,10 @@ def build_up_of(
         What is simulated before each, s.
     point : (N,) array
         Where the machine is simulated.
+
+    Returns
+    -------
+    build_up : BuildUp
     slow : (N,) array of bool
         Whose changes build up.
 
@@ -48,11 +54,13 @@ def build_up_of(
     whole = part_of(record, compared, transient)
     early, columns = made.machine(whole).linearise(point)
     std = np.array([made.healthy.whitening.std(name) for name in record.output_names])
-    left = []
+    left, late = [], []
     for each in compared[1:]:
         part = part_of(record, [each], transient)
         rows = slice(each.lead - compared[0].lead, each.stop - compared[0].lead)
-        off = np.abs(made.machine(part).outputs(point) - early[rows]) / std
+        outputs, started = made.machine(part).linearise(point)
+        late.append(((started - columns[rows]) / std[:, None]) ** 2)
+        off = np.abs(outputs - early[rows]) / std
         left.append(np.sum(off**2, axis=1))
         most = off[part.counted].max(initial=0.0)
         if most > TRANSIENT_SHARE:
@@ -62,6 +70,13 @@ def build_up_of(
                 "give a longer transient, and windows longer than that"
             )
     length = min(each.size for each in left)
-    seen = (columns / std[:, None])[:, :, slow]
-    step = float(np.median(np.diff(whole.times)))
-    return BuildUp.of(np.mean([each[:length] for each in left], axis=0), seen.reshape(len(seen), -1), step)
+    step, slow = float(np.median(np.diff(whole.times))), made.coordinates.slow
+    states, seen = np.mean([each[:length] for each in left], axis=0), columns / std[:, None]
+
+    def built() -> BuildUp:
+        return BuildUp.of(states, seen[:, :, slow].reshape(len(seen), -1), step)
+
+    first = 1 + round(built().lasts / step)
+    differs = np.mean([each[:first].sum(axis=(0, 1)) for each in late], axis=0)
+    slow = slow & (differs > OVER**2 * first * np.mean(np.sum(seen**2, axis=1), axis=0))
+    return built(), slow

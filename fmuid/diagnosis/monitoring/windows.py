@@ -133,6 +133,5 @@ def part_of(whole: Experiment, windows: Sequence[Window], transient: float) -> E
     times, lead = whole.times, windows[0].lead
     from_begin = lead == windows[0].start
     left = max(whole.discard, transient) if from_begin else float(times[windows[0].start] - times[lead])
-    names = list(dict.fromkeys(whole.columns.values()))
-    frame = whole.frame.iloc[lead : windows[-1].stop][[whole.time, *names]]
-    return replace(whole, frame=frame, discard=left)
+    # with all columns: a fault may have inputs that the healthy machine has not
+    return replace(whole, frame=whole.frame.iloc[lead : windows[-1].stop], discard=left)

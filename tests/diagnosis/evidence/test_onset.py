@@ -169,8 +169,8 @@ def test_the_set_holds_the_onset_of_a_machine_with_memory() -> None:
         residual = 0.6 * changed[:, 0] / column.std() + random.standard_normal(SAMPLES)
         known = BuildUp.of(np.exp(-2.0 * np.arange(400) / LAG), jacobian[:, 1:], 1.0 / LENGTH)
         for k, build_up in enumerate((known, BuildUp())):
-            begun = Watch(Known(np.zeros(2), np.diag([0.5, 1e-4])), np.zeros(2), np.array([False, True]))
-            found = fed(begun.building_up(build_up), jacobian, residual)
+            begun = Watch(Known(np.zeros(2), np.diag([0.5, 1e-4])), np.zeros(2))
+            found = fed(begun.building_up(build_up, np.array([False, True])), jacobian, residual)
             when = dated([found.onsets([CAUSE], shape)[0] for shape in Shape], found.end)
             held[k].append(when.between[0] - 1e-9 <= begin <= when.between[1] + 1e-9)
             near[k].append(abs(when.clock - begin) <= 2)
