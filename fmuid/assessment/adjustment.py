@@ -1,12 +1,14 @@
 """The likelihood of data whose noise is coloured: scaled, direction by direction, to how estimates really scatter.
 
-The log-likelihood l of white noise bends by the information H of the data where their optimum θ_d scatters by V. What
-takes its place is
+The log-likelihood l of white noise bends by the information H of the data where their optimum θ_d scatters by V. With
+n − q degrees of freedom of its variance, l(θ_d) − l(θ) = n/2 log(1 + R/(n − q)), R the rise of the sum of squares by
+the variance, dᵀHd near the optimum, d = θ − θ_d. What takes its place is
 
-    l(θ_d) + (dᵀV⁻¹d)/(dᵀHd) (l(θ) − l(θ_d)),   d = θ − θ_d,
+    l(θ_d) − (ν + q)/2 log(1 + Q/ν),   Q = R (dᵀV⁻¹d)/(dᵀHd),
 
-which has the same shape, the same optimum and the curvature V⁻¹ (Chandler and Bate; for posteriors Ribatet et al.): one
-factor for all directions is wrong where the noise's colour meets the parameters differently. The prior stays as it is.
+of the curvature V⁻¹ (Chandler and Bate; for posteriors Ribatet et al.: one factor for all directions is wrong where the
+noise's colour meets the parameters differently) and of the tails of Student's t with the ν degrees of freedom that V
+has: scaled itself, the logarithm of a sum of squares would have none to speak of. The prior stays as it is.
 
 References
 ----------
@@ -17,6 +19,7 @@ extremes", Statistica Sinica 22, 2012.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +48,10 @@ class Adjustment:
         H and V⁻¹.
     above : float
         By how much l at θ_d exceeds that at the estimate.
+    known : float
+        n − q, infinite where variances are given.
+    freedom : float
+        ν.
     """
 
     at: Indices
@@ -52,6 +59,8 @@ class Adjustment:
     white: Floats
     coloured: Floats
     above: float
+    known: float
+    freedom: float
 
     def __call__(self, thetas: Floats, likelihood: Floats, at_estimate: float) -> Floats:
         """Return the scaled log-likelihood (m,) of thetas (m, N), from that of white noise, there and at the estimate.
@@ -61,21 +70,28 @@ class Adjustment:
         away = thetas[:, self.at] - self.centre
         white, coloured = (np.einsum("mi,ij,mj->m", away, each, away) for each in (self.white, self.coloured))
         factor = np.divide(coloured, white, out=np.ones_like(white), where=white > 0)
-        top = at_estimate + self.above
-        return np.asarray(top + factor * (likelihood - top), dtype=np.float64)
+        top, count = at_estimate + self.above, self.at.size
+        fall = np.maximum(top - likelihood, 0.0)
+        if math.isfinite(self.known):
+            fall = 0.5 * self.known * np.expm1(2.0 * fall / (self.known + count))
+        fall = factor * fall
+        if math.isfinite(self.freedom):
+            fall = 0.5 * (self.freedom + count) * np.log1p(2.0 * fall / self.freedom)
+        return np.asarray(top - fall, dtype=np.float64)
 
 
-def adjustment(problem: LeastSquares, result: Result) -> Adjustment:
-    """Return how the likelihood of a problem is to be scaled around a result."""
+def adjustment(problem: LeastSquares, result: Result, known: float) -> Adjustment:
+    """Return how the likelihood of a problem, whose variances have `known` freedom, is to be scaled around a result."""
     local = result.local
     curvature = result.white_covariance if local is None else local.root @ local.root.T
     at = np.flatnonzero(np.isfinite(result.std) & (np.diag(curvature) > 0))
     if not at.size:
-        return Adjustment(at, np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), 0.0)
+        return Adjustment(at, np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), 0.0, known, known)
     own, unit = np.ix_(at, at), np.sqrt(np.diag(curvature))[at]
     scale = np.outer(unit, unit)
-    # t quantiles of each estimate, against those that the unknown variance gives the density anyway
-    wider = result.quantiles(LEVEL)[at] / _quantile(result.degrees_of_freedom)
+    # t quantiles of each estimate, against those that the density has
+    freedom = result.test_freedom([result.names[i] for i in at])
+    wider = result.quantiles(LEVEL)[at] / _quantile(freedom)
     whole = np.linalg.pinv(curvature[own] / scale, hermitian=True)
     whitening = problem.parameters.prior_whitening[:, at] * unit
     prior = whitening.T @ whitening
@@ -97,6 +113,8 @@ def adjustment(problem: LeastSquares, result: Result) -> Adjustment:
         (basis * information) @ basis.T / scale,
         (half / spectrum) @ half.T / scale,
         0.5 * float(np.sum((basis.T @ shift) ** 2 * information)),
+        known,
+        freedom,
     )
 
 

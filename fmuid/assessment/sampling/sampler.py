@@ -148,7 +148,8 @@ def log_density(
             terms = squares[:, given].sum(axis=1) + np.log(implied) @ problem.counts[~given]
         return np.asarray(-0.5 * terms, dtype=np.float64)
 
-    adjust = None if result is None else adjustment(problem, result)
+    free = math.inf if result is None or given.all() else result.degrees_of_freedom
+    adjust = None if result is None else adjustment(problem, result, free)
     at_estimate = math.nan if result is None else float(likelihood(result.values[None])[0])
 
     def density(thetas: Floats) -> Floats:
