@@ -246,6 +246,8 @@ def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
     page.source.selected.indices = [0]
     assert "hit &lt;b&gt;a wall" in page.case.text
     assert "the FMU said &lt;so&gt;" in page.case.text
+    page.text.value = ""
+    assert page.source.selected.indices == [1]  # the case, wherever its row is
     page.number.value = "3"
     assert "<td>4.03</td>" in page.case.text
     page.number.value = "7"

@@ -168,7 +168,9 @@ class BatchPage:
             *others, last = (_column(name, shown[name]) for name in names)
             last.width = max(last.width, WIDEST - sum(each.width for each in others))
             self.table.columns = [*others, last]
+        chosen = [self.source.data["case"][k] for k in self.source.selected.indices]
         self.source.data = {name: _plain(shown[name]) for name in names}
+        self.source.selected.indices = [k for k, case in enumerate(shown["case"]) if case in chosen]
 
     def _choose(self, indices: list[int]) -> None:
         """Show the case of a row of the table."""
