@@ -74,11 +74,14 @@ def test_density_of_a_robust_loss() -> None:
     bend = result.local.root @ result.local.root.T if result.local is not None else np.eye(2)
     whole = log_density(problem, np.array([result.variance["y"]]))
     away = posterior.chain[-1] - result.values
-    wider = stats.t.ppf(0.975, result.freedom) / stats.t.ppf(0.975, result.degrees_of_freedom)
+    freedom = 2.0 / float(np.sum(1.0 / result.freedom))
+    wider = stats.t.ppf(0.975, result.freedom) / stats.t.ppf(0.975, freedom)
     scatter = result.covariance * np.outer(wider, wider)
     coloured, white = (np.einsum("mi,ij,mj->m", away, np.linalg.inv(each), away) for each in (scatter, bend))
     top = whole(result.values[None])[0]
-    exact = top + coloured / white * (whole(posterior.chain[-1]) - top)
+    # twice the fall is quadratic near the optimum; two parameters
+    square = 2.0 * coloured / white * (top - whole(posterior.chain[-1]))
+    exact = top - 0.5 * (freedom + 2.0) * np.log1p(square / freedom)
     np.testing.assert_allclose(posterior.log_density[-1], exact, rtol=1e-8)
     assert posterior.converged
 
