@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
@@ -13,7 +14,7 @@ import socket
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from fmuid.errors import InputError
 from fmuid.version import __version__
@@ -86,24 +87,38 @@ def locked(folder: Path, what: str) -> Iterator[None]:
     InputError
         If the folder cannot be written to, or another process has it.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        file = (folder / LOCK).open("a+", encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            f"{folder} cannot be written to: {error.strerror}; choose another folder with --output"
-        ) from None
-    with file:
-        if not _lock(file.fileno()):
-            file.seek(0)
-            raise InputError(
-                f"{folder} is written to by another {what} ({file.read().strip() or 'just begun'}): wait until "
-                "it has ended, or choose another folder with --output"
-            )
+    make_folder(folder)
+    with _opened_lock(folder / LOCK, what) as file:
         file.truncate(0)
         file.write(f"process {os.getpid()} on {socket.gethostname()}")
         file.flush()
-        yield
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):  # Windows keeps a file that is open
+                (folder / LOCK).unlink()
+
+
+def _opened_lock(path: Path, what: str) -> IO[str]:
+    """Open a file and lock it; one that its owner removed meanwhile, at the end, is made anew."""
+    while True:
+        try:
+            file = path.open("a+", encoding="utf-8")
+        except OSError as error:
+            raise InputError(
+                f"{path.parent} cannot be written to: {error.strerror}; choose another folder with --output"
+            ) from None
+        if not _lock(file.fileno()):
+            with file:
+                file.seek(0)
+                raise InputError(
+                    f"{path.parent} is written to by another {what} ({file.read().strip() or 'just begun'}): wait "
+                    "until it has ended, or choose another folder with --output"
+                )
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(path.stat(), os.fstat(file.fileno())):
+                return file
+        file.close()
 
 
 def _lock(handle: int) -> bool:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fmuid import files
+from fmuid.arrays import Floats
 from fmuid.assessment import examine_residuals, explore, read_result
 from fmuid.data import dropouts
 from fmuid.errors import FmuidError, InputError
@@ -127,12 +128,18 @@ class _Run:
         self.prepared: tuple[Prepared, ...] = ()
 
     def run(self, *, resume: bool) -> Findings:
-        problem, start = self.study.problem(), None
-        shown = self._shown()
-        if self.folder is not None:
-            start = resumed_start(self.folder / "result.json", problem.parameters) if resume else None
-            files.make_folder(self.folder)
+        problem, shown = self.study.problem(), self._shown()
+        if self.folder is None:
+            return self._found(problem, None, shown)
+        start = resumed_start(self.folder / "result.json", problem.parameters) if resume else None
+        with files.locked(self.folder, "identification"):
             self.prepared = prepared(self.study)
+            return self._found(problem, start, shown)
+
+    def _found(
+        self, problem: Problem, start: Floats | None, shown: Callable[[Result], HealthyEvidence] | None
+    ) -> Findings:
+        """Return what is found by a search from a start, after writing it."""
         try:
             result = self.study.search(problem, self.progress, start)
         except KeyboardInterrupt:

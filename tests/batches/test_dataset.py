@@ -15,6 +15,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from fmuid import files
 from fmuid.batches import dataset as module
 from fmuid.batches.dataset import LOG_BYTES, Dataset, bounded
 from fmuid.errors import FmuidError, InputError
@@ -193,6 +194,24 @@ def test_two_writers(tmp_path: Path) -> None:
         second.locked().__enter__()
     with second.locked():
         pass
+    assert not (tmp_path / files.LOCK).exists()
+
+
+def test_a_lock_whose_owner_ends_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its file is removed between its opening here and its lock, which then is one of nothing."""
+    lock, seen = files._lock, list[int]()
+
+    def late(handle: int) -> bool:
+        if not seen:
+            (tmp_path / files.LOCK).unlink()
+        seen.append(handle)
+        return lock(handle)
+
+    monkeypatch.setattr(files, "_lock", late)
+    first, second = Dataset(tmp_path, COLUMNS), Dataset(tmp_path, COLUMNS)
+    with first.locked(), pytest.raises(InputError, match="written to by another batch"):
+        second.locked().__enter__()
+    assert len(seen) == 3
 
 
 def test_a_killed_writer_leaves_no_lock(tmp_path: Path) -> None:
@@ -213,7 +232,7 @@ def test_a_killed_writer_leaves_no_lock(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"file.out cannot be written to: .*; choose another folder with --output"):
+    with pytest.raises(InputError, match=r"file.out cannot be made a folder: .*; choose another with --output"):
         Dataset(tmp_path / "file" / "out", COLUMNS).locked().__enter__()
 
 
@@ -224,7 +243,7 @@ def test_clear_removes_rows_and_logs_and_nothing_else(tmp_path: Path) -> None:
     assert found.log_path(1).name == "case-000001.txt"
     (tmp_path / "notes.md").write_text("mine")
     found.clear()
-    assert {path.name for path in tmp_path.iterdir()} == {"cases", ".lock", "notes.md"}
+    assert {path.name for path in tmp_path.iterdir()} == {"cases", "notes.md"}
     assert not list(found.cases.iterdir())
 
 

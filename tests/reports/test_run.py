@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 import fmuid
+from fmuid import files
 from fmuid.cli.options import DONE
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.progress import DataAloneStep, Event, GlobalStep, ProfileStep, Progress, SearchStep
@@ -120,6 +121,16 @@ def test_interrupted_before_anything_is_known(study: Path, tmp_path: Path, monke
         fmuid.run_study(study, tmp_path / "out")
     assert caught.value.result is None
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_folder_that_another_run_writes_to(study: Path, tmp_path: Path) -> None:
+    """As where the workbench was killed and opened again while its command goes on."""
+    with files.locked(tmp_path / "out", "identification"):
+        refused = pytest.raises(fmuid.InputError, match=r"out is written to by another identification \(process \d+ on")
+        with refused:
+            fmuid.run_study(study, tmp_path / "out")
+    assert list((tmp_path / "out").iterdir()) == []
+    assert fmuid.run_study(study, tmp_path / "out").succeeded
 
 
 def test_interrupted_where_a_point_is_known(study: Path, tmp_path: Path) -> None:
