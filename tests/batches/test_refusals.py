@@ -57,7 +57,7 @@ def test_rows_of_nobody(folder: Path, here: Any, capsys: Any) -> None:
 
 def test_output_is_a_file(folder: Path, capsys: Any) -> None:
     said = refused(capsys, folder / "study.toml", "-o", folder / "first.csv")
-    assert "first.csv cannot be written to" in said
+    assert "first.csv cannot be made a folder" in said
 
 
 @pytest.mark.parametrize(
