@@ -71,7 +71,11 @@ def make_folder(folder: Path) -> None:
     except OSError as error:
         raise InputError(f"{folder} cannot be made a folder: {error.strerror}; choose another with --output") from None
     if not os.access(folder, os.W_OK):
-        raise InputError(f"{folder} cannot be written to; choose another folder with --output")
+        raise _unwritable(folder)
+
+
+def _unwritable(folder: Path, why: str | None = None) -> InputError:
+    return InputError(f"{folder} cannot be written to{f': {why}' if why else ''}; choose another folder with --output")
 
 
 LOCK = ".lock"
@@ -105,9 +109,7 @@ def _opened_lock(path: Path, what: str) -> IO[str]:
         try:
             file = path.open("a+", encoding="utf-8")
         except OSError as error:
-            raise InputError(
-                f"{path.parent} cannot be written to: {error.strerror}; choose another folder with --output"
-            ) from None
+            raise _unwritable(path.parent, error.strerror) from None
         if not _lock(file.fileno()):
             with file:
                 file.seek(0)

@@ -102,44 +102,46 @@ def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[Finding
 
 
 @dataclass(frozen=True)
-class SlowResidual:
+class NoiseFinding:
+    """Noise of an output with a long memory.
+
+    Attributes
+    ----------
+    output : str
+    experiments : tuple of str
+        Which share one model of it.
+    time_constant : float
+        s.
+    """
+
+    output: str
+    experiments: tuple[str, ...]
+    time_constant: float
+
+
+@dataclass(frozen=True)
+class SlowResidual(NoiseFinding):
     """Slow noise found beneath the rest of a residual (`fmuid.estimation.colour.slow`), too weak for other tests.
 
     Attributes
     ----------
-    output : str
-    experiments : tuple of str
-        Which share one model of it.
-    time_constant : float
-        s.
     share : float
         Of the residual's variance.
     """
 
-    output: str
-    experiments: tuple[str, ...]
-    time_constant: float
     share: float
 
 
 @dataclass(frozen=True)
-class LongMemory:
+class LongMemory(NoiseFinding):
     """Noise so slow that its record hardly tells how slow.
 
     Attributes
     ----------
-    output : str
-    experiments : tuple of str
-        Which share one model of it.
-    time_constant : float
-        s.
     record : float
-        How long the longest of them is, s.
+        How long the longest of the experiments is, s.
     """
 
-    output: str
-    experiments: tuple[str, ...]
-    time_constant: float
     record: float
 
 

@@ -105,11 +105,7 @@ class Cases:
                 f"{study.path} has no [batch]: give it, with what varies from case to case, such as tables, starts, "
                 "values or noise"
             )
-        if not study.parameters:
-            raise InputError(
-                f"{study.path}: no parameters: name at least one to identify under [parameters], "
-                "such as R = { start = 4.0 }"
-            )
+        study.check_parameters()
         self.study, self.settings = study, study.batch
         self.names = tuple(flat_names(study))
         self._records = list(self.settings.records().items())

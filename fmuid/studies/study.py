@@ -236,6 +236,12 @@ class Study(Displayed):
         """
         return tuple(each.read_experiment(each.table) for each in self.experiments)
 
+    def check_parameters(self) -> None:
+        """Refuse by an `InputError` a study that names no parameters."""
+        if not self.parameters:
+            remedy = "name at least one under [parameters], such as R = { start = 4.0 }"
+            raise InputError(f"{self.path}: no parameters: {remedy}")
+
     def problem(self, experiments: Sequence[Experiment] | None = None) -> Problem:
         """Return the least-squares problem of the study.
 
@@ -250,10 +256,7 @@ class Study(Displayed):
             If model, tables and parameters do not fit together, there are no parameters, or a prior is taken from a
             result of another model.
         """
-        if not self.parameters:
-            raise InputError(
-                f"{self.path}: no parameters: name at least one under [parameters], such as R = {{ start = 4.0 }}"
-            )
+        self.check_parameters()
         _ = self.notes  # checks that the results which priors are taken from are of this model
         tables = self.tables if experiments is None else experiments
         problem = Problem(
@@ -379,13 +382,7 @@ class Study(Displayed):
         return tuple(Simulator(self.system, table, names, values=values) for table in self.tables)
 
     def simulate(self) -> list[pd.DataFrame]:
-        """Simulate every experiment at the parameters' starts: ``time`` (s) and each output, by its name in the FMU.
-
-        Raises
-        ------
-        SimulationError
-            If a simulation fails.
-        """
+        """Return what `fits` simulates of each experiment: ``time`` (s) and each output, by its name in the FMU."""
         return [fit.simulated_frame() for fit in self.fits()]
 
     def fits(self) -> tuple[Fit, ...]:

@@ -118,7 +118,7 @@ class State:
     outcome : Outcome or None
         How the search ended, None while it has not.
     borrowed : bool
-        Whether it is that of a waypoint close by.
+        Whether the Jacobian is that of a waypoint close by.
     held : (N,) array of bool
         Parameters on a bound that the criterion would push further out.
     reduced : (N+1, N+1) array or None

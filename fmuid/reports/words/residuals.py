@@ -32,14 +32,15 @@ def residual_words(found: Diagnostics, units: Mapping[str, str | None] | None = 
     return tuple(said + _slow(found) + _long(found) + _summary(found, quiet=quiet))
 
 
-def _name(found: Diagnostics, series: ResidualSeries) -> str:
+def _name(found: Diagnostics, output: str, *experiments: str) -> str:
+    """Return an output's name, with its experiments where there are others."""
     several = len({each.experiment for each in found.series}) > 1
-    return f"{series.output} in {series.experiment}" if several else series.output
+    return f"{output} in {listed(experiments)}" if several else output
 
 
 def _large(found: Diagnostics, finding: Finding, units: Mapping[str, str | None]) -> str:
     """Return a sentence on what is large enough to be said by itself."""
-    series, name = finding.series, _name(found, finding.series)
+    series, name = finding.series, _name(found, finding.series.output, finding.series.experiment)
     if finding.trait is Trait.COLOURED:
         lag, largest = series.strongest_autocorrelation
         far = "far from white" if abs(largest) >= FAR_FROM_WHITE else "not white"
@@ -94,9 +95,8 @@ def _widening(found: Diagnostics, *, coloured: bool) -> list[str]:
 
 def _slow(found: Diagnostics) -> list[str]:
     """Say where the standard deviations allow for weak slow noise."""
-    several = len({each.experiment for each in found.series}) > 1
     return [
-        f"In the residual of {each.output}{f' in {listed(each.experiments)}' if several else ''} there is slow noise "
+        f"In the residual of {_name(found, each.output, *each.experiments)} there is slow noise "
         f"beneath the rest ({100 * each.share:.2g} % of its variance, with a time constant of about "
         f"{each.time_constant:.1g} s), for which the standard deviations allow; one white residual in a hundred looks "
         "so by chance"
@@ -106,9 +106,8 @@ def _slow(found: Diagnostics) -> list[str]:
 
 def _long(found: Diagnostics) -> list[str]:
     """Say where noise is so slow that the record hardly tells how slow."""
-    several = len({each.experiment for each in found.series}) > 1
     return [
-        f"The noise of {each.output}{f' in {listed(each.experiments)}' if several else ''} is slow for its record (a "
+        f"The noise of {_name(found, each.output, *each.experiments)} is slow for its record (a "
         f"time constant of about {each.time_constant:.1g} s, in {each.record:.3g} s): how slow is hardly told, and the "
         "standard deviations that it acts on are uncertain themselves; a longer record tells more"
         for each in found.long_memory
@@ -117,9 +116,8 @@ def _long(found: Diagnostics) -> list[str]:
 
 def _returning(found: Diagnostics) -> list[str]:
     """Say where the standard deviations allow for what comes back with each cycle of the excitation."""
-    several = len({each.experiment for each in found.series}) > 1
     return [
-        f"In the residual of {each.output}{f' in {each.experiment}' if several else ''} something comes back with each "
+        f"In the residual of {_name(found, each.output, each.experiment)} something comes back with each "
         f"cycle of the excitation, every {each.period:.3g} s ({100 * each.share:.2g} % of its variance): an error of "
         "the model, which no number of cycles averages out; the standard deviations allow for it"
         for each in found.returning
@@ -129,8 +127,7 @@ def _returning(found: Diagnostics) -> list[str]:
 def _off_grid(found: Diagnostics) -> list[str]:
     if not found.off_grid:
         return []
-    several = len({each.experiment for each in found.series}) > 1
-    names = [f"{output} in {experiment}" if several else output for experiment, output in found.off_grid]
+    names = [_name(found, output, experiment) for experiment, output in found.off_grid]
     return [
         f"The samples of {listed(names)} stand on no grid: how neighbouring ones depend on each other is judged as if "
         "they were equally spaced"
@@ -139,16 +136,19 @@ def _off_grid(found: Diagnostics) -> list[str]:
 
 def _summary(found: Diagnostics, *, quiet: bool) -> list[str]:
     """Say where there was nothing to examine and, where nothing else is to be said, what was tested."""
-    idle = [_name(found, each) for each in found.series if not each.examined]
+    idle = [_name(found, each.output, each.experiment) for each in found.series if not each.examined]
     lines = [f"The residual of {listed(idle)} is too short, or nothing but rounding, to be examined"] if idle else []
     examined = [each for each in found.series if each.examined]
     if not quiet or not examined:
         return lines
-    slight = {_name(found, each): [_slight(one) for one in found.findings if one.series is each] for each in examined}
+    slight = {
+        _name(found, each.output, each.experiment): [_slight(one) for one in found.findings if one.series is each]
+        for each in examined
+    }
     slight = {name: traits for name, traits in slight.items() if traits}
     said = "significant, but slight"
     lines += [f"The residual of {name} has {listed(traits)}: {said}" for name, traits in slight.items()]
-    names = [_name(found, each) for each in examined]
+    names = [_name(found, each.output, each.experiment) for each in examined]
     which = f"residual of {names[0]} looks" if len(names) == 1 else f"residuals of {listed(names)} look"
     like = "otherwise like" if slight or found.slow else "like"
     return [

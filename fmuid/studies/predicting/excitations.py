@@ -42,7 +42,7 @@ def ranked_excitations(
     candidates = {path.stem: _excitation(study, path) for path in record_files(tables)}
     if fault is not None:
         return design_of(study, fault).rank(candidates)
-    _check_parameters(study)
+    study.check_parameters()
     variance = study.known_variance
     for name in words.outputs:
         if name not in variance:
@@ -94,11 +94,6 @@ def sensitivities_of(study: Study) -> tuple[SensitivityFunctions, ...]:
     SimulationError
         If a simulation fails.
     """
-    _check_parameters(study)
+    study.check_parameters()
     parameters = {name: replace(each, per_experiment=False) for name, each in study.parameters.items()}
     return tuple(sensitivity_functions(study.system, each, parameters, study.model.values) for each in study.tables)
-
-
-def _check_parameters(study: Study) -> None:
-    if not study.parameters:
-        raise InputError(f"{study.path}: no parameters: name at least one under [parameters]")

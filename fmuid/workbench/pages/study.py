@@ -62,8 +62,7 @@ class StudyPage:
     def __init__(
         self, doc: Any, bench: Bench, path: Path, study: Study, scheme: str, given: Sequence[str] = ()
     ) -> None:
-        if not study.parameters:
-            raise InputError(f"{path}: no parameters: name at least one under [parameters]")
+        study.check_parameters()
         self.doc, self.bench, self.path, self.study, self.scheme = doc, bench, path, study, scheme
         self._given = given  # values in place of the file's
         self.simulators = study.simulators()
