@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+from fmuid.arrays import Floats
 from fmuid.data.formats import TIME_NAMES, RawTable, split_header
 from fmuid.errors import InputError
 from fmuid.text import nearest
@@ -24,6 +25,8 @@ _CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S 
 _CENTURY = (946_684_800.0, 4_102_444_800.0)
 """Seconds from 1970 to the years 2000 and 2100."""
 _CLOCK = re.compile(r"(\d+ days )?\d{1,3}:\d{2}(:\d{2}([.,]\d+)?)?")
+_OFFSET = r"(?:Z|[+-]\d{2}:?\d{2})$"
+_HOUR, _DAY = 3600.0, 86_400.0
 
 
 def time_name(time: str | int) -> str:
@@ -69,6 +72,8 @@ def with_time(
     if unit is not None and unit not in SECONDS:
         raise InputError(f"{source}: the unit of time {unit!r} is not known: write one of {', '.join(TIME_UNITS)}")
     values, begin = _as_numbers(raw.frame[column], column, source)
+    if begin is not None and begin.tzinfo is None:
+        _check_clock(raw.frame[column], np.asarray(values, dtype=np.float64), column, source)
     said_unit = unit or _unit_said(raw, column)
     if begin is None and (since_1970 := _since_1970(values, said_unit)):
         values, begin = _seconds(pd.to_datetime(values, unit=since_1970))
@@ -178,6 +183,8 @@ def _as_numbers(series: pd.Series[Any], column: str, source: str) -> tuple[Any, 
     if texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
         clock = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)
         seconds = pd.to_timedelta(clock).dt.total_seconds()
+        if seconds.max() < _DAY:
+            seconds += _DAY * (seconds.diff() < -_DAY / 2).cumsum()  # past midnight
         return (seconds - seconds.iloc[0]).reindex(series.index), None
     dates = _dates(texts, column, source)
     return (series, None) if dates is None else _seconds(dates.reindex(series.index))
@@ -188,10 +195,26 @@ def _seconds(dates: pd.Series[Any]) -> tuple[Any, pd.Timestamp]:
     return (dates - begin).dt.total_seconds(), begin
 
 
+def _check_clock(dates: pd.Series[Any], seconds: Floats, column: str, source: str) -> None:
+    """Refuse dates without an offset that go back by an hour once: sorted, two hours would be mixed."""
+    steps = np.diff(seconds)
+    back = np.flatnonzero(steps < 0)
+    if back.size == 1 and 0 <= steps[back[0]] + _HOUR <= 2 * np.median(steps):
+        before, after = dates.iloc[back[0] : back[0] + 2]
+        raise InputError(
+            f"{source}: the time column {column!r} goes back by an hour in row {back[0] + 2}, where {after} follows "
+            f"{before}, as where the clock is put back: write its times in UTC or with their offset, +01:00"
+        )
+
+
 def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
     """Return the dates that texts are, None where they are none."""
     with suppress(ValueError, TypeError):  # the other orders are tried below
         return pd.to_datetime(texts, format="ISO8601")
+    with suppress(ValueError, TypeError):  # offsets that change where the clock is put forward or back
+        if texts.str.contains(_OFFSET, regex=True).all():
+            in_utc = pd.to_datetime(texts, format="ISO8601", utc=True)
+            return in_utc.dt.tz_convert(pd.Timestamp(texts.iloc[0]).tz)
     if not texts.str.contains(r"\d+[./-]\w+[./-]\d+.*:", regex=True).all():
         return None
     readings = []

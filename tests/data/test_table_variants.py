@@ -90,6 +90,38 @@ def test_the_date_of_the_first_sample_is_kept(tmp_path: Path) -> None:
     assert begin.isoformat() == "2026-11-22T10:30:00+01:00"
 
 
+def test_times_of_the_day_go_on_past_midnight(tmp_path: Path) -> None:
+    clock = [f"{hour:02}:{minute:02}:00" for hour, minute in ((22, 30), (23, 59), (0, 0), (0, 1), (23, 0), (1, 0))]
+    (tmp_path / "a.csv").write_text("time,u\n" + "".join(f"{each},1\n" for each in clock))
+    minutes = [0, 89, 90, 91, 1470, 1590]
+    np.testing.assert_array_equal(read_table(tmp_path / "a.csv")["time"], np.multiply(minutes, 60.0))
+
+
+@pytest.mark.parametrize(("day", "offsets"), [("2026-10-25", (120, 60)), ("2026-03-29", (60, 120))])
+def test_dates_over_a_change_of_clocks(tmp_path: Path, day: str, offsets: tuple[int, int]) -> None:
+    """With their offsets they are read; without, the hour that is there twice is no matter of sorting."""
+    utc = pd.Timestamp(f"{day} 00:00") + pd.to_timedelta(np.arange(0, 120, 20), unit="min")
+    shifts = [offsets[k >= 3] for k in range(6)]
+    local = [(each + pd.Timedelta(minutes=shift)).isoformat() for each, shift in zip(utc, shifts, strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("time,u\n" + "".join(f"{a}+0{b // 60}:00,1\n" for a, b in zip(local, shifts, strict=True)))
+    frame = read_table(path)
+    np.testing.assert_array_equal(frame["time"], 1200.0 * np.arange(6))
+    assert frame.attrs["begin"].isoformat() == f"{local[0]}+0{shifts[0] // 60}:00"
+    path.write_text("time,u\n" + "".join(f"{each},1\n" for each in local))
+    if offsets[1] < offsets[0]:
+        with pytest.raises(InputError, match=r"goes back by an hour in row 4, where .*02:00:00 follows .* in UTC or"):
+            read_table(path)
+
+
+@pytest.mark.parametrize("suffix", [".xlsx", ".ods"])
+def test_a_spreadsheet_that_is_called_a_text(tmp_path: Path, suffix: str) -> None:
+    FRAME.to_excel(tmp_path / f"a{suffix}", index=False)
+    (tmp_path / f"a{suffix}").rename(tmp_path / "a.csv")
+    with pytest.raises(InputError, match=r"is a spreadsheet or packed, by its first bytes: name it \.xlsx"):
+        read_table(tmp_path / "a.csv")
+
+
 @pytest.mark.parametrize(
     ("module", "name", "extra"),
     [

@@ -82,6 +82,15 @@ def test_local_variables_may_be_outputs(tmp_path: Path) -> None:
     assert "# columns that are no input or output of the FMU: half, word\n" in text
 
 
+def test_a_table_of_one_row(tmp_path: Path) -> None:
+    """What is wrong with it is said; whether its input holds is not looked for, not even with a warning."""
+    table = tmp_path / "table.csv"
+    table.write_text("time,u,w\n0,1,2\n")
+    (record,) = begin(write_fmu(tmp_path / "Motor.fmu", FMI2), [table])
+    assert record.roles("input") and record.interpolation == "linear"
+    assert record.refusal.endswith("has fewer than two different times: give a longer record")
+
+
 def test_parameters_are_ones_that_are_taken(tmp_path: Path) -> None:
     """Bounds that are none, empty, or broken by the start are left out."""
     parameters = freed(drafted(write_fmu(tmp_path / "Motor.fmu", FMI2), "w"))["parameters"]

@@ -40,6 +40,8 @@ _END = 1 << 14
 """Bytes in which lines after the samples are looked for."""
 _SPACES = r"\s+"
 _SEPARATORS = (",", ";", "\t", "|", _SPACES)
+_SPREADSHEET = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""First bytes of .xlsx, .ods and .zip, and of .xls."""
 _COMMENT = ("#", "%", "//")
 
 
@@ -75,6 +77,10 @@ def read_text(path: Path, source: str) -> RawTable:
 def _read(opened: Callable[[], IO[bytes]], source: str, encoding: str | None) -> RawTable:
     with opened() as file:
         start = file.read(_LOOKED_AT)
+    if start.startswith(_SPREADSHEET):
+        raise InputError(
+            f"{source}: the file is a spreadsheet or packed, by its first bytes: name it .xlsx, .ods, .xls or .zip"
+        )
     encoding = encoding or _encoding(start)
     text = codecs.getincrementaldecoder(encoding)().decode(start, final=len(start) < _LOOKED_AT)
     if "\0" in text:

@@ -144,7 +144,7 @@ class Record:
             series = self.frame[column]
             if is_numeric_dtype(series.dtype):
                 same = np.diff(series.to_numpy(dtype=np.float64, na_value=np.nan)) == 0
-                found += [variable] if HELD_SHARE < np.mean(same) < 1 else []
+                found += [variable] if HELD_SHARE * same.size < same.sum() < same.size else []
         return tuple(found)
 
     @property
