@@ -79,6 +79,8 @@ class _WeakRecord:
         states, slopes = told_states(side, start[columns], times, filled)
         own = slopes.any(axis=1)
         scale = np.maximum(noise, 1e-9 * np.nanstd(values, axis=0))
+        if not scale.all():  # an output that never changes tells no slopes
+            return None
         return cls(side, columns, WeakForm(times, there[:, own]), states, slopes[own], scale[own])
 
     def residuals(self, thetas: Floats) -> Floats:

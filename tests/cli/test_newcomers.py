@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from fmuid.cli.options import DONE
+import fmuid
+from fmuid.cli.options import DONE, NOT_SUCCEEDED
 from tests.support.coil_study import COIL, fmuid_
 
 ROWS = "".join(f"{k / 100},{k % 20 // 10},{np.sin(k)}\n" for k in range(50))
@@ -18,7 +21,7 @@ TABLES: dict[str, tuple[str | bytes, str]] = {
     "a letter": ("hello there\nthis is a letter\n", "the time column 'time' is missing (there is hello there)"),
     "a page": ("<html><body>Log in</body></html>\n", "the table has a header but no rows"),
     "a PDF": (b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n1 0 obj\n", "the time column 'time' is missing (there is %PDF-1.4)"),
-    "a spreadsheet by another name": (b"PK\x03\x04" + bytes(200), "the file is no text: give a table"),
+    "a spreadsheet by another name": (b"PK\x03\x04" + bytes(200), "the file is a spreadsheet or packed"),
     "binary": (bytes(range(1, 256)) * 9, "the file is no text in UTF-8, UTF-16 or cp1252"),
     "times alone": ("time\n0\n1\n2\n", "no column is the input u: say which is by --map u=COLUMN"),
     "no sample": ("time,u,i\n0,1,nan\n1,1,nan\n", "the output column 'i' has no sample: remove it from the outputs"),
@@ -49,6 +52,33 @@ def test_tables_that_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     said = said_of(capsys, COIL, path, "-o", tmp_path / "study.toml")
     assert "bench.csv: " in said
     assert sentence in said
+
+
+def started(tmp_path: Path, capsys: pytest.CaptureFixture[str], frame: pd.DataFrame, *more: str) -> str:
+    """Return what `fmuid init` says of a table of the coil."""
+    frame.to_csv(tmp_path / "bench.csv", index=False)
+    assert fmuid_("init", COIL, tmp_path / "bench.csv", "-o", tmp_path / "study.toml", *more) in (DONE, NOT_SUCCEEDED)
+    (tmp_path / "study.toml").unlink()
+    return str(capsys.readouterr().out)
+
+
+def test_channels_that_measured_nothing_or_in_another_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frame = fmuid.datasets.coil().table[["time", "u", "i"]]
+    said = started(tmp_path, capsys, frame)
+    assert "throughout" not in said and "times as far as measured" not in said
+    said = started(tmp_path, capsys, frame.assign(i=0.25))
+    assert (
+        "bench.csv: the output 'i' is 0.25 throughout: if its channel measured nothing, remove it from the out" in said
+    )
+    said = started(tmp_path, capsys, frame.assign(u=1000 * frame["u"]))
+    (ratio,) = re.findall(r"bench.csv: at the FMU's own values what 'i' measures moves (\S+) times as far", said)
+    assert float(ratio) == pytest.approx(1000, rel=0.3)
+
+
+def test_an_input_that_is_no_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frame = fmuid.datasets.coil().table[["time", "i"]]
+    assert "by --map u=COLUMN, or --map u= to leave it at its start" in started(tmp_path, capsys, frame)
+    assert "no column is the input" not in started(tmp_path, capsys, frame, "--map", "u=")
 
 
 def test_a_header_of_2000_names(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from rich.prompt import Prompt
 
 from fmuid.errors import InputError
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows
-from fmuid.reports.words.result import dropout_words, time_words
+from fmuid.reports.words.result import dropout_words, size_words, time_words
 from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnLink, Draft, Reason, Record, proposal
 from fmuid.text import unit_text
 
@@ -58,7 +58,8 @@ def remarks(record: Record) -> list[str]:
     for role in ("input", "output"):
         lacking = record.lacking(role)
         if lacking and (role == "input" or not record.roles(role) or record.unused):
-            left = "" if role == "input" or not record.roles(role) else ", or nothing is compared with it"
+            left = "" if not record.roles(role) else ", or nothing is compared with it"
+            left = f", or --map {lacking[0]}= to leave it at its start" if role == "input" else left
             said.append(
                 f"{record.path}: no column is the {role} {', '.join(lacking)}: "
                 f"say which is by --map {lacking[0]}=COLUMN{left}"
@@ -75,6 +76,11 @@ def remarks(record: Record) -> list[str]:
     ]
     if record.dropouts:
         said.append(dropout_words(str(record.path), record.dropouts))
+    said += [
+        f"{record.path}: the output {column!r} is {value:g} throughout: if its channel measured nothing, remove it "
+        "from the outputs"
+        for column, value in record.constant.items()
+    ]
     said += [
         f"{record.path}: {count} samples of {column!r} are {value:g}, far from all others: if that stands for missing "
         "ones, leave those cells empty"
@@ -115,6 +121,7 @@ def show_draft(made: Draft, output: Path) -> None:
         title = "What the parameters change of the outputs' spread"
         out.print(table_of_rows(title, heads, map(_proposed, shown), right=heads[1:4:2]))
     show_remarks(time_words(each) for each in found.doubts)
+    show_remarks(size_words(*each) for each in found.sizes)
     if found.failure:
         show_remarks([f"nothing is known of the parameters: {found.failure}"])
     text = "free the parameters to identify in it, under \\[parameters]."

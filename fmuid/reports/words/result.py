@@ -153,6 +153,14 @@ def time_words(doubt: TimeScaleDoubt) -> str:
             return f"{lasts}, and the model takes {doubt.time_constant:.2g} s for what it does (s, not ms?): {look}"
 
 
+def size_words(source: str, column: str, ratio: float) -> str:
+    """Return why the units of a record are to be looked at: so many times as far moves the model at its own values."""
+    return (
+        f"{source}: at the FMU's own values what {column!r} measures moves {ratio:.2g} times as far as measured: look "
+        'at the units of its column and of the inputs\', and say them by units, as in U = "mV"'
+    )
+
+
 def source_words(note: SourceNote) -> str:
     """Return why an earlier result, of which something is taken, is to be taken with care."""
     match note.doubt:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from fmuid.estimation import Attempt, ChoiceTried, Remedy, Trouble
@@ -56,7 +57,9 @@ def attempt_words(result: Result) -> tuple[str, ...]:
     """Return which starts were tried, what became of each and which is kept; nothing where the first one did."""
     if not result.attempts:
         return ()
-    told = [f"{PLACES[each.remedy]} {_end(each)}" for each in result.attempts]
+    each_told = groupby(f"{PLACES[each.remedy]} {_end(each)}" for each in result.attempts)
+    counts = ((one, len(list(alike))) for one, alike in each_told)
+    told = [one if count == 1 else f"{one} ({count} times)" for one, count in counts]
     kept = next((each for each in result.attempts if each.kept), None)
     if kept is None or kept.trouble is Trouble.NONE:
         return (f"several starts were tried: {listed(told)}",)

@@ -125,8 +125,10 @@ class Record:
         return {link.variable: link.column for link in self.links if link.role == role and link.column is not None}
 
     def lacking(self, role: str) -> tuple[str, ...]:
-        """Return the variables of one role that are no column."""
-        return tuple(link.variable for link in self.links if link.role == role and link.column is None)
+        """Return the variables of one role that are no column, but for those that are said to be none."""
+        given = self.asked.columns
+        links = (link for link in self.links if link.role == role and link.column is None)
+        return tuple(link.variable for link in links if link.variable not in given)
 
     @property
     def unused(self) -> tuple[str, ...]:
@@ -204,6 +206,14 @@ class Record:
     def dropouts(self) -> tuple[float, ...]:
         """Where rows are missing that the inputs go on over as between any two samples: the times before, s."""
         return dropouts(self.experiment.times) if self.experiment and self.experiment.input_names else ()
+
+    @property
+    def constant(self) -> dict[str, float]:
+        """The outputs that never change, with the one value that they have."""
+        if self.experiment is None:
+            return {}
+        spans = zip(self.experiment.output_names, self.experiment.output_values.T, strict=True)
+        return {self.experiment.columns[name]: float(np.nanmin(y)) for name, y in spans if np.nanmin(y) == np.nanmax(y)}
 
     @property
     def marks(self) -> dict[str, tuple[float, int]]:

@@ -41,6 +41,8 @@ STARTS_OFF = 4.0
 """Standard deviations of the noise by which a first sample must differ before start values are freed ..."""
 STARTS_FLOOR = 1e-3
 """... and the share of an output's spread, where there is hardly noise."""
+FAR_OFF = 300.0
+"""So many times as far, or as little, as was measured: a thousand is milli, and models are rarely that far off."""
 LEAST_NOISE = 1e-6
 """Share of an output's spread that counts as noise where there is none."""
 MOST_FREED, MOST_LOOKED_AT = 12, 200
@@ -129,12 +131,15 @@ class Survey:
     candidates : tuple of Candidate
     doubts : tuple of TimeScaleDoubt
         The records that last much longer or shorter than what the model does.
+    sizes : tuple of (str, str, float)
+        The measured columns, each with its table, than which the model moves `FAR_OFF` times as far, or as little.
     failure : str
         Why there are none: the simulation that failed, empty where none did.
     """
 
     candidates: tuple[Candidate, ...] = ()
     doubts: tuple[TimeScaleDoubt, ...] = ()
+    sizes: tuple[tuple[str, str, float], ...] = ()
     failure: str = ""
     names: frozenset[str] = field(init=False, repr=False)
 
@@ -179,7 +184,8 @@ def _surveyed(system: System, description: Description, experiments: Sequence[Ex
         changes = _changes(system, experiments, description, names, freed)
     doubts = (doubt_of_time(Simulator(system, each), ()) for each in experiments)
     driven = any(each.input_names for each in experiments)
-    return Survey(_proposed(changes, begun, freed, driven=driven), tuple(each for each in doubts if each is not None))
+    proposed, doubtful = _proposed(changes, begun, freed, driven=driven), tuple(filter(None, doubts))
+    return Survey(proposed, doubtful, changes.sizes if driven else ())
 
 
 def candidates_of(description: Description) -> list[Variable]:
@@ -203,7 +209,7 @@ class _Changes:
 
     `weights` (n,) has the spreads in standard deviations of the noise. `first`, `first_changes`: of the outputs that
     have a first sample, how far the measured ones are from the simulated, (m,), (m, N), and what counts as a
-    difference (m,).
+    difference (m,). `sizes` has the columns of `Survey.sizes`.
     """
 
     variables: tuple[Variable, ...]
@@ -213,6 +219,7 @@ class _Changes:
     first: Floats
     first_changes: Floats
     first_limits: Floats
+    sizes: tuple[tuple[str, str, float], ...]
 
 
 def _changes(
@@ -228,7 +235,7 @@ def _changes(
     starts = np.array([moved_starts.get(k, _number(v.start) or 0.0) for k, v in enumerate(variables)])
     thetas = _moved(variables, starts)
     relative = STEP * np.sign(np.diag(thetas[1:] - starts))
-    rows, weights, first, changed, limits = [], [], [], [], []
+    rows, weights, first, changed, limits, sizes = [], [], [], [], [], []
     for experiment in experiments:
         found = Simulator(system, experiment, names).many(thetas)
         if found.errors[0] is not None:
@@ -238,6 +245,9 @@ def _changes(
             spread = _spread(experiment, j)
             counted = experiment.counted[:, j]
             rows.append((moved[:, counted, j] - base[counted, j]).T / (relative * spread))
+            size = float(np.std(base[counted, j])) / spread
+            if size > FAR_OFF or 0.0 < size < 1 / FAR_OFF:
+                sizes.append((experiment.source, experiment.columns[experiment.output_names[j]], size))
             noise = max(_noise(experiment, j) / spread, LEAST_NOISE)
             weights.append(np.full(int(counted.sum()), 1.0 / noise))
             measured = experiment.output_values[0, j]
@@ -247,9 +257,8 @@ def _changes(
                 limits.append(max(STARTS_OFF * noise, STARTS_FLOOR))
     shape = (len(first), len(names))
     jacobian, weight = np.vstack(rows), np.concatenate(weights)
-    return _Changes(
-        variables, starts, jacobian, weight, np.array(first), np.array(changed).reshape(shape), np.array(limits)
-    )
+    told = np.array(first), np.array(changed).reshape(shape), np.array(limits)
+    return _Changes(variables, starts, jacobian, weight, *told, tuple(sizes))
 
 
 def _moved(variables: Sequence[Variable], starts: Floats) -> Floats:
