@@ -363,7 +363,10 @@ class _GuardedSearch:
         )
 
     def _best(self) -> _Ended:
-        return min(self.ended, key=lambda each: self._worth(each.result))
+        """Return the one that fits best; of those that fit alike, one that came to an end."""
+        least = min(self._worth(each.result) for each in self.ended)
+        alike = [each for each in self.ended if self._worth(each.result) - checked_search.RIVAL_CRITERION <= least]
+        return min(alike, key=lambda each: (each.attempt.trouble is Trouble.UNFINISHED, self._worth(each.result)))
 
     def _worth(self, result: Result) -> float:
         """Return Σ K_j log σ̂_j², by which results of any variances compare."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,7 @@ import fmuid
 from experiments.starts.draws import DC_MOTOR, Record, draw
 from experiments.starts.study import searched
 from fmuid.arrays import Floats
-from fmuid.estimation import Remedy, Trouble
+from fmuid.estimation import Attempt, Remedy, Trouble
 from fmuid.files import as_json
 from fmuid.model_problem import guarded_search
 from fmuid.model_problem.corrected_start import corrected_start
@@ -90,6 +91,34 @@ def test_the_equations_give_a_start_and_the_initial_states(motor: Path, record: 
     assert (ratios < 3).all()
     first = record.measured[:6]
     assert theta[6:] == pytest.approx(np.nanmedian(first, axis=0), abs=0.5 * np.ptp(record.clean[:10], axis=0).max())
+
+
+class Tried:
+    """Searches by the trouble, the worth and the number of each, in place of results."""
+
+    def __init__(self, *ended: tuple[Trouble, float]) -> None:
+        self.ended = [
+            guarded_search._Ended(worth, Attempt(Remedy.GIVEN, trouble), k)  # type: ignore[arg-type]
+            for k, (trouble, worth) in enumerate(ended)
+        ]
+
+    def _worth(self, result: float) -> float:
+        return result
+
+
+@pytest.mark.parametrize(
+    ("ended", "best"),
+    [
+        ([(Trouble.UNFINISHED, -1600.35), (Trouble.NONE, -1600.34)], 1),  # it fits as well, and has an end
+        ([(Trouble.UNFINISHED, -1600.0), (Trouble.NONE, -1590.0)], 0),
+        ([(Trouble.MISFIT, 5.0), (Trouble.UNFINISHED, 4.0), (Trouble.MISFIT, 4.5)], 2),
+        ([(Trouble.UNFINISHED, -np.inf), (Trouble.NONE, 1.0)], 0),
+    ],
+)
+def test_of_searches_that_fit_alike_one_that_ended_is_kept(ended: list[tuple[Trouble, float]], best: int) -> None:
+    """A ball's search that stalled fitted better by 0.01 in −2 ln L, and left estimates without deviations."""
+    tried: Any = Tried(*ended)
+    assert guarded_search._GuardedSearch._best(tried).number == best
 
 
 def test_one_word_switches_it_off(motor: Path, record: Record) -> None:

@@ -11,9 +11,12 @@ import pandas as pd
 import pytest
 
 import fmuid
+from fmuid.fmi import read_description
 from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS, Numerics
+from fmuid.reports.console.draft import remarks
 from fmuid.studies.drafting.draft import begin, draft
 from fmuid.studies.drafting.lines import LINE_LENGTH
+from fmuid.studies.drafting.survey import Candidate, Use, bounds
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS
 
@@ -73,6 +76,27 @@ def test_arrays(tmp_path: Path) -> None:
         "b[1]": 7.0,
         "b[2]": 8.0,
     }
+
+
+@pytest.mark.parametrize(("both", "held"), [(True, ("u[1]", "u[2]")), (False, ())])
+def test_elements_of_one_array_hold_together(tmp_path: Path, both: bool, held: tuple[str, ...]) -> None:
+    """Model exchange takes them in no other way."""
+    fmu = write_fmu(tmp_path / "Linear.fmu", FMI3)
+    steps, slope = [0.0, 0.0, 0.0, 1.0, 1.0, 1.0], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    columns = {"time": slope, "u[1]": steps, "u[2]": steps if both else slope, "y[1]": slope}
+    pd.DataFrame(columns).to_csv(tmp_path / "table.csv", index=False)
+    (record,) = begin(fmu, [tmp_path / "table.csv"])
+    assert record.held == held
+    assert (
+        any(each.endswith('u[1], u[2]; interpolation = "linear" for what was measured') for each in remarks(record))
+        == both
+    )
+
+
+def test_a_matrix_has_no_sign_to_keep(tmp_path: Path) -> None:
+    variables = read_description(write_fmu(tmp_path / "Linear.fmu", FMI3)).variables
+    assert bounds(Candidate(variables["A[1,2]"], Use.FREED, 2.0)) == {}
+    assert bounds(Candidate(variables["b[1]"], Use.FREED, 7.0)) == {"min": 0.0}
 
 
 def test_local_variables_may_be_outputs(tmp_path: Path) -> None:

@@ -74,6 +74,11 @@ def remarks(record: Record) -> list[str]:
         f"{record.path}: {count} of {rows} samples of {column!r} are missing; they do not count"
         for column, count in record.missing.items()
     ]
+    if record.interpolation != "linear":
+        said.append(
+            f"{record.path}: taken as held between samples, since over most of them it stays what it was: "
+            f'{", ".join(record.held)}; interpolation = "linear" for what was measured'
+        )
     if record.dropouts:
         said.append(dropout_words(str(record.path), record.dropouts))
     said += [

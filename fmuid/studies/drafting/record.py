@@ -141,13 +141,15 @@ class Record:
         """The inputs that stay where they are over most samples and then jump: commands that are held in between."""
         from pandas.api.types import is_numeric_dtype
 
-        found = []
-        for variable, column in self.roles("input").items():
+        found, inputs = [], self.roles("input")
+        for variable, column in inputs.items():
             series = self.frame[column]
             if is_numeric_dtype(series.dtype):
                 same = np.diff(series.to_numpy(dtype=np.float64, na_value=np.nan)) == 0
                 found += [variable] if HELD_SHARE * same.size < same.sum() < same.size else []
-        return tuple(found)
+        # elements of one array are set at once: they hold together or not at all
+        arrays = ({*self.description.variables[name].array} & inputs.keys() for name in found)
+        return tuple(name for name, array in zip(found, arrays, strict=True) if array <= {*found})
 
     @property
     def interpolation(self) -> str | dict[str, str]:

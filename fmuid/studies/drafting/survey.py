@@ -50,7 +50,7 @@ MOST_FREED, MOST_LOOKED_AT = 12, 200
 _SOLVER = re.compile(r"^_|(^|[._])(nle|solver|tol|tolerance|[ar]tol|eps|max_?iter\w*|step_?size|log\w*)([._]|$)", re.I)
 # Quantities with a sign or an origin that are chosen by whoever measures.
 _SIGNED = ("degC", "°C", "degF", "rad", "deg")
-_PLACE = re.compile(r"position|offset|bias|(^|[._])flange", re.I)
+_PLACE = re.compile(r"position|offset|bias|(^|[._])flange|\[\d+, ?\d", re.I)  # or of a matrix, which is no quantity
 
 
 class Use(Enum):
