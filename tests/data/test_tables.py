@@ -75,7 +75,7 @@ def test_a_time_column_of_another_name(tmp_path: Path) -> None:
         ("time,u\n2026-01-01T00:00,1\nsoon,2\n", "column 'time' holds 'soon' in row 2|2026-01-01T00:00' in row 1"),
         ("time,u\n01.02.2026 10:00,1\n01.02.2026 10:01,2\n", "day and month may be either way round: write dates as"),
         (b"time,gr\x81\xfce\n0,1\n", "no text in UTF-8, UTF-16 or cp1252: save it as UTF-8"),
-        (b"PK\x03\x04\x00\x00\xff\xfe\x00", "the file is no text: give a table"),
+        (b"PK\x03\x04\x00\x00\xff\xfe\x00", "the file is a spreadsheet or packed"),
     ],
 )
 def test_csv_that_is_none(tmp_path: Path, text: str | bytes, sentence: str) -> None:

@@ -125,10 +125,10 @@ class Record:
         return {link.variable: link.column for link in self.links if link.role == role and link.column is not None}
 
     def lacking(self, role: str) -> tuple[str, ...]:
-        """Return the variables of one role that are no column, but for those that are said to be none."""
-        given = self.asked.columns
+        """Return the variables of one role that are no column, but for inputs that are said to be none."""
+        none = self.asked.columns if role == "input" else ()
         links = (link for link in self.links if link.role == role and link.column is None)
-        return tuple(link.variable for link in links if link.variable not in given)
+        return tuple(link.variable for link in links if link.variable not in none)
 
     @property
     def unused(self) -> tuple[str, ...]:

@@ -111,7 +111,7 @@ _PROPOSALS = {
     Use.START: "a start value that the records do not contradict",
     Use.WEAK: "next to no effect",
     Use.NO_EFFECT: "no effect",
-    Use.ZERO: "not there in the FMU",
+    Use.ZERO: "0 in the FMU: free it by hand where it is something",
     Use.FAILS: "the simulation fails when it is changed",
     Use.ENOUGH: "others change more",
 }
