@@ -23,6 +23,7 @@ from scipy.signal import lfilter
 import fmuid
 from experiments import calls, pages
 from experiments.coil import study
+from fmuid.arrays import Floats
 from fmuid.diagnosis import Shape
 
 HERE = Path(__file__).parent
@@ -34,11 +35,15 @@ LARGE = 100.0  # D from which on an onset is to be dated within two blocks
 
 
 class Case(NamedTuple):
-    """ΔR at the onset (Ω), its rise (Ω/s), and whether the healthy record has the causes beside the fault."""
+    """ΔR at the onset (Ω), its rise (Ω/s), whether the healthy record has the causes beside the fault.
+
+    `drawn`: the sensor is off in both records and R drifts, as much as the monitoring is told.
+    """
 
     size: float
     rise: float = 0.0
     beside: bool = False
+    drawn: bool = False
 
 
 CASES = {
@@ -49,10 +54,33 @@ CASES = {
     "nothing": Case(0.0),
     "step of 1 Ω, all causes": Case(1.0, beside=True),
     "nothing, all causes": Case(0.0, beside=True),
+    "step of 1 Ω, all causes, sensor and drifts drawn": Case(1.0, beside=True, drawn=True),
 }
 
 
-def record(case: Case, begin: float, rng: np.random.Generator, name: str, seconds: int = SECONDS) -> fmuid.Experiment:
+class Sound(NamedTuple):
+    """What a sound coil may have: gain, offset (std of the noise) and delay (samples) of its sensor.
+
+    `drift`: of R, from the begin of the record on, and from the onset on besides, Ω.
+    """
+
+    gain: float = 0.0
+    offset: float = 0.0
+    delay: float = 0.0
+    drift: tuple[float, float] = (0.0, 0.0)
+
+    def seen(self, current: Floats) -> Floats:
+        """Return what the sensor shows."""
+        late = current - self.delay * np.gradient(current)
+        return np.asarray((1.0 + self.gain) * late + self.offset * math.sqrt(study.NOISE_VARIANCE))
+
+
+SOUND = Sound()
+
+
+def record(
+    case: Case, begin: float, rng: np.random.Generator, name: str, seconds: int = SECONDS, sound: Sound = SOUND
+) -> fmuid.Experiment:
     """Return a record whose coil loses turns from a time on, in steps of 25 ms."""
     samples, block = round(seconds / study.STEP), round(BLOCK / study.STEP)
     voltage = np.repeat(rng.choice([-1.0, 1.0], samples // study.BIT + 1), study.BIT)[:samples]
@@ -61,13 +89,14 @@ def record(case: Case, begin: float, rng: np.random.Generator, name: str, second
         since = first * study.STEP - begin
         fault = case.size + case.rise * since if since >= 0 else 0.0
         resistance, inductance = study.R + fault, study.L + 2 * study.TAU * fault
+        resistance += sound.drift[0] + (sound.drift[1] if since >= 0 else 0.0)
         decay = math.exp(-resistance / inductance * study.STEP)
         part = slice(first, first + block)
         driven = lfilter([0.0, (1.0 - decay) / resistance], [1.0, -decay], voltage[part])
         current[part] = driven + state * decay ** np.arange(block)
         state = current[part][-1] * decay + (1.0 - decay) / resistance * voltage[part][-1]
-    current += math.sqrt(study.NOISE_VARIANCE) * rng.standard_normal(samples)
-    frame = pd.DataFrame({"time": study.STEP * np.arange(samples), "u": voltage, "i": current})
+    seen = sound.seen(current) + math.sqrt(study.NOISE_VARIANCE) * rng.standard_normal(samples)
+    frame = pd.DataFrame({"time": study.STEP * np.arange(samples), "u": voltage, "i": seen})
     return fmuid.Experiment(frame, ["u"], ["i"], interpolation="hold", discard=TRANSIENT, name=name)
 
 
@@ -83,7 +112,8 @@ def drawn(name: str, draw: int) -> dict[str, float | str]:
     """Return what monitoring says of a fresh record of a case beside a fresh healthy one."""
     case, rng = CASES[name], np.random.default_rng([SEED, list(CASES).index(name), draw])
     first, coil, faulty = parameters()
-    healthy = [record(Case(0.0), math.inf, rng, "healthy")] if case.beside else []
+    sensor = Sound(*(np.array([0.03, 0.5, 0.2]) * rng.standard_normal(3)).tolist()) if case.drawn else SOUND
+    healthy = [record(Case(0.0), math.inf, rng, "healthy", sound=sensor)] if case.beside else []
     # what an identification of it would give: the truth with the errors that it states
     known = replace(first, values=np.array([study.R, study.L]) + first.std * rng.standard_normal(2))
     inflate = {"R": math.hypot(1.0, DRIFT_R / float(known.std[known.names.index("R")]))}
@@ -91,7 +121,8 @@ def drawn(name: str, draw: int) -> dict[str, float | str]:
     baseline = fmuid.Baseline(known, inflate, records=healthy)
     monitor = fmuid.Monitor(baseline, {"turns": turns}, coil, fmuid.Rule(WINDOW, TRANSIENT, study.LEVEL))
     begin = float(rng.uniform(4.0, 7.0) // BLOCK * BLOCK)
-    monitor.add(record(case, begin, rng, "new"))
+    drift = tuple((DRIFT_R * rng.standard_normal(2)).tolist()) if case.drawn else (0.0, 0.0)
+    monitor.add(record(case, begin, rng, "new", sound=sensor._replace(drift=drift)))
     alarms = [each for each in monitor.alarms if each.onset is not None]
     found: dict[str, float | str] = {"case": name, "draw": draw, "alarm": int(bool(monitor.alarms))}
     if not alarms or not (case.size or case.rise):
