@@ -245,7 +245,7 @@ class _Made:
         self.each += new
         self.healthy += [healthy] * len(new)
         if size is not None:
-            self.causes.append(Cause(new[0].name, columns, size, sign))
+            self.causes.append(Cause(new[0].name, columns, size, sign, modelled=new[0].kind is CauseKind.FAULT))
 
 
 def _add_fault(made: _Made, name: str, fault: Fault) -> None:

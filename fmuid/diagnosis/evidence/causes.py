@@ -26,6 +26,9 @@ class Cause:
         1 or −1 where its size can only have this sign, 0 where either.
     probability : float
         That it is there, before anything is measured.
+    modelled : bool
+        Whether its signature is that of a fault model, which may be wrong; what sensors, supply and the healthy
+        parameters do is known.
 
     Raises
     ------
@@ -38,6 +41,7 @@ class Cause:
     size: float
     sign: int = 0
     probability: float = USUAL_PROBABILITY
+    modelled: bool = True
 
     def __post_init__(self) -> None:
         if not self.columns:

@@ -65,7 +65,7 @@ class Naming:
     named : tuple of CauseSet
         The best one, and those that the data do not exclude beside it; empty without an alarm.
     temper : float
-        By which evidence is divided after the alarm: 1 + κ² D of the strongest cause.
+        By which evidence is divided after the alarm: 1 + κ² D of the strongest fault.
     """
 
     statistics: dict[str, float]
@@ -111,9 +111,9 @@ def weighed(
     news: News, causes: Sequence[Cause], level: float, model_error: float
 ) -> tuple[float, tuple[CauseSet, ...]]:
     """Return what something new is, and by what evidence was divided for the models' error; as for `name`."""
-    largest = max(fit(news, (cause,)).statistic for cause in causes)
-    temper = 1.0 + model_error**2 * largest
-    sets = _pairs(news, causes, largest, temper, level) or [(cause,) for cause in causes]
+    alone = {cause: fit(news, (cause,)).statistic for cause in causes}
+    temper = 1.0 + model_error**2 * max((d for cause, d in alone.items() if cause.modelled), default=0.0)
+    sets = _pairs(news, causes, max(alone.values()), temper, level) or [(cause,) for cause in causes]
     evidence = news.tempered(temper)
     found = np.array([log_bayes_factor(evidence, each) + sum(math.log(c.probability) for c in each) for each in sets])
     odds = np.exp(found - found.max())
@@ -153,7 +153,7 @@ def _together(news: News, pairs: Sequence[tuple[Cause, Cause]]) -> Floats:
 
 
 def sized(news: News, causes: Sequence[Cause], model_error: float) -> CauseFit:
-    """Return the sizes of a cause or of two, each with what the error of the other's model may add to its variance.
+    """Return the sizes of a cause or of two, each with what the error of the other, a fault, may add to its variance.
 
     What κ bounds is what a model leaves when its own size is fitted: it is orthogonal to its own signature and does not
     move that size. Along the part of another's signature that is orthogonal to it, it has κ √D, which the other size
@@ -165,7 +165,9 @@ def sized(news: News, causes: Sequence[Cause], model_error: float) -> CauseFit:
     information, _ = news.part([i for cause in causes for i in cause.columns])
     first = np.arange(len(found.sizes)) < len(causes[0].columns)
     shift = np.zeros_like(information)
-    for own in (first, ~first):
+    for own, beside in ((first, causes[1]), (~first, causes[0])):
+        if not beside.modelled:
+            continue
         other, mixed = information[np.ix_(~own, ~own)], information[np.ix_(own, ~own)]
         effect = float(found.sizes[~own] @ other @ found.sizes[~own])
         left = information[np.ix_(own, own)] - mixed @ np.linalg.solve(other, mixed.T)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -116,6 +117,21 @@ def test_the_models_own_error_names_no_second_cause() -> None:
     assert strict.named[0].names == ("0", "2")
     assert strict.temper == 1.0
     assert name(News(information, score), causes, 0.01).temper == pytest.approx(1 + 0.05**2 * 200**2, rel=0.05)
+
+
+def test_a_sensor_has_no_error_of_a_model() -> None:
+    """A weak fault at a right angle to a strong sensor: both named; the sensor's effect is known."""
+    information, causes = causes_of([0.0, math.pi / 2])
+    news = News(information, information @ np.array([200.0, 0.0, 7.0]))
+    sensor = replace(causes[0], modelled=False)
+    assert [each.names for each in name(news, causes, 0.01).named] == [("0",)]
+    found = name(news, (sensor, *causes[1:]), 0.01)
+    assert found.named[0].names == ("0", "2")
+    assert found.temper == pytest.approx(1 + 0.05**2 * 49.0)
+    pair = (sensor, causes[2])
+    stated, plain = sized(news, pair, 0.05).covariance, fit(news, pair).covariance
+    assert stated[1, 1] == pytest.approx(plain[1, 1])
+    assert stated[0, 0] == pytest.approx(plain[0, 0] * (1 + 0.05**2 * 49.0))
 
 
 def test_pairs_at_once_are_pairs_one_by_one() -> None:
