@@ -200,7 +200,9 @@ class DiagnosisWords(Words):
     records: Files = word([], "tables of the healthy machine: sensors and supply are told from faults by them")
     trials: dict[str, Files] = word({}, "cause to tables in which it alone is new: they show model_error", {})
     causes: CausesWords | None = word(None, "what may have changed beside the faults")
-    model_error: NotNegative = word(MODEL_ERROR, "of a fault model along other signatures, a share of its effect")
+    model_error: NotNegative = word(
+        MODEL_ERROR, "of a fault model along other signatures, a share of its effect; a quarter of it in its size"
+    )
     faults: dict[str, FaultWords] = word({}, "the faults to look for, by their names")
 
     def settings(self, model: ModelSettings, loss: str, known: Knowns) -> FaultSearch:

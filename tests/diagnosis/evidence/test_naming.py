@@ -130,7 +130,7 @@ def test_a_sensor_has_no_error_of_a_model() -> None:
     assert found.temper == pytest.approx(1 + 0.05**2 * 49.0)
     pair = (sensor, causes[2])
     stated, plain = sized(news, pair, 0.05).covariance, fit(news, pair).covariance
-    assert stated[1, 1] == pytest.approx(plain[1, 1])
+    assert stated[1, 1] == pytest.approx(plain[1, 1] * (1 + 0.0125**2 * 49.0))
     assert stated[0, 0] == pytest.approx(plain[0, 0] * (1 + 0.05**2 * 49.0))
 
 
@@ -152,8 +152,8 @@ def test_pairs_at_once_are_pairs_one_by_one() -> None:
         assert found[-1] == pytest.approx(fit(news, (causes[-1],)).statistic)
 
 
-def test_what_a_model_leaves_goes_into_the_other_size_alone() -> None:
-    """Each cause leaves κ of its effect orthogonal to its own signature: sizes scatter as stated."""
+def test_what_a_model_leaves_goes_into_the_other_size() -> None:
+    """Each leaves κ of its effect orthogonal to its signature, a quarter of that along it: sizes scatter as stated."""
     kappa, random = 0.1, np.random.default_rng(5)
     columns = np.array([[1.0, 0.0, 0.0], [math.cos(0.8), math.sin(0.8), 0.0]]).T * (30.0, 50.0)
     sizes, causes = np.array([2.0, -1.0]), (Cause("one", (0,), 1.0), Cause("two", (1,), 1.0))
@@ -164,6 +164,7 @@ def test_what_a_model_leaves_goes_into_the_other_size_alone() -> None:
     pair, one = [], []
     for _ in range(4000):
         left = across * (kappa * np.abs(sizes) * np.linalg.norm(columns, axis=0) * random.standard_normal(2))
+        left += columns * (0.25 * kappa * sizes * random.standard_normal(2))
         noise = random.standard_normal(3)
         pair.append(fit(News(columns.T @ columns, columns.T @ (clean + left.sum(axis=1) + noise)), causes).sizes)
         alone = columns[:, 0] * sizes[0] + left[:, 0] + noise
@@ -172,4 +173,5 @@ def test_what_a_model_leaves_goes_into_the_other_size_alone() -> None:
     stated = sized(news, causes, kappa).covariance
     assert np.cov(np.array(pair).T) == pytest.approx(stated, rel=0.1)
     assert stated[1, 1] > 5 * sized(news, causes, 0.0).covariance[1, 1]
-    assert np.std(one) == pytest.approx(math.sqrt(sized(news, causes[:1], kappa).covariance[0, 0]), rel=0.05)
+    first = News(columns.T @ columns, columns.T @ columns[:, 0] * sizes[0])
+    assert np.std(one) == pytest.approx(math.sqrt(sized(first, causes[:1], kappa).covariance[0, 0]), rel=0.05)
