@@ -153,6 +153,20 @@ def _dates(folder: Path, _: pytest.MonkeyPatch) -> None:
     same(begun(written(folder, PLAIN.assign(time=early.strftime("%H:%M:%S.%f")))))
 
 
+@row("local times, and the clock was put forward or back on the way")
+def _clocks(folder: Path, _: pytest.MonkeyPatch) -> None:
+    utc = pd.Timestamp("2026-10-25T00:59:59.950") + pd.to_timedelta(T, unit="s")  # the clock goes back at 01:00
+    ahead = np.where(T < 0.05, 2, 1)
+    local = [each + pd.Timedelta(hours=hours) for each, hours in zip(utc, ahead, strict=True)]
+    texts = [f"{each.isoformat(timespec='milliseconds')}+0{hours}:00" for each, hours in zip(local, ahead, strict=True)]
+    same(begun(written(folder, PLAIN.assign(time=texts))))
+    same(begun(written(folder, PLAIN.assign(time=utc))))
+    with pytest.raises(
+        InputError, match=r"goes back by an hour in row 51, .*: write its times in UTC or with their off"
+    ):
+        begin(COIL, [written(folder, PLAIN.assign(time=local))])
+
+
 @row("no times, 10 kHz")
 def _no_times(folder: Path, _: pytest.MonkeyPatch) -> None:
     found = begun(written(folder, PLAIN[["u", "i"]]), sample_rate=10e3)
@@ -191,6 +205,16 @@ def _unsaid_units(folder: Path, _: pytest.MonkeyPatch) -> None:
     assert found.units["i"] == begun(path, units={"i": "mA"}).units["i"] == "mA"
     simulated = [fmuid.Simulator(COIL, each)([]) for each in (found, *studied(written(folder)))]
     np.testing.assert_allclose(simulated[0], 1e3 * simulated[1])
+
+
+@row("an input of the FMU that stays at its start")
+def _at_its_start(folder: Path, _: pytest.MonkeyPatch) -> None:
+    (record,) = begin(COIL, [written(folder, PLAIN[["time", "i"]])])
+    assert record.lacking("input") == ("u",)
+    (record,) = begin(COIL, [folder / "run.csv"], Asked(columns={"u": ""}))
+    assert record.lacking("input") == ()
+    assert record.experiment is not None
+    assert record.experiment.input_names == ()
 
 
 @row("other names than the FMU's")
@@ -282,6 +306,15 @@ def _slow(folder: Path, _: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(found.output_values[2:-2, 0], np.sin(40 * found.times[2:-2]), atol=0.03)
     asked = begun(path, prepare={"low_pass": 50.0, "resample": 0.01})
     np.testing.assert_array_equal(asked.output_values, found.output_values)
+
+
+@row("inputs in one file, outputs in another, at other rates")
+def _two_files(folder: Path, _: pytest.MonkeyPatch) -> None:
+    table = PLAIN[["time", "u"]].merge(PLAIN[["time", "i"]].iloc[1::7].assign(time=T[1::7] + 5e-4), how="outer")
+    (found,) = studied(written(folder, table), more='prepare = { fill = { u = "hold" } }')
+    counted = np.isfinite(found.output_values[:, 0])
+    np.testing.assert_allclose(found.output_values[counted, 0], PLAIN["i"][1::7])
+    np.testing.assert_allclose(found.input_values[:, 0], np.where(found.times < 0.05, 12.0, 0.0))
 
 
 @row("several records")
