@@ -23,7 +23,6 @@ from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.reports.words.residuals import residual_words
-from fmuid.text import listed
 from tests.support.problems import ar1
 
 COUNT = 1000
@@ -31,6 +30,7 @@ TIMES: Floats = 0.01 * np.arange(float(COUNT))
 INPUT = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], COUNT // 10), 10)
 REGRESSORS = np.column_stack([np.ones(COUNT), np.sin(2.0 * TIMES), np.sin(200.0 * TIMES)])
 TRUTH = np.array([2.0, 1.0, 0.5])
+PARAMETERS = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
 
 
 def examined(errors: Floats, **words: Any) -> Diagnostics:
@@ -43,8 +43,7 @@ def identified(errors: Floats, **words: Any) -> tuple[LeastSquares, Result]:
     frame = pd.DataFrame({"time": TIMES, "u": INPUT, "y": REGRESSORS @ TRUTH + errors})
     experiment = Experiment(frame, inputs=["u"], outputs=["y"], discard=words.pop("discard", 0.0))
     predictor = FunctionPredictor(lambda theta: REGRESSORS @ theta, (COUNT, 1))
-    parameters = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
-    problem = LeastSquares([predictor], [experiment], parameters | words.pop("parameters", {}), **words)
+    problem = LeastSquares([predictor], [experiment], PARAMETERS | words.pop("parameters", {}), **words)
     return problem, identify(problem)
 
 
@@ -302,8 +301,7 @@ def several() -> tuple[LeastSquares, Result]:
         frame = pd.DataFrame({"time": TIMES, "u": INPUT, "a": y[:, 0], "b": y[:, 1]})
         experiments.append(Experiment(frame, inputs=["u"], outputs=["a", "b"], discard=0.5, name=name))
     predictor = FunctionPredictor(lambda t: np.column_stack([REGRESSORS @ t, 100.0 * REGRESSORS @ t]), (COUNT, 2))
-    parameters = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
-    problem = LeastSquares([predictor, predictor], experiments, parameters)
+    problem = LeastSquares([predictor, predictor], experiments, PARAMETERS)
     return problem, identify(problem)
 
 
@@ -383,8 +381,7 @@ def test_an_output_that_one_experiment_lacks() -> None:
         Table(name, TIMES, ("a", "b"), v, np.isfinite(v)) for name, v in (("one", values), ("two", values[:, ::-1]))
     ]
     predictor = FunctionPredictor(lambda theta: np.column_stack([REGRESSORS @ theta] * 2), (COUNT, 2))
-    parameters = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
-    problem = LeastSquares([predictor, predictor], tables, parameters)
+    problem = LeastSquares([predictor, predictor], tables, PARAMETERS)
     found = examine_residuals(problem, identify(problem))
     assert [(each.experiment, each.output) for each in found.series] == [("one", "a"), ("two", "b")]
 
@@ -400,7 +397,3 @@ def test_written_and_read() -> None:
     assert written["residuals"][0]["std"] == found.table["std"][0]
     with pytest.raises(InputError, match="identify the study again"):
         examine_residuals(problem, dataclasses.replace(result, noise=None))
-
-
-def test_words_in_a_list() -> None:
-    assert [listed(list(words)) for words in ("a", "ab", "abc")] == ["a", "a and b", "a, b and c"]
