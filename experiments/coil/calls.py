@@ -20,6 +20,7 @@ import pandas as pd
 import fmuid
 from experiments import calls, pages
 from experiments.coil import study
+from fmuid.arrays import Floats
 from fmuid.diagnosis import Causes
 from fmuid.diagnosis.coordinates import coordinates_of
 from fmuid.diagnosis.linearisation import Machine
@@ -39,6 +40,11 @@ class Off(NamedTuple):
     gain: float = 0.0
     offset: float = 0.0  # standard deviations of the noise
     delay: float = 0.0  # s
+
+    def seen(self, current: Floats) -> Floats:
+        """Return what the sensor shows of a current."""
+        late = current - self.delay * np.gradient(current, study.STEP)
+        return np.asarray((1.0 + self.gain) * late + self.offset * STD)
 
 
 class Case(NamedTuple):
@@ -104,10 +110,14 @@ def clean(off: Off) -> fmuid.Experiment:
         study.R + off.resistance + off.turns, study.L + off.inductance + 2.0 * study.TAU * off.turns
     )
     current = current + off.beside * study.voltage()
-    late = current - off.delay * np.gradient(current, study.STEP)
-    seen = (1.0 + off.gain) * late + off.offset * STD
-    frame = {"time": study.STEP * np.arange(study.SAMPLES), "u": study.voltage(), "i": seen}
+    frame = {"time": study.STEP * np.arange(study.SAMPLES), "u": study.voltage(), "i": off.seen(current)}
     return study.experiment(pd.DataFrame(frame))
+
+
+def sensor(rng: np.random.Generator) -> Off:
+    """Return a sensor that is off by as much as `Causes` expects."""
+    gain, offset, delay = rng.standard_normal(3).tolist()
+    return Off(gain=0.03 * gain, offset=0.5 * offset, delay=0.2 * study.STEP * delay)
 
 
 def records(name: str, rng: np.random.Generator) -> tuple[fmuid.Experiment, fmuid.Experiment]:
@@ -115,8 +125,8 @@ def records(name: str, rng: np.random.Generator) -> tuple[fmuid.Experiment, fmui
     case = CASES[name]
     if not case.drawn:
         return clean(case.always), clean(case.new)
-    gain, offset, delay, resistance, inductance = rng.standard_normal(5).tolist()
-    always = Off(gain=0.03 * gain, offset=0.5 * offset, delay=0.2 * study.STEP * delay)  # as `Causes` has them
+    always = sensor(rng)
+    resistance, inductance = rng.standard_normal(2).tolist()
     new = always._replace(turns=case.new.turns, resistance=DRIFT["R"] * resistance, inductance=DRIFT["L"] * inductance)
     return clean(always), clean(new)
 

@@ -23,14 +23,14 @@ from scipy.signal import lfilter
 import fmuid
 from experiments import calls, pages
 from experiments.coil import study
-from fmuid.arrays import Floats
+from experiments.coil.calls import DRIFT, SOUND, Off, sensor
 from fmuid.diagnosis import Shape
 
 HERE = Path(__file__).parent
 FILE = HERE / "onsets.csv"
 DRAWS, SEED = 100, 23  # the seed is none by which anything was chosen
 SECONDS, WINDOW, TRANSIENT, BLOCK = 12, 0.5, 0.2, 0.025
-DRIFT_R = 0.5
+DRIFT_R = DRIFT["R"]
 LARGE = 100.0  # D from which on an onset is to be dated within two blocks
 
 
@@ -58,30 +58,20 @@ CASES = {
 }
 
 
-class Sound(NamedTuple):
-    """What a sound coil may have: gain, offset (std of the noise) and delay (samples) of its sensor.
-
-    `drift`: of R, from the begin of the record on, and from the onset on besides, Ω.
-    """
-
-    gain: float = 0.0
-    offset: float = 0.0
-    delay: float = 0.0
-    drift: tuple[float, float] = (0.0, 0.0)
-
-    def seen(self, current: Floats) -> Floats:
-        """Return what the sensor shows."""
-        late = current - self.delay * np.gradient(current)
-        return np.asarray((1.0 + self.gain) * late + self.offset * math.sqrt(study.NOISE_VARIANCE))
-
-
-SOUND = Sound()
-
-
 def record(
-    case: Case, begin: float, rng: np.random.Generator, name: str, seconds: int = SECONDS, sound: Sound = SOUND
+    case: Case,
+    begin: float,
+    rng: np.random.Generator,
+    name: str,
+    seconds: int = SECONDS,
+    *,
+    sensor: Off = SOUND,
+    drift: tuple[float, float] = (0.0, 0.0),
 ) -> fmuid.Experiment:
-    """Return a record whose coil loses turns from a time on, in steps of 25 ms."""
+    """Return a record whose coil loses turns from a time on, in steps of 25 ms.
+
+    R drifts by the first part of `drift` (Ω) in all of the record, and from that time on by the second besides.
+    """
     samples, block = round(seconds / study.STEP), round(BLOCK / study.STEP)
     voltage = np.repeat(rng.choice([-1.0, 1.0], samples // study.BIT + 1), study.BIT)[:samples]
     current, state = np.empty(samples), 0.0
@@ -89,13 +79,13 @@ def record(
         since = first * study.STEP - begin
         fault = case.size + case.rise * since if since >= 0 else 0.0
         resistance, inductance = study.R + fault, study.L + 2 * study.TAU * fault
-        resistance += sound.drift[0] + (sound.drift[1] if since >= 0 else 0.0)
+        resistance += drift[0] + (drift[1] if since >= 0 else 0.0)
         decay = math.exp(-resistance / inductance * study.STEP)
         part = slice(first, first + block)
         driven = lfilter([0.0, (1.0 - decay) / resistance], [1.0, -decay], voltage[part])
         current[part] = driven + state * decay ** np.arange(block)
         state = current[part][-1] * decay + (1.0 - decay) / resistance * voltage[part][-1]
-    seen = sound.seen(current) + math.sqrt(study.NOISE_VARIANCE) * rng.standard_normal(samples)
+    seen = sensor.seen(current) + math.sqrt(study.NOISE_VARIANCE) * rng.standard_normal(samples)
     frame = pd.DataFrame({"time": study.STEP * np.arange(samples), "u": voltage, "i": seen})
     return fmuid.Experiment(frame, ["u"], ["i"], interpolation="hold", discard=TRANSIENT, name=name)
 
@@ -112,8 +102,8 @@ def drawn(name: str, draw: int) -> dict[str, float | str]:
     """Return what monitoring says of a fresh record of a case beside a fresh healthy one."""
     case, rng = CASES[name], np.random.default_rng([SEED, list(CASES).index(name), draw])
     first, coil, faulty = parameters()
-    sensor = Sound(*(np.array([0.03, 0.5, 0.2]) * rng.standard_normal(3)).tolist()) if case.drawn else SOUND
-    healthy = [record(Case(0.0), math.inf, rng, "healthy", sound=sensor)] if case.beside else []
+    seen_by = sensor(rng) if case.drawn else SOUND
+    healthy = [record(Case(0.0), math.inf, rng, "healthy", sensor=seen_by)] if case.beside else []
     # what an identification of it would give: the truth with the errors that it states
     known = replace(first, values=np.array([study.R, study.L]) + first.std * rng.standard_normal(2))
     inflate = {"R": math.hypot(1.0, DRIFT_R / float(known.std[known.names.index("R")]))}
@@ -121,8 +111,8 @@ def drawn(name: str, draw: int) -> dict[str, float | str]:
     baseline = fmuid.Baseline(known, inflate, records=healthy)
     monitor = fmuid.Monitor(baseline, {"turns": turns}, coil, fmuid.Rule(WINDOW, TRANSIENT, study.LEVEL))
     begin = float(rng.uniform(4.0, 7.0) // BLOCK * BLOCK)
-    drift = tuple((DRIFT_R * rng.standard_normal(2)).tolist()) if case.drawn else (0.0, 0.0)
-    monitor.add(record(case, begin, rng, "new", sound=sensor._replace(drift=drift)))
+    always, since = (DRIFT_R * rng.standard_normal(2)).tolist() if case.drawn else (0.0, 0.0)
+    monitor.add(record(case, begin, rng, "new", sensor=seen_by, drift=(always, since)))
     alarms = [each for each in monitor.alarms if each.onset is not None]
     found: dict[str, float | str] = {"case": name, "draw": draw, "alarm": int(bool(monitor.alarms))}
     if not alarms or not (case.size or case.rise):

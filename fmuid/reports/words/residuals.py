@@ -38,9 +38,13 @@ def _name(found: Diagnostics, output: str, *experiments: str) -> str:
     return f"{output} in {listed(experiments)}" if several else output
 
 
+def _series_name(found: Diagnostics, series: ResidualSeries) -> str:
+    return _name(found, series.output, series.experiment)
+
+
 def _large(found: Diagnostics, finding: Finding, units: Mapping[str, str | None]) -> str:
     """Return a sentence on what is large enough to be said by itself."""
-    series, name = finding.series, _name(found, finding.series.output, finding.series.experiment)
+    series, name = finding.series, _series_name(found, finding.series)
     if finding.trait is Trait.COLOURED:
         lag, largest = series.strongest_autocorrelation
         far = "far from white" if abs(largest) >= FAR_FROM_WHITE else "not white"
@@ -136,19 +140,18 @@ def _off_grid(found: Diagnostics) -> list[str]:
 
 def _summary(found: Diagnostics, *, quiet: bool) -> list[str]:
     """Say where there was nothing to examine and, where nothing else is to be said, what was tested."""
-    idle = [_name(found, each.output, each.experiment) for each in found.series if not each.examined]
+    idle = [_series_name(found, each) for each in found.series if not each.examined]
     lines = [f"The residual of {listed(idle)} is too short, or nothing but rounding, to be examined"] if idle else []
     examined = [each for each in found.series if each.examined]
     if not quiet or not examined:
         return lines
     slight = {
-        _name(found, each.output, each.experiment): [_slight(one) for one in found.findings if one.series is each]
-        for each in examined
+        _series_name(found, each): [_slight(one) for one in found.findings if one.series is each] for each in examined
     }
     slight = {name: traits for name, traits in slight.items() if traits}
     said = "significant, but slight"
     lines += [f"The residual of {name} has {listed(traits)}: {said}" for name, traits in slight.items()]
-    names = [_name(found, each.output, each.experiment) for each in examined]
+    names = [_series_name(found, each) for each in examined]
     which = f"residual of {names[0]} looks" if len(names) == 1 else f"residuals of {listed(names)} look"
     like = "otherwise like" if slight or found.slow else "like"
     return [
