@@ -297,12 +297,13 @@ def test_the_known_variance() -> None:
     assert both.probability == pytest.approx(stats.chi2(2 * COUNT - 3).sf(total), rel=1e-3)
     assert [each.deviation for each in (one, other)] == [Deviation.NONE, Deviation.LARGER]
     said = reading_words(reading)
-    assert said[0].startswith("The residual of i is larger than its noise (variance 0.1")
+    levels = f"{np.sqrt(result.noise_variance['i']):.3g} against {np.sqrt(VARIANCE):.3g}"
+    assert said[0].startswith(f"The residual of i is larger than its stated noise level: {levels} (probability ")
     assert said[0].endswith("the system has changed, or the model is wrong")
     assert all(not line.startswith("The residual of u") for line in said)
     smaller = white_reading(problem, result, healthy={"u": 4.0 * VARIANCE})
     assert smaller.variances[0].deviation is Deviation.SMALLER
-    assert reading_words(smaller)[0].startswith("The residual of u is smaller than its noise")
+    assert reading_words(smaller)[0].startswith("The residual of u is smaller than its stated noise level: ")
     with pytest.raises(InputError, match="healthy names 'x', which is no measured output"):
         read_result(problem, result, healthy={"x": 1.0})
     with pytest.raises(InputError, match="healthy variance of 'u' must be positive"):

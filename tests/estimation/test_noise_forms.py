@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
@@ -11,6 +12,8 @@ import pytest
 from scipy import stats
 
 from fmuid.arrays import Floats
+from fmuid.assessment.consistency import Deviation
+from fmuid.assessment.prior_and_data import read_result
 from fmuid.assessment.residuals import examine_residuals
 from fmuid.assessment.sampling.sampler import log_density
 from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter, Table, robust_variance
@@ -20,6 +23,7 @@ from fmuid.estimation.identification import identify
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.misfit import fitted, misfits
 from fmuid.estimation.result import Result
+from tests.support.problems import ar1
 
 COUNT = 60
 X = np.linspace(-1.0, 2.0, COUNT)
@@ -263,3 +267,35 @@ def test_an_output_that_never_changes_has_no_spread() -> None:
         ),
         "output 'y' is the same in all samples: a share of its spread is no noise; give noise.std",
     )
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.8])
+def test_stated_variance_scales_standard_deviations_and_nothing_else(colour: float) -> None:
+    """Dahlquist's equation with residuals of variance 1e-4, white or AR(1): the stated level invents no noise."""
+    times = np.linspace(0.0, 3.0, 200)
+    measured = np.exp(-0.7 * times) + 0.01 * ar1(np.random.default_rng(5), colour, times.size)
+
+    def stated(variance: Any) -> tuple[LeastSquares, Result]:
+        problem = LeastSquares.from_function(
+            lambda theta: np.exp(-theta[0] * times),
+            measured,
+            {"k": Parameter(1.0, min=0.0)},
+            times=times,
+            noise=Noise(variance=variance),
+        )
+        return problem, identify(problem)
+
+    _, own = stated("estimate")
+    for variance in (1e-2, 1e-4, 1e-6):
+        problem, found = stated(variance)
+        diagnostics = examine_residuals(problem, found)
+        assert found.values == pytest.approx(own.values, abs=1e-3 * own.std[0])
+        assert found.std == pytest.approx(own.std * math.sqrt(variance / own.noise_variance["y"]), rel=0.1)
+        assert found.widening == pytest.approx(own.widening, rel=0.1)
+        assert diagnostics.slow == ()
+        (test,) = read_result(problem, found, diagnostics=diagnostics).variances
+        assert (test.known, test.estimated) == (variance, found.noise_variance["y"])
+        if colour == 0.0:
+            assert found.widening == pytest.approx(1.0, abs=0.1)
+            expected = {1e-2: Deviation.SMALLER, 1e-4: Deviation.NONE, 1e-6: Deviation.LARGER}[variance]
+            assert test.deviation is expected

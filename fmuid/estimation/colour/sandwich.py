@@ -20,7 +20,7 @@ images); this works with gaps, and comes close to what restricted likelihood giv
 The variances V_ii come from estimates themselves. By the scatter of the coefficients, cov φ = σ²R_p⁻¹/n, and of the
 innovations' variances, 2σ⁴/n, they have ν_i = 2/var(log V_ii) degrees of freedom (Satterthwaite), and the interval of
 an estimate is θ_i ± t(ν_i) √V_ii. Where an output's variance is given, its noise has that variance and the residual's
-correlation.
+correlation: all models are fitted at the residual's own level, what is missing included, and scaled at the end.
 
 Where samples are weighed by a colour of their noise, L (`fmuid.estimation.colour.innovations`), the rows of the fit are
 those of LJ, C is LᵀLJR, and the projector is A Bᵀ, A = L⁻¹Q and B = LᵀQ, Q a basis of LJ: what is missing is
@@ -184,6 +184,9 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
             break
         for part in parts:
             part.add_removed(gram)
+    if rows.given.any():
+        models = _as_given(models, rows, series)
+        gram = _taken(parts, models, rows)
     if rows.columns is not rows.pull:
         gram = np.sum([part.take(part.models, rows.columns, part.innovations) for part in parts], axis=0)
     inner = gram + rows.prior
@@ -260,10 +263,17 @@ def _models(
             extra = len(columns[members[0]]) // 2
             weights = np.repeat([1.0, 0.5, -0.5], [1, extra, extra])
             model = fit(*_joined([(columns[i], there[i]) for i in members], orders + 1), weights, orders)
-            if rows.given[group]:
-                model = replace(model, variance=1.0 / model.gain)
         models |= dict.fromkeys(members, model)
     return models
+
+
+def _as_given(models: Mapping[int, Autoregression], rows: Rows, series: Sequence[Series]) -> dict[int, Autoregression]:
+    """Return models with the correlation found, and the variance 1 where it was given."""
+    scaled = rows.given & ~rows.white
+    return {
+        index: replace(model, variance=1.0 / model.gain) if scaled[series[index].group] else model
+        for index, model in models.items()
+    }
 
 
 def _joined(blocks: Sequence[tuple[Floats, Flags]], gap: int) -> tuple[Floats, Flags]:

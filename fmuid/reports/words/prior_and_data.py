@@ -74,16 +74,16 @@ def _variances(reading: Reading) -> list[str]:
     blame = "the model or the prior" if np.isfinite(reading.prior_mean).any() else "the model"
     said, outputs = [], [test for test in reading.variances if test.output]
     for test in outputs:
-        times = f"{test.estimated:.3g}, {test.ratio:.2g} times the known {test.known:.3g}"
+        levels = f"{math.sqrt(test.estimated):.3g} against {math.sqrt(test.known):.3g}"
         if test.deviation is Deviation.LARGER:
             said.append(
-                f"The residual of {test.output} is larger than its noise (variance {times}; probability "
+                f"The residual of {test.output} is larger than its stated noise level: {levels} (probability "
                 f"{test.probability:.2g}): the system has changed, or {blame} is wrong"
             )
         elif test.deviation is Deviation.SMALLER:
             said.append(
-                f"The residual of {test.output} is smaller than its noise (variance {times}): the noise is less than "
-                "was said, and the standard deviations are too large"
+                f"The residual of {test.output} is smaller than its stated noise level: {levels}: standard deviations "
+                f"follow the stated level and are {1.0 / math.sqrt(test.ratio):.2g} times too large"
             )
     if outputs and not said:
         shares = listed([f"{test.ratio:.3g}" for test in outputs])
