@@ -86,6 +86,7 @@ def test_row(head: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
 
 elsewhere("`has no binary for` this platform", "tests.cli.test_newcomers:test_fmus_that_are_none")
 elsewhere("it asks for a licence, or for the tool that made it", "tests.simulation.test_validation:test_faults")
+elsewhere("`declares … more than once`", "tests.cli.test_bad_fmus:test_two_variables_of_one_name")
 elsewhere("it crashes, or hangs", "tests.simulation.test_validation:test_a_hang_is_ended")
 
 

@@ -69,11 +69,16 @@ class FMU(Displayed):
         return file_digest(self.file)
 
     @cached_property
+    def _binaries(self) -> tuple[PurePosixPath, ...]:
+        """The files below ``binaries/``, in folders of platforms."""
+        with Zipped(self.file, self.path) as archive:
+            paths = [PurePosixPath(name) for name in archive.names if name.startswith("binaries/")]
+        return tuple(path for path in paths if len(path.parts) > 2)
+
+    @cached_property
     def platforms(self) -> tuple[str, ...]:
         """The platform folders below ``binaries/``."""
-        with Zipped(self.file, self.path) as archive:
-            parts = [PurePosixPath(name).parts for name in archive.names]
-        return tuple(sorted({p[1] for p in parts if len(p) > 2 and p[0] == "binaries"}))
+        return tuple(sorted({path.parts[1] for path in self._binaries}))
 
     @cached_property
     def directory(self) -> Path:
@@ -95,9 +100,9 @@ class FMU(Displayed):
             If the FMU has no binary for this platform; the sentence says which it has.
         """
         name = identifier + BINARY_ENDING
-        for folder in PLATFORMS.values():
-            path: Path = self.directory / "binaries" / folder / name
-            if is_file(path):
+        packed = {str(path).lower() for path in self._binaries}  # some file systems do not tell the cases of letters
+        for place in (f"binaries/{folder}/{name}" for folder in PLATFORMS.values()):
+            if place.lower() in packed and is_file(path := self.directory / place):  # unpacked only where it has one
                 return path
         here = PLATFORMS[2]
         there = f"it has binaries for {', '.join(self.platforms)}" if self.platforms else "it has no binaries at all"

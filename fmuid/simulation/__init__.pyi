@@ -29,4 +29,5 @@ from .validation import Subject as Subject
 from .validation import Tool as Tool
 from .validation import Trial as Trial
 from .validation import Validation as Validation
+from .validation import check_binaries as check_binaries
 from .validation import validate as validate

@@ -149,11 +149,15 @@ def validate(fmu: FMU | str | Path) -> Validation:
     """
     fmu = fmu if isinstance(fmu, FMU) else FMU(fmu)
     checks = [_description(fmu), *_tool(fmu)]
-    for kind, interface in fmu.description.interfaces.items():
-        binary = _binary(fmu, kind, interface.identifier)
+    for kind, binary in check_binaries(fmu).items():
         sound = binary.result != "failed"
         checks += [binary, *(_interface(fmu, kind) if sound else [Check(Subject.SIMULATION, kind, "left out")])]
     return Validation(fmu.path, tuple(checks))
+
+
+def check_binaries(fmu: FMU) -> dict[str, Check]:
+    """Check whether each interface has a binary for this platform; one that lacks it is not unpacked for that."""
+    return {kind: _binary(fmu, kind, each.identifier) for kind, each in fmu.description.interfaces.items()}
 
 
 def _description(fmu: FMU) -> Check:

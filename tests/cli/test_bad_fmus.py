@@ -58,6 +58,20 @@ def test_no_binary_for_this_platform(coil_folder: Path, capsys: pytest.CaptureFi
     assert all(platform in sentence for platform in others)
 
 
+@pytest.mark.parametrize("command", ["info", "validate", "simulate", "identify"])
+def test_two_variables_of_one_name(coil_folder: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    """Setting one would set the other."""
+
+    def repeat(files: dict[str, bytes]) -> None:
+        more = b'<ScalarVariable name="R" valueReference="99"><Real/></ScalarVariable></ModelVariables>'
+        files["modelDescription.xml"] = files["modelDescription.xml"].replace(b"</ModelVariables>", more)
+
+    rezip(coil_folder / "Coil.fmu", repeat)
+    name = "study.toml" if command in ("simulate", "identify") else "Coil.fmu"
+    sentence = refused(capsys, command, coil_folder / name)
+    assert "Coil.fmu: its modelDescription.xml declares 'R' more than once" in sentence
+
+
 def test_fmi_1(coil_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     old = (
         b'<?xml version="1.0"?><fmiModelDescription fmiVersion="1.0" modelName="Coil" modelIdentifier="Coil" guid="x"/>'

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from pathlib import Path
 from typing import Any
 
@@ -223,6 +224,32 @@ def test_bounds_of_unsigned_types_and_starts_of_arrays_of_strings(tmp_path: Path
     variables = read_description(path).variables
     assert (variables["byte"].min, variables["byte"].max) == (1, 9)
     assert [variables[name].start for name in ("words[1]", "words[2]")] == ["a b", "c"]
+
+
+@pytest.mark.parametrize(
+    ("text", "variable", "name"),
+    [
+        (FMI2, '<ScalarVariable name="R" valueReference="99" causality="parameter" variability="fixed">'
+         '<Real start="5"/></ScalarVariable>', "R"),
+        (FMI_3, '<Float64 name="R" valueReference="99" causality="parameter" variability="fixed" start="5"/>', "R"),
+        (FMI_3, '<Float64 name="other" valueReference="99"><Alias name="R"/></Float64>', "R"),
+        (FMI_3, '<Float64 name="A[2,1]" valueReference="99"/>', "A[2,1]"),
+        (FMI_3, '<Float32 name="B" valueReference="99"><Dimension start="2"/></Float32>', "B[1]"),
+    ],
+    ids=["2", "3", "alias", "element", "array"],
+)  # fmt: skip
+def test_names_that_two_variables_share_are_refused(tmp_path: Path, text: str, variable: str, name: str) -> None:
+    path = write_fmu(tmp_path / "a.fmu", text.replace("</ModelVariables>", f"{variable}</ModelVariables>"))
+    with pytest.raises(InputError, match=rf"a\.fmu: its modelDescription.xml declares '{re.escape(name)}' more than"):
+        read_description(path)
+
+
+def test_variables_of_one_reference_are_read(tmp_path: Path) -> None:
+    """Two names of one value are legal in FMI 2.0."""
+    alias = '<ScalarVariable name="same" valueReference="9"><Real unit="A"/></ScalarVariable>'
+    path = write_fmu(tmp_path / "a.fmu", FMI2.replace("</ModelVariables>", f"{alias}</ModelVariables>"))
+    variables = read_description(path).variables
+    assert variables["same"].reference == variables["i"].reference
 
 
 def test_a_variable_is_a_value() -> None:

@@ -69,6 +69,26 @@ def test_no_binary_for_this_machine(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert f"{checks.count('failed')} of 5 checks failed" in capsys.readouterr().out
 
 
+def test_a_missing_binary_is_said_before_the_description_is_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """FMPy needs half a minute for a million variables; nothing is unpacked for it either."""
+    path = write_fmu(tmp_path / "Linear.fmu", FMI3, "binaries/other64/linear.bin")
+    said = list[str]()
+
+    def described(_: fmuid.FMU) -> Check:
+        said.append(capsys.readouterr().err)
+        return Check(validation.Subject.DESCRIPTION, None, "ok")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(validation, "_description", described)
+    assert run(["validate", str(path)]) == NOT_SUCCEEDED
+    (before,) = said
+    assert before.startswith(f"note: {path} has no binary for this platform")
+    assert "simulating" not in before
+    assert not (tmp_path / "cache").exists()
+
+
 def test_what_fmpy_finds(tmp_path: Path) -> None:
     """A sound description passes; one whose unit is not defined does not, and the sentence names the unit."""
     with zipfile.ZipFile(COIL) as archive:

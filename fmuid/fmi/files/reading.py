@@ -113,7 +113,7 @@ def _described(root: Element, version: int) -> Description:
     declared = _Variables(root, version)
     derivatives = [variable for _, variable in declared.unknowns("Derivatives", "ContinuousStateDerivative")]
     states = [state for each in derivatives if (state := declared.state(each)) is not None]
-    variables = {v.name: v for v in declared.variables({_name(each) for each in states})}
+    variables = _by_name(declared.variables({_name(each) for each in states}))
     return Description(
         model_name=_name(root),
         fmi_version=root.get("fmiVersion", ""),
@@ -293,6 +293,18 @@ class _Variables:
                     "not allow together"
                 ) from None
         return causality, variability, initial
+
+
+def _by_name(variables: Iterator[Variable]) -> dict[str, Variable]:
+    """Return the variables under their names, which the standard has unique (FMI 2.0.4, 2.2.7; FMI 3.0.2, 2.4.7)."""
+    found: dict[str, Variable] = {}
+    for variable in variables:
+        if found.setdefault(variable.name, variable) is not variable:
+            raise InputError(
+                f"declares {variable.name!r} more than once, and setting one would set another; export the model again "
+                "with distinct names"
+            )
+    return found
 
 
 def _applied(root: Element, version: int, variables: Mapping[str, Variable]) -> dict[str, Value]:

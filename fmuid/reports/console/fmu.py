@@ -15,13 +15,13 @@ from rich.text import Text
 
 from fmuid.fmi import Description, Variable
 from fmuid.models import Facts, Line, lines
-from fmuid.reports.console.layout import TERMINAL_ROWS, console, table_of
+from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of
 from fmuid.reports.words.models import capability_words, run_words
 from fmuid.studies import skeleton
 from fmuid.text import bounded, unit_text
 
 if TYPE_CHECKING:
-    from fmuid.simulation import Validation
+    from fmuid.simulation import Check, Validation
 
 # Inputs that are named where an output depends on them; how many there are besides is said.
 INPUTS_NAMED = 4
@@ -228,6 +228,17 @@ def _print_titled(out: Console, title: str, table: Table) -> None:
 
 
 # --- fmuid validate ---------------------------------------------------------------------
+
+
+def show_binaries(checks: Sequence[Check]) -> None:
+    """Print before a validation which binaries are missing, and what is simulated."""
+    from fmuid.reports.words.validation import check_words
+    from fmuid.simulation import TIME_LIMIT
+
+    notes = dict.fromkeys(text for check in checks if check.result == "failed" for text in check_words(check))
+    if any(check.result != "failed" for check in checks):
+        notes[f"simulating each interface; one that does not end is stopped after {TIME_LIMIT:g} s"] = None
+    show_notes(notes)
 
 
 def show_validation(found: Validation) -> None:
