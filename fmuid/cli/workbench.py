@@ -45,7 +45,7 @@ def open_(
     if AVAILABLE:
         SERVER.start()  # it loads its code while this process loads its own
     from fmuid.reports.console.layout import show_notes
-    from fmuid.workbench import LOCAL, Certificate, Folder, Workbench
+    from fmuid.workbench import LOCAL, Certificate, Folder, Workbench, entry_file, start_browser
 
     study = None if is_folder(target) else target
     if study is not None and not study.is_file():
@@ -65,11 +65,14 @@ def open_(
     def ready() -> None:
         print(bench.address, flush=True)
         if browser:
-            import webbrowser
+            start_browser(kept.enter_context(entry_file(bench)), refused)
 
-            webbrowser.open(bench.address)
+    def refused() -> None:
+        if bench.awaits_browser:
+            show_notes(["No browser could be started. Open the address above by hand."])
 
     print("Ctrl-C ends the workbench; what it is running then is interrupted and saved.", flush=True)
-    with contextlib.suppress(KeyboardInterrupt):  # how it is meant to end
+    print("Until then this address opens it:", flush=True)
+    with contextlib.ExitStack() as kept, contextlib.suppress(KeyboardInterrupt):  # how it is meant to end
         bench.run(ready)
     return DONE

@@ -2,8 +2,8 @@
 
 A server on 127.0.0.1 is reached by every page that the user's browser shows and by every program on the machine. Each
 request is judged here before anything of Bokeh sees it, for pages, static files and websockets alike: by its Host (a
-foreign name that resolves to this machine), its Origin (a foreign page), and a secret that the first address carries
-and a cookie keeps from then on.
+foreign name that resolves to this machine), its Origin (a foreign page), and a cookie. The browser gets the cookie in
+exchange for a token in the first address.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import hmac
 import secrets
 from collections.abc import Mapping, Sequence
+from html import escape
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qsl, urlencode
@@ -44,13 +45,14 @@ class Guard(BokehTornado):  # type: ignore[misc]
     Attributes
     ----------
     token : str
-        The secret of the first address.
+        Token of the address for people, valid as long as the server runs.
     """
 
     def __init__(
         self, applications: Mapping[str, Any], hosts: Sequence[str], patterns: list[Any], *, secure: bool = False
     ) -> None:
-        self.token, self._hosts = secrets.token_urlsafe(24), tuple(hosts)
+        self.token, self._secret, self._hosts = secrets.token_urlsafe(24), secrets.token_urlsafe(24), tuple(hosts)
+        self._single_use_tokens: set[str] = set()
         self._cookie = f"fmuid-{secrets.token_hex(4)}"  # cookies do not tell ports apart
         self._origins = {f"{'https' if secure else 'http'}://{host}" for host in hosts}
         self._secure = secure
@@ -72,6 +74,25 @@ class Guard(BokehTornado):  # type: ignore[misc]
         )
         self.add_transform(_headers(_policy(self._hosts, secure=secure), self._secure))
 
+    def single_use_token(self) -> str:
+        """Return a token that lets a browser in once."""
+        token = secrets.token_urlsafe(24)
+        self._single_use_tokens.add(token)
+        return token
+
+    @property
+    def awaits_browser(self) -> bool:
+        """Whether a single-use token has not been used."""
+        return bool(self._single_use_tokens)
+
+    def _accept(self, given: bytes) -> bool:
+        """Return whether a token lets a browser in; a single-use token does so no more."""
+        for token in self._single_use_tokens:
+            if hmac.compare_digest(given, token.encode()):
+                self._single_use_tokens.discard(token)
+                return True
+        return hmac.compare_digest(given, self.token.encode())
+
     def find_handler(self, request: HTTPServerRequest, **kwargs: Any) -> Any:
         """Return who answers a request: 403 to all that is not of the user's own browser."""
         origin = request.headers.get("Origin")
@@ -80,13 +101,13 @@ class Guard(BokehTornado):  # type: ignore[misc]
         if foreign or request.path.endswith("/autoload.js"):
             return self._refuse(request)
         given = request.arguments.get("token", [b""])[-1]
-        if request.method == "GET" and given and hmac.compare_digest(given, self.token.encode()):
-            found = {"token": self.token, "name": self._cookie, "secure": self._secure}
+        if request.method == "GET" and given and self._accept(given):
+            found = {"secret": self._secret, "name": self._cookie, "secure": self._secure}
             return self.get_handler_delegate(request, Enter, found)
         cookies, site = _cookies(request), request.headers.get("Sec-Fetch-Site", "none")
         if site not in ("none", "same-origin"):
             return self._refuse(request)
-        if not hmac.compare_digest(cookies.get(self._cookie, "").encode(), self.token.encode()):
+        if not hmac.compare_digest(cookies.get(self._cookie, "").encode(), self._secret.encode()):
             return self._refuse(request)
         request.arguments[SCHEME] = [b"dark" if cookies.get(SCHEME) == "dark" else b"light"]
         return super().find_handler(request, **kwargs)
@@ -96,18 +117,33 @@ class Guard(BokehTornado):  # type: ignore[misc]
 
 
 class Enter(RequestHandler):
-    """Turns the secret of the first address into a cookie, so that it stands in no address any more."""
+    """Exchange of a token for the cookie; no later address carries a token."""
 
-    def initialize(self, token: str, name: str, secure: bool) -> None:
-        """Take what the cookie is to have."""
-        self._given = name, token, secure
+    def initialize(self, secret: str, name: str, secure: bool) -> None:
+        """Take the content of the cookie."""
+        self._given = name, secret, secure
 
     def get(self) -> None:
-        """Set the cookie and go on without the secret."""
-        name, token, secure = self._given
-        self.set_cookie(name, token, httponly=True, samesite="Strict", secure=secure)
+        """Set the cookie and lead on without the token.
+
+        A redirect would go on as a request of the page before, with which a browser sends no cookie of
+        ``SameSite=Strict``.
+        """
+        name, secret, secure = self._given
+        self.set_cookie(name, secret, httponly=True, samesite="Strict", secure=secure)
         rest = [(key, value) for key, value in parse_qsl(self.request.query) if key != "token"]
-        self.redirect("/" + self.request.path.lstrip("/") + ("?" + urlencode(rest) if rest else ""))
+        self.write(redirecting_page("/" + self.request.path.lstrip("/") + ("?" + urlencode(rest) if rest else "")))
+
+
+_REDIRECTING = (
+    '<!doctype html><html lang="en"><meta charset="utf-8"><title>fmuid</title>'
+    '<meta http-equiv="refresh" content="0;url={0}"><a href="{0}">Open the workbench</a></html>\n'
+)
+
+
+def redirecting_page(address: str) -> str:
+    """Return a page of HTML that leads to another address at once."""
+    return _REDIRECTING.format(escape(address))
 
 
 def _cookies(request: HTTPServerRequest) -> dict[str, str]:

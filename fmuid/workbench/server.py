@@ -85,7 +85,7 @@ class Workbench:
     Attributes
     ----------
     address : str
-        Of the first page, with the secret that lets a browser in.
+        Of the first page, with a token that lets a browser in as long as the server runs.
     jobs : Jobs
         What it has begun.
 
@@ -129,9 +129,18 @@ class Workbench:
         )
         self._http = HTTPServer(self._guard, ssl_options=context, max_buffer_size=2 * LARGEST_MESSAGE)
         self._sockets = sockets
-        first = "/" if study is None else f"/study?file={quote(folder.name(study))}&"
-        mark = "" if study is not None else "?"
-        self.address = f"http{'' if context is None else 's'}://{hosts[0]}{first}{mark}token={self._guard.token}"
+        page = "/?" if study is None else f"/study?file={quote(folder.name(study))}&"
+        self._first = f"http{'' if context is None else 's'}://{hosts[0]}{page}token="
+        self.address = self._first + self._guard.token
+
+    def single_use_address(self) -> str:
+        """Return the address of the first page with a token that lets a browser in once."""
+        return self._first + self._guard.single_use_token()
+
+    @property
+    def awaits_browser(self) -> bool:
+        """Whether a single-use address has not been used."""
+        return self._guard.awaits_browser
 
     def _files(self) -> tuple[str, type[FileHandler], dict[str, Any]]:
         return r"/file/(.*)", FileHandler, {"folder": self.folder}

@@ -16,7 +16,7 @@ from tornado.netutil import bind_sockets
 
 from fmuid.simulation import AVAILABLE
 from fmuid.studies import Study, origin_of
-from fmuid.workbench import Folder, Workbench
+from fmuid.workbench import Folder, Workbench, entry_file
 from tests.support.begun_batch import batch
 from tests.support.browser import PATIENCE, chromium
 from tests.support.coil_study import COIL, STUDY, coil_table
@@ -131,6 +131,15 @@ def test_pages_open_with_every_other_host_refused(browser: Any, address: str) ->
     asked = browser.execute_script("return performance.getEntriesByType('resource').map(each => each.name)")
     assert asked
     assert all(each.startswith((base, "data:", base.replace("http", "ws"))) for each in asked)
+
+
+def test_an_entry_file_leads_to_the_first_page_once(browser: Any, folder: Path) -> None:
+    with running(Workbench(Folder(folder))) as bench, entry_file(bench) as path:
+        browser.get(path.as_uri())
+        wait(browser, "document.title === 'work' && location.search === ''")
+        browser.delete_all_cookies()
+        browser.get(path.as_uri())
+        wait(browser, "document.title.startsWith('403') && location.search !== ''")
 
 
 def test_a_drag_moves_the_curve(browser: Any, address: str) -> None:
