@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 # Of longer tables pandas takes six times as long as pyarrow, which writes 1 for 1.0 and quotes every text.
 MOST_BY_PANDAS = 1000
+# Begin of a text that spreadsheets evaluate, or of one that was escaped.
+_FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
 # No space left, quota exceeded, file larger than a limit.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -187,7 +189,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_table(path: Path, frame: pd.DataFrame) -> Path:
-    """Write a CSV table with numbers that read back exactly; return its path."""
+    """Write a CSV table with numbers that read back exactly, without formulas; return its path."""
+    frame = without_formulas(frame)
     short = frame.iloc[:0] if len(frame) > MOST_BY_PANDAS else frame
     with replacing(path) as draft, draft.open("wb") as stream:
         short.to_csv(stream, index=False, lineterminator="\n")
@@ -197,6 +200,44 @@ def write_table(path: Path, frame: pd.DataFrame) -> Path:
             options = csv.WriteOptions(include_header=False, quoting_style="needed")
             csv.write_csv(Table.from_pandas(frame, preserve_index=False), stream, options)
     return path
+
+
+def without_formulas(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose names and texts no spreadsheet evaluates as formulas (CWE-1236).
+
+    Such a text gets an apostrophe before it, and so does a text that already looks escaped. Numbers stay.
+    """
+    return _with_texts(frame, _escaped)
+
+
+def with_formulas(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a table as it was before `without_formulas`."""
+    return _with_texts(frame, _unescaped)
+
+
+def _with_texts(frame: pd.DataFrame, change: Callable[[Any], Any]) -> pd.DataFrame:
+    """Return a table with changed names and texts."""
+    found = frame.rename(columns=change)
+    for k, kind in enumerate(frame.dtypes):
+        if kind.kind == "O":
+            found.isetitem(k, frame.iloc[:, k].map(change).array)
+    return found
+
+
+def _escaped(cell: Any) -> Any:
+    return f"'{cell}" if isinstance(cell, str) and _FORMULA.match(cell) and not _is_number(cell) else cell
+
+
+def _unescaped(cell: Any) -> Any:
+    return cell[1:] if isinstance(cell, str) and cell[:1] == "'" and _FORMULA.match(cell) else cell
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def as_json(value: Any) -> Any:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import hashlib
 import json
 import os
 import signal
@@ -67,6 +68,7 @@ from fmuid.batches.batch import Batch
 from fmuid.batches.dataset import Dataset
 from fmuid.batches.summary import condensed, summarize
 job = Batch({study!r}, {output!r}, max_cases=10**9)
+job.dataset.count = {rows}
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 began = time.perf_counter()
 frame, failures = condensed(job.dataset)
@@ -178,7 +180,10 @@ def repeat_rows(source: Path, target: Path, rows: int) -> None:
         part = table.take(pa.array(numbers % table.num_rows))
         for name in ("case", "draw"):
             part = part.set_column(part.schema.get_field_index(name), name, pa.array(numbers))
-        pq.write_table(part, target / "cases" / f"part-{first:09d}-{first:012x}.parquet", compression="zstd")
+        sink = pa.BufferOutputStream()
+        pq.write_table(part, sink, compression="zstd")
+        digest = hashlib.sha256(sink.getvalue()).hexdigest()[:12]
+        (target / "cases" / f"part-{first:09d}-{digest}.parquet").write_bytes(sink.getvalue())
 
 
 def show_costs(plain: float, runs: list[Run], finished: pd.Series[pd.Timestamp]) -> float:
@@ -207,7 +212,7 @@ def show_memory(runs: list[Run]) -> None:
 def show_summary(study: Path, output: Path, rows: int, folder: Path) -> None:
     """Print time and memory of the summary of so many rows."""
     repeat_rows(output, folder / "many", rows)
-    script = SUMMARY.format(study=str(study), output=str(folder / "many"))
+    script = SUMMARY.format(study=str(study), output=str(folder / "many"), rows=rows)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     cases, took, before, after = json.loads(done.stdout)
     print(f"summary of {cases} rows: {took:.1f} s, {after:.0f} MB at most ({before:.0f} before)")

@@ -155,7 +155,7 @@ class Batch(Displayed):
             raise InputError("--workers says how many there are of this machine, and --scheduler has its own: keep one")
         self._scheduler, self._workers, self._resume, self._isolated = scheduler, workers, resume, isolated
         self._columns: Mapping[str, str] = CaseRunner(self.study).columns
-        self.dataset = Dataset(self.folder, self._columns)
+        self.dataset = Dataset(self.folder, self._columns, len(self.cases))
 
     def __repr__(self) -> str:
         return f"Batch({len(self.cases)} cases over {', '.join(self.cases.columns)}, {str(self.folder)!r})"
@@ -163,7 +163,7 @@ class Batch(Displayed):
     @property
     def pending(self) -> Indices:
         """The cases that are not finished in the folder, in their order; whose cases these are is seen by `run`."""
-        return np.flatnonzero(~self.dataset.finished(len(self.cases)))
+        return np.flatnonzero(~self.dataset.finished())
 
     def run(self, progress: Progress | None = None) -> BatchResult:
         """Run the cases that are not finished yet.
@@ -191,7 +191,7 @@ class Batch(Displayed):
                 self.dataset.compact()
             return BatchResult(
                 self.dataset,
-                int(self.dataset.finished(len(self.cases)).sum()),
+                int(self.dataset.finished().sum()),
                 len(self.cases),
                 truth_of(self.study),
                 self._units(),

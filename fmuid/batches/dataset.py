@@ -12,7 +12,7 @@ import hashlib
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +48,12 @@ class Dataset:
         The batch's folder.
     columns : mapping of str to str
         All columns and their types, those of pandas; ``case`` is the first.
+    count : int
+        Cases of the batch. A part with a case of another number is damaged.
     """
 
-    def __init__(self, folder: Path, columns: Mapping[str, str]) -> None:
-        self.folder, self.cases, self.logs = folder, folder / CASES, folder / LOGS
+    def __init__(self, folder: Path, columns: Mapping[str, str], count: int) -> None:
+        self.folder, self.cases, self.logs, self.count = folder, folder / CASES, folder / LOGS, count
         self.schema = pa.schema([pa.field(name, _TYPES[kind]) for name, kind in columns.items()])
 
     @contextlib.contextmanager
@@ -65,7 +67,7 @@ class Dataset:
 
     def parts(self) -> list[Path]:
         """Return the parts, in the order of their names; files that others have put there are none."""
-        return sorted(path for path in self.cases.glob("part-*.parquet") if _PART_NAME.fullmatch(path.name))
+        return parts_in(self.folder)
 
     def read(self) -> pd.DataFrame:
         """Return all rows, sorted by case, each case once.
@@ -78,9 +80,9 @@ class Dataset:
         frame: pd.DataFrame = self._together([self._load(path) for path in self.parts()]).to_pandas()
         return frame
 
-    def finished(self, count: int) -> Flags:
-        """Return which of `count` cases are finished, (count,)."""
-        found = np.zeros(count, np.bool_)
+    def finished(self) -> Flags:
+        """Return which cases are finished, (count,)."""
+        found = np.zeros(self.count, np.bool_)
         for path in self.parts():
             found[self._load(path, ["case"])["case"].to_numpy()] = True
         return found
@@ -93,25 +95,22 @@ class Dataset:
         InputError
             If a part is damaged.
         """
-        seen = np.zeros(0, np.bool_)
+        seen = np.zeros(self.count, np.bool_)
         for path in self.parts():
             table = self._load(path, list(dict.fromkeys(["case", *columns])))
             cases = table["case"].to_numpy()
-            if cases.size and cases.max() >= seen.size:
-                seen = np.concatenate([seen, np.zeros(cases.max() + 1 - seen.size, np.bool_)])
             yield table.filter(pa.array(~seen[cases])).select(list(columns)).to_pandas()
             seen[cases] = True
 
     def _load(self, path: Path, columns: list[str] | None = None) -> pa.Table:
         """Return the rows of a part, sorted by case; all columns or some."""
-        try:
-            with path.open("rb") as file:
-                table = pq.ParquetFile(file).read(columns)
-            return table.cast(self.schema if columns is None else pa.schema([self.schema.field(n) for n in columns]))
-        except _DAMAGED as error:
-            raise InputError(
-                f"{path} is damaged ({str(error).splitlines()[0]}): give the batch again, which runs its cases anew"
-            ) from None
+        with _whole(path):
+            table = _opened(path).read(columns)
+            table = table.cast(self.schema if columns is None else pa.schema([self.schema.field(n) for n in columns]))
+            cases = table["case"].to_numpy()
+            if not ((cases >= 0) & (cases < self.count)).all():
+                raise ValueError(f"it has a case that is none of the {self.count} of the batch")
+            return table
 
     def _together(self, tables: Sequence[pa.Table]) -> pa.Table:
         """Return the rows of tables sorted by case; of rows of one case the first."""
@@ -132,7 +131,7 @@ class Dataset:
         with self._writing():
             self._write(self._together([pa.Table.from_pylist([dict(row) for row in rows], self.schema)]))
             if len(self.parts()) > LOOSE_PARTS:
-                self._merge([path for path in self.parts() if pq.read_metadata(path).num_rows < PART_ROWS])
+                self._merge([path for path in self.parts() if self._load(path, ["case"]).num_rows < PART_ROWS])
 
     def compact(self) -> None:
         """Merge all parts into as few as there can be, sorted by case; only a few are in memory at a time.
@@ -222,10 +221,10 @@ class Dataset:
     def _write(self, table: pa.Table) -> Path:
         """Write a part and return its path; the name has a digest, so that no two parts differ under one name."""
         sink = pa.BufferOutputStream()
-        pq.write_table(table, sink, compression="zstd")
+        pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
         content = sink.getvalue().to_pybytes()
-        first, digest = table["case"][0].as_py(), hashlib.sha256(content).hexdigest()[:12]
-        path = self.cases / f"part-{first:09d}-{digest}.parquet"  # which `_first_case` reads
+        # which `_first_case` and `_opened` read
+        path = self.cases / f"part-{table['case'][0].as_py():09d}-{_digest(content)}.parquet"
         self._put(path, content)
         return path
 
@@ -253,6 +252,57 @@ class Dataset:
                 f"{self.folder} cannot be written to: {error.strerror or error}; the cases finished so far are kept, "
                 "make room and give the same command to go on"
             ) from None
+
+
+def parts_in(folder: Path) -> list[Path]:
+    """Return the parts of a batch's folder, in the order of their names; files that others have put there are none."""
+    return sorted(path for path in (folder / CASES).glob("part-*.parquet") if _PART_NAME.fullmatch(path.name))
+
+
+def read_rows(folder: Path, wanted: Callable[[str], bool]) -> pd.DataFrame:
+    """Return some columns of all rows of a batch's folder, sorted by case, each case once.
+
+    Parameters
+    ----------
+    folder : Path
+    wanted : callable
+        Whether a column is to be there; ``case`` is.
+
+    Raises
+    ------
+    InputError
+        If a part is damaged.
+    """
+    tables = []
+    for path in parts_in(folder):
+        with _whole(path):
+            part = _opened(path)
+            tables.append(part.read([name for name in part.schema_arrow.names if name == "case" or wanted(name)]))
+    frame: pd.DataFrame = pa.concat_tables(tables).to_pandas() if tables else pd.DataFrame({"case": []})
+    return frame.drop_duplicates("case").sort_values("case", ignore_index=True)
+
+
+def _opened(path: Path) -> pq.ParquetFile:
+    """Return a part to read from, after a check of all its bytes: its name has their digest."""
+    content = path.read_bytes()
+    if path.stem.rpartition("-")[2] != _digest(content):
+        raise ValueError("its content is not what was written")
+    return pq.ParquetFile(pa.BufferReader(content))
+
+
+@contextlib.contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    """Have what shows that a part is damaged be one sentence."""
+    try:
+        yield
+    except _DAMAGED as error:
+        raise InputError(
+            f"{path} is damaged ({str(error).splitlines()[0]}): give the batch again, which runs its cases anew"
+        ) from None
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:12]
 
 
 def _first_case(part: Path) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import subprocess
 import sys
@@ -12,12 +13,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from fmuid import files
 from fmuid.batches import dataset as module
-from fmuid.batches.dataset import LOG_BYTES, Dataset, bounded
+from fmuid.batches.dataset import LOG_BYTES, Dataset, bounded, read_rows
 from fmuid.errors import FmuidError, InputError
 
 COLUMNS = {
@@ -28,6 +30,7 @@ COLUMNS = {
     "on": "bool",
     "finished": "datetime64[us, UTC]",
 }
+CASES = 1000
 
 
 def row(case: int) -> dict[str, Any]:
@@ -38,7 +41,7 @@ def row(case: int) -> dict[str, Any]:
 
 def filled(folder: Path, cases: list[int], *, each: int) -> Dataset:
     """Return a dataset with cases in parts of some cases each."""
-    found = Dataset(folder, COLUMNS)
+    found = Dataset(folder, COLUMNS, CASES)
     with found.locked():
         for at in range(0, len(cases), each):
             found.append([row(case) for case in cases[at : at + each]])
@@ -75,7 +78,7 @@ def test_an_empty_dataset_has_its_columns(tmp_path: Path) -> None:
 
 def test_finished(tmp_path: Path) -> None:
     found = filled(tmp_path, [4, 2, 9], each=1)
-    assert np.flatnonzero(found.finished(12)).tolist() == [2, 4, 9]
+    assert np.flatnonzero(found.finished()).tolist() == [2, 4, 9]
 
 
 @pytest.mark.parametrize("rows", [10, 100])
@@ -164,7 +167,50 @@ def test_a_half_written_part_is_found_and_removed(tmp_path: Path, keep: int) -> 
     with pytest.raises(InputError, match=rf"{broken.name} is damaged .*: give the batch again"):
         found.read()
     assert found.repair() == (broken,)
-    assert np.flatnonzero(found.finished(3)).tolist() == [0, 2]
+    assert np.flatnonzero(found.finished()).tolist() == [0, 2]
+
+
+def test_a_flipped_byte_is_found_wherever_it_is(tmp_path: Path) -> None:
+    """In a page, in its header, in the table of contents: the rows are lost, and nothing else."""
+    found = filled(tmp_path, list(range(9)), each=3)
+    part = found.parts()[1]
+    whole = part.read_bytes()
+    for place in np.random.default_rng(4).integers(0, len(whole), 60).tolist():
+        part.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
+        with pytest.raises(InputError, match=r"is damaged \(its content is not what was written\)"):
+            found.read()
+        with pytest.raises(InputError, match=r"is damaged"):
+            read_rows(tmp_path, lambda name: name == "set.x")
+    assert found.repair() == (part,)
+    assert np.flatnonzero(found.finished()).tolist() == [0, 1, 2, 6, 7, 8]
+    rest = read_rows(tmp_path, lambda name: name == "set.x")
+    same(rest, expected([0, 1, 2, 6, 7, 8])[["case", "set.x"]])
+
+
+def test_pages_have_checksums_for_other_readers(tmp_path: Path) -> None:
+    found = filled(tmp_path, list(range(9)), each=9)
+    part = found.parts()[0]
+    whole = part.read_bytes()
+    column = pq.ParquetFile(part).metadata.row_group(0).column(2)  # set.x
+    place = column.data_page_offset + column.total_compressed_size // 2
+    part.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
+    with pytest.raises(OSError, match="CRC checksum verification failed"):
+        pd.read_parquet(part, page_checksum_verification=True)
+
+
+@pytest.mark.parametrize("case", [10**9, CASES, -1, None])
+def test_a_case_that_the_batch_has_not(tmp_path: Path, case: int | None) -> None:
+    found = filled(tmp_path, [0, 1], each=1)
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.Table.from_pylist([row(1) | {"case": case}], found.schema), sink)
+    content = sink.getvalue().to_pybytes()
+    alien = found.cases / f"part-000000005-{hashlib.sha256(content).hexdigest()[:12]}.parquet"
+    alien.write_bytes(content)
+    for read in (found.read, found.finished, lambda: list(found.stream(["status"]))):
+        with pytest.raises(InputError, match=rf"is damaged \(it has a case that is none of the {CASES} of the batch"):
+            read()
+    assert found.repair() == (alien,)
+    same(found.read(), expected([0, 1]))
 
 
 def test_drafts_are_not_read_and_are_removed(tmp_path: Path) -> None:
@@ -189,7 +235,7 @@ def test_files_of_others_are_no_parts(tmp_path: Path, name: str) -> None:
 
 
 def test_two_writers(tmp_path: Path) -> None:
-    first, second = Dataset(tmp_path, COLUMNS), Dataset(tmp_path, COLUMNS)
+    first, second = Dataset(tmp_path, COLUMNS, CASES), Dataset(tmp_path, COLUMNS, CASES)
     with first.locked(), pytest.raises(InputError, match=rf"written to by another batch \(process {os.getpid()} on"):
         second.locked().__enter__()
     with second.locked():
@@ -208,7 +254,7 @@ def test_a_lock_whose_owner_ends_meanwhile(tmp_path: Path, monkeypatch: pytest.M
         return lock(handle)
 
     monkeypatch.setattr(files, "_lock", late)
-    first, second = Dataset(tmp_path, COLUMNS), Dataset(tmp_path, COLUMNS)
+    first, second = Dataset(tmp_path, COLUMNS, CASES), Dataset(tmp_path, COLUMNS, CASES)
     with first.locked(), pytest.raises(InputError, match="written to by another batch"):
         second.locked().__enter__()
     assert len(seen) == 3
@@ -217,23 +263,23 @@ def test_a_lock_whose_owner_ends_meanwhile(tmp_path: Path, monkeypatch: pytest.M
 def test_a_killed_writer_leaves_no_lock(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from fmuid.batches.dataset import Dataset\n"
-        f"with Dataset(Path({str(tmp_path)!r}), {{'case': 'int64'}}).locked(): print('locked', flush=True); "
+        f"with Dataset(Path({str(tmp_path)!r}), {{'case': 'int64'}}, 9).locked(): print('locked', flush=True); "
         "sys.stdin.read()"
     )
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", code], **pipes) as other:  # type: ignore[call-overload]
         assert other.stdout.readline() == b"locked\n"
         with pytest.raises(InputError, match=f"process {other.pid} on"):
-            Dataset(tmp_path, COLUMNS).locked().__enter__()
+            Dataset(tmp_path, COLUMNS, CASES).locked().__enter__()
         other.kill()
-    with Dataset(tmp_path, COLUMNS).locked():
+    with Dataset(tmp_path, COLUMNS, CASES).locked():
         pass
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"file.out cannot be made a folder: .*; choose another with --output"):
-        Dataset(tmp_path / "file" / "out", COLUMNS).locked().__enter__()
+        Dataset(tmp_path / "file" / "out", COLUMNS, CASES).locked().__enter__()
 
 
 def test_clear_removes_rows_and_logs_and_nothing_else(tmp_path: Path) -> None:

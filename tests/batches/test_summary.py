@@ -224,7 +224,7 @@ def test_a_summary_of_parts_is_that_of_all_rows(tmp_path: Path) -> None:
     kinds = {"object": "string", "str": "string"}
     frame = frame.assign(elapsed_s=0.1, finished=pd.Timestamp("2026-01-01", tz="UTC"), worker="w")
     types = {str(name): kinds.get(str(kind), str(kind)) for name, kind in frame.dtypes.items()}
-    dataset = Dataset(tmp_path, types | {"finished": "datetime64[us, UTC]"})
+    dataset = Dataset(tmp_path, types | {"finished": "datetime64[us, UTC]"}, 120)
     dataset.cases.mkdir(parents=True)
     rows: list[Any] = frame.to_dict("records")
     for part in (rows[70:], rows[:40], rows[35:70]):
@@ -236,6 +236,6 @@ def test_a_summary_of_parts_is_that_of_all_rows(tmp_path: Path) -> None:
     for name in ("statuses", "failures", "parameters", "groups", "optima"):
         pd.testing.assert_frame_equal(getattr(found, name), getattr(right, name), check_exact=True)
     assert summary_words(found) == summary_words(right)
-    empty, none = condensed(Dataset(tmp_path / "none", types | {"finished": "datetime64[us, UTC]"}))
+    empty, none = condensed(Dataset(tmp_path / "none", types | {"finished": "datetime64[us, UTC]"}, 0))
     assert empty.empty
     assert none.empty

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -286,6 +287,16 @@ def test_the_level_is_met_over_healthy_records(plate: fmuid.System, sound: fmuid
         found.add(plate_record(rng))
         hits += bool(found.alarms)
     assert hits / count == pytest.approx(level, abs=3 * math.sqrt(level * (1 - level) / count))
+
+
+def test_a_name_that_is_a_formula_reads_back(healthy: fmuid.Result, tmp_path: Path) -> None:
+    found = watch(healthy)
+    found.add(replace(coil.experiment(warming(2, to=4.0)), name="=1+1"))
+    found.write(tmp_path)
+    assert [line.split(",")[0] for line in (tmp_path / "monitoring.csv").read_text().split()[1:]] == ["'=1+1"] * 2
+    again = watch(healthy)
+    again.resume(tmp_path)
+    pd.testing.assert_frame_equal(again.table, found.table, check_exact=True)
 
 
 def test_a_record_counts_once(healthy: fmuid.Result) -> None:

@@ -156,7 +156,7 @@ def test_texts_are_short(found: fmuid.Findings, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(STUDY)
     study = fmuid.Study.read(tmp_path / "study.toml")
     assert repr(study) == "Study('Coil': first; R, L)"
-    batch = fmuid.BatchResult(Dataset(tmp_path, {}), 3, 4, {}, {}, Path("batch"), given_noise=False)
+    batch = fmuid.BatchResult(Dataset(tmp_path, {}, 4), 3, 4, {}, {}, Path("batch"), given_noise=False)
     assert repr(batch) == "BatchResult(3 of 4 cases, 'batch')"
     for shown in (found, found.result, study, study.tables[0], study.system, fmuid.FMU(COIL)):
         assert len(repr(shown)) < 200

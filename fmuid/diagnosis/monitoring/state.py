@@ -24,7 +24,7 @@ from fmuid.diagnosis.findings import Explanation
 from fmuid.diagnosis.monitoring.alarms import Alarm, onset_of_json
 from fmuid.diagnosis.monitoring.seeing import Now, WatchedRecord
 from fmuid.errors import InputError
-from fmuid.files import as_json, is_file, note, read_content, replacing, write_json
+from fmuid.files import as_json, is_file, note, read_content, replacing, with_formulas, without_formulas, write_json
 from fmuid.version import __version__
 
 TABLE_FILE, FOUND_FILE, STATE_FILE = "monitoring.csv", "monitoring.json", "monitoring.npz"
@@ -79,8 +79,8 @@ class Journal:
 
     def _add_rows(self, now: Now) -> None:
         table = now.table()
-        text = io.StringIO()
-        table.loc[self._rows :].to_csv(text, index=False, header=not self._lengths[TABLE_FILE], lineterminator="\n")
+        text, new = io.StringIO(), without_formulas(table.loc[self._rows :])
+        new.to_csv(text, index=False, header=not self._lengths[TABLE_FILE], lineterminator="\n")
         self._add(TABLE_FILE, text.getvalue() if len(table) else "")
         self._rows = now.row
 
@@ -175,6 +175,7 @@ def _table(path: Path, length: int, count: int, most: int | None) -> pd.DataFram
         text = pd.read_csv(io.StringIO("\n".join([head, *kept])), dtype=str, keep_default_na=False)
         if len(lines) != count or text.isna().to_numpy().any():
             raise ValueError(f"it has not the {count} windows that {STATE_FILE} is of")
+        text = with_formulas(text)
         # Python reads numbers back exactly, as tables are not always
         return pd.DataFrame({name: [_cell(str(name), each) for each in text[name]] for name in text})
     except (OSError, KeyError, ValueError) as error:

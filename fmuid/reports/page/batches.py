@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from fmuid.batches import Columns, estimates, is_repetition
+from fmuid.batches import Columns, estimates, is_repetition, read_rows
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import batch
@@ -50,7 +50,7 @@ def part(folder: Path) -> Part:
     content = read_json(folder / "summary.json")
     tables = {name: read_table(folder / f"{name}.csv") for name in _TABLES if is_file(folder / f"{name}.csv")}
     try:
-        frame = pd.read_parquet(folder / "cases", columns=_wanted(folder)).sort_values("case", ignore_index=True)
+        frame = read_rows(folder, _wanted)
         said = [Said(capitalised(str(text), content["units"]), "distributions") for text in content["words"]]
         counts = {str(name): int(count) for name, count in content["statuses"].items()}
         sections = sections_of(frame, tables, content["truth"], content["units"], given_noise=content["given_noise"])
@@ -69,13 +69,9 @@ def part(folder: Path) -> Part:
 _TABLES = ("summary", "failures")
 
 
-def _wanted(folder: Path) -> list[str]:
-    """Return the columns that figures need; messages are the most of a batch, and counted already."""
-    from pyarrow import dataset
-
-    names = dataset.dataset(folder / "cases").schema.names
-    prefixes = ("value.", "std.", "noise.", "set.", "start.")
-    return [name for name in names if name in _PLAIN or name.startswith(prefixes)]
+def _wanted(name: str) -> bool:
+    """Return whether figures need a column; messages are the most of a batch, and counted already."""
+    return name in _PLAIN or name.startswith(("value.", "std.", "noise.", "set.", "start."))
 
 
 _PLAIN = ("case", "status", "criterion", "table", "draw", "free")

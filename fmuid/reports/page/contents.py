@@ -15,6 +15,7 @@ import pandas as pd
 from fmuid.assessment import CriterionMap
 from fmuid.errors import InputError
 from fmuid.estimation import Result
+from fmuid.files import with_formulas
 from fmuid.simulation import Fit
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def read_table(path: Path) -> pd.DataFrame:
     """
     try:
         names = pd.read_csv(path, nrows=0).columns
-        return pd.read_csv(path, converters=dict.fromkeys(names.intersection(list(_TEXTS)), str))
+        return with_formulas(pd.read_csv(path, converters=dict.fromkeys(names.intersection(list(_TEXTS)), str)))
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as a table of results: {error}") from None
 

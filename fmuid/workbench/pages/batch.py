@@ -108,7 +108,7 @@ class BatchPage:
             frames = []
             for path in parts:
                 with contextlib.suppress(OSError, ValueError):  # merged into another one meanwhile
-                    frames.append(pd.read_parquet(path))
+                    frames.append(pd.read_parquet(path, page_checksum_verification=True))
             self._seen = seen
             known = pd.concat(frames, ignore_index=True) if frames else pd.DataFrame({"case": [], "status": []})
             self.frame = known.drop_duplicates("case").sort_values("case", ignore_index=True)
