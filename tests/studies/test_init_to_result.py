@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from fmuid.fmi import read_description
 from fmuid.models import System
 from fmuid.studies import Study
 from fmuid.studies.drafting.starts import is_start
-from fmuid.studies.drafting.survey import Survey, Use, _select, is_solver_setting, survey
+from fmuid.studies.drafting.survey import Survey, Use, _Changes, _proposed, _select, is_solver_setting, survey
 from tests.support.coil_study import COIL, fmuid_, result
 from tests.support.exported import export_text
 from tests.support.fmu_texts import FMI2, write_fmu
@@ -177,15 +178,15 @@ def test_settings_of_solvers_and_start_values() -> None:
 
 
 def test_what_acts_alike_is_left_out() -> None:
-    """The third column is the sum of the first two, and the fourth is weak; the strongest go first."""
+    """The third column is the sum of the first two, and the fourth is below the noise; the strongest go first."""
     rng = np.random.default_rng(5)
     a, b, c = rng.standard_normal((3, 50))
     columns = np.column_stack([a, 3 * b, a + 3 * b, 1e-5 * c, 0.1 * c])
     uses: list[Use | None] = [None] * 5
-    likes = _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 1e-9)
+    likes = _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 1e-3)
     assert uses.count(Use.ALIKE) == 1
     assert uses[:3].count(Use.FREED) == 2
-    assert uses[3:] == [Use.WEAK, Use.FREED]
+    assert uses[3:] == [Use.NOISE, Use.FREED]
     (out,) = (k for k in (0, 1, 2) if uses[k] is Use.ALIKE)
     assert sorted(likes[out]) == [k for k in (0, 1, 2) if k != out]
 
@@ -199,6 +200,62 @@ def test_what_the_noise_hides_is_left_out() -> None:
         uses: list[Use | None] = [None, None]
         _select(columns, np.linalg.norm(columns, axis=0), uses, [], columns / 0.1)
         assert sorted(each.value for each in uses if each) == sorted([Use.FREED.value, use.value])
+
+
+def changes(columns: Floats, starts: Floats, noise: float) -> _Changes:
+    """Return changes of one output of spread 1 that begins where the model does."""
+    resistance = read_description(COIL).variables["R"]
+    variables = tuple(resistance._replace(name=f"p{k}") for k in range(starts.size))
+    weights, nothing = np.full(len(columns), 1.0 / noise), np.zeros(1)
+    return _Changes(variables, starts, columns, weights, nothing, np.zeros((1, starts.size)), nothing + 1e-3, ())
+
+
+def test_survey_frees_zero_or_start_values_rather_than_nothing() -> None:
+    """What is 0 in the FMU or a start value stays held unless nothing else acts."""
+    a, b, c = np.random.default_rng(6).standard_normal((3, 50))
+    every = changes(np.column_stack([a, b, c]), np.array([0.0, 1.0, 1.0]), 0.1)
+
+    def uses(given: _Changes) -> dict[str, Use]:
+        return {each.variable.name: each.use for each in _proposed(given, [2], {}, driven=True)}
+
+    assert uses(every) == {"p0": Use.ZERO, "p1": Use.FREED, "p2": Use.START}
+    hidden = replace(every, jacobian=np.column_stack([a, 1e-3 * b, c]))
+    assert uses(hidden) == {"p0": Use.FREED, "p1": Use.NOISE, "p2": Use.START}
+    both = replace(every, jacobian=np.column_stack([1e-3 * a, 1e-3 * b, c]))
+    assert uses(both) == {"p0": Use.NOISE, "p1": Use.NOISE, "p2": Use.START_OPEN}
+    assert set(uses(replace(every, jacobian=1e-3 * every.jacobian)).values()) == {Use.NOISE}
+
+
+BIASED = """
+model Biased "a lag with feedthrough, and a drift that the machine does not have"
+  parameter Real a(unit="1/s") = 2.0 "rate";
+  parameter Real b = 1.5 "gain";
+  parameter Real c = 0.3 "feedthrough";
+  parameter Real drift(unit="1/s") = 0 "huge where it is there";
+  parameter Real x_start = 0 "state at the beginning";
+  input Real u;
+  Real x(start=x_start, fixed=true);
+  output Real y;
+equation
+  der(x) = -a*x + b*u + 1e4*drift;
+  y = x + c*u;
+end Biased;
+"""
+
+
+def test_survey_judges_effects_against_noise_and_inputs_against_offsets(tmp_path: Path) -> None:
+    """One effect of 8e4 % hides no other; an input recorded with an offset moves the first sample, not the start."""
+    a, b, c = 2.3, 1.2, 0.35
+    t = np.arange(400.0) * 0.01
+    u = np.where(np.sin(3.0 * t) >= 0.0, 1.2, -0.8)
+    y = c * u + current(t, b * u, 0.0, a, 1.0) + 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    fmu, uses = export_text(tmp_path, BIASED), {}
+    for offset, start in ((0.0, 0.0), (0.4, 0.0), (0.0, 3.0)):
+        frame = pd.DataFrame({"time": t, "u": u + offset, "y": y + start * np.exp(-a * t)})
+        found = survey(fmu, [Experiment(frame, ["u"], ["y"], interpolation="hold")])
+        uses[offset, start] = {each.variable.name: each.use for each in found.candidates}
+        assert [uses[offset, start][name] for name in ("a", "b", "c", "drift")] == [*[Use.FREED] * 3, Use.ZERO]
+    assert [each["x_start"] for each in uses.values()] == [Use.START, Use.START, Use.START_FREED]
 
 
 SPRING = """

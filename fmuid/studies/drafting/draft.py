@@ -207,7 +207,8 @@ def _parameters(description: Description, found: Survey, experiments: int) -> li
     if found.candidates:
         lines += [
             f"# The percentage is what {100 * SHOWN_CHANGE:g} % of a parameter change of the outputs, in terms of",
-            "# their spread, at the FMU's values. A min of 0 that is not the FMU's is the sign of its value.",
+            "# their spread, at the FMU's values; of its nominal where it is 0. A min of 0 that is not the FMU's is",
+            "# the sign of its value.",
         ]
     lines.append("[parameters]")
     lines += [_candidate(each, experiments) for each in found.candidates]

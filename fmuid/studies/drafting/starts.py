@@ -82,16 +82,40 @@ def starts_of(
     return [k for k in by_name if moved.get(k, True)]
 
 
+def direct_effects(system: System, experiment: Experiment) -> Floats:
+    """Return how far each output's first sample moves (n_outputs,) as the inputs move by their largest values.
+
+    What an input changes of it at once, an offset or a gain of that input does too: so much tells of no start value.
+    Zero where that cannot be simulated.
+    """
+    moves = np.diag(np.abs(experiment.input_values).max(axis=0, initial=0.0))
+    outputs, at = experiment.output_names, np.zeros((1, 0))
+    effects, base = np.zeros(len(outputs)), _first_samples(system, experiment, (), outputs, at)
+    if base is None:
+        return effects
+    for move in moves[moves.any(axis=1)]:
+        moved = _first_samples(system, experiment, (), outputs, at, move)
+        if moved is not None:
+            effects += np.abs(moved[0] - base[0])
+    return effects
+
+
 def _first_samples(
-    system: System, experiment: Experiment, names: Sequence[str], outputs: Sequence[str], thetas: Floats
+    system: System,
+    experiment: Experiment,
+    names: Sequence[str],
+    outputs: Sequence[str],
+    thetas: Floats,
+    move: Floats | None = None,
 ) -> Floats | None:
-    """Return what variables begin at, (N, K); None where that cannot be simulated."""
+    """Return what variables begin at, (N, K), with the inputs moved; None where that cannot be simulated."""
     from fmuid.data import Experiment
     from fmuid.errors import InputError, SimulationError
     from fmuid.simulation import Simulator
 
     columns = {name: f"input {k}" for k, name in enumerate(experiment.input_names)}
-    inputs: Mapping[str, float] = dict(zip(columns.values(), experiment.input_values[0].tolist(), strict=True))
+    first = experiment.input_values[0] + (0.0 if move is None else move)
+    inputs: Mapping[str, float] = dict(zip(columns.values(), first.tolist(), strict=True))
     units = {name: unit for name, unit in experiment.units.items() if name in columns}
     times = experiment.times[0] + np.array([0.0, np.ptp(experiment.times) / experiment.times.size])
     frame = pd.DataFrame({"time": times, **inputs})

@@ -3,8 +3,8 @@
 The columns of one Jacobian, for relative changes of the parameters and in the spread of each measured output, are
 taken one by one, the one first of which the most is left once those before it are projected out: QR with column
 pivoting (G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed., section 5.4.2, and subset selection, 5.5.7). A
-column of which next to nothing is left acts as others do; one of which less is left than the noise of the records has
-would be estimated with a standard deviation of more than its magnitude.
+column of which next to nothing is left acts as others do. Each is judged against the noise of the records: one of which
+less is left than their noise would be estimated with a standard deviation of more than its magnitude.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 
 from fmuid.arrays import Floats
 from fmuid.errors import InputError, SimulationError
-from fmuid.studies.drafting.starts import started, starts_of
+from fmuid.studies.drafting.starts import direct_effects, started, starts_of
 
 if TYPE_CHECKING:
     from fmuid.data import Experiment
@@ -33,18 +33,16 @@ STEP = 1e-3
 """Relative change of a parameter: short against the curvature, long against the tolerance of integrators."""
 SHOWN_CHANGE = 0.1
 """The relative change whose effect is shown."""
-WEAK = 1e-3
-"""A parameter that changes less than so much of what the strongest changes is not proposed."""
 APART = 0.01
-"""Nor is one of whose effect less than this share is its own."""
+"""A parameter of whose effect less than this share is its own is not proposed."""
 STARTS_OFF = 4.0
 """Standard deviations of the noise by which a first sample must differ before start values are freed ..."""
 STARTS_FLOOR = 1e-3
 """... and the share of an output's spread, where there is hardly noise."""
 FAR_OFF = 300.0
 """So many times as far, or as little, as was measured: a thousand is milli, and models are rarely that far off."""
-LEAST_NOISE = 1e-6
-"""Share of an output's spread that counts as noise where there is none."""
+LEAST_NOISE = 1e-4
+"""Share of an output's spread that counts as noise at least: the solver's error may be as large."""
 MOST_FREED, MOST_LOOKED_AT = 12, 200
 # Settings of solvers that tools put among the parameters.
 _SOLVER = re.compile(r"^_|(^|[._])(nle|solver|tol|tolerance|[ar]tol|eps|max_?iter\w*|step_?size|log\w*)([._]|$)", re.I)
@@ -60,15 +58,14 @@ class Use(Enum):
     START_FREED = "start_freed"
     """A start value, freed because the records begin elsewhere."""
     START_OPEN = "start_open"
-    """A start value, freed because the model has no input: what it does is what it begins with."""
+    """A start value, freed because the model has no input, or nothing else acts: it does what it begins with."""
     START = "start"
     """A start value, which the records do not contradict."""
-    WEAK = "weak"
     NO_EFFECT = "no_effect"
     ALIKE = "alike"
     """It acts as others do."""
     NOISE = "noise"
-    """What it does that others do not is less than the noise of the records."""
+    """What it does, or of that what others do not, is less than the noise of the records."""
     ZERO = "zero"
     """It is 0 in the FMU: most often something that is not there."""
     FAILS = "fails"
@@ -106,10 +103,9 @@ class Candidate:
 _PROPOSALS = {
     Use.FREED: "free",
     Use.START_FREED: "free: the records begin elsewhere",
-    Use.START_OPEN: "free: without inputs all begins with it",
+    Use.START_OPEN: "free: all begins with it",
     Use.NOISE: "lost in the noise",
     Use.START: "a start value that the records do not contradict",
-    Use.WEAK: "next to no effect",
     Use.NO_EFFECT: "no effect",
     Use.ZERO: "0 in the FMU: free it by hand where it is something",
     Use.FAILS: "the simulation fails when it is changed",
@@ -241,6 +237,7 @@ def _changes(
         if found.errors[0] is not None:
             raise found.errors[0]
         base, moved = found.outputs[0], found.outputs[1:]
+        direct = direct_effects(system, experiment)
         for j in range(base.shape[1]):
             spread = _spread(experiment, j)
             counted = experiment.counted[:, j]
@@ -254,7 +251,7 @@ def _changes(
             if np.isfinite(measured):
                 first.append((measured - base[0, j]) / spread)
                 changed.append((moved[:, 0, j] - base[0, j]) / (relative * spread))
-                limits.append(max(STARTS_OFF * noise, STARTS_FLOOR))
+                limits.append(max(STARTS_OFF * noise, STARTS_FLOOR) + direct[j] / spread)
     shape = (len(first), len(names))
     jacobian, weight = np.vstack(rows), np.concatenate(weights)
     told = np.array(first), np.array(changed).reshape(shape), np.array(limits)
@@ -284,6 +281,10 @@ def _proposed(
             uses[k] = Use.START_FREED if k in freed else Use.START if driven else None
     weighted = np.where(finite, jacobian, 0.0) * changes.weights[:, None]
     likes = _select(columns, effects, uses, list(freed), weighted)
+    for last in (Use.ZERO, Use.START):  # a study without free parameters cannot be identified
+        if not any(use in FREE for use in uses):
+            uses = [None if use is last else use for use in uses]
+            likes = _select(columns, effects, uses, [], weighted)
     for k in begun:
         uses[k] = Use.START_OPEN if uses[k] is Use.FREED else uses[k]
     alike = [tuple(variables[i].name for i in like) for like in likes]
@@ -324,25 +325,29 @@ def _select(
     rest, chosen = r.copy(), list(first)
     for k in chosen:
         _project_out(rest, k)
-    strongest = max(effects, default=0.0)
     while (open_ := [k for k, use in enumerate(uses) if use is None]) and len(chosen) < MOST_FREED:
         left = np.sqrt(np.sum(rest[:, open_] ** 2, axis=0))
         k = open_[int(np.argmax(left))]
-        if effects[k] < WEAK * strongest:
-            uses[k] = Use.WEAK
+        if np.linalg.norm(own[:, k]) < 1.0:
+            uses[k] = Use.NOISE  # its standard deviation would be more than its magnitude
         elif left.max() < APART * effects[k]:
             uses[k] = Use.ALIKE
             shares = np.abs(np.linalg.lstsq(r[:, chosen], r[:, k])[0]) * effects[chosen]
             likes[k] = [i for i, share in zip(chosen, shares, strict=True) if share > 0.1 * shares.max()]
-        elif (
-            chosen and np.linalg.norm(own[:, k] - own[:, chosen] @ np.linalg.lstsq(own[:, chosen], own[:, k])[0]) < 1.0
-        ):
-            uses[k] = Use.NOISE  # its standard deviation would be more than its magnitude
+        elif np.linalg.norm(_left(own, chosen, k)) < 1.0:
+            uses[k] = Use.NOISE
         else:
             uses[k] = Use.FREED
             chosen.append(k)
             _project_out(rest, k)
     return likes
+
+
+def _left(columns: Floats, chosen: Sequence[int], k: int) -> Floats:
+    """Return what of a column others do not explain."""
+    if not chosen:
+        return columns[:, k]
+    return np.asarray(columns[:, k] - columns[:, chosen] @ np.linalg.lstsq(columns[:, chosen], columns[:, k])[0])
 
 
 def _project_out(rest: Floats, k: int) -> None:
