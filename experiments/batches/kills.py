@@ -35,7 +35,7 @@ def victim(batch: int, kind: str, rng: np.random.Generator) -> psutil.Process | 
     marks = {
         "worker": "spawn_main",
         "keeper": "fmuid.batches.local_workers",
-        "FMU": "fmuid.simulation.isolation.server ",
+        "FMU": "fmuid.processes.server ",
     }
     found = []
     for each in processes[1:]:

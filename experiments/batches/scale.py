@@ -98,7 +98,7 @@ def kind_of(process: psutil.Process, driver: int) -> str:
     if "spawn_main" in line:
         return "workers"
     above = process.parent()
-    served = above is not None and "isolation.server" in " ".join(above.cmdline())
+    served = above is not None and "fmuid.processes.server" in " ".join(above.cmdline())
     return "hosts" if served else "servers"
 
 

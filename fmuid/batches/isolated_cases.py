@@ -7,7 +7,6 @@ numbers, bit for bit.
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Hashable, Mapping, Sequence
@@ -18,7 +17,8 @@ from typing import Any
 from fmuid.batches.parcel import Copies
 from fmuid.batches.run_case import CaseOutcome, CaseRunner
 from fmuid.models import Isolation
-from fmuid.simulation import FIRST_TIME_LIMIT, PRINTED_KEPT_BYTES, End, Host, Keeper, executor_of
+from fmuid.processes import PRINTED_KEPT_BYTES, End
+from fmuid.simulation import FIRST_TIME_LIMIT, Host, Keeper, executor_of, watch
 from fmuid.studies import Study
 
 # An order, which costs a third of a millisecond, is of as many cases as take so long, s. Where the process ends over
@@ -33,13 +33,16 @@ def open_cases(data: Mapping[str, Any], path: Path, copies: Copies | None, no_wa
     _runner[:] = [CaseRunner(Study.of(data, path), copies, no_way)]
 
 
-def run_cases(indices: Sequence[int]) -> tuple[list[CaseOutcome], float]:
-    """Run cases, each with what was printed meanwhile; return also how long the longest simulation took so far, s."""
+def run_cases(indices: Sequence[int]) -> tuple[list[tuple[dict[str, object], str]], float]:
+    """Return row and log of cases, each with what was printed meanwhile, and the duration of the longest simulation, s.
+
+    They are what answers between processes can have.
+    """
     outcomes, position = [], 0
     for index in indices:
         outcome = _runner[0](index)
         printed, position = _printed_since(position)
-        outcomes.append(replace(outcome, log="\n".join(filter(None, [outcome.log, printed]))))
+        outcomes.append((outcome.row, "\n".join(filter(None, [outcome.log, printed]))))
     return outcomes, getattr(executor_of(_runner[0].study.system), "longest", 0.0)
 
 
@@ -91,12 +94,10 @@ class IsolatedCases:
     def _ordered(self, indices: Sequence[int]) -> list[CaseOutcome]:
         """Run cases in one order to the process."""
         keeper, began = self._keeper, time.perf_counter()
-        outcomes: list[CaseOutcome]
         try:
             host = keeper.host(self._begin)
-            outcomes, keeper.longest = host.order(
-                "call", __name__, "run_cases", (indices,), limit=keeper.time_limit, idle_limit=math.inf
-            )
+            rows, keeper.longest = host.order(run_cases, indices, limit=keeper.time_limit, computes=True)
+            outcomes = [CaseOutcome(row, log) for row, log in rows]
             host.simulations += sum(int(str(outcome.row["simulations"])) for outcome in outcomes)
             keeper.replace_outgrown()
         except End:
@@ -113,6 +114,5 @@ class IsolatedCases:
         return outcomes
 
     def _begin(self, host: Host) -> None:
-        host.order("watch", limit=FIRST_TIME_LIMIT)
-        opened = *self._opened, self._careful.no_way
-        host.order("call", __name__, "open_cases", opened, limit=FIRST_TIME_LIMIT)
+        host.order(watch, limit=FIRST_TIME_LIMIT)
+        host.order(open_cases, *self._opened, self._careful.no_way, limit=FIRST_TIME_LIMIT)

@@ -21,7 +21,7 @@ from fmuid.batches.dataset import bounded
 from fmuid.batches.parcel import Copies, Parcel
 from fmuid.batches.run_case import CaseOutcome, CaseRunner
 from fmuid.errors import FmuidError, InputError
-from fmuid.simulation import AVAILABLE
+from fmuid.processes import AVAILABLE
 from fmuid.studies import Study
 
 # What must be the same on both sides, to how many places of the version.

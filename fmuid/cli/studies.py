@@ -298,16 +298,16 @@ def opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path) 
 @contextmanager
 def logged(folder: Path, in_process: bool) -> Iterator[bool]:
     """Say whether FMUs run in a process of their own, as they do unless asked otherwise; their output goes to a log."""
-    from fmuid.simulation import AVAILABLE
+    from fmuid.processes import AVAILABLE
 
     if in_process or not AVAILABLE:
         with telling_files():
             yield not in_process
         return
     from fmuid.reports.console.layout import show_notes
-    from fmuid.simulation import SERVER
+    from fmuid.simulation import start_server
 
-    SERVER.start()  # it loads its code while this process loads its own
+    start_server()  # it loads its code while this process loads its own
     from fmuid.simulation import printed
 
     printed()

@@ -38,12 +38,13 @@ def open_(
     """Open the workbench in the browser: look at studies, drag parameters, identify, see results."""
     from fmuid.errors import InputError
     from fmuid.files import is_folder
-    from fmuid.simulation import AVAILABLE, SERVER
+    from fmuid.processes import AVAILABLE
+    from fmuid.simulation import start_server
 
     if (certificate is None) != (key is None):
         raise InputError("--certificate and --key go together: give both, PEM files")
     if AVAILABLE:
-        SERVER.start()  # it loads its code while this process loads its own
+        start_server()  # it loads its code while this process loads its own
     from fmuid.reports.console.layout import show_notes
     from fmuid.workbench import LOCAL, Certificate, Folder, Workbench, entry_file, start_browser
 

@@ -10,14 +10,12 @@ from .executor import executor_of as executor_of
 from .fit import Fit as Fit
 from .fit import fit_of as fit_of
 from .fit import parameter_units as parameter_units
-from .isolation.ends import End as End
-from .isolation.fork_server import SERVER as SERVER
+from .isolation.ahead import start_server as start_server
 from .isolation.isolated import printed as printed
 from .isolation.keeper import FIRST_TIME_LIMIT as FIRST_TIME_LIMIT
 from .isolation.keeper import Keeper as Keeper
-from .isolation.process import PRINTED_KEPT_BYTES as PRINTED_KEPT_BYTES
+from .isolation.orders import watch as watch
 from .isolation.process import Host as Host
-from .isolation.server import AVAILABLE as AVAILABLE
 from .sensitivities import derivatives_of as derivatives_of
 from .simulator import Simulator as Simulator
 from .smoke import Stage as Stage

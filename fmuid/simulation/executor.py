@@ -25,7 +25,7 @@ def _made_for(system: System) -> Executor:
     in_threads = system.can_run_in_threads
     limit = threads() if in_threads else 1
     if system.isolation is not None:
-        from fmuid.simulation.isolation.server import AVAILABLE
+        from fmuid.processes import AVAILABLE
 
         if AVAILABLE:
             from fmuid.simulation.isolation.isolated import IsolatedExecutor  # for Linux and macOS only

@@ -13,9 +13,9 @@ import psutil
 import pytest
 
 from fmuid.models.component import Isolation
-from fmuid.simulation.isolation import cgroup
-from fmuid.simulation.isolation.family import Footprint
-from fmuid.simulation.isolation.fork_server import SERVER
+from fmuid.processes import cgroup
+from fmuid.processes.family import Footprint
+from fmuid.processes.fork_server import SERVER
 from fmuid.simulation.isolation.process import Host
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, RECORD, expected, processes, thetas, wait_until
@@ -90,7 +90,7 @@ def test_a_host_has_a_group_of_its_own_until_it_ends(parent: Path) -> None:
     hosts = [Host([], 1e9) for _ in range(2)]
     groups = []
     for host in hosts:
-        host.order("call", "os", "getpid", (), limit=20.0)
+        host.order(os.getpid, limit=20.0)
         groups += [group for group in parent.glob("fmuid-*") if host.pid in members(group)]
         assert members(groups[-1]) == [host.pid]
     assert len(set(groups)) == 2
@@ -126,7 +126,7 @@ def test_what_has_left_its_session_ends_though_the_server_was_killed(folder: Pat
 
 OWNER = """
 import os, subprocess, sys
-from fmuid.simulation.isolation import cgroup
+from fmuid.processes import cgroup
 group = cgroup.make(cgroup.own())
 with subprocess.Popen(["sleep", "600"], preexec_fn=lambda: cgroup.enter(group), stdout=subprocess.DEVNULL) as sleeper:
     print(sleeper.pid, group, flush=True)

@@ -19,9 +19,10 @@ import pytest
 from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError
 from fmuid.models.component import Isolation
+from fmuid.processes.ends import REFUSED, End
+from fmuid.processes.family import Footprint, family
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.isolation.ends import REFUSED, End
-from fmuid.simulation.isolation.family import Footprint, family
+from fmuid.simulation.isolation.ends import end_words
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
     NAMES,
@@ -114,7 +115,7 @@ def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monk
     def refuse(*_: object) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
-    monkeypatch.setattr("fmuid.simulation.isolation.process.socket.socketpair", refuse)
+    monkeypatch.setattr("fmuid.processes.host.socket.socketpair", refuse)
     with pytest.raises(FmuidError, match=r"the system refuses what .* \(Too many open files\)"):
         simulator([2.0, 0.5, 0.0])
     assert psutil.Process().num_fds() == files
@@ -128,7 +129,7 @@ def test_what_the_system_refuses_this_process_is_one_sentence(folder: Path, monk
     ],
 )
 def test_words_of_an_end(end: End, words: str) -> None:
-    assert end.words() == words
+    assert end_words(end) == words
 
 
 def test_what_is_written_into_the_connection_is_told(folder: Path) -> None:

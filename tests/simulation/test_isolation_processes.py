@@ -24,12 +24,11 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.models.component import Isolation
 from fmuid.models.system import System
-from fmuid.processes import MEMORY_KEPT, Child
+from fmuid.processes import MEMORY_KEPT, Child, fork_server
+from fmuid.processes.channel import Channel, Look
+from fmuid.processes.ends import KILLED, End
+from fmuid.processes.fork_server import SERVER, ForkServer
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.isolation import fork_server
-from fmuid.simulation.isolation.channel import Channel, Look
-from fmuid.simulation.isolation.ends import KILLED, End
-from fmuid.simulation.isolation.fork_server import SERVER, ForkServer
 from fmuid.simulation.isolation.process import Host
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
@@ -174,16 +173,16 @@ def test_no_process_is_left_when_fmuid_ends(folder: Path, name: str, mode: Mode)
 
 def called_pid(host: Host) -> int:
     """Return the process id of a host as it says itself."""
-    return int(host.order("call", "os", "getpid", (), limit=20.0))
+    return int(host.order(os.getpid, limit=20.0))
 
 
 def test_memory_is_kept_whatever_the_starter_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Dask starts workers with a threshold at which each array is mapped anew."""
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
     server = ForkServer()
-    monkeypatch.setattr("fmuid.simulation.isolation.process.SERVER", server)
+    monkeypatch.setattr("fmuid.processes.host.SERVER", server)
     host = Host([], 1e9)
-    found = {name: host.order("call", "os", "getenv", (name,), limit=20.0) for name in MEMORY_KEPT}
+    found = {name: str(host.order(os.getenv, name, limit=20.0)) for name in MEMORY_KEPT}
     host.close()
     server.stop()
     assert found == MEMORY_KEPT
@@ -201,7 +200,7 @@ def test_an_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.Monke
         raise KeyboardInterrupt
 
     with monkeypatch.context() as changed:
-        changed.setattr("fmuid.simulation.isolation.process.Channel.receive", interrupt)
+        changed.setattr("fmuid.processes.host.Channel.receive", interrupt)
         with pytest.raises(KeyboardInterrupt):
             Host([], 1e9) if question == "fork" else SERVER.status(host.pid)
     others = [Host([], 1e9) for _ in range(2)]
@@ -219,7 +218,7 @@ def test_garbage_that_is_collected_in_the_middle_of_a_question_asks_nothing(monk
         garbage.kill()
         return receive(channel, look)
 
-    monkeypatch.setattr("fmuid.simulation.isolation.process.Channel.receive", collect)
+    monkeypatch.setattr("fmuid.processes.host.Channel.receive", collect)
     host = Host([], 1e9)
     assert called_pid(host) == host.pid
     host.close()
@@ -274,7 +273,7 @@ def test_a_server_that_ends_as_soon_as_it_begins(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(fork_server, "MOST_STARTS", 2)
     monkeypatch.setattr(fork_server, "Child", lambda _module, *words, **options: Child("keyword", *words, **options))
     server = ForkServer()
-    with pytest.raises(FmuidError, match=r"isolation\.server, .* ends again and again .*: have FMUs run inside this"):
+    with pytest.raises(FmuidError, match=r"processes\.server, .* ends again and again .*: have FMUs run inside this"):
         server.fork([], [])
     assert server.status(1) is None
 
@@ -282,7 +281,7 @@ def test_a_server_that_ends_as_soon_as_it_begins(monkeypatch: pytest.MonkeyPatch
 def test_a_system_that_makes_no_more_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     answer = os.strerror(errno.EAGAIN)
     monkeypatch.setattr(ForkServer, "_ask", lambda *_words, **_options: answer)
-    with pytest.raises(FmuidError, match=f"^no process can be made for the FMU: {answer}$"):
+    with pytest.raises(FmuidError, match=f"^no isolated process can be made: {answer}$"):
         ForkServer().fork([], [])
 
 

@@ -16,8 +16,8 @@ import pytest
 from fmuid.data.experiment import Experiment
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
+from fmuid.processes.family import condition_of
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.isolation.family import condition_of
 from fmuid.simulation.isolation.isolated import IsolatedExecutor
 from fmuid.simulation.isolation.spread import SpreadExecutor
 from fmuid.simulation.simulator import Simulator

@@ -11,8 +11,10 @@ import psutil
 import pytest
 
 from fmuid.fmi import codes
-from fmuid.simulation.isolation.family import Condition, condition_of, wants_processor
-from fmuid.simulation.isolation.process import COMPUTED_SHARE, STANDSTILL_SECONDS, _Progress
+from fmuid.processes.ends import HUNG, End
+from fmuid.processes.family import Condition, condition_of, wants_processor
+from fmuid.processes.watchdog import COMPUTED_SHARE, STANDSTILL_SECONDS
+from fmuid.simulation.isolation.process import HostWatchdog
 from tests.support.isolated import wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
@@ -26,9 +28,9 @@ class Watched:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, wants: bool) -> None:
         self.now = 100.0
-        monkeypatch.setattr("fmuid.simulation.isolation.process.time.monotonic", lambda: self.now)
-        monkeypatch.setattr("fmuid.simulation.isolation.process.wants_processor", lambda _: wants)
-        self.progress = _Progress(LIMIT, None, None)
+        monkeypatch.setattr("fmuid.processes.watchdog.time.monotonic", lambda: self.now)
+        monkeypatch.setattr("fmuid.processes.watchdog.wants_processor", lambda _: wants)
+        self.watchdog = HostWatchdog(LIMIT, DOING)
         self.passed(0.0, 3.0)
 
     def passed(self, seconds: float, computed: float, every: float = 0.05) -> bool:
@@ -36,9 +38,9 @@ class Watched:
         until = self.now + seconds
         while True:
             self.now = min(self.now + every, until)
-            over = self.progress.limit_passed(DOING, Condition(1, psutil.STATUS_RUNNING, computed))
-            if over is not None or self.now == until:
-                return over == LIMIT
+            end = self.watchdog.end(Condition(1, psutil.STATUS_RUNNING, computed))
+            if end is not None or self.now == until:
+                return end == End(HUNG, round(1e3 * LIMIT))
 
 
 @pytest.mark.parametrize("wants", [False, True], ids=["waits for something else", "computes"])

@@ -14,7 +14,7 @@ import pytest
 from scipy.signal import lfilter
 from tornado.netutil import bind_sockets
 
-from fmuid.simulation import AVAILABLE
+from fmuid.processes import AVAILABLE
 from fmuid.studies import Study, origin_of
 from fmuid.workbench import Folder, Workbench, entry_file
 from tests.support.begun_batch import batch

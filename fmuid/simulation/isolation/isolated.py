@@ -1,7 +1,7 @@
 """FMUs in a process of their own: a crash, a hang or runaway memory costs one simulation, not the study.
 
-The process (`fmuid.simulation.isolation.server`) is forked by a server that has all code loaded, so that a new one is
-there within some hundredths of a second. Thetas, outputs and reports are in memory that both sides share; only orders
+The process (`fmuid.processes`) is forked by a server that has all code loaded, so that a new one is there within some
+hundredths of a second. Thetas, outputs and reports are in memory that both sides share; only orders
 and their acknowledgement go through a socket. What the FMU prints goes to a file that is read here.
 
 Which simulation is to blame for an end is settled in a fresh process that runs it alone, so that it does not depend on
@@ -22,13 +22,17 @@ from fmuid.arrays import Floats, Indices
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmi import Simulation, codes, shares
 from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
-from fmuid.simulation.isolation.ends import GREW, HUNG, KILLED, End
-from fmuid.simulation.isolation.keeper import FIRST_TIME_LIMIT, MOST_KILLS, Keeper, left
-from fmuid.simulation.isolation.process import MEASURE_SECONDS, Host
+from fmuid.processes import GREW, HUNG, KILLED, MOST_KILLS, End
+from fmuid.simulation.isolation import orders
+from fmuid.simulation.isolation.ahead import CODE
+from fmuid.simulation.isolation.ends import end_words
+from fmuid.simulation.isolation.keeper import FIRST_TIME_LIMIT, Keeper, left
+from fmuid.simulation.isolation.process import Host
 
 STEP_LIMIT = 1e-4
 """What is added to `FIRST_TIME_LIMIT` for each communication step, s: far more than one takes, but of a slow model."""
 CHUNK_BYTES = 1 << 25  # of outputs that are shared at a time: small beside the memory of any machine
+MEASURE_SECONDS = 0.25  # between looks at how much a process has grown
 _log = logging.getLogger("fmuid.fmu")
 _living: weakref.WeakSet[IsolatedExecutor] = weakref.WeakSet()
 
@@ -59,7 +63,7 @@ class IsolatedExecutor:
         self.lock = threading.RLock()
         self._components, self._settings = dict(components), settings
         self._limit = min(limit, settings.threads or limit)
-        self._keeper = Keeper(settings, [], set() if told is None else told)
+        self._keeper = Keeper(settings, [CODE], set() if told is None else told)
         self._resets: bool | None = None  # False: a reset crashes the FMU
         self._numbers: weakref.WeakKeyDictionary[Simulation, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()
@@ -109,7 +113,7 @@ class IsolatedExecutor:
             suspects = [each for each in suspects if each in left]
             if end is None:
                 continue
-            doing = self._keeper.bury()[: self._limit]
+            doing = self._keeper.states_at_end()[: self._limit]
             blamed = self._blamed(group, undone, doing)
             if not blamed:
                 unblamed = unblamed + 1 if len(undone) == len(group) else 0
@@ -146,7 +150,7 @@ class IsolatedExecutor:
             number = self._tell(host, simulation)
             host.simulations += len(group)
             stiff, longest = host.order(
-                "run", number, shape, size, varying, limit=self._time_limit(simulation), reports=their_reports
+                orders.run, number, shape, size, varying, limit=self._time_limit(simulation), reports=their_reports
             )
             self._keeper.longest = max(self._keeper.longest, longest)
             self._steps = max(self._steps, _steps(simulation))
@@ -195,14 +199,12 @@ class IsolatedExecutor:
             try:
                 host = self._host()
                 words = theta, outputs, report, dict(parameters), explain
-                found: SimulationError | None = host.order(
-                    "failure", self._tell(host, simulation), *words, limit=self._time_limit(simulation)
-                )
-                return found
+                number = self._tell(host, simulation)
+                return host.order(orders.failure, number, *words, limit=self._time_limit(simulation))
             except End as end:
                 self._keeper.bury()
                 kind, number = end.kind, end.number
-        return SimulationError(self._labels, math.nan, parameters, End(kind, number).words())
+        return SimulationError(self._labels, math.nan, parameters, end_words(End(kind, number)))
 
     # --- the process
 
@@ -229,7 +231,7 @@ class IsolatedExecutor:
         for _, model in self._models:
             _ = model.fmu.directory  # unpacked here, where what is wrong with it can be said
         self._known.clear()
-        host.order("start", self._components, self._limit, self._resets, limit=FIRST_TIME_LIMIT)
+        host.order(orders.start, self._components, self._limit, self._resets, limit=FIRST_TIME_LIMIT)
 
     def _tell(self, host: Host, simulation: Simulation) -> int:
         """Return the number of a run, which the process knows now."""
@@ -240,7 +242,7 @@ class IsolatedExecutor:
             weakref.finalize(simulation, self._forgotten.append, number).atexit = False
         if number not in self._known:
             forgotten = self._forgotten[:]
-            host.order("know", number, simulation, forgotten, limit=FIRST_TIME_LIMIT)
+            host.order(orders.know, number, simulation, forgotten, limit=FIRST_TIME_LIMIT)
             host.records[number] = host.sent
             for each in forgotten:
                 host.records.pop(each, None)

@@ -19,8 +19,9 @@ from fmuid.arrays import Floats
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Result
 from fmuid.files import is_file
+from fmuid.processes import AVAILABLE
 from fmuid.reports.interactive.live import LiveFit, in_scheme
-from fmuid.simulation import AVAILABLE, Simulator, fit_of, parameter_units
+from fmuid.simulation import Simulator, fit_of, parameter_units
 from fmuid.studies import Study
 from fmuid.workbench.access import SCHEME
 from fmuid.workbench.folder import Folder, FoundResult

@@ -5,12 +5,16 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+
+AVAILABLE = hasattr(os, "fork") and hasattr(socket, "send_fds")
+"""Whether this platform can fork processes and pass files to them: Linux and macOS can."""
 
 # -E: no PYTHONPATH, PYTHONHOME, ...; -P: neither the current folder nor a script's. Processes that `multiprocessing`
 # starts from such a process (Dask's workers) get the same.
@@ -126,7 +130,7 @@ def search_path() -> list[str]:
     script = getattr(sys.modules.get("__main__"), "__file__", None)
     around = {_real(Path()), *([_real(Path(script).parent)] if script else [])}
     kept = [each for each in sys.path if Path(each).is_absolute() and _real(Path(each)) not in around]
-    return list(dict.fromkeys([*kept, str(Path(__file__).absolute().parents[1])]))
+    return list(dict.fromkeys([*kept, str(Path(__file__).absolute().parents[2])]))
 
 
 def _real(path: Path) -> str:

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.simulation.isolation.channel import HEADER, LARGE_BYTES, MARK, Channel, GarbledError
+from fmuid.processes.channel import HEADER, MARK, TOKEN_BYTES, Channel
+from fmuid.processes.messages import LARGE_BYTES, GarbledError, answer_of, answer_parts, order_of, order_parts
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
+TOKEN = bytes(range(TOKEN_BYTES))
 
 
 @pytest.fixture
@@ -23,21 +25,21 @@ def ends() -> Any:
         yield own, other
 
 
-def exchanged(ends: tuple[socket.socket, socket.socket], message: object, looks: int = 0) -> tuple[Any, int]:
-    """Return a message as it comes out, its receiver late by some looks, and what travelled beside its pickle."""
+def exchanged(ends: tuple[socket.socket, socket.socket], parts: Any, looks: int = 0) -> Any:
+    """Return the parts of a message as they come out, its receiver late by some looks."""
     own, other = (Channel(each, 0.01) for each in ends)
-    sent: list[int] = []
     looked = threading.Semaphore(0)
-    sender = threading.Thread(target=lambda: sent.append(own.send(message, looked.release)))
+    sender = threading.Thread(target=lambda: own.send(parts, TOKEN, looked.release))
     sender.start()
     for _ in range(looks):
         looked.acquire()
-    received = other.receive()
+    _, received = other.receive()
     sender.join()
-    return received, sent[0]
+    return received
 
 
-def test_what_is_larger_than_the_socket_takes_arrives(ends: Any) -> None:
+@pytest.mark.parametrize("kind", ["order", "answer"])
+def test_what_is_larger_than_the_socket_takes_arrives(ends: Any, kind: str) -> None:
     """Though the receiver is late: looks pass, and end nothing. Arrays come out as they were, and can be written."""
     rng = np.random.default_rng(1)
     message: dict[str, Any] = {
@@ -47,20 +49,25 @@ def test_what_is_larger_than_the_socket_takes_arrives(ends: Any) -> None:
         "text": "x" * 3_000_000,
         "strided": rng.normal(size=200_000)[::2],
     }
-    received, beside = exchanged(ends, message, looks=5)
+    parts, read = (order_parts(message), order_of) if kind == "order" else (answer_parts(message), answer_of)
+    received = read(exchanged(ends, parts, looks=5))
     assert received["text"] == message["text"]
     for name in ("large", "turned", "small", "strided"):
         assert np.array_equal(received[name], message[name])
         assert received[name].flags.writeable
-    assert beside == 8 * (300_000 + 120_000)
+    assert received["turned"].flags.f_contiguous
+    if kind == "order":
+        assert sum(len(part) for part in parts[1:]) == 8 * (300_000 + 120_000)
 
 
-def test_large_arrays_are_there_once(ends: Any) -> None:
+@pytest.mark.parametrize("kind", ["order", "answer"])
+def test_large_arrays_are_there_once(ends: Any, kind: str) -> None:
     """Neither side makes a copy of them on the way."""
     array = np.ones(5_000_000)
+    write, read = (order_parts, order_of) if kind == "order" else (answer_parts, answer_of)
     tracemalloc.start()
     try:
-        received, _ = exchanged(ends, [array, array[: LARGE_BYTES // 8]])
+        received = read(exchanged(ends, write([array, array[: LARGE_BYTES // 8]])))
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -76,17 +83,17 @@ def test_what_looks_can_end_it(ends: Any, way: str) -> None:
         raise KeyError("enough")
 
     with pytest.raises(KeyError, match="enough"):
-        channel.send(np.ones(1_000_000), look) if way == "send" else channel.receive(look)
+        channel.send([bytes(8_000_000)], TOKEN, look) if way == "send" else channel.receive(look)
 
 
 def test_an_end_in_the_middle_is_one(ends: Any) -> None:
     own, other = ends
-    other.sendall(HEADER.pack(MARK, 1000, 0) + b"half of it")
+    other.sendall(HEADER.pack(MARK, TOKEN, 0, 1000) + b"half of it")
     other.close()
     with pytest.raises(EOFError):
         Channel(own).receive()
     with pytest.raises(EOFError):
-        Channel(own).send(np.ones(1_000_000))
+        Channel(own).send([bytes(8_000_000)], TOKEN)
 
 
 def test_what_is_no_message_is_not_taken_for_one(ends: Any) -> None:

@@ -1,30 +1,28 @@
 """Messages between processes over a socket that is watched meanwhile, however large they are.
 
-A message is a header, a pickle, and beside it the memory of each large array as it is: it goes from the array into
-memory that is there for it, so that time and memory grow in proportion to what is sent.
+A message is a header, the sizes of its parts, and the parts (`fmuid.processes.messages`): each goes from the memory
+that has it into memory that is there for it, so that time and memory grow in proportion to what is sent. An answer
+repeats the token of its order, and a checksum covers all parts: what anybody else writes into the socket is not taken
+for an answer, nor is the answer to an earlier order.
 """
 
 from __future__ import annotations
 
-import logging
-import pickle
+import math
 import select
 import socket
 import struct
-from collections.abc import Callable, Iterable
-from typing import Any
+import zlib
+from collections.abc import Callable, Sequence
 
-LARGE_BYTES = 1 << 16
-"""Arrays of so many bytes or more travel beside the pickle."""
-HEADER = struct.Struct("<8sQQ")
-"""The mark of a message, the bytes of its pickle, and the number of arrays beside it, whose bytes follow (``<Q``)."""
-MARK = b"fmuid\x00\x01\n"
+from fmuid.processes.messages import GarbledError, Part
+
+HEADER = struct.Struct("<8s8sIQ")
+"""The mark of a message, its token, the checksum and number of its parts, whose sizes follow (``<Q``)."""
+MARK = b"fmuid\x00\x02\n"
+TOKEN_BYTES = 8
 
 Look = Callable[[], None]
-
-
-class GarbledError(Exception):
-    """What came is no message: something else has written to the socket."""
 
 
 class Channel:
@@ -42,12 +40,14 @@ class Channel:
         self._end = end
         self._every = None if look_every is None else 1e3 * look_every
 
-    def send(self, message: object, look: Look | None = None) -> int:
-        """Send a message; return how many bytes of it travelled beside the pickle.
+    def send(self, parts: Sequence[Part], token: bytes, look: Look | None = None) -> None:
+        """Send a message.
 
         Parameters
         ----------
-        message : object
+        parts : sequence of bytes-like
+        token : (`TOKEN_BYTES`,) bytes
+            Of an order: a new one; of an answer: that of the order.
         look : callable, optional
             Called every now and then while the other side takes nothing; what it raises ends the sending.
 
@@ -56,42 +56,46 @@ class Channel:
         EOFError
             If the other side is gone.
         """
-        beside: list[memoryview] = []
+        sizes = struct.pack(f"<{len(parts)}Q", *(memoryview(part).nbytes for part in parts))
+        head = HEADER.pack(MARK, token, _checksum([sizes, *parts]), len(parts)) + sizes
+        for part in (head, *parts):
+            self._send(memoryview(part), look)
 
-        def keep_small(buffer: pickle.PickleBuffer) -> bool:
-            raw = buffer.raw()
-            if raw.nbytes >= LARGE_BYTES:
-                beside.append(raw)
-            return raw.nbytes < LARGE_BYTES
-
-        data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL, buffer_callback=keep_small)
-        sizes = struct.pack(f"<{len(beside)}Q", *(each.nbytes for each in beside))
-        head = HEADER.pack(MARK, len(data), len(beside)) + sizes
-        for part in (memoryview(head), memoryview(data), *beside):
-            self._send(part, look)
-        return sum(each.nbytes for each in beside)
-
-    def receive(self, look: Look | None = None) -> Any:
-        """Return the next message.
+    def receive(
+        self, look: Look | None = None, token: bytes | None = None, most_bytes: float = math.inf
+    ) -> tuple[bytes, list[bytearray]]:
+        """Return the token and the parts of the next message.
 
         Parameters
         ----------
         look : callable, optional
             Called every now and then while nothing comes; what it raises ends the waiting.
+        token : bytes, optional
+            The token that the message must have; default: any.
+        most_bytes : float, optional
+            The size of the largest message.
 
         Raises
         ------
         EOFError
             If the other side is gone.
         GarbledError
-            If what comes is no message.
+            If what comes is no such message.
         """
-        mark, length, count = HEADER.unpack(self._receive(HEADER.size, look))
-        if mark != MARK:
+        mark, found, checksum, count = HEADER.unpack(self._receive(HEADER.size, look))
+        if mark != MARK or token not in (None, found) or 8 * count > most_bytes:
             raise GarbledError
-        sizes = struct.unpack(f"<{count}Q", self._receive(8 * count, look))
-        data, *beside = [self._receive(size, look) for size in (length, *sizes)]
-        return pickle.loads(data, buffers=beside)
+        try:
+            sizes = self._receive(8 * count, look)
+            each = struct.unpack(f"<{count}Q", sizes)
+            if sum(each) > most_bytes:
+                raise GarbledError
+            parts = [self._receive(size, look) for size in each]
+        except (MemoryError, OverflowError, struct.error):
+            raise GarbledError from None
+        if _checksum([sizes, *parts]) != checksum:
+            raise GarbledError
+        return found, parts
 
     def _send(self, left: memoryview, look: Look | None) -> None:
         while left:
@@ -136,10 +140,8 @@ class Channel:
         self._end.close()
 
 
-def pass_on(said: Iterable[tuple[str, int, str]], told: set[str] | None) -> None:
-    """Log what was logged on the other side: logger, level and text; but nothing that is in a set, which it joins."""
-    for logger, level, text in said:
-        if told is None or text not in told:
-            logging.getLogger(logger).log(level, "%s", text)
-        if told is not None:
-            told.add(text)
+def _checksum(parts: Sequence[Part]) -> int:
+    found = 0
+    for part in parts:
+        found = zlib.crc32(part, found)
+    return found

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import psutil
 
-from fmuid.simulation.isolation import cgroup
+from fmuid.processes import cgroup
 
 SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
 MEASURING_SHARE = 0.1  # of all time, that reading the proportional set size may take, at most
@@ -87,7 +87,7 @@ class Footprint:
     ----------
     pid : int
     group : Path, optional
-        Its control group (`fmuid.simulation.isolation.cgroup`).
+        Its control group (`fmuid.processes.cgroup`).
     """
 
     def __init__(self, pid: int, group: Path | None = None) -> None:

@@ -1,0 +1,169 @@
+"""The far side of isolation: a server that forks isolated processes.
+
+``python -m fmuid.processes.server FD MODULE...`` is the server: it loads the modules, then waits at its socket for
+orders to fork. It calls no function of theirs and has one thread only, so that its copies are sound and there within
+milliseconds. It is no copy of the process that started it, whose state is in none of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import importlib
+import os
+import pickle
+import signal
+import socket
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from fmuid.processes import cgroup
+from fmuid.processes.channel import TOKEN_BYTES, Channel
+from fmuid.processes.family import adopt_orphans, children
+from fmuid.processes.messages import answer_parts
+from fmuid.processes.service import Service
+
+ORDER_BYTES = 4096  # of an order to the server
+ORPHANS_SECONDS = 2.0  # s at most to end
+DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
+_IOLBF = 1  # of setvbuf: lines are written when they are complete
+
+
+def _become_host(descriptors: Sequence[int], parent: int, group: Path | None) -> None:
+    """Turn this fork of the server into a host, until its other side is gone."""
+    import resource  # not on Windows
+
+    channel, memory, printed = descriptors
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)
+        if os.getppid() != parent:
+            return
+    cgroup.enter(group)
+    adopt_orphans()
+    os.setpgid(0, 0)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    for source, target in ((nothing, 0), (printed, 1), (printed, 2)):
+        os.dup2(source, target)
+    _write_lines_at_once()
+    Service(Channel(socket.socket(fileno=channel)), memory).serve()
+
+
+def _live_as_host(descriptors: Sequence[int], parent: int, group: Path | None) -> NoReturn:
+    """Be a host and end as one, whatever happens: nothing of the server is carried on."""
+    code = os.EX_OSERR
+    try:
+        _become_host(descriptors, parent, group)
+        code = os.EX_OK
+    except BaseException:
+        traceback.print_exc()  # among what is printed there
+    finally:
+        os._exit(code)
+
+
+def _write_lines_at_once() -> None:
+    """Let what native code prints be there when it crashes."""
+    libc = ctypes.CDLL(None)
+    for name in ("stdout", "__stdoutp"):
+        with contextlib.suppress(ValueError):  # each C library has one of the two names
+            libc.setvbuf(ctypes.c_void_p.in_dll(libc, name), None, _IOLBF, 0)
+            return
+
+
+class Server:
+    """Forks hosts, as the process at the other end of a socket orders."""
+
+    def __init__(self, channel: socket.socket) -> None:
+        self._channel = channel
+        self._hosts: set[int] = set()
+        self._group = cgroup.own()
+        cgroup.sweep(self._group)  # of servers that were killed
+
+    def serve(self) -> None:
+        """Carry out orders until the other side is gone; then no host is left."""
+        orders, answers = self._channel, Channel(self._channel)
+        try:
+            while True:
+                data, descriptors, _, _ = socket.recv_fds(orders, ORDER_BYTES, 3)
+                if not data:
+                    return
+                name, *arguments = pickle.loads(data)
+                answer = self._fork(descriptors, *arguments) if name == "fork" else self._wait(*arguments)
+                answers.send(answer_parts(answer), bytes(TOKEN_BYTES))
+        except (EOFError, ConnectionError):  # the other side was killed
+            return
+        finally:
+            for host in self._hosts:
+                for end in (os.kill, os.killpg):
+                    with contextlib.suppress(OSError):  # gone meanwhile
+                        end(host, signal.SIGKILL)
+            self._hosts.clear()
+            cgroup.sweep(self._group)
+            self._end_orphans()
+
+    def _fork(self, descriptors: Sequence[int], modules: Sequence[str]) -> tuple[int, str | None] | str:
+        """Return process id and control group of a new host, or why there cannot be one."""
+        for module in modules:
+            with contextlib.suppress(ImportError):  # who needs it says so
+                importlib.import_module(module)
+        server, group = os.getpid(), cgroup.make(self._group)
+        try:
+            pid = os.fork()
+            if pid == 0:
+                self._channel.close()
+                _live_as_host(descriptors, server, group)
+        except OSError as error:
+            cgroup.remove(group)
+            return str(error.strerror)
+        finally:
+            for descriptor in descriptors:
+                os.close(descriptor)
+        self._hosts.add(pid)
+        return pid, None if group is None else str(group)
+
+    def _wait(self, pid: int, seconds: float) -> int | None:
+        """Return the status of a host that has ended, as `os.waitpid` gives it; None if it has not, or is unknown."""
+        until = time.monotonic() + seconds
+        while pid in self._hosts:
+            found, status = os.waitpid(pid, os.WNOHANG)
+            if found:
+                self._hosts.discard(pid)
+                self._end_orphans()
+                return status
+            if time.monotonic() > until:
+                return None
+            time.sleep(0.001)
+        return None
+
+    def _end_orphans(self) -> None:
+        """End what hosts that are gone have started: it has come to be below this process, and is no host.
+
+        A host that lives adopts what is below itself.
+        """
+        until = time.monotonic() + ORPHANS_SECONDS
+        while time.monotonic() < until:
+            orphans = [pid for pid in children(os.getpid()) if pid not in self._hosts]
+            if not orphans:
+                return
+            for pid in orphans:  # whose own children come here in their turn
+                with contextlib.suppress(OSError):  # gone meanwhile
+                    os.kill(pid, signal.SIGKILL)
+                    os.waitpid(pid, os.WNOHANG)
+            time.sleep(0.001)
+
+
+def main(descriptor: str, *modules: str) -> None:
+    """Be the server at the socket with the given file descriptor."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    adopt_orphans()
+    for module in modules:
+        importlib.import_module(module)
+    Server(socket.socket(fileno=int(descriptor))).serve()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
