@@ -8,14 +8,18 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
 from fmuid.errors import InputError
 from fmuid.units import SECONDS, parse_unit
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = npt.NDArray[Any]
 Cell = str | float | int | bool | date | datetime | time | timedelta | None
 """Of a text all cells are str; spreadsheets have typed ones."""
 
@@ -55,6 +59,40 @@ class RawTable:
     units: dict[str, str] = field(default_factory=dict)
     time: str | None = None
     days: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class FileColumns:
+    """The columns of a binary file as plain arrays under their headers.
+
+    Attributes
+    ----------
+    headers : tuple of str
+        One for each column.
+    values : tuple of ndarray (K,)
+        Numbers, truth values, dates (in UTC where they have a zone), durations, or objects: None, numbers and texts.
+    units : dict of int to str
+        Units that the file says elsewhere than in the header, by the column's place.
+    below : tuple of str
+        A row of units below the headers, empty without one.
+    zones : dict of int to str
+        Time zones of dates.
+    time : int, optional
+        Place of the column that the format itself knows for the time.
+    days : tuple of int
+        Columns of numbers that pandas may have written of durations, in days.
+    units_in_headers : bool
+        Whether headers may end in a unit; else they are names as they are.
+    """
+
+    headers: tuple[str, ...]
+    values: tuple[Array, ...]
+    units: dict[int, str] = field(default_factory=dict)
+    below: tuple[str, ...] = ()
+    zones: dict[int, str] = field(default_factory=dict)
+    time: int | None = None
+    days: tuple[int, ...] = ()
+    units_in_headers: bool = True
 
 
 @dataclass(frozen=True)
@@ -124,15 +162,15 @@ def check_once(source: str, names: Sequence[str]) -> None:
             raise InputError(f"{source}: {called}: rename or remove one of the two")
 
 
-def table_of_vectors(
-    source: str, vectors: Mapping[str, npt.NDArray[Any]], units: Mapping[str, str], separator: str
-) -> RawTable:
-    """Return as a table the vectors of the most common length, or of the time's where one is called so.
+def columns_of_vectors(
+    source: str, vectors: Mapping[str, Array], units: Mapping[str, str], separator: str
+) -> FileColumns:
+    """Return as columns the vectors of the most common length, or of the time's where one is called so.
 
     Parameters
     ----------
     source : str
-        What the table is called in messages.
+        Name of the file in messages.
     vectors : mapping of str to ndarray
         By their names, in groups as ``group<separator>name``; a group that all columns share is left out.
     units : mapping of str to str
@@ -151,9 +189,24 @@ def table_of_vectors(
     length = max(lengths, key=lambda size: (size in timed, lengths[size], size))
     columns = {name: value for name, value in vectors.items() if value.size == length}
     shared = len({name.rpartition(separator)[0] for name in columns}) == 1
-    names, said = named([name.rpartition(separator)[2] if shared else name for name in columns])
-    attached = {name: units[each] for name, each in zip(names, columns, strict=True) if each in units}
-    return RawTable(pd.DataFrame(dict(zip(names, columns.values(), strict=True))), said | attached)
+    headers = tuple(name.rpartition(separator)[2] if shared else name for name in columns)
+    return FileColumns(
+        headers,
+        tuple(columns.values()),
+        {k: units[name] for k, name in enumerate(columns) if name in units},
+    )
+
+
+def array_of_cells(cells: Sequence[Cell]) -> Array:
+    """Return a column of typed cells as numbers, dates or durations where all are; else as texts, numbers and None."""
+    kinds = {type(cell) for cell in cells} - {type(None)}
+    if kinds and kinds <= {bool, int, float}:
+        return np.array([math.nan if cell is None else cell for cell in cells], dtype=np.float64)
+    for kind, dtype in ((datetime, "datetime64[us]"), (timedelta, "timedelta64[us]")):
+        if kinds == {kind}:
+            return np.array(cells, dtype=dtype)
+    plain = [cell if cell is None or isinstance(cell, str | bool | int | float) else str(cell) for cell in cells]
+    return np.fromiter(plain, dtype=object, count=len(plain))
 
 
 def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> Head | None:

@@ -2,74 +2,80 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import pandas as pd
 
-from fmuid.data.formats.columns import RawTable, named, table_of_vectors
+from fmuid.data.formats.columns import Array, FileColumns, columns_of_vectors
 from fmuid.data.formats.libraries import library
+from fmuid.data.formats.pandas_hdf import PANDAS_TYPE, read_frame
 from fmuid.errors import InputError
 
 _NAME_ATTRIBUTES = ("columns", "column_names", "names")
 _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
 
 
-def read_hdf(path: Path, source: str) -> RawTable:
+def read_hdf(path: Path, source: str) -> FileColumns:
     """Read the vectors of the most common length in an HDF5 file, with their attribute ``unit`` or ``units``.
 
     Raises
     ------
     InputError
-        Where the file cannot be read, a library is missing, or there are no vectors of one length.
+        Where the file cannot be read, or there are no vectors of one length.
     """
     with _opened(path, source) as file:
-        of_pandas = [name for name, group in file.items() if "pandas_type" in group.attrs]
-    if of_pandas:
-        return _of_pandas(path, source, of_pandas[0])
-    return table_of_vectors(source, *_vectors(path, source), "/")
+        objects = _objects(file)
+        frame = next((each for _, each in objects if PANDAS_TYPE in each.attrs), None)
+        if frame is not None:
+            return read_frame(frame, source)
+        return columns_of_vectors(source, *_vectors(objects), "/")
 
 
-def vectors_of_hdf(path: Path, source: str) -> dict[str, npt.NDArray[Any]]:
+def vectors_of_hdf(path: Path, source: str) -> dict[str, Array]:
     """Return the numeric vectors of a MAT file of version 7.3, those of structures as ``structure.field``."""
-    vectors, _ = _vectors(path, source)
+    with _opened(path, source) as file:
+        vectors, _ = _vectors(_objects(file))
     return {name.replace("/", "."): value for name, value in vectors.items() if not name.startswith("#")}
 
 
-def _vectors(path: Path, source: str) -> tuple[dict[str, npt.NDArray[Any]], dict[str, str]]:
-    vectors: dict[str, npt.NDArray[Any]] = {}
+def _objects(file: Any) -> list[tuple[str, Any]]:
+    """Return all groups and datasets by their paths, each once, whatever links to it; none of other files."""
+    found: list[tuple[str, Any]] = []
+    file.visititems(lambda name, item: found.append((name, item)))
+    return found
+
+
+def _vectors(objects: list[tuple[str, Any]]) -> tuple[dict[str, Array], dict[str, str]]:
+    vectors: dict[str, Array] = {}
     units: dict[str, str] = {}
-    with _opened(path, source) as file:
-        for name, value, unit in _datasets(file):
+    for path, item in objects:
+        if not hasattr(item, "shape"):  # a group, or a type
+            continue
+        for name, value, unit in _of_dataset(path, item):
             vectors[name] = value
             if unit:
                 units[name] = unit
     return vectors, units
 
 
-def _datasets(group: Any, prefix: str = "") -> Iterator[tuple[str, npt.NDArray[Any], str]]:
+def _of_dataset(path: str, item: Any) -> Iterator[tuple[str, Array, str]]:
     """Yield name, values and unit of each numeric vector; also of compound ones and of matrices with names."""
-    for name, item in group.items():
-        if hasattr(item, "items"):
-            yield from _datasets(item, f"{prefix}{name}/")
-            continue
-        if item.dtype.names and item.ndim == 1:
-            values = item[()]
-            yield from ((prefix + field, values[field], "") for field in item.dtype.names if values[field].ndim == 1)
-        elif item.dtype.kind in "biufS" and item.ndim and item.size == max(item.shape):
-            yield prefix + name, _decoded(item[()].ravel()), _unit(item)
-        elif item.dtype.kind in "biuf" and item.ndim == 2:
-            named = next((item.attrs[each] for each in _NAME_ATTRIBUTES if each in item.attrs), ())
-            if len(named) == item.shape[1]:
-                texts = [each.decode() if isinstance(each, bytes) else str(each) for each in named]
-                yield from ((prefix + each, item[:, k], "") for k, each in enumerate(texts))
+    prefix = path[: path.rfind("/") + 1]
+    if item.dtype.names and item.ndim == 1:
+        values = item[()]
+        yield from ((prefix + field, values[field], "") for field in item.dtype.names if values[field].ndim == 1)
+    elif item.dtype.kind in "biufS" and item.ndim and item.size == max(item.shape):
+        yield path, _decoded(item[()].ravel()), _unit(item)
+    elif item.dtype.kind in "biuf" and item.ndim == 2:
+        named = next((item.attrs[each] for each in _NAME_ATTRIBUTES if each in item.attrs), ())
+        if len(named) == item.shape[1]:
+            texts = [each.decode() if isinstance(each, bytes) else str(each) for each in named]
+            yield from ((prefix + each, item[:, k], "") for k, each in enumerate(texts))
 
 
-def _decoded(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _decoded(values: Array) -> Array:
     return np.char.decode(values, "utf-8") if values.dtype.kind == "S" else values
 
 
@@ -82,15 +88,5 @@ def _opened(path: Path, source: str) -> Any:
     h5py = library("h5py", "hdf", source)
     try:
         return h5py.File(path, "r")
-    except OSError:
+    except OSError:  # said of MAT files too, whose version 7.3 is HDF5
         raise InputError(f"{source}: the file is no readable HDF5 file: write it again") from None
-
-
-def _of_pandas(path: Path, source: str, key: str) -> RawTable:
-    library("tables", "hdf", source)
-    frame = pd.read_hdf(path, key)
-    if not isinstance(frame, pd.DataFrame):
-        raise InputError(f"{source}: {key!r} is no table: save a DataFrame")
-    kept = frame.reset_index() if frame.index.name else frame
-    names, units = named([re.sub(r"\s+", " ", str(name)) for name in kept.columns])
-    return RawTable(kept.set_axis(names, axis="columns"), units)

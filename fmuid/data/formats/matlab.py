@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fmuid.data.formats.columns import RawTable, table_of_vectors
+from fmuid.data.formats.columns import FileColumns, columns_of_vectors
 from fmuid.data.formats.hdf import vectors_of_hdf
 from fmuid.data.formats.mat_file import check_mat
-from fmuid.data.formats.simulation_results import result_frame
+from fmuid.data.formats.simulation_results import result_columns
 from fmuid.errors import InputError
 
 Arrays = dict[str, npt.NDArray[Any]]
 
 
-def read_mat(path: Path, source: str) -> RawTable:
+def read_mat(path: Path, source: str) -> FileColumns:
     """Read a MAT file: its numeric vectors of the most common length, also those in structures.
 
     A matrix whose columns are named by a cell array of as many texts gives that many columns. MATLAB writes its own
@@ -33,18 +33,16 @@ def read_mat(path: Path, source: str) -> RawTable:
     try:
         content = _content(path)
     except NotImplementedError:  # version 7.3 is HDF5
-        return table_of_vectors(source, vectors_of_hdf(path, source), {}, ".")
-    except Exception:  # scipy raises errors of many kinds, on broken files even TypeError and struct.error
-        raise InputError(f"{source}: the file is no readable MAT file: write it again") from None
+        return columns_of_vectors(source, vectors_of_hdf(path, source), {}, ".")
     if "Aclass" in content and content["Aclass"].dtype.kind == "U":
-        return RawTable(result_frame(source, content))
+        return result_columns(source, content)
     vectors = dict(_vectors(content))
     if not vectors and "MatlabOpaque" in str({value.dtype for value in content.values()}):
         raise InputError(
             f"{source}: MATLAB's tables and timetables cannot be read from MAT files: write it with writetimetable or "
             "parquetwrite, or save its columns as vectors"
         )
-    return table_of_vectors(source, vectors, {}, ".")
+    return columns_of_vectors(source, vectors, {}, ".")
 
 
 def _content(path: Path) -> Arrays:

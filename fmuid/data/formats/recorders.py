@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
+import numpy as np
 
-from fmuid.data.formats.columns import RawTable
+from fmuid.data.formats.columns import Array, FileColumns, array_of_cells
 from fmuid.data.formats.libraries import library
+from fmuid.data.preparation.expressions import evaluate
 from fmuid.errors import InputError
+from fmuid.text import bounded
 
 _UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription", "unit")
+_FORMULA_SHOWN = 60  # characters
 
 
-def read_tdms(path: Path, source: str) -> RawTable:
+def read_tdms(path: Path, source: str) -> FileColumns:
     """Read the channels of the longest group of a TDMS file, with their units.
 
     Channels of a waveform have no column of time: it comes from their increment, as `time`.
@@ -27,26 +31,27 @@ def read_tdms(path: Path, source: str) -> RawTable:
         Where the file cannot be read or has no channels.
     """
     nptdms = library("nptdms", "tdms", source)
-    with _refusing(source, "TDMS"):
-        groups = [group.channels() for group in nptdms.TdmsFile.read(path).groups()]
+    groups = [group.channels() for group in nptdms.TdmsFile.read(path).groups()]
     channels: list[Any] = max(groups, key=lambda found: sum(len(channel) for channel in found), default=[])
     length = max((len(channel) for channel in channels), default=0)
     kept = [channel for channel in channels if len(channel) == length]
     if not length:
         raise InputError(f"{source}: the file has no channels with samples: record it again")
-    columns = {channel.name: channel[:] for channel in kept}
+    headers = [channel.name for channel in kept]
+    values = [_plain(channel[:]) for channel in kept]
     units = {
-        channel.name: str(channel.properties[name])
-        for channel in kept
+        k: str(channel.properties[name])
+        for k, channel in enumerate(kept)
         for name in _UNIT_PROPERTIES
         if channel.properties.get(name)
     }
-    if "wf_increment" in kept[0].properties and "time" not in columns:
-        return RawTable(pd.DataFrame({"time": kept[0].time_track(), **columns}), units, "time")
-    return RawTable(pd.DataFrame(columns), units)
+    time = None
+    if "wf_increment" in kept[0].properties and "time" not in headers:
+        headers, values, time = [*headers, "time"], [*values, kept[0].time_track()], len(headers)
+    return FileColumns(tuple(headers), tuple(values), units, time=time, units_in_headers=False)
 
 
-def read_mdf(path: Path, source: str) -> RawTable:
+def read_mdf(path: Path, source: str) -> FileColumns:
     """Read all channels of an MDF file (3 or 4), with their units, at the union of their times.
 
     A channel is missing where it has no sample.
@@ -57,20 +62,63 @@ def read_mdf(path: Path, source: str) -> RawTable:
         Where the file cannot be read or has no channels.
     """
     asammdf = library("asammdf", "mdf", source)
-    with _refusing(source, "MDF"), asammdf.MDF(path) as file:
+    with _formulas_as_expressions(source), asammdf.MDF(path) as file:
         signals = [signal for signal in file.iter_channels() if signal.samples.dtype.kind in "biuf"]
     if not signals:
         raise InputError(f"{source}: the file has no channels with samples: record it again")
-    series = {signal.name: pd.Series(signal.samples, index=signal.timestamps) for signal in signals}
-    frame = pd.concat({name: each[~each.index.duplicated()] for name, each in series.items()}, axis="columns")
-    units = {signal.name: signal.unit for signal in signals if signal.unit}
-    return RawTable(frame.sort_index().rename_axis("time").reset_index(), units, "time")
+    times = np.unique(np.concatenate([signal.timestamps for signal in signals]))
+    columns = {signal.name: _at(times, signal.timestamps, signal.samples) for signal in signals}
+    units = {name: signal.unit for signal in signals for name in columns if name == signal.name and signal.unit}
+    headers = ("time", *columns)
+    said = {k: units[name] for k, name in enumerate(headers) if name in units}
+    return FileColumns(headers, (times, *columns.values()), said, time=0, units_in_headers=False)
+
+
+def _at(times: Array, own: Array, samples: Array) -> Array:
+    """Return the samples of a channel at other times, the first of several at one time, NaN where it has none."""
+    found, first = np.unique(own, return_index=True)
+    if len(found) == len(times):
+        return samples[first]
+    values = np.full(len(times), np.nan)
+    values[np.searchsorted(times, found)] = samples[first]
+    return values
 
 
 @contextmanager
-def _refusing(source: str, kind: str) -> Iterator[None]:
-    """Say of whatever goes wrong inside that the file cannot be read."""
+def _formulas_as_expressions(source: str) -> Iterator[None]:
+    """Have asammdf compute conversion formulas as fmuid does expressions, which runs nothing of them as Python.
+
+    It would give them to numexpr and SymPy, and both run Python's `eval`. A formula that fails it would skip.
+    """
+    from asammdf.blocks import v2_v3_blocks, v4_blocks
+
+    wrong: list[str] = []
+
+    def computed(text: str) -> Array:
+        scope = sys._getframe(1).f_locals  # as numexpr finds the variables of a formula
+        try:
+            count = len(scope["X" if "X" in scope else "X1"])
+            return evaluate(text, lambda name: np.asarray(scope[name], dtype=np.float64), count)
+        except Exception:
+            wrong.append(text)
+            raise
+
+    before = [(module, module.evaluate, module.lambdify) for module in (v2_v3_blocks, v4_blocks)]
     try:
+        for module, *_ in before:
+            module.evaluate, module.lambdify = computed, None
         yield
-    except Exception:  # the readers raise errors of many kinds on broken files
-        raise InputError(f"{source}: the file is no readable {kind} file: write it again") from None
+    finally:
+        for module, *functions in before:
+            module.evaluate, module.lambdify = functions
+    if wrong:
+        raise InputError(
+            f"{source}: the formula {bounded(wrong[0], _FORMULA_SHOWN)!r} that converts a channel cannot be computed: "
+            "convert the file with the recorder's own tool"
+        )
+
+
+def _plain(values: Any) -> Array:
+    """Return the samples of a channel as numbers, dates or cells."""
+    found = np.asarray(values)
+    return found if found.dtype.kind in "biufmM" else array_of_cells(found.tolist())

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
+from fmuid.data.formats.columns import FileColumns
 from fmuid.errors import InputError
 
 
-def result_frame(source: str, arrays: dict[str, npt.NDArray[Any]]) -> pd.DataFrame:
+def result_columns(source: str, arrays: dict[str, npt.NDArray[Any]]) -> FileColumns:
     """Return the table in a result file (Aclass version 1.1, and 1.0 of Dymola's export); its time is called ``time``.
 
     Parameters and constants become constant columns, because the tools store inputs that do not move as such. Of three
@@ -37,11 +37,11 @@ def result_frame(source: str, arrays: dict[str, npt.NDArray[Any]]) -> pd.DataFra
     names = ["time" if name.lower() == "time" else name for name in columns]
     if "time" not in names:
         raise InputError(f"{source}: the result file has no time: simulate again")
-    frame = pd.DataFrame(dict(zip(names, columns.values(), strict=True)))
-    times = frame["time"].to_numpy()
+    values = list(columns.values())
+    times = values[names.index("time")]
     inside = np.zeros(len(times), dtype=bool)
     inside[1:-1] = (times[1:-1] == times[:-2]) & (times[1:-1] == times[2:])
-    return frame[~inside].reset_index(drop=True)
+    return FileColumns(tuple(names), tuple(each[~inside] for each in values), units_in_headers=False)
 
 
 def _version_1_0(arrays: dict[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:

@@ -7,9 +7,7 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import pandas as pd
-
-from fmuid.data.formats.columns import Cell, Head, RawTable, check_once, find_head, is_missing, named
+from fmuid.data.formats.columns import Cell, FileColumns, Head, array_of_cells, find_head, is_missing
 from fmuid.data.formats.libraries import library
 from fmuid.errors import InputError
 from fmuid.text import nearest
@@ -23,7 +21,7 @@ _DIGITS = 12
 """Significant digits, which times as people and recorders write them do not exceed."""
 
 
-def read_spreadsheet(path: Path, source: str, sheet: str | int | None = None) -> RawTable:
+def read_spreadsheet(path: Path, source: str, sheet: str | int | None = None) -> FileColumns:
     """Read a sheet by its name or its place from 1; default: the first with a table.
 
     Raises
@@ -31,16 +29,12 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None = None) ->
     InputError
         Where the file cannot be read, has no table or no such sheet.
     """
-    calamine = library("python_calamine", "excel", source)
-    try:
-        book = calamine.CalamineWorkbook.from_path(path)
-    except Exception:  # calamine has an error of its own for each format
-        raise InputError(f"{source}: the file is no readable spreadsheet: save it again") from None
+    book = library("python_calamine", "excel", source).CalamineWorkbook.from_path(path)
     for name in book.sheet_names if sheet is None else [_sheet(book.sheet_names, sheet, source)]:
         rows = _without_margins(book.get_sheet_by_name(name).to_python())
         head = find_head(rows)
         if head is not None:
-            return _table(source, rows, head, path)
+            return _columns(rows, head, path)
     which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
     raise InputError(f"{source}: {which} a table: give a header with the names and rows of samples")
 
@@ -62,19 +56,15 @@ def _without_margins(rows: list[list[Cell]]) -> list[list[Cell]]:
     return [[row[k] for k in columns] for row in filled]
 
 
-def _table(source: str, rows: list[list[Cell]], head: Head, path: Path) -> RawTable:
-    names, units = named(head.names, head.units)
-    check_once(source, names)
+def _columns(rows: list[list[Cell]], head: Head, path: Path) -> FileColumns:
     samples = [[None if is_missing(cell) else cell for cell in row] for row in rows[head.first :]]
-    frame = pd.DataFrame(samples, columns=names, dtype=object).infer_objects()
+    cells = [[row[k] for row in samples] for k in range(len(head.names))]
     whole = _shown_as_whole(path)
-    broken = {name: [v for v in frame[name][:_LOOKED_AT] if isinstance(v, float) and v % 1] for name in names}
-    days = {
-        name
-        for name, values in broken.items()
-        if values and (_are_days(values) if whole is None else values[0] in whole)
-    }
-    return RawTable(frame, units, days=frozenset(days))
+    broken = [[each for each in column[:_LOOKED_AT] if isinstance(each, float) and each % 1] for column in cells]
+    days = tuple(
+        k for k, values in enumerate(broken) if values and (_are_days(values) if whole is None else values[0] in whole)
+    )
+    return FileColumns(head.names, tuple(map(array_of_cells, cells)), below=head.units, days=days)
 
 
 def _shown_as_whole(path: Path) -> set[float] | None:

@@ -158,7 +158,7 @@ class HealthyEvidence:
             If it cannot be read, or is something else.
         """
         try:
-            with np.load(io.BytesIO(path.read_bytes())) as file:
+            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
                 sums = dict(file)
             text = sums.pop("text").tobytes()
             said = tuple(map(Information, sums["matrices"], sums["scores"]))

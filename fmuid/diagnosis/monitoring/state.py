@@ -123,7 +123,7 @@ class Journal:
         if not is_file(path):
             raise InputError(f"{self.folder} has no earlier run to append to: {REMEDY} first")
         try:
-            with np.load(io.BytesIO(path.read_bytes())) as file:
+            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
                 sums = dict(file)
             text = sums.pop("text").tobytes()
         except (OSError, ValueError, EOFError, KeyError, BadZipFile) as error:
