@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import signal, special
 
 import fmuid
 from fmuid.arrays import Floats
 from fmuid.estimation import Estimator
+from fmuid.estimation.linear_models.colored import colored_covariance
 from fmuid.estimation.linear_models.filters import StateVariableFilter
 
 R, L = 4.0, 0.1
@@ -195,6 +196,63 @@ def test_filtered_equations_are_biased_as_theory_says_and_instruments_are_not(cu
     assert np.mean(stated, axis=0) == pytest.approx(scatter, rel=0.2)
     if cutoff == 400.0:
         assert np.mean(lp, axis=0)[1] < 0.85 * L
+
+
+def test_the_variance_of_a_mean_of_colored_noise_is_right_and_so_is_its_scatter() -> None:
+    """Of an autoregression φ: Var = σ² Σ (1 − |τ|/K) φ^|τ| / K; without what the fit takes it is 12 % too small."""
+    count, phi, rng = 150, 0.6, np.random.default_rng(8)
+    noise = signal.lfilter([1.0], [1.0, -phi], rng.standard_normal((600, count + 50)))[:, 50:]
+    lags = np.arange(1, count)
+    exact = (1.0 + 2.0 * np.sum((1.0 - lags / count) * phi**lags)) / count / (1.0 - phi**2)
+    basis, rows = np.full((count, 1), count**-0.5), np.ones((count, 1))
+    solution = np.array([[count**-0.5]])
+    each = [colored_covariance(basis, solution, rows, one - one.mean()) for one in noise]
+    found, freedom = (np.ravel(part) for part in zip(*each, strict=True))
+    assert found.mean() == pytest.approx(exact, rel=0.06)
+    held = np.abs(noise.mean(axis=1)) < special.stdtrit(freedom, 0.975) * np.sqrt(found)
+    assert 0.93 < held.mean() < 0.97
+    assert np.median(freedom) == pytest.approx(2.0 * (found.mean() / found.std()) ** 2, rel=0.3)
+
+
+def test_intervals_have_the_freedom_of_a_colored_residual() -> None:
+    """What is slow has few independent samples, however many were taken."""
+    found = fmuid.equation_error(
+        TIMES, VOLTAGE, terms(CLEAN + NOISE * np.random.default_rng(6).standard_normal(SAMPLES)), cutoff=40.0
+    )
+    assert found.degrees_of_freedom == SAMPLES - 4
+    assert (found.freedom < 40.0).all()
+    half = special.stdtrit(found.freedom, 0.95) * found.std
+    assert found.intervals(0.9)["upper"].to_numpy() == pytest.approx(found.values + half, rel=1e-12)
+
+
+def noise_of(kind: str, rng: np.random.Generator) -> Floats:
+    """White noise, an autoregression of 5 samples, or differences with next to no power where the coil has its own."""
+    white = rng.standard_normal(SAMPLES + 100)
+    if kind == "slow":
+        white = signal.lfilter([0.6], [1.0, -0.8], white)
+    elif kind == "fast":
+        white = signal.lfilter([0.74, -0.67], [1.0], white)
+    return NOISE * np.asarray(white[100:])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cutoff", "kind"), [(40.0, "white"), (40.0, "slow"), (400.0, "fast")])
+def test_intervals_of_instruments_hold(cutoff: float, kind: str) -> None:
+    rng, values, stds, freedom, held = np.random.default_rng(9), [], [], [], []
+    for _ in range(200):
+        mine = terms(CLEAN + noise_of(kind, rng))
+        found = fmuid.instrumental_variables(TIMES, VOLTAGE, mine, lambda theta: terms(current(theta)), cutoff=cutoff)
+        values.append(found.values)
+        stds.append(found.std)
+        freedom.append(found.freedom)
+        interval = found.intervals()
+        held.append((interval["lower"] < [R, L]) & (interval["upper"] > [R, L]))
+    # 93 to 97 %, and two standard errors of 200 draws
+    assert ((np.mean(held, axis=0) > 0.93 - 0.036) & (np.mean(held, axis=0) < 0.97 + 0.024)).all()
+    ratio = np.sqrt(np.mean(np.square(stds), axis=0)) / np.std(values, axis=0)
+    assert ((ratio > 0.93) & (ratio < 1.15)).all()
+    scatter = np.std(stds, axis=0) / np.mean(stds, axis=0)
+    assert scatter == pytest.approx(np.sqrt(0.5 / np.median(freedom, axis=0)), rel=0.35)
 
 
 def test_instruments_set_out_from_where_they_are_told() -> None:

@@ -6,8 +6,7 @@ model are. Regressors made of measured outputs are not: their noise pulls the es
 
 References
 ----------
-L. Ljung, "System Identification: Theory for the User", 2nd edition, Prentice Hall 1999, sections 7.3 and 7.6;
-A. R. Gallant, "Nonlinear Statistical Models", Wiley 1987, section 2.2 (Parzen's window).
+L. Ljung, "System Identification: Theory for the User", 2nd edition, Prentice Hall 1999, sections 7.3 and 7.6.
 """
 
 from __future__ import annotations
@@ -20,19 +19,18 @@ import numpy as np
 import pandas as pd
 import scipy
 from numpy.typing import ArrayLike
-from scipy import fft, special
+from scipy import special
 
-from fmuid.arrays import Flags, Floats, numbers
+from fmuid.arrays import Floats, numbers
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation.covariance import check_level
+from fmuid.estimation.linear_models.colored import colored_covariance
 from fmuid.text import listed
 
 # Regressors, each of length 1, are dependent where a combination of them is shorter than this.
 DEPENDENT = 1e-10
 # Those with less than this share of the largest one's part in such a combination are not named.
 WORTH_NAMING = 0.05
-# A coloured residual is correlated over this part of the record at most.
-LAGS_SHARE = 8
 
 
 class Estimator(Enum):
@@ -58,10 +56,12 @@ class LinearEstimate:
     covariance : (N, N) array
         By (1.11), of a white residual, for least squares; else by the correlations of the residual, whose colour is the
         filter's. Of scatter alone, not of bias.
+    freedom : (N,) array
+        Degrees of freedom of the variances on the diagonal of `covariance`; few, where the residual is colored.
     variance : float
         Of the residual, J/(K − N) (1.12).
     degrees_of_freedom : int
-        K − N, less the free terms of a filter's start.
+        Of `variance`: K − N, less the free terms of a filter's start.
     residual : (K,) array
         y* − Φθ, NaN where a sample is missing.
     rounds : int
@@ -80,6 +80,7 @@ class LinearEstimate:
     names: tuple[str, ...]
     values: Floats
     covariance: Floats
+    freedom: Floats
     variance: float
     degrees_of_freedom: int
     residual: Floats
@@ -98,7 +99,9 @@ class LinearEstimate:
         return np.sqrt(np.diag(self.covariance))
 
     def intervals(self, level: float = 0.95) -> pd.DataFrame:
-        """Return the confidence interval of each parameter by Student's t, columns ``lower`` and ``upper``.
+        """Return the confidence interval of each parameter, columns ``lower`` and ``upper``.
+
+        By Student's t for the degrees of freedom of each standard deviation (`freedom`).
 
         Raises
         ------
@@ -106,7 +109,7 @@ class LinearEstimate:
             If the level is not between 0 and 1.
         """
         check_level(level)
-        half = float(special.stdtrit(self.degrees_of_freedom, 0.5 + level / 2.0)) * self.std
+        half = special.stdtrit(self.freedom, 0.5 + level / 2.0) * self.std
         return pd.DataFrame({"lower": self.values - half, "upper": self.values + half}, index=list(self.names))
 
 
@@ -189,13 +192,15 @@ def solve(
     theta = inverse @ (basis.T @ y)
     left = np.asarray(y - phi @ theta, dtype=np.float64)
     variance = float(left @ left) / freedom
-    colour = np.eye(width) * variance
-    if estimator is not Estimator.LEAST_SQUARES:
-        colour = _coloured(basis, left, there) * y.size / freedom
+    if estimator is Estimator.LEAST_SQUARES:
+        covariance, own = variance * inverse @ inverse.T, np.full(width, float(freedom))
+    else:
+        covariance, own = colored_covariance(basis, inverse, phi, left)
     residual = np.full(values.size, np.nan)
     residual[there] = left
-    covariance = (inverse @ colour @ inverse.T)[:count, :count]
-    return LinearEstimate(estimator, tuple(names), theta[:count], covariance, variance, freedom, residual)
+    return LinearEstimate(
+        estimator, tuple(names), theta[:count], covariance[:count, :count], own[:count], variance, freedom, residual
+    )
 
 
 def _lengths(names: Sequence[str], columns: Floats) -> Floats:
@@ -219,28 +224,3 @@ def _lengths(names: Sequence[str], columns: Floats) -> Floats:
             "record: hold one at a value, or measure under another excitation"
         )
     return np.asarray(lengths, dtype=np.float64)
-
-
-def _coloured(basis: Floats, residual: Floats, there: Flags) -> Floats:
-    """Return QᵀΓQ with Γ the covariance of a coloured residual, from its correlations under Parzen's window.
-
-    An autoregressive model would not do: what a filter that is fast has made of white noise has next to no power where
-    the regressors have theirs, and no such model follows a spectrum that falls to zero.
-    """
-    length = there.size
-    size = fft.next_fast_len(2 * length, real=True)
-    placed = np.zeros((basis.shape[1] + 2, length))
-    placed[0, there], placed[1, there], placed[2:, there] = residual, 1.0, basis.T
-    spectra = fft.rfft(placed, size)
-    sums, pairs = fft.irfft(np.abs(spectra[:2]) ** 2, size)[:, :length]
-    share = np.arange(length) / max(length / LAGS_SHARE, 1.0)
-    inner, outer = 1.0 - 6.0 * share**2 * (1.0 - share), 2.0 * np.maximum(1.0 - share, 0.0) ** 3
-    correlation = np.where(share < 0.5, inner, outer) * sums / np.maximum(np.rint(pairs), 1.0)
-    padded = np.zeros(size)
-    padded[:length] = correlation
-    padded[size - length + 1 :] = correlation[:0:-1]
-    # gaps may make the window's transform improper
-    power = np.maximum(fft.rfft(padded).real, 0.0)
-    spread = fft.irfft(power * spectra[2:], size)[:, :length]
-    found = spread @ placed[2:].T
-    return np.asarray((found + found.T) / 2.0, dtype=np.float64)
