@@ -87,6 +87,16 @@ def unit_text(unit: str | None) -> str:
     return unit if unit is not None and has_unit(unit) else ""
 
 
+def with_unit(value: float, unit: str | None) -> str:
+    """Return a number with its unit."""
+    return f"{value:.4g} {unit}" if has_unit(unit) else f"{value:.4g}"
+
+
+def fit_text(fit: float | None) -> str:
+    """Return a fit in %, a dash where it has no meaning."""
+    return "–" if fit is None or math.isnan(fit) else f"{fit:.4g} %"
+
+
 def label(name: str, unit: str | None) -> str:
     """Return the label of an axis or a column: name and unit."""
     return f"{name} ({unit})" if has_unit(unit) else name

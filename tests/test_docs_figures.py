@@ -15,7 +15,7 @@ MADE_UP = {
     ("preparation", "anchor"): {"preparation", "prepared", "monitored"},
     ("faults", "name"): {"timeline"},
     ("fits", "anchor"): {"fit", "prediction"},
-    ("validation", "name"): {"criteria", "misfits"},
+    ("validation", "name"): {"criteria", "errors"},
     ("validation", "anchor"): {"sensitivities"},
     ("batches", "f'over-{k + 1}'"): {"over"},
 }

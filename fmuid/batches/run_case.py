@@ -29,7 +29,7 @@ from fmuid.errors import FmuidError
 from fmuid.estimation import Accuracy, Direction, Outcome, Result, Waypoints, waypoints
 from fmuid.files import as_json
 from fmuid.model_problem import CheckedRegion, Problem, identify
-from fmuid.simulation import executor_of
+from fmuid.simulation import executor_of, nrmse_fit, root_mean_square
 from fmuid.studies import ExperimentSettings, NoiseDraws, Study, Value
 
 Key = TypeVar("Key")
@@ -209,7 +209,7 @@ class CaseRunner:
             raise KeyboardInterrupt
         found = result.accuracy
         own = found is not None and found.simulations > 0
-        return _words_of(result) | {"checked": int(own or region.checks > before)}
+        return _words_of(result) | _scores(problem, result) | {"checked": int(own or region.checks > before)}
 
     def _region(self, problem: Problem) -> CheckedRegion:
         """Return what is to be known of the simulation over the tables of a case and at what it holds."""
@@ -258,7 +258,7 @@ class CaseRunner:
             "undetermined": TEXT,
             **{f"chosen.{name}": TEXT for name in self.study.model.choices},
             **{f"{word}.{name}": NUMBER for word in ("value", "std") for name in names},
-            **{f"noise.{name}": NUMBER for name in outputs},
+            **{f"{word}.{name}": NUMBER for word in ("noise", "fit", "rmse") for name in outputs},
             "criterion": NUMBER,
             "iterations": WHOLE,
             "simulations": WHOLE,
@@ -288,6 +288,19 @@ def _words_of(result: Result) -> dict[str, object]:
         "iterations": result.iterations,
         **_accuracy_of(result.accuracy),
     }
+
+
+def _scores(problem: Problem, result: Result) -> dict[str, object]:
+    """Return the fit, %, and the RMSE of each output over the counted samples of all experiments of a case."""
+    assert result.history is not None, "of a search that has just ended"
+    pairs: dict[str, list[tuple[Floats, Floats]]] = {name: [] for name in problem.output_names}
+    for experiment, simulated in zip(problem.experiments, result.history.simulated, strict=True):
+        for j, name in enumerate(experiment.output_names):
+            counted = experiment.counted[:, j]
+            pairs[name].append((experiment.output_values[counted, j], simulated[counted, j]))
+    errors = {name: [np.concatenate(each) for each in zip(*own, strict=True)] for name, own in pairs.items()}
+    found: dict[str, object] = {f"fit.{name}": nrmse_fit(own) for name, own in pairs.items()}
+    return found | {f"rmse.{name}": root_mean_square(*both) for name, both in errors.items()}
 
 
 def directions_text(directions: Sequence[Direction]) -> str:

@@ -113,6 +113,9 @@ class Summary:
     accuracy : mapping of str to int
         How many cases have which outcome of the check of their simulation (`fmuid.estimation.AccuracyOutcome`),
         were ``checked`` by simulations of their own, and searched by ``finer`` ones; empty where none was looked at.
+    fits : DataFrame
+        ``output``, ``median`` and ``least`` of its fit over the converged cases, %, and the ``case`` of the least; of
+        outputs whose fit has a meaning.
     """
 
     columns: Columns
@@ -127,6 +130,7 @@ class Summary:
     dependences: tuple[Dependence, ...]
     wide: Mapping[str, float]
     accuracy: Mapping[str, int] = field(default_factory=dict)
+    fits: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     @property
     def has_truth(self) -> bool:
@@ -194,6 +198,7 @@ def summarize(
         _dependences(groups, moving) if moving else (),
         {} if moving else _wide(parameters),
         _accuracy(frame),
+        _fits(found, columns),
     )
 
 
@@ -262,6 +267,18 @@ def _wide(parameters: pd.DataFrame) -> dict[str, float]:
         parameters["ratio"].isna() & (parameters["spread"] > parameters["stated_std"]) & (parameters["stated_std"] > 0)
     ]
     return dict(zip(rows["parameter"], rows["spread"] / rows["stated_std"], strict=True))
+
+
+def _fits(found: pd.DataFrame, columns: Columns) -> pd.DataFrame:
+    rows = []
+    for output in columns.outputs:
+        known = found.dropna(subset=f"fit.{output}") if f"fit.{output}" in found else found.iloc[:0]
+        if len(known):
+            fits = known[f"fit.{output}"].to_numpy(np.float64)
+            least = int(np.argmin(fits))
+            case = int(known["case"].iloc[least])
+            rows.append({"output": output, "median": float(np.median(fits)), "least": fits[least], "case": case})
+    return pd.DataFrame(rows)
 
 
 def _accuracy(frame: pd.DataFrame) -> dict[str, int]:

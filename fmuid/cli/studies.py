@@ -69,7 +69,7 @@ def simulate(
         console.warn_unfed(simulators)
         console.warn_of_time(read, simulators)
         fits = read.fits() if result is None else _fits_at(read, result)
-        console.show_misfits(fits)
+        console.show_fits(fits)
         table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
         written = [files.write_table(folder / "simulated.csv", table)]
         written += _sensitivities(read, folder) if sensitivities else []

@@ -63,9 +63,7 @@ class OutputScore:
     mean : float
         Mean of measured − simulated.
     fit : float
-        100 (1 − ‖y − ŷ‖/‖y − ȳ‖), %: 100 for a perfect prediction, 0 for one that is no better than the mean.
-    misfit : float
-        ‖y − ŷ‖/‖y‖.
+        Of `fmuid.simulation.nrmse_fit`, %: NaN where the measured output is constant.
     expected : float
         The root mean square that the noise of the first records and the covariance of the estimates let expect; NaN
         where that noise is not known.
@@ -79,7 +77,6 @@ class OutputScore:
     rmse: float
     mean: float
     fit: float
-    misfit: float
     expected: float
     inside: float
 
@@ -383,18 +380,15 @@ class _Record:
 
 def _score(fit: Fit, j: int, variance: Floats, half: Floats) -> OutputScore:
     counted = fit.counted[:, j]
-    measured, error = fit.measured[counted, j], (fit.measured - fit.simulated)[counted, j]
-    spread = float(np.linalg.norm(measured - measured.mean()))
+    error = (fit.measured - fit.simulated)[counted, j]
     known = bool(np.isfinite(half).all())
-    size = float(np.linalg.norm(error))
     return OutputScore(
         fit.outputs[j],
         fit.units[j] or "",
         int(counted.sum()),
-        size / math.sqrt(error.size),
+        fit.rmse[j],
         float(error.mean()),
-        100.0 * (1.0 - size / spread) if spread > 0 else math.nan,
-        fit.misfit[j],
+        fit.fit[j],
         math.sqrt(float(variance[counted].mean())) if known else math.nan,
         float((np.abs(error) <= half[counted]).mean()) if known else math.nan,
     )

@@ -49,20 +49,20 @@ class ComparisonFindings:
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row for each result: criteria, and over the common tables the RMSE of each output and the mean misfit."""
+        """A row for each result: criteria, and over the common tables the RMSE of each output and the mean fit, %."""
         rows = {} if self.comparison is None else {rank.name: vars(rank) for rank in self.comparison.ranks}
         for name, found in self.predictions.items():
             errors = pooled(found)
             rows[name] = rows.get(name, {"name": name}) | {f"rmse.{output}": rmse for output, rmse in errors.items()}
-            rows[name]["misfit"] = misfit_of(found)
+            rows[name]["fit"] = mean_fit(found)
         return pd.DataFrame(rows.values())
 
     @property
     def words(self) -> tuple[str, ...]:
         """What follows, in sentences."""
         said = [self.apart] if self.apart else []
-        misfits = {name: misfit_of(found) for name, found in self.predictions.items()}
-        return *said, *comparison_words(self.comparison, misfits)
+        fits = {name: mean_fit(found) for name, found in self.predictions.items()}
+        return *said, *comparison_words(self.comparison, fits)
 
     def write(self, folder: Path) -> list[Path]:
         """Write ``comparison.json`` and ``comparison.csv``, and return their paths."""
@@ -85,10 +85,13 @@ def pooled(found: Sequence[Prediction]) -> dict[str, float]:
     return {output: math.sqrt(squares / samples) for output, (squares, samples) in sums.items()}
 
 
-def misfit_of(found: Sequence[Prediction]) -> float:
-    """Return the root mean square of ‖y − ŷ‖/‖y‖ over all outputs and records."""
-    squares = [score.misfit**2 for each in found for score in each.scores]
-    return math.sqrt(sum(squares) / len(squares))
+def mean_fit(found: Sequence[Prediction]) -> float:
+    """Return the fit over all outputs and records, %: 100 less the root mean square of what each is below 100.
+
+    Outputs that are constant in a record are left out; NaN where all are.
+    """
+    errors = [100.0 - score.fit for each in found for score in each.scores if not math.isnan(score.fit)]
+    return 100.0 - math.hypot(*errors) / math.sqrt(len(errors)) if errors else math.nan
 
 
 def run_comparison(

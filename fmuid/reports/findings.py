@@ -242,11 +242,15 @@ class Findings(Plotted):
 
 
 def _experiment(fit: Fit) -> dict[str, Any]:
-    """Return what ``fit.csv`` does not say: units, and the first time that counts, s."""
+    """Return what ``fit.csv`` does not say: units, the first time that counts, s, fit (%) and RMSE of each output."""
     counted = np.asarray(fit.counted.any(axis=1))
     first = float(fit.times[int(counted.argmax())]) if counted.any() else None
     units = dict(zip(fit.outputs, fit.units, strict=True))
-    return {"name": fit.experiment, "outputs": units, "counted_from": first}
+    scores = {
+        "fit": dict(zip(fit.outputs, fit.fit, strict=True)),
+        "rmse": dict(zip(fit.outputs, fit.rmse, strict=True)),
+    }
+    return {"name": fit.experiment, "outputs": units, "counted_from": first, **scores}
 
 
 def _paths(posterior: Posterior) -> pd.DataFrame:

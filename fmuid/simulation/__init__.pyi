@@ -9,7 +9,9 @@ from .accuracy import replaces_interface as replaces_interface
 from .executor import executor_of as executor_of
 from .fit import Fit as Fit
 from .fit import fit_of as fit_of
+from .fit import nrmse_fit as nrmse_fit
 from .fit import parameter_units as parameter_units
+from .fit import root_mean_square as root_mean_square
 from .isolation.ahead import start_server as start_server
 from .isolation.isolated import printed as printed
 from .isolation.keeper import FIRST_TIME_LIMIT as FIRST_TIME_LIMIT

@@ -202,8 +202,8 @@ def test_names_that_are_missing(
 
 
 def test_numbers_that_overflow_warn_of_nothing(coil_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Its misfit overflows, as here that of measurements; warnings are errors."""
+    """Its RMSE overflows, as here that of measurements; warnings are errors."""
     for value in (1e200, 1e300):
         table(coil_folder, pd.DataFrame({"time": [0.0, 1e-3, 2e-3], "u": 1.0, "i": [0.0, value, -value]}))
         assert run(["simulate", str(coil_folder / "study.toml"), "--output", str(coil_folder / "out")]) == 0
-        assert "nan %" in capsys.readouterr().out
+        assert "inf A" in capsys.readouterr().out

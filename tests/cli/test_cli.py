@@ -38,8 +38,11 @@ def test_simulate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert list(simulated.columns) == ["time", "i"]
     exact = coil_current(table["u"].to_numpy(), 0.0)
     np.testing.assert_allclose(simulated["i"], exact, atol=1e-9)
-    misfit = np.linalg.norm(table["i"] - exact) / np.linalg.norm(table["i"])
-    assert f"{100 * misfit:.3g} %" in capsys.readouterr().out
+    error = np.linalg.norm(table["i"] - exact)
+    fit = 100.0 * (1.0 - error / np.linalg.norm(table["i"] - table["i"].mean()))
+    out = capsys.readouterr().out
+    assert f"{fit:.4g} %" in out
+    assert f"{error / np.sqrt(len(table)):.4g} A" in out
     assert [path.name for path in (folder / "results/figures").iterdir()] == ["fit.png"]
 
 

@@ -75,7 +75,7 @@ def test_on_a_common_table(made: Path, tmp_path: Path, capsys: pytest.CaptureFix
     table = rows(tmp_path)
     (alone,) = fmuid.run_prediction(made / "both", [made / "third.csv"]).predictions
     assert table["both"]["rmse.i"] == pytest.approx(alone.scores[0].rmse)
-    assert table["wrong"]["misfit"] > 1.5 * table["both"]["misfit"]
+    assert 100.0 - table["wrong"]["fit"] > 1.5 * (100.0 - table["both"]["fit"])
 
 
 @pytest.mark.parametrize(

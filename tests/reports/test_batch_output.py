@@ -41,6 +41,19 @@ def test_console(capsys: pytest.CaptureFixture[str]) -> None:
     assert "80 cases: 79 converged, 1 failed" in said
 
 
+def test_console_says_median_and_least_fit(capsys: pytest.CaptureFixture[str]) -> None:
+    frame = batch({"draw": range(40)})
+    fits = np.linspace(90.0, 99.0, 40)
+    output = Columns.of(frame).outputs[0]
+    frame[f"fit.{output}"] = np.where(np.arange(40) == 7, np.nan, fits)
+    summary = summarize(frame, TRUTH, UNITS)
+    show_batch(summary)
+    (row,) = summary.fits.to_dict("records")
+    assert row == {"output": output, "median": np.nanmedian(frame[f"fit.{output}"]), "least": 90.0, "case": 0}
+    said = f"fit (NRMSE) of {output}: {row['median']:.4g} % in the median, 90 % at least (case 0)"
+    assert said in capsys.readouterr().out
+
+
 def test_console_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     frame = batch({"draw": range(2)})
     show_batch(summarize(frame.iloc[:0], TRUTH))

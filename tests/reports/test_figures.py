@@ -52,12 +52,12 @@ def test_every_glyph_is_where_its_columns_say() -> None:
 
 
 def test_rows_of_names_with_bars() -> None:
-    axes = painted(comparison.bars(["a", "b"], np.array([1.0, 3.0]), "misfit"))
+    axes = painted(comparison.bars(["a", "b"], np.array([1.0, 3.0]), "error"))
     assert [text.get_text() for text in axes.get_yticklabels()] == ["b", "a"]  # from below
     best, other = (each.get_paths()[0].get_extents() for each in axes.collections)
     assert [best.x1, other.x1] == [1.0, 3.0]
     assert best.y0 > other.y1
-    long = painted(comparison.bars(["a name too long for a telephone", "b"], np.array([1.0, 3.0]), "misfit"))
+    long = painted(comparison.bars(["a name too long for a telephone", "b"], np.array([1.0, 3.0]), "error"))
     assert [text.get_text() for text in long.texts] == ["a name too long for a telephone", "b"]
 
 

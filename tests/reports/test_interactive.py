@@ -62,7 +62,7 @@ def test_fit() -> None:
     np.testing.assert_allclose(rest["y"], given.measured[:, 0] - given.simulated[:, 0], rtol=1e-4, atol=1e-6)
     (grey,) = marks(upper, BoxAnnotation)
     assert grey.right == given.times[50]
-    assert entries(upper) == ["measured", f"simulated, misfit {100 * given.misfit[0]:.3g} %"]
+    assert entries(upper) == ["measured", f"simulated, fit {given.fit[0]:.4g} %"]
 
 
 def test_the_band_of_a_prediction() -> None:
@@ -90,7 +90,7 @@ def test_a_long_record_is_thinned() -> None:
     assert np.ptp(np.diff(dots["x"])) < 2e-3
 
 
-def test_outputs_and_experiments_of_the_greatest_misfit() -> None:
+def test_outputs_and_experiments_of_the_least_fit() -> None:
     many = records.record(outputs=style.MAX_OUTPUTS + 1)
     many.simulated[:, 0] = many.measured[:, 0]
     many.simulated[np.isnan(many.simulated)] = 0.0

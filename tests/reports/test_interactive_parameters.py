@@ -157,7 +157,7 @@ def test_accuracy_marks_shifts_that_spoil_intervals() -> None:
 
 
 def test_bars_are_of_one_scale_and_the_first_is_apart() -> None:
-    plot = comparison.bars(["a", "b"], np.array([0.5, 2.0]), "misfit")
+    plot = comparison.bars(["a", "b"], np.array([0.5, 2.0]), "error")
     assert plot.y_range.factors == ["b", "a"]
     assert plot.x_range.start == 0
     found = {str(each.glyph.fill_color): each.data_source.data["v"].tolist() for each in plot.renderers}

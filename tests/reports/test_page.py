@@ -91,9 +91,11 @@ def test_the_folder_is_read_back_as_it_was_written(results: Path) -> None:
     assert first.units == ("A",)
     assert first.counted.all()
     assert second.counted[:, 0].argmax() == 20  # what is discarded does not count
-    assert second.misfit[0] == pytest.approx(
-        np.linalg.norm((second.measured - second.simulated)[20:]) / np.linalg.norm(second.measured[20:])
-    )
+    measured, error = second.measured[20:], (second.measured - second.simulated)[20:]
+    fit = 100.0 * (1.0 - np.linalg.norm(error) / np.linalg.norm(measured - measured.mean()))
+    assert second.fit[0] == pytest.approx(fit)
+    assert found.content["experiments"][1]["fit"]["i"] == pytest.approx(fit)
+    assert found.content["experiments"][1]["rmse"]["i"] == pytest.approx(np.sqrt(np.mean(error**2)))
     assert found.units == {"R": "Ohm", "L": "H"}
     (chart,) = found.maps
     assert chart.names == ("R", "L")

@@ -101,7 +101,9 @@ def test_a_smaller_model_is_rejected_or_not(probability: float, said: str) -> No
 
 
 def test_which_result_common_tables_speak_for() -> None:
-    (clear,) = comparison_words(None, {"a": math.nan, "b": 0.02, "c": 0.03})
-    assert clear == "On the common tables b is the best: a misfit of 2 % against 3 % (c) and nan % (a)"
-    (near,) = comparison_words(None, {"a": 0.0205, "b": 0.02})
-    assert near.startswith("On the common tables b and a do as well as each other: a misfit of 2 % (b) and 2.05 % (a)")
+    (clear,) = comparison_words(None, {"a": math.nan, "b": 98.0, "c": 97.0})
+    assert clear == "On the common tables b is the best: a fit of 98 % against 97 % (c) and – (a)"
+    (near,) = comparison_words(None, {"a": 97.95, "b": 98.0})
+    assert near.startswith("On the common tables b and a do as well as each other: a fit of 98 % (b) and 97.95 % (a)")
+    (constant,) = comparison_words(None, {"a": math.nan, "b": math.nan})
+    assert constant == "On the common tables no fit has a meaning: compare the RMSE"

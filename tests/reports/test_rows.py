@@ -14,13 +14,13 @@ LONG = "the sensor of the coil's current has an offset that was not there before
 
 
 def test_short_names_stand_beside_their_rows() -> None:
-    plot = comparison.bars(["a", "b"], np.array([0.5, 2.0]), "misfit")
+    plot = comparison.bars(["a", "b"], np.array([0.5, 2.0]), "error")
     assert plot.yaxis.visible
     assert not [each for each in plot.center if isinstance(each, LabelSet)]
 
 
 def test_long_names_stand_whole_above_their_bars() -> None:
-    plot = comparison.bars(["a", LONG], np.array([0.5, 2.0]), "misfit")
+    plot = comparison.bars(["a", LONG], np.array([0.5, 2.0]), "error")
     (labels,) = [each for each in plot.center if isinstance(each, LabelSet)]
     assert not plot.yaxis.visible
     first, second = labels.source.data["text"]

@@ -38,7 +38,7 @@ def test_a_variable_is_held_at_an_estimate(folder: Path) -> None:
     assert study.model.values == {"L": 0.11}
     assert path in study.files()
     assert study.notes == ()
-    assert study.fits()[0].misfit[0] > 0
+    assert study.fits()[0].fit[0] < 100.0
 
 
 def test_what_is_wrong_with_it(folder: Path) -> None:
@@ -81,7 +81,7 @@ def test_simulate_at_a_result(folder: Path, capsys: pytest.CaptureFixture[str]) 
     study = Study.read(folder / "study.toml")
     (at,) = fits_at(study, Result.from_json(path))
     (start,) = study.fits()
-    assert at.misfit[0] < 0.5 * start.misfit[0]
+    assert 100.0 - at.fit[0] < 0.5 * (100.0 - start.fit[0])
     code = fmuid_("simulate", folder / "study.toml", "--result", folder, "-o", folder / "out", "--in-process")
     assert code == DONE
-    assert f"{100 * at.misfit[0]:.3g} %" in capsys.readouterr().out
+    assert f"{at.fit[0]:.4g} %" in capsys.readouterr().out

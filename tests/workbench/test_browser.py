@@ -126,7 +126,7 @@ def quiet(driver: Any) -> bool:
 def test_pages_open_with_every_other_host_refused(browser: Any, address: str) -> None:
     base = address.split("/?")[0]
     open_study(browser, address)
-    wait(browser, f"{MODEL}('misfit').text.includes('misfit of i')")
+    wait(browser, f"{MODEL}('scores').text.includes('fit of i')")
     assert quiet(browser)
     asked = browser.execute_script("return performance.getEntriesByType('resource').map(each => each.name)")
     assert asked
@@ -146,7 +146,7 @@ def test_a_drag_moves_the_curve(browser: Any, address: str) -> None:
     from selenium.webdriver.common.action_chains import ActionChains
 
     open_study(browser, address)
-    wait(browser, f"{MODEL}('misfit').text.includes('misfit of i')")
+    wait(browser, f"{MODEL}('scores').text.includes('fit of i')")
     before = residual(browser)
     handle = browser.execute_script(FIND, "", ".noUi-handle")
     ActionChains(browser).click_and_hold(handle).move_by_offset(-30, 0).move_by_offset(-20, 0).release().perform()
@@ -160,7 +160,7 @@ def test_the_keyboard_alone_moves_holds_and_identifies(browser: Any, address: st
     from selenium.webdriver.common.keys import Keys
 
     open_study(browser, address)
-    wait(browser, f"{MODEL}('misfit').text.includes('misfit of i')")
+    wait(browser, f"{MODEL}('scores').text.includes('fit of i')")
     before = residual(browser)
     keys = ActionChains(browser)
     seen = []
@@ -236,7 +236,7 @@ def test_a_million_samples_are_zoomed_to_single_ones(browser: Any, address: str,
     pd.DataFrame({"time": times, "u": voltage, "i": measured}).to_parquet(folder / "long.parquet")
     (folder / "long.toml").write_text(STUDY.replace("first.csv", "long.parquet"))
     open_study(browser, address, "long.toml")
-    wait(browser, f"{MODEL}('misfit').text.includes('misfit of i')")
+    wait(browser, f"{MODEL}('scores').text.includes('fit of i')")
     figure = browser.execute_script(FIND, "", ".bk-events")
     across = figure.size["width"]
     widths = [LONG * STEP]

@@ -238,29 +238,29 @@ def test_the_last_result_is_shown_behind(path: Path, tmp_path: Path) -> None:
     values = dict(zip(found.names, found.values.tolist(), strict=True))
     ghost = page.page.live.ghosts.data["g0"]
     np.testing.assert_allclose(ghost, simulated(path, values["R"], values["L"])[: len(ghost)], rtol=1e-5, atol=1e-6)
-    assert "from the optimum" in page.page.misfit.text
+    assert "from the optimum" in page.page.scores.text
     page.page.put({"R": values["R"] + 3 * found.std[found.names.index("R")]})
     assert "+3 std off" in page.rows["R"].title.text
     page.page.put(values)
     page.settle()
     assert "at the optimum" in page.rows["R"].title.text
-    assert "<b>0 std</b>" in page.page.misfit.text
+    assert "<b>0 std</b>" in page.page.scores.text
     assert "converged" in page.page.identifying.text.text
     noise = Result.from_json(tmp_path / "results/result.json").noise_variance["i"]
     counted = page.page.live.record.counted[:, 0]
     left = (page.page.live.record.measured[:, 0] - page.shown())[counted]
-    assert f"{np.sqrt(np.mean(left**2) / noise):.3g} std of the noise" in page.page.misfit.text
+    assert f"{np.sqrt(np.mean(left**2) / noise):.3g} std of the noise" in page.page.scores.text
 
 
 def test_a_failing_simulation_is_a_line(page: Page) -> None:
     before = page.shown().copy()
     page.page.put({"L": 0.0})
     page.settle()
-    assert "error" in page.page.misfit.text
+    assert "error" in page.page.scores.text
     np.testing.assert_array_equal(page.shown(), before)
     page.page.put({"L": 0.1})
     page.settle()
-    assert "misfit of i" in page.page.misfit.text
+    assert "fit of i" in page.page.scores.text
 
 
 def test_zooming_shows_more_of_less(page: Page) -> None:
@@ -370,7 +370,7 @@ def test_a_distance_is_told_only_where_there_is_one(page: Page, tmp_path: Path) 
             result(tmp_path, {"R": (4.0, 0.1), "L": values})
         page.page.show_result(tmp_path)
         page.settle()
-        assert ("from the optimum" in page.page.misfit.text) == told, values
+        assert ("from the optimum" in page.page.scores.text) == told, values
         assert page.page.to_optimum.disabled == (values is None)
 
 

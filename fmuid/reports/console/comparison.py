@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fmuid.reports.console.layout import console, show_sentences, table_of
+from fmuid.text import fit_text
 
 if TYPE_CHECKING:
     from fmuid.reports.comparisons import ComparisonFindings
@@ -16,7 +17,7 @@ def show_comparison(found: ComparisonFindings) -> None:
     heads = {"name": "result", "parameters": "k", "log_likelihood": "log-likelihood"}
     heads |= {"corrected_aic": "AIC", "corrected_bic": "BIC", "behind": "behind"}
     heads |= {name: name.replace("rmse.", "RMSE ") for name in frame.columns if name.startswith("rmse.")}
-    heads |= {"misfit": "misfit"}
+    heads |= {"fit": "fit"}
     shown = [name for name in heads if name in frame.columns]
     columns = {heads[name]: [_cell(name, each) for each in frame[name].tolist()] for name in shown}
     console().print(table_of("Results beside each other", columns, list(columns)[1:]))
@@ -26,6 +27,6 @@ def show_comparison(found: ComparisonFindings) -> None:
 def _cell(name: str, value: object) -> str:
     if not isinstance(value, float):
         return str(value)
-    if name == "misfit":
-        return f"{100 * value:.3g} %"
+    if name == "fit":
+        return fit_text(value)
     return f"{value:.1f}" if name in ("log_likelihood", "corrected_aic", "corrected_bic", "behind") else f"{value:.4g}"

@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fmuid.text import label, visible
+from fmuid.text import fit_text, label, visible, with_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -90,16 +90,16 @@ def table_of_rows(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]
 # --- fmuid simulate ---------------------------------------------------------------------
 
 
-def show_misfits(fits: Sequence[Fit]) -> None:
-    """Print the relative misfit of each output of each experiment."""
+def show_fits(fits: Sequence[Fit]) -> None:
+    """Print the fit and the RMSE of each output of each experiment."""
     several = len(fits) > 1
     rows = []
     for fit in fits:
-        for k, (output, misfit) in enumerate(zip(fit.outputs, fit.misfit, strict=True)):
+        for k, (output, percent, rmse) in enumerate(zip(fit.outputs, fit.fit, fit.rmse, strict=True)):
             counted = int(fit.counted[:, k].sum())
-            said = f"{100 * misfit:.3g} %" if counted else "not measured"
-            rows.append((fit.experiment if several else "", label(output, fit.units[k]), said, str(counted)))
-    heads = ("experiment", "output", "misfit", "samples")
+            said = (fit_text(percent), with_unit(rmse, fit.units[k])) if counted else ("not measured", "")
+            rows.append((fit.experiment if several else "", label(output, fit.units[k]), *said, str(counted)))
+    heads = ("experiment", "output", "fit", "RMSE", "samples")
     console().print(table_of_rows("Measured against simulated", heads, rows, right=heads[2:]))
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from fmuid.reports.console.layout import console, show_notes, show_sentences, table_of_rows
 from fmuid.reports.words.prediction import fold_words, prediction_words
 from fmuid.reports.words.result import source_words
-from fmuid.text import unit_text, with_std
+from fmuid.text import fit_text, unit_text, with_std
 
 if TYPE_CHECKING:
     from fmuid.reports.predictions import PredictionFindings
@@ -23,7 +23,7 @@ def show_predictions(found: PredictionFindings) -> None:
     for each in found.predictions:
         for score in each.scores:
             unit = unit_text(score.unit)
-            cells = [each.fit.experiment, score.output, f"{score.rmse:.4g} {unit}".strip(), f"{score.fit:.4g} %"]
+            cells = [each.fit.experiment, score.output, f"{score.rmse:.4g} {unit}".strip(), fit_text(score.fit)]
             known = not math.isnan(score.expected)
             cells += [f"{score.expected:.4g}", f"{100 * score.inside:.3g} %"] if known else ["not known", ""]
             rows.append([*cells, f"{score.mean:.3g}", str(score.samples)])

@@ -29,7 +29,7 @@ from fmuid.reports.words.accuracy import passed_words, shift_text
 from fmuid.reports.words.models import run_words, sensitivity_words
 from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
-from fmuid.reports.words.result import capitalised, effort_words, ending, result_words
+from fmuid.reports.words.result import capitalised, effort_words, ending, fit_words, result_words
 from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
 from fmuid.text import rounded, unit_text, with_std
 
@@ -61,7 +61,7 @@ def show_result(found: Findings) -> None:
         out.print(_reading(out, found))
     show_remarks(found.remarks)
     show_sentences([*reading_words(found.reading), *residual_words(found.diagnostics, found.output_units)])
-    show_sentences([f"Misfit: {_misfit(fits)}", f"Residual: {_noise(result, fits)}"])
+    show_sentences([f"Fit (NRMSE): {fit_words(fits)}", f"Residual: {_noise(result, fits)}"])
     color = "green" if result.converged else "red"
     out.print(f"[bold {color}]{escape(capitalised(ending(result)))}[/]", soft_wrap=True)
     for component, model in result.models.items():
@@ -256,15 +256,6 @@ def _interval(lower: float, upper: float, value: float) -> str:
         return f"below {rounded(upper, 0.5 * (upper - value))}"
     width = 0.25 * (upper - lower)
     return f"{rounded(lower, width)} to {rounded(upper, width)}"
-
-
-def _misfit(fits: Sequence[Fit]) -> str:
-    """Return the relative misfit of each output of each experiment."""
-    words = []
-    for fit in fits:
-        shares = [f"{output} {100 * misfit:.3g} %" for output, misfit in zip(fit.outputs, fit.misfit, strict=True)]
-        words.append((f"{fit.experiment}: " if len(fits) > 1 else "") + ", ".join(shares))
-    return "; ".join(words)
 
 
 def _noise(result: Result, fits: Sequence[Fit]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -30,7 +31,7 @@ from fmuid.reports.interactive.style import (
     below_each_other,
 )
 from fmuid.reports.thinning import evenly, extremes
-from fmuid.text import label
+from fmuid.text import fit_text, label
 
 if TYPE_CHECKING:
     from fmuid.simulation import Fit
@@ -40,8 +41,8 @@ ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
 
 
 def worst(records: Sequence[Fit]) -> tuple[Fit, ...]:
-    """Return the experiments to draw, in their order: of more than `MAX_EXPERIMENTS` those of greatest misfit."""
-    kept = sorted(records, key=lambda record: -np.nanmax([0.0, *record.misfit]))[:MAX_EXPERIMENTS]
+    """Return the experiments to draw, in their order: of more than `MAX_EXPERIMENTS` those of least fit."""
+    kept = sorted(records, key=lambda record: np.nanmin([100.0, *record.fit]))[:MAX_EXPERIMENTS]
     return tuple(record for record in records if record in kept)
 
 
@@ -64,8 +65,8 @@ def zoom(record: Fit) -> slice:
 
 
 def drawn_outputs(record: Fit) -> list[int]:
-    """Return the outputs to draw, in their order: of more than `MAX_OUTPUTS` those of greatest misfit."""
-    order = np.argsort(-np.nan_to_num(np.asarray(record.misfit)), kind="stable")
+    """Return the outputs to draw, in their order: of more than `MAX_OUTPUTS` those of least fit."""
+    order = np.argsort(np.nan_to_num(np.asarray(record.fit), nan=100.0), kind="stable")
     return sorted(int(output) for output in order[:MAX_OUTPUTS])
 
 
@@ -79,7 +80,7 @@ def fit(
 ) -> Any:
     """Draw the outputs of an experiment: measured dots, the simulated line, the residual below.
 
-    Zoom, hover and crosshair are linked over all outputs. Of more than `MAX_OUTPUTS` those of greatest misfit are
+    Zoom, hover and crosshair are linked over all outputs. Of more than `MAX_OUTPUTS` those of least fit are
     drawn. What does not count lies in the grey part.
 
     Parameters
@@ -95,7 +96,7 @@ def fit(
     given : tuple of Bokeh's source of lines, source of dots and range, optional
         That are drawn in place of new ones.
     """
-    outputs, misfit = drawn_outputs(record), record.misfit
+    outputs, fits = drawn_outputs(record), record.fit
     lines, dots, across = given or (*sources(record, outputs, half_width, rows), None)
     band = "" if half_width is None else f"{100 * degree:.4g} % band"
     record = _cut(record, rows)
@@ -104,12 +105,16 @@ def fit(
     plots: list[Any] = []
     for j in outputs:
         last = j == outputs[-1]
-        plots.append(_upper(record, j, (lines, dots), across, (f"simulated, misfit {100 * misfit[j]:.3g} %", band)))
+        plots.append(_upper(record, j, (lines, dots), across, (_simulated(fits[j]), band)))
         plots.append(_lower(record, j, lines, across, last=last))
     for plot in plots:
         plot.add_tools(CrosshairTool(overlay=cross))
         shade_uncounted(plot, record)
     return below_each_other(plots, dense=True)
+
+
+def _simulated(fit: float) -> str:
+    return "simulated" if math.isnan(fit) else f"simulated, fit {fit_text(fit)}"
 
 
 def _cut(record: Fit, rows: slice) -> Fit:

@@ -19,9 +19,9 @@ from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import Said
-from fmuid.reports.words.prediction import ALIKE_AIC, LEAST_RATIO, with_unit
+from fmuid.reports.words.prediction import ALIKE_AIC, LEAST_RATIO
 from fmuid.simulation import Fit
-from fmuid.text import listed
+from fmuid.text import fit_text, listed, with_unit
 
 PREDICTED = (
     "Dots were measured, the line is simulated with the values of the result; the residual is below. "
@@ -29,7 +29,7 @@ PREDICTED = (
     "dots lie in it as its level says, where the model carries over."
 )
 BESIDE = "How far each result is behind the best, of which a bar is missing: 2 say little, 10 are clear."
-MISFITS = "‖measured − simulated‖ / ‖measured‖ over the common tables."
+ERRORS = "What the fit of each result over the common tables is below 100 %: the shorter, the better."
 ESTIMATES = "What the results say of the parameters that several have, with intervals of 95 %: they should overlap."
 WORST = "The shorter, the better: the largest of the parameters' relative standard deviations, the best excitation red."
 FOUND = "The shorter, the better: the smallest size of the fault that is found, over its magnitude; the best is red."
@@ -101,7 +101,7 @@ def _scores(scores: list[dict[str, Any]]) -> str:
     columns = {
         "output": [str(each["output"]) for each in scores],
         "record": [str(each["record"]) for each in scores],
-        "fit": [f"{each['fit']:.4g} %" for each in scores],
+        "fit": [fit_text(each["fit"]) for each in scores],
         "RMSE": [with_unit(each["rmse"], each["unit"]) for each in scores],
         "expected": [_number(each["expected"]) for each in scores],
         "ratio": [_number(each["ratio"], 3) for each in scores],
@@ -121,22 +121,24 @@ def part_of_comparison(folder: Path) -> Part:
     content = read_json(folder / "comparison.json")
     try:
         rows = pd.DataFrame(content["results"])
-        last = len(content["words"]) - 1 if "misfit" in rows else -1
-        said = [Said(str(text), "misfits" if k == last else "criteria") for k, text in enumerate(content["words"])]
+        last = len(content["words"]) - 1 if "fit" in rows else -1
+        said = [Said(str(text), "errors" if k == last else "criteria") for k, text in enumerate(content["words"])]
+        if "fit" in rows:
+            rows["error"] = 100.0 - rows["fit"].astype(float)
         sections = [
             Section(name, heading, caption, [_ranked(rows, column, text)], 1)
             for name, heading, caption, column, text in (
                 ("criteria", "By likelihood", BESIDE, "behind", "behind the best, Akaike's criterion"),
-                ("misfits", "On the common tables", MISFITS, "misfit", "misfit"),
+                ("errors", "On the common tables", ERRORS, "error", "100 % − fit (%)"),
             )
-            if column in rows
+            if column in rows and rows[column].notna().any()
         ]
         told = pd.DataFrame(content.get("estimates", []))
         drawn = comparison.estimates(told) if len(told) else []
         sections += [Section("estimates", "Estimates beside each other", ESTIMATES, drawn)] if drawn else []
-        ordered = rows.sort_values("behind" if "behind" in rows else "misfit")
-        alike = "behind" in rows and float(ordered["behind"].iloc[1]) < ALIKE_AIC
-        columns = {HEADS.get(str(key), str(key)): [_cell(each) for each in rows[key]] for key in rows}
+        ordered = rows.sort_values("behind" if "behind" in rows else "error")
+        alike = float(ordered["behind"].iloc[1]) < ALIKE_AIC if "behind" in rows else rows["error"].isna().all()
+        columns = {HEADS.get(str(key), str(key)): [_cell(each) for each in rows[key]] for key in rows if key != "error"}
         shown = table(columns, numbers=list(columns)[1:])
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError(f"{folder} has no whole results of fmuid compare ({error}): compare again") from None

@@ -7,14 +7,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from fmuid.assessment import SIGNIFICANCE_LEVEL, Deviation
 from fmuid.reports.words.accuracy import accuracy_words, passed_words
-from fmuid.reports.words.result import capitalised, dependence_words, dropout_words, ending, observer_words, start_words
-from fmuid.text import listed
+from fmuid.reports.words.result import (
+    capitalised,
+    dependence_words,
+    dropout_words,
+    ending,
+    fit_words,
+    observer_words,
+    start_words,
+)
+from fmuid.text import fit_text, listed, with_unit
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
     from fmuid.simulation import Fit
+
+# Of more outputs than this, the sentence on the fit has the least only.
+MOST_FITS = 4
 
 
 @dataclass(frozen=True)
@@ -48,7 +61,7 @@ def identification_words(content: Mapping[str, Any], result: Result, fits: Seque
     """
     said = [Said(capitalised(ending(result)), "criterion", not result.converged)]
     said += [Said(text, "estimates") for text in _precision(result)]
-    said += [Said(text, "fit") for text in _misfit(fits)]
+    said += [Said(text, "fit") for text in _fit(fits)]
     lost = {each["name"]: each["dropouts"] for each in content.get("experiments", ()) if "dropouts" in each}
     said += [Said(dropout_words(*each), "fit", doubtful=True) for each in lost.items()]
     said += [Said(capitalised(text, result.names), "criterion", doubtful=True) for text in observer_words(result)]
@@ -100,21 +113,17 @@ def _precision(result: Result) -> list[str]:
     return [capitalised(text, result.names) for text in said]
 
 
-def _misfit(fits: Sequence[Fit]) -> list[str]:
-    """Say how far measured and simulated outputs are apart."""
-    known = [
-        (f"{name} in {fit.experiment}" if len(fits) > 1 else name, share)
-        for fit in fits
-        for name, share in zip(fit.outputs, fit.misfit, strict=True)
-        if math.isfinite(share)
-    ]
-    if not known:
-        return []
-    if len(known) > 4:
-        name, share = max(known, key=lambda each: each[1])
-        return [f"The simulation misses the measurements by {_percent(share)} of their size at most ({name})"]
-    words = [f"{name} by {_percent(share)}" for name, share in known]
-    return [f"The simulation misses {listed(words)} of {'its' if len(known) == 1 else 'their'} size"]
+def _fit(fits: Sequence[Fit]) -> list[str]:
+    """Say how well measured and simulated outputs agree; of many, which agrees least."""
+    counts = [(fit, j) for fit in fits for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()]
+    known = [(fit, j) for fit, j in counts if math.isfinite(fit.fit[j])]
+    if len(counts) > MOST_FITS and known:
+        least, j = min(known, key=lambda each: each[0].fit[each[1]])
+        named = f"{least.outputs[j]} in {least.experiment}" if len(fits) > 1 else least.outputs[j]
+        error = with_unit(least.rmse[j], least.units[j])
+        return [f"Least fit (NRMSE): {named} {fit_text(least.fit[j])} (RMSE {error})"]
+    said = fit_words(fits)
+    return [f"Fit (NRMSE): {said}"] if said else []
 
 
 def _percent(share: float) -> str:

@@ -10,7 +10,7 @@ from fmuid.batches import Dependence, EstimateDoubt, Summary
 from fmuid.estimation import AccuracyOutcome
 from fmuid.reports.words.directions import open_words
 from fmuid.reports.words.result import ENDS
-from fmuid.text import has_unit, rounded
+from fmuid.text import fit_text, has_unit, rounded
 
 Row = Mapping[Any, Any]
 
@@ -34,10 +34,11 @@ ACCURACY = {
 def summary_words(summary: Summary) -> list[str]:
     """Return sentences on what the numbers of a batch mean.
 
-    They are on which cases the estimates are over, how these lie against what they state and against the truth, how far
-    they depend on the settings, and where searches from several starts ended.
+    They are on which cases the estimates are over, how well these fit, how they lie against what they state and against
+    the truth, how far they depend on the settings, and where searches from several starts ended.
     """
-    return [*_counts(summary), *_estimates(summary), *_settings(summary), *_optima(summary), *_accuracy(summary)]
+    parts = _counts, _fits, _estimates, _settings, _optima, _accuracy
+    return [said for part in parts for said in part(summary)]
 
 
 def note(row: Row) -> str:
@@ -73,6 +74,12 @@ def _counts(summary: Summary) -> Iterator[str]:
             f"searches from several starts share a data set: of each of the {summary.data_sets} data sets the one that "
             "fits best is counted"
         )
+
+
+def _fits(summary: Summary) -> Iterator[str]:
+    for row in summary.fits.to_dict("records"):
+        median, least = fit_text(row["median"]), fit_text(row["least"])
+        yield f"fit (NRMSE) of {row['output']}: {median} in the median, {least} at least (case {row['case']})"
 
 
 def _estimates(summary: Summary) -> Iterator[str]:

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from fmuid.reports.words.residuals import residual_words
-from fmuid.reports.words.result import ENDS
-from fmuid.text import has_unit, listed
+from fmuid.reports.words.result import CONSTANT, ENDS
+from fmuid.text import fit_text, listed, with_unit
 
 if TYPE_CHECKING:
     from fmuid.assessment import Comparison, LikelihoodRatio
@@ -31,10 +31,11 @@ def prediction_words(found: Prediction) -> tuple[str, ...]:
 
 
 def _score_words(found: Prediction, score: OutputScore) -> str:
-    said = (
-        f"{score.output} in {found.fit.experiment} is predicted with a fit of {score.fit:.4g} % "
-        f"(RMSE {with_unit(score.rmse, score.unit)})"
-    )
+    said, error = f"{score.output} in {found.fit.experiment} is predicted", with_unit(score.rmse, score.unit)
+    if math.isnan(score.fit):
+        said += f" with an RMSE of {error} ({CONSTANT})"
+    else:
+        said += f" with a fit of {score.fit:.4g} % (RMSE {error})"
     if math.isnan(score.expected):
         return f"{said}; the result was not made from such an output, so nothing says how large the residual should be"
     band = f"{100 * score.inside:.3g} % of {score.samples} samples lie in the {100 * found.level:.4g} % band"
@@ -45,11 +46,6 @@ def _score_words(found: Prediction, score: OutputScore) -> str:
         f"({with_unit(score.expected, score.unit)}): {band}; the record shows an error of the model, or the machine "
         "has changed"
     )
-
-
-def with_unit(value: float, unit: str) -> str:
-    """Return a number with its unit."""
-    return f"{value:.4g} {unit}" if has_unit(unit) else f"{value:.4g}"
 
 
 def fold_words(predictions: Sequence[Prediction]) -> str:
@@ -75,22 +71,22 @@ ALIKE_AIC, CLEAR_AIC = 2.0, 10.0
 SIGNIFICANT = 0.01
 # Samples that depend on each other more than this make what takes them for independent too sure.
 DEPENDENT = 1.25
-# Misfits that differ by less than this share say nothing of which is better.
+# Errors, 100 % − fit, that differ by less than this share say nothing of which is better.
 AS_NEAR = 0.05
 
 
-def comparison_words(found: Comparison | None, misfits: Mapping[str, float]) -> tuple[str, ...]:
+def comparison_words(found: Comparison | None, fits: Mapping[str, float]) -> tuple[str, ...]:
     """Return what follows from a comparison: which result the criteria and the common tables speak for.
 
     Parameters
     ----------
     found : Comparison or None
         By likelihoods.
-    misfits : mapping of str to float
-        Of each result over the common tables; empty without.
+    fits : mapping of str to float
+        Of each result over the common tables, %; empty without, NaN where measured outputs are constant.
     """
     said = [] if found is None else _by_likelihood(found)
-    return (*said, _by_misfit(misfits)) if misfits else tuple(said)
+    return (*said, _by_fit(fits)) if fits else tuple(said)
 
 
 def _by_likelihood(found: Comparison) -> list[str]:
@@ -132,12 +128,14 @@ def _ratio(test: LikelihoodRatio) -> str:
     )
 
 
-def _by_misfit(misfits: Mapping[str, float]) -> str:
-    order = sorted(misfits, key=lambda name: misfits[name] if math.isfinite(misfits[name]) else math.inf)
+def _by_fit(fits: Mapping[str, float]) -> str:
+    if not any(map(math.isfinite, fits.values())):
+        return "On the common tables no fit has a meaning: compare the RMSE"
+    order = sorted(fits, key=lambda name: -fits[name] if math.isfinite(fits[name]) else math.inf)
     best, rest = order[0], order[1:]
-    near = [name for name in rest if misfits[name] <= (1.0 + AS_NEAR) * misfits[best]]
-    others = listed([f"{100 * misfits[name]:.3g} % ({name})" for name in rest])
-    least = f"a misfit of {100 * misfits[best]:.3g} %"
+    near = [name for name in rest if 100.0 - fits[name] <= (1.0 + AS_NEAR) * (100.0 - fits[best])]
+    others = listed([f"{fit_text(fits[name])} ({name})" for name in rest])
+    most = f"a fit of {fit_text(fits[best])}"
     if near:
-        return f"On the common tables {listed([best, *near])} do as well as each other: {least} ({best}) and {others}"
-    return f"On the common tables {best} is the best: {least} against {others}"
+        return f"On the common tables {listed([best, *near])} do as well as each other: {most} ({best}) and {others}"
+    return f"On the common tables {best} is the best: {most} against {others}"

@@ -11,14 +11,18 @@ from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.starts import attempt_words, combination_words
 from fmuid.studies import SourceDoubt
+from fmuid.text import fit_text, with_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from fmuid.estimation import Result
     from fmuid.model_problem import TimeScaleDoubt
+    from fmuid.simulation import Fit
     from fmuid.studies import SourceNote
 
+CONSTANT = "constant as measured: no fit"
+"""What is said in place of a fit that has no meaning."""
 ENDS = {
     Outcome.CONVERGED: "converged",
     Outcome.ACCURACY: (
@@ -171,3 +175,19 @@ def source_words(note: SourceNote) -> str:
         case SourceDoubt.OTHER_BUILD:
             assert note.fmu is not None
             return f"{note.path} was made with another build of {note.fmu.name} than {note.fmu.path}"
+
+
+def fit_words(fits: Sequence[Fit]) -> str:
+    """Return the fit and RMSE of each output of each experiment, as far as it was measured."""
+    said = []
+    for each in fits:
+        scores = zip(each.outputs, each.fit, each.rmse, each.units, each.counted.T, strict=True)
+        told = [f"{name} {_score(fit, rmse, unit)}" for name, fit, rmse, unit, counted in scores if counted.any()]
+        if told:
+            said.append((f"{each.experiment}: " if len(fits) > 1 else "") + ", ".join(told))
+    return "; ".join(said)
+
+
+def _score(fit: float, rmse: float, unit: str | None) -> str:
+    error = f"RMSE {with_unit(rmse, unit)}"
+    return f"{error} ({CONSTANT})" if math.isnan(fit) and math.isfinite(rmse) else f"{fit_text(fit)} ({error})"

@@ -23,6 +23,7 @@ from fmuid.processes import AVAILABLE
 from fmuid.reports.interactive.live import LiveFit, in_scheme
 from fmuid.simulation import Simulator, fit_of, parameter_units
 from fmuid.studies import Study
+from fmuid.text import fit_text, with_unit
 from fmuid.workbench.access import SCHEME
 from fmuid.workbench.folder import Folder, FoundResult
 from fmuid.workbench.home import address, escaped
@@ -96,7 +97,7 @@ class StudyPage:
     # --- parts of the page
 
     def _make(self) -> None:
-        self.misfit = words("misfit", "<p class=soft>simulating …</p>")
+        self.scores = words("scores", "<p class=soft>simulating …</p>")
         self.command = words("command")
         self.undo = button("Undo", self.go_back, disabled=True)
         self.to_starts = button("Starts", lambda: self.put({r.name: r.parameter.start for r in self.rows}))
@@ -117,7 +118,7 @@ class StudyPage:
         buttons = row(self.undo, self.to_starts, self.to_optimum, sizing_mode="stretch_width")
         chosen = [self.experiment] if len(self.simulators) > 1 else []
         side = column(
-            *chosen, stacked(self.rows), buttons, self.misfit, self.identifying.controls, sizing_mode="stretch_width"
+            *chosen, stacked(self.rows), buttons, self.scores, self.identifying.controls, sizing_mode="stretch_width"
         )
         side.name = "side"
         panels = [
@@ -205,10 +206,10 @@ class StudyPage:
             return  # another experiment was chosen meanwhile
         self.shown = theta
         if error:
-            self.misfit.text = f"<p class=error role=status>{escaped(error)}</p>"
+            self.scores.text = f"<p class=error role=status>{escaped(error)}</p>"
             return
         self.live.draw(outputs)
-        self.misfit.text = self._misfit(theta, seconds)
+        self.scores.text = self._scores(theta, seconds)
 
     def _choose(self, number: int) -> None:
         self.simulator = self.simulators[number]
@@ -217,16 +218,15 @@ class StudyPage:
         self._haunt()
         self.ask()
 
-    def _misfit(self, theta: Floats, seconds: float) -> str:
-        """Say how far simulation and measurement are apart, as a share and in standard deviations of the noise."""
+    def _scores(self, theta: Floats, seconds: float) -> str:
+        """Say how well simulation and measurement agree: fit, RMSE, and RMSE in standard deviations of the noise."""
         record, known = self.live.record, self._noise()
         cells = []
-        for j, (name, share) in enumerate(zip(record.outputs, record.misfit, strict=True)):
-            left = (record.measured[:, j] - record.simulated[:, j])[record.counted[:, j]]
+        for name, fit, rmse, unit in zip(record.outputs, record.fit, record.rmse, record.units, strict=True):
             std = math.sqrt(known[name]) if known.get(name, 0.0) > 0 else math.nan
-            times = float(np.sqrt(np.mean(left**2))) / std if left.size else math.nan
-            more = f"<small>{times:.3g} std of the noise</small>" if math.isfinite(times) else ""
-            cells.append(_cell(f"misfit of {name}", f"{100 * share:.3g} %", more))
+            times = f", {rmse / std:.3g} std of the noise" if math.isfinite(rmse / std) else ""
+            more = f"<small>RMSE {escaped(with_unit(rmse, unit))}{times}</small>" if math.isfinite(rmse) else ""
+            cells.append(_cell(f"fit of {name}", fit_text(fit), more))
         away = self._distance(theta)
         cells += [_cell("from the optimum", f"{away:.3g} std")] if math.isfinite(away) else []
         cells.append(_cell("simulated in", f"{seconds:.3g} s" if seconds >= 1.0 else f"{1000 * seconds:.3g} ms"))
