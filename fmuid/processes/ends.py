@@ -10,7 +10,7 @@ CRASHED, EXITED, HUNG, GREW, KILLED, REFUSED, GARBLED, STOPPED = range(8)
 refused by the system what it needs, ended since its answer was garbled, ended since it was stopped (SIGSTOP)."""
 
 
-@dataclass(frozen=True)
+@dataclass(unsafe_hash=True)  # not frozen: who passes on an exception notes where
 class End(Exception):  # noqa: N818  # no error: a report of what became of the process
     """An isolated process has come to an end while it was to work.
 

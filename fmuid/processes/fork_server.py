@@ -111,7 +111,7 @@ class ForkServer:
         """See whether the server does well; one that does not is ended."""
         assert self._process is not None, "it owes an answer"
         condition = condition_of(self._process.pid)
-        if condition.status != psutil.STATUS_ZOMBIE and watchdog.end(condition) is not None:
+        if condition.status == psutil.STATUS_ZOMBIE or watchdog.end(condition) is not None:
             self.stop(0.0)
             raise EOFError
 

@@ -17,8 +17,14 @@ _shared: list[int] = []  # descriptor of the file that this process shares with 
 
 
 def shared_memory(size: int) -> mmap.mmap:
-    """Return the memory that this isolated process shares with the one that gives it orders, of a size in bytes."""
-    return mmap.mmap(_shared[0], size)
+    """Return the memory that this isolated process shares with the one that gives it orders, of a size in bytes.
+
+    On Linux no fork of this process has it: native code may fork, and its child come back and go on with the order.
+    """
+    memory = mmap.mmap(_shared[0], size)
+    if hasattr(mmap, "MADV_DONTFORK"):
+        memory.madvise(mmap.MADV_DONTFORK)
+    return memory
 
 
 class _Messages(logging.Handler):

@@ -81,6 +81,15 @@ def test_a_case_that_ends_the_process_costs_no_other_of_its_order(
     assert found[3].row["value.gain"] == found[0].row["value.gain"]
 
 
+def test_cases_that_spoil_the_connection_cost_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fmuid.processes.watchdog.STOPPED_SECONDS", 0.2)
+    modes: list[int] = [Mode.SOUND, Mode.FORGE, Mode.STOP_PARENT, Mode.SOUND]
+    found = IsolatedCases(study_of(tmp_path, modes)).run(range(4))
+    assert [outcome.row["status"] == "failed" for outcome in found] == [False, True, False, False]
+    assert "wrote into the connection" in str(found[1].row["message"])
+    assert len({found[i].row["value.gain"] for i in (0, 2, 3)}) == 1
+
+
 @pytest.mark.slow
 def test_a_first_draw_that_ends_the_process_costs_the_others_one_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

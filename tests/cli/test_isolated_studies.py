@@ -82,7 +82,7 @@ def problem(fmu: Path, mode: Mode, isolation: Isolation | None, gain: float = 8.
     )
 
 
-@pytest.mark.parametrize("mode", [Mode.SEGFAULT, Mode.EXIT_0, Mode.STUBBORN])
+@pytest.mark.parametrize("mode", [Mode.SEGFAULT, Mode.EXIT_0, Mode.GARBLE, Mode.STUBBORN])
 def test_a_search_goes_round_a_band_where_the_fmu_crashes(fmu: Path, mode: Mode) -> None:
     """By the same way, bit for bit, as round a band where it returns fmi2Error in-process."""
     plain = problem(fmu, Mode.RETURN_ERROR, None)

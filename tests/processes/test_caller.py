@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections import OrderedDict
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from fractions import Fraction
 from typing import Any
@@ -18,6 +20,7 @@ import pytest
 
 from fmuid.errors import InputError, SimulationError
 from fmuid.processes import CRASHED, EXITED, GREW, HUNG, End, IsolatedCaller
+from tests.support.isolated import wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
 CALLER = IsolatedCaller(600.0)
@@ -109,6 +112,24 @@ def test_a_process_that_is_lost_costs_one_call(function: Any, arguments: Any, en
     assert caught.value == end
     assert CALLER.call(os.getpid) not in (before, os.getpid())
     assert not psutil.pid_exists(before)
+
+
+@contextlib.contextmanager
+def passing() -> Iterator[None]:
+    """Do nothing around what is called."""
+    yield
+
+
+def test_an_end_passes_through_contexts() -> None:
+    with pytest.raises(End), passing():
+        raise End(CRASHED, signal.SIGSEGV)
+
+
+def test_a_fork_that_comes_back_answers_nothing() -> None:
+    before = CALLER.call(os.getpid)
+    fork = psutil.Process(CALLER.call(os.fork))
+    wait_until(lambda: fork.status() == psutil.STATUS_ZOMBIE)
+    assert [CALLER.call(os.getpid) for _ in range(3)] == [before] * 3
 
 
 def test_limits() -> None:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
+import pickle
 import socket
 import sys
 import threading
 import tracemalloc
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from fmuid.errors import InputError
 from fmuid.processes.channel import HEADER, MARK, TOKEN_BYTES, Channel
 from fmuid.processes.messages import LARGE_BYTES, GarbledError, answer_of, answer_parts, order_of, order_parts
 
@@ -100,3 +106,100 @@ def test_what_is_no_message_is_not_taken_for_one(ends: Any) -> None:
     ends[1].sendall(b"something that a library prints")
     with pytest.raises(GarbledError):
         Channel(ends[0]).receive()
+
+
+def sent(parts: Any) -> bytes:
+    """Return the bytes of a message."""
+    own, other = socket.socketpair()
+    with own, other:
+        Channel(own).send(parts, TOKEN)
+        own.close()
+        return b"".join(iter(lambda: other.recv(1 << 16), b""))
+
+
+ANSWER = [(False, {"x": np.arange(50.0), "names": ["a", "b"], "n": 7}, [("fmuid", 30, "said")]), InputError("no")]
+
+
+def test_no_spoilt_message_is_taken_for_an_answer() -> None:
+    """Bytes turned, left out, put in, lengths forged: told as garbled or as cut off, with no other error."""
+    whole = sent(answer_parts(ANSWER))
+    rng = np.random.default_rng(8)
+    for _ in range(1500):
+        spoilt, at, size = bytearray(whole), int(rng.integers(len(whole))), int(rng.integers(1, 9))
+        way = rng.integers(4)
+        if way == 0:
+            spoilt[at] ^= int(rng.integers(1, 256))
+        elif way == 1:
+            del spoilt[at : at + size]
+        elif way == 2:
+            spoilt[at:at] = rng.bytes(size)
+        else:  # the number of parts and their sizes
+            place = int(rng.integers(HEADER.size - 8, HEADER.size + 16))
+            spoilt[place : place + size] = bytes(size) if rng.random() < 0.3 else rng.bytes(size)
+        if spoilt == whole:
+            continue
+        own, other = socket.socketpair()
+        with own, other:
+            own.sendall(spoilt)
+            own.close()
+            with pytest.raises((GarbledError, EOFError)):
+                Channel(other).receive(token=TOKEN, most_bytes=1e6)
+
+
+@pytest.mark.parametrize("head", [(1 << 56, b""), (2, b"\xff" * 16), (1, (1 << 40).to_bytes(8, "little"))])
+def test_a_forged_length_takes_no_memory(ends: Any, head: tuple[int, bytes]) -> None:
+    count, sizes = head
+    ends[1].sendall(HEADER.pack(MARK, TOKEN, 0, count) + sizes)
+    tracemalloc.start()
+    try:
+        with pytest.raises(GarbledError):
+            Channel(ends[0]).receive(token=TOKEN, most_bytes=1e9)
+        assert tracemalloc.get_traced_memory()[1] < 1e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_the_answer_to_another_order_is_none(ends: Any) -> None:
+    Channel(ends[1]).send(answer_parts(1), TOKEN)
+    with pytest.raises(GarbledError):
+        Channel(ends[0]).receive(token=TOKEN[::-1])
+
+
+class Effect:
+    """What code does in a pickle."""
+
+    def __reduce__(self) -> Any:
+        return os.mkdir, ("made",)
+
+
+def test_no_answer_executes_code_or_raises_anything_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts with a sound checksum: a pickle, types and shapes of all kinds, texts spoilt at random."""
+    monkeypatch.chdir(tmp_path)
+    shapes: list[Any] = [
+        ["array", "<f8", "C", 1 << 60, 1 << 60],
+        ["array", "|O", "C", 1],
+        ["array", "<U999999999999", "C", 1],
+        ["error", "builtins", "KeyboardInterrupt"],
+        ["error", "builtins", "eval", "1"],
+        ["error", "os", "system", "true"],
+        ["error", "builtins", "UnicodeDecodeError", "x"],
+        ["dict", [["list"], 1]],
+        [],
+        {"a": 1},
+    ]
+    texts = [json.dumps(shape).encode() for shape in shapes]
+    texts += [pickle.dumps(Effect()), b"[" * 100_000, b"\xff\xfe", b"1" * 10_000, b""]
+    for text in texts:
+        with pytest.raises(GarbledError):
+            answer_of([text, bytes(8)])
+    with pytest.raises(GarbledError):
+        answer_of([])
+    rng = np.random.default_rng(9)
+    answer, *beside = answer_parts(ANSWER)
+    for _ in range(1500):
+        spoilt = bytearray(answer)
+        for at in rng.integers(len(spoilt), size=rng.integers(1, 4)):
+            spoilt[at] = rng.choice(list(b'[]{}",:0123456789eE-nNaultrfis<|>\\ '))
+        with contextlib.suppress(GarbledError):
+            answer_of([spoilt, *beside])
+    assert not list(tmp_path.iterdir())

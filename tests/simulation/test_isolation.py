@@ -50,7 +50,7 @@ CRASHES = {
     Mode.EXIT_3: "ended its process with exit code 3",
     Mode.KILL: "SIGKILL",
 }
-HANGS = (Mode.LOOP, Mode.SLEEP, Mode.STUBBORN, Mode.STOP)
+HANGS = (Mode.LOOP, Mode.SLEEP, Mode.STUBBORN)
 STATUSES = {
     Mode.RETURN_ERROR: "returned fmi2Error",
     Mode.RETURN_FATAL: "returned fmi2Fatal",

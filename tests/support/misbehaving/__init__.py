@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.fmi.native.build import compiler_here
+from fmuid.processes.channel import MARK
 
 HERE = Path(__file__).parent
 START_VALUES = {"gain": 1.0, "T": 1.0, "mode": 0.0, "at": 0.0, "bad_from": -1e300, "bad_to": 1e300} | {
@@ -65,6 +66,9 @@ class Mode(IntEnum):
     FLUSH = 35  # its thread takes denormal numbers for zero from then on, as code linked with -ffast-math does
     TRAP = 36  # a division by zero raises SIGFPE in its thread from then on
     LESS_PRECISE = 37  # x87 calculates its thread's long doubles with 53 bits from then on
+    RETURN_TWICE = 38  # forks, and its child returns as well, `amount` ms later
+    FORGE = 39  # writes the beginning of a message of 2^56 parts into all sockets of its process, and sleeps
+    STOP_PARENT = 40  # SIGSTOP to the process that has forked its own
 
 
 class Where(IntEnum):
@@ -83,6 +87,7 @@ def _library(folder: Path, version: int, at_loading: Mode | None) -> bytes:
     path = folder / f"misbehaving{version}{'' if at_loading is None else at_loading.name}{fmpy.sharedLibraryExtension}"
     command = [*compiler_here(), "-O1", "-shared", "-fPIC", "-fno-sanitize=undefined"]
     command += [f"-I{headers}", f"-DFMI={version}", "-DMODES=" + ",".join(mode.name for mode in Mode)]
+    command += [f"-DMARK={','.join(map(str, MARK))}"]
     command += [] if at_loading is None else [f"-DAT_LOADING={at_loading.name}"]
     subprocess.run([*command, "-o", str(path), str(HERE / "misbehaving.c")], check=True, capture_output=True)
     return path.read_bytes()

@@ -5,8 +5,9 @@
    It misbehaves in the way of `mode`, rounded, where bad_from <= gain <= bad_to: in the steps from the time `at` on, or
    in the call that `where` names. The token (GUID) can hold more words: "at-instantiation-<mode>"; "shared", with which
    the state stands outside the instances; and "alone", with which two threads in it at once are a fatal error, freeing
-   one instance spoils all others, and so does making one with the other interface. MODES is the list of the modes; -DAT_LOADING=<mode> misbehaves
-   when the library is loaded. */
+   one instance spoils all others, and so does making one with the other interface. MODES is the list of the modes, MARK
+   that of the bytes with which messages of isolated processes begin; -DAT_LOADING=<mode> misbehaves when the library is
+   loaded. */
 #include <fenv.h>
 #include <math.h>
 #include <signal.h>
@@ -51,6 +52,7 @@ static int inside, generation, last_kind; /* of those that are alone */
 static void *volatile sink;
 static volatile unsigned long spins;
 static const char noise[64] = "no message";
+static const unsigned char forged[] = {MARK, 0, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4, 0, 0, 0, 0, 0, 0, 0, 1};
 
 static double *state(Model *m) { return m->shared ? &shared_state : m->r + X; }
 static void set_defaults(Model *m) {
@@ -152,6 +154,11 @@ static STATUS misbehave(int mode, double amount) {
   case GARBLE:
     for (int file = 0; file < 4096; file++) send(file, noise, sizeof noise, MSG_DONTWAIT);
     sleep_for_ever();
+  case FORGE:
+    for (int file = 0; file < 4096; file++) send(file, forged, sizeof forged, MSG_DONTWAIT);
+    sleep_for_ever();
+  case RETURN_TWICE: if (fork() == 0) usleep((useconds_t)(1000 * amount)); break;
+  case STOP_PARENT: kill(getppid(), SIGSTOP); break;
   case SHARE: for (;;) share(4), usleep(1000);
   case BROOD: brood(); break;
   }
