@@ -5,6 +5,7 @@ What is wrong here is a defect of fmuid, not of what its user gave: `ValueError`
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -129,6 +130,8 @@ def _check_groups(plan: Plan) -> None:
     for loop in plan.loops:
         _demand(first <= loop.first <= loop.setting <= loop.last <= last, "loops", "point out of the exchange")
         _demand(all(0 <= each < len(plan.signals) for each in loop.signals), "loops", "have unknowns that are none")
+        stated = len(loop.nominals) == len(loop.signals) and all(0 <= each < math.inf for each in loop.nominals)
+        _demand(stated, "loops", "have nominal values that are none")
 
 
 def _check_signals(plan: Plan) -> None:

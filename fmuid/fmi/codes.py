@@ -19,9 +19,10 @@ DIRECTIONAL_DERIVATIVE = 41
 COPY, SENSITIVITIES = 42, 43  # no calls: one signal to another; sensitivities of outputs, from the integrator's memory
 LOOP = 44  # of direct feed-through, not solved; the component is its number
 ENDED, OUT_OF_RANGE, STUCK = 45, 46, 47  # by the FMU; for the type of its variable; steps return early for ever
-ENDLESS_EVENT, TOO_MANY_EVENTS, TOO_MANY_STEPS, STEP_TOO_SMALL, STATE_NOT_FINITE, STIFF, CVODE_FAILED = range(48, 55)
-JUMP_UNKNOWN, JUMP_REFUSED, CANCELLED = 55, 56, 57
-PROCESS = 58  # that ran the FMU came to an end, or was ended: none of the core's
+ENDLESS_EVENT, ENDLESS_ROUNDS = 48, 49  # of one component; of several that cause each other's
+TOO_MANY_EVENTS, TOO_MANY_STEPS, STEP_TOO_SMALL, STATE_NOT_FINITE, STIFF, CVODE_FAILED = range(50, 56)
+JUMP_UNKNOWN, JUMP_REFUSED, CANCELLED = 56, 57, 58
+PROCESS = 59  # that ran the FMU came to an end, or was ended: none of the core's
 
 REPORT = 7
 """Words of the report of a simulation: failure (-1 without), component, status, sample, state; time and step as reals.

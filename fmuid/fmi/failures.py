@@ -94,6 +94,8 @@ def describe(
         k.STUCK: f"fmi{version}DoStep returns early again and again without getting on",
         k.ENDLESS_EVENT: "an event does not come to rest in 100 iterations of its discrete states; the model has to be "
         "mended",
+        k.ENDLESS_ROUNDS: "events of connected components cause one another without end (20 rounds at one time); give "
+        "one of them a hysteresis or a delay",
         k.TOO_MANY_EVENTS: "there are more than 10000 events between two samples: the model chatters; give it a "
         "hysteresis, or more samples",
         k.TOO_MANY_STEPS: f"integrator {integrator} needs more than most_steps between two samples (it got to "

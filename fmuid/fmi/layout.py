@@ -32,12 +32,16 @@ class Operation(NamedTuple):
 
 
 class FeedThrough(NamedTuple):
-    """A loop of direct feed-through: which operations get and copy, which set, the signals of its inputs, its name."""
+    """A loop of direct feed-through: which operations get and copy, which set, its inputs and its name.
+
+    `signals` are those of the inputs, `nominals` their nominal values, 0 where none is stated.
+    """
 
     first: int
     setting: int
     last: int
     signals: tuple[int, ...]
+    nominals: tuple[float, ...]
     words: str
 
 

@@ -197,12 +197,16 @@ class Loop:
         loops = (self._core.Loop * len(plan.loops))()
         for made, loop in zip(loops, plan.loops, strict=True):
             n = len(loop.signals)
-            work = np.zeros(2 * n + n * n)
+            vectors = ("unknowns", "residual", "correction", "starts", "magnitudes")
+            work = np.zeros((len(vectors) + 2 * n) * n)
             made.get = self._core.Range(loop.first, loop.setting)
             made.set = self._core.Range(loop.setting, loop.last)
             made.n, made.signals = n, self._keep(np.array(loop.signals, np.int64))
-            made.unknowns = at = work.ctypes.data
-            made.residual, made.matrix = at + 8 * n, at + 16 * n
+            made.nominals = self._keep(np.array(loop.nominals, np.float64))
+            at = work.ctypes.data
+            for i, name in enumerate(vectors):
+                setattr(made, name, at + 8 * n * i)
+            made.matrix, made.inverse = at + 8 * n * len(vectors), at + 8 * n * (len(vectors) + n)
             self._kept.append(work)
         groups = (self._core.Group * len(plan.groups))()
         for group, (first, last) in zip(groups, plan.groups.tolist(), strict=True):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from fmuid.fmi import BOOLEAN, FLOAT64, INT32, UINT8, WIRES, FeedThrough, Operation, codes
-from fmuid.models import Connection
+from fmuid.models import Connection, System
 from fmuid.simulation.task import Task
 
 Outputs = tuple[list[int], list[int]]
@@ -121,10 +122,20 @@ def exchange(to: Operations) -> list[tuple[int, int]]:
         if is_loop:
             groups.append((-1, len(to.loops)))
             words = " -> ".join(to.task.system.full_name(*connection.target) for connection in group)
-            to.loops.append(FeedThrough(first, setting, len(to.calls), tuple(slots), words))
+            nominals = tuple(_nominal(to.task.system, connection) for connection in group)
+            to.loops.append(FeedThrough(first, setting, len(to.calls), tuple(slots), nominals, words))
         else:
             groups.append((first, len(to.calls)))
     return groups
+
+
+def _nominal(system: System, connection: Connection) -> float:
+    """Return the nominal value of an input: as stated there, or at the output that feeds it; else 0."""
+    of_input, of_output = (
+        system.variables[system.full_name(*end)].nominal for end in (connection.target, connection.source)
+    )
+    stated = abs(of_input or connection.factor * (of_output or 0.0))
+    return stated if math.isfinite(stated) else 0.0
 
 
 def exchange_after(to: Operations, component: str) -> None:

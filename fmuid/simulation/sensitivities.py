@@ -165,7 +165,9 @@ class ForwardSensitivities:
         gathered *= self._simulator.output_factors
         if self._directional is not None and not self._checked:
             self._checked = True
-            if not self._agrees(gathered, theta):
+            nominals = np.ones(theta.size)
+            nominals[columns] = self._nominal / np.abs(factors)
+            if not self._agrees(gathered, theta, nominals):
                 self._directional = None
                 return self._derivatives(theta)
         return gathered
@@ -197,9 +199,9 @@ class ForwardSensitivities:
         found: Floats = (states[:n] - states[n:]) / (np.diag(changed[:n]) - np.diag(changed[n:]))[:, None]
         return found
 
-    def _agrees(self, found: Floats, theta: Floats) -> bool:
+    def _agrees(self, found: Floats, theta: Floats, nominals: Floats) -> bool:
         """Return whether differences of whole simulations say much the same; those that fail say nothing."""
-        steps = CHECK_STEP * np.where(theta != 0.0, np.abs(theta), 1.0)
+        steps = CHECK_STEP * np.where(theta != 0.0, np.abs(theta), nominals)
         outputs = self._simulator.many(np.concatenate([theta[None], theta + np.diag(steps)])).outputs
         change = outputs[1:] - outputs[0]
         error, size = change - found * steps[:, None, None], np.abs(outputs[0]).max(axis=0)

@@ -37,6 +37,10 @@ INLINE bool did(Simulation *self, Failure function, size_t component, int32_t st
 /* transfer.c */
 bool perform_other(Simulation *self, Operation *operation);
 
+/* loops.c */
+void begin_loops(const Plan *plan);
+bool solve_loop(Simulation *self, Loop *loop, size_t number);
+
 /* coupling.c */
 bool exchange(Simulation *self);
 bool settle_events(Simulation *self);

@@ -1,84 +1,9 @@
-/* Components that act on each other: loops of direct feed-through, events that cause events; and curved inputs. */
+/* Components that act on each other: exchange, and events that cause events; and curved inputs. */
 #include <math.h>
 
 #include "core.h"
 
-enum { LOOP_ITERATIONS = 30, EVENT_ROUNDS = 20 }; /* rounds: events at one time that cause one another */
-static const double LOOP_TOLERANCE = 1e-10, LOOP_DIFFERENCE = 1e-6;
-static const double SINGULAR = 1e-8; /* a pivot below this is rounding: the derivatives are differences, of order one */
-
-/* Set the unknowns, pass the outputs on, and compare. */
-static bool find_residual(Simulation *self, const Loop *loop, double *residual) {
-  double *signals = self->plan->signals;
-  for (size_t j = 0; j < loop->n; j++) signals[loop->signals[j]] = loop->unknowns[j];
-  if (!perform(self, loop->set) || !perform(self, loop->get)) return false;
-  for (size_t j = 0; j < loop->n; j++) residual[j] = signals[loop->signals[j]] - loop->unknowns[j];
-  return true;
-}
-
-static void swap(double *a, double *b) {
-  const double kept = *a;
-  *a = *b;
-  *b = kept;
-}
-
-/* Solve by elimination with pivots, in place; the matrix is stored column by column. False if it is singular. */
-static bool solve(size_t n, double *matrix, double *right) {
-  for (size_t j = 0; j < n; j++) {
-    size_t pivot = j;
-    for (size_t i = j + 1; i < n; i++)
-      if (fabs(matrix[n * j + i]) > fabs(matrix[n * j + pivot])) pivot = i;
-    const double largest = matrix[n * j + pivot];
-    if (fabs(largest) < SINGULAR || !isfinite(largest)) return false;
-    for (size_t c = j; c < n; c++) swap(&matrix[n * c + j], &matrix[n * c + pivot]);
-    swap(&right[j], &right[pivot]);
-    for (size_t i = j + 1; i < n; i++) {
-      const double factor = matrix[n * j + i] / largest;
-      for (size_t c = j; c < n; c++) matrix[n * c + i] -= factor * matrix[n * c + j];
-      right[i] -= factor * right[j];
-    }
-  }
-  for (size_t j = n; j-- > 0;) {
-    right[j] /= matrix[n * j + j];
-    for (size_t i = 0; i < j; i++) right[i] -= matrix[n * j + i] * right[j];
-  }
-  return true;
-}
-
-/* The derivatives of the residual by differences, column by column. */
-static bool find_matrix(Simulation *self, const Loop *loop) {
-  for (size_t j = 0; j < loop->n; j++) {
-    const double value = loop->unknowns[j], step = LOOP_DIFFERENCE * fmax(1.0, fabs(value));
-    double *column = loop->matrix + loop->n * j;
-    loop->unknowns[j] = value + step;
-    if (!find_residual(self, loop, column)) return false;
-    loop->unknowns[j] = value;
-    for (size_t i = 0; i < loop->n; i++) column[i] = (column[i] - loop->residual[i]) / step;
-  }
-  return true;
-}
-
-/* Solve a loop of direct feed-through for the inputs in it, by Newton's method with differences.
- *
- * The unknowns x are the inputs; the residual is what the outputs, passed on, would make of them, less x. */
-static bool solve_loop(Simulation *self, const Loop *loop, size_t number) {
-  const size_t n = loop->n;
-  double *signals = self->plan->signals, *x = loop->unknowns;
-  for (size_t j = 0; j < n; j++) x[j] = signals[loop->signals[j]];
-  for (int k = 0; k < LOOP_ITERATIONS; k++) {
-    if (!find_residual(self, loop, loop->residual)) return false;
-    bool solved = true;
-    for (size_t j = 0; j < n; j++) solved = solved && fabs(loop->residual[j]) <= LOOP_TOLERANCE * (1.0 + fabs(x[j]));
-    if (solved) {
-      for (size_t j = 0; j < n; j++) signals[loop->signals[j]] = x[j];
-      return true;
-    }
-    if (!find_matrix(self, loop)) return false;
-    if (!solve(n, loop->matrix, loop->residual)) break;
-    for (size_t j = 0; j < n; j++) x[j] -= loop->residual[j];
-  }
-  return fail(self, LOOP, number, fmi2OK);
-}
+enum { EVENT_ROUNDS = 20 }; /* events at one time that cause one another */
 
 /* Pass the outputs on, group by group. */
 bool exchange(Simulation *self) {
@@ -96,17 +21,19 @@ bool exchange(Simulation *self) {
  * their outputs may change. */
 bool settle_events(Simulation *self) {
   const Plan *plan = self->plan;
+  const size_t none = plan->n_components;
+  size_t last = none; /* that left Event Mode */
   for (int round = 0; round < EVENT_ROUNDS; round++) {
-    bool left = false;
     if (!exchange(self)) return false;
+    last = none;
     for (size_t c = 0; c < plan->n_components; c++) {
       if (plan->components[c].mode != IN_EVENTS) continue;
       if (!leave_events(self, c, self->now)) return false;
-      left = true;
+      last = c;
     }
-    if (!left) break;
+    if (last == none) return true;
   }
-  return true;
+  return fail(self, ENDLESS_ROUNDS, last, fmi2OK);
 }
 
 /* Make straight inputs the cubic curves (Hermite) that have the slopes given at their ends, if these are given. */

@@ -92,7 +92,7 @@ static bool make(Integrator *self, Solver *s) {
   s->memory = cv->CVodeCreate(CV_BDF, s->context);
   if (!s->linear || !s->memory) return false;
   bool done = cv->CVodeInit(s->memory, slopes, 0.0, s->state) == 0 && cv->CVodeSetUserData(s->memory, self) == 0;
-  done = done && cv->CVodeSVtolerances(s->memory, 1e-6, s->absolute) == 0;
+  done = done && cv->CVodeSVtolerances(s->memory, self->how.tolerance, s->absolute) == 0;
   done = done && cv->CVodeSetLinearSolver(s->memory, s->linear, s->matrix) == 0;
   done = done && cv->CVodeSetMaxHnilWarns(s->memory, -1) == 0;
   if (self->how.largest_step < INFINITY) done = done && cv->CVodeSetMaxStep(s->memory, self->how.largest_step) == 0;

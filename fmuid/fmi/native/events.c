@@ -93,7 +93,7 @@ static Outcome iterate(Integrator *self, double t) {
   return give_up(self, ENDLESS_EVENT, fmi2OK);
 }
 
-/* Set the absolute tolerances from the nominal values of the states. */
+/* Set the absolute tolerances from the nominal values of the states, which are 1 where the FMU states none. */
 static Outcome find_tolerances(Integrator *self) {
   const Integration *how = &self->how;
   const size_t n = how->n_states;

@@ -177,6 +177,7 @@ static bool initialize(Simulation *self) {
   const Plan *plan = self->plan;
   const size_t n = plan->n_components;
   self->now = self->grid->times[0];
+  begin_loops(plan);
   for (size_t c = 0; c < n; c++)
     if (!prepare(self, c)) return false;
   if (!perform(self, plan->start_values)) return false;

@@ -6,7 +6,7 @@
 #include "calls.h"
 
 static const size_t MAX_EVENTS = 10000; /* of one advance: chattering, or bounces without end */
-static const double INPUT_JUMP = 1e-9;  /* of an input's magnitude: less is rounding of its curves */
+static const double INPUT_JUMP = 1e-9;  /* of an input's largest magnitude so far: less is rounding of its curves */
 
 /* ---- memory ---- */
 

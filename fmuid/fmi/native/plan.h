@@ -28,8 +28,9 @@ typedef enum { WIRES(NAMED) N_WIRES } Wire;
   X(ENDED)         /* by the FMU */                                                               \
   X(OUT_OF_RANGE)  /* a value that the type of its variable cannot hold */                        \
   X(STUCK)         /* steps return early again and again */                                       \
-  X(ENDLESS_EVENT) X(TOO_MANY_EVENTS) X(TOO_MANY_STEPS) X(STEP_TOO_SMALL) X(STATE_NOT_FINITE)     \
-  X(STIFF)                                                                                        \
+  X(ENDLESS_EVENT)                                                                                \
+  X(ENDLESS_ROUNDS) /* of events at one time that cause one another; the component had the last */ \
+  X(TOO_MANY_EVENTS) X(TOO_MANY_STEPS) X(STEP_TOO_SMALL) X(STATE_NOT_FINITE) X(STIFF)                                                                                        \
   X(CVODE_FAILED)  /* the status is its flag */                                                   \
   X(JUMP_UNKNOWN) X(JUMP_REFUSED)                                                                 \
   X(CANCELLED)
@@ -102,18 +103,23 @@ typedef struct {
   size_t first, last;
 } Range;
 
-/* A loop of direct feed-through: what gets and copies, what sets, and the unknowns, its inputs. */
+/* A loop of direct feed-through: what gets and copies, what sets, and the unknowns, its inputs. `inverse` is that of
+ * their matrix where `inverted`, and kept from step to step; `magnitudes` are their largest values in the simulation.
+ */
 typedef struct {
   Range get, set;
   size_t n;
   const int64_t *signals;
-  double *unknowns, *residual, *matrix; /* (n), (n), (n, n) work memory */
+  const double *nominals;                                         /* of the unknowns, 0 where none is stated */
+  double *unknowns, *residual, *correction, *starts, *magnitudes; /* (n), work memory like the matrices (n, n) */
+  double *matrix, *inverse;
+  int32_t inverted;
 } Loop;
 
 /* A part of the exchange: operations, or a loop to be solved. */
 typedef struct {
   Range range;
-  const Loop *loop; /* NULL if it is none */
+  Loop *loop; /* NULL if it is none */
 } Group;
 
 typedef enum { HELD, BY_DERIVATIVE, BY_STEPPER, BY_MIDPOINT } InputMode;

@@ -102,7 +102,8 @@ static double norm(const Integrator *self, const double *values, const double *o
   return sqrt(total / (double)self->n_total);
 }
 
-/* Find the first step length to try (Hairer, Norsett, Wanner, section II.4). */
+/* Find the first step length to try (Hairer, Norsett, Wanner, section II.4). Size and speed are measured by tolerances;
+ * the lengths in s are where to begin, and the control lengthens them tenfold a step. */
 static Outcome find_first_step(Integrator *self, double begin, double gap) {
   const double *x = self->x_start;
   double *y = self->x_stage, **slopes = self->slopes;

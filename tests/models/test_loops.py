@@ -1,0 +1,173 @@
+"""Loops of direct feed-through against their solutions in closed form, in signals of every size; events in circles."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid.arrays import Floats
+from fmuid.data.experiment import Experiment
+from fmuid.errors import SimulationError
+from fmuid.models.component import Numerics
+from fmuid.models.system import System
+from fmuid.simulation.simulator import Simulator
+from tests.support.bad_input import rezip
+from tests.support.exported import export_text
+from tests.support.probe_fmu import ProbeMaker
+
+SIZES = [1e-15, 1.8e-9, 1.0, 1e9]
+EXACT = 1e-9
+CURVED = """model Curved
+  parameter Real k = 0; parameter Real g = 0;
+  input Real u; input Real d; output Real y;
+equation
+  y = k*u*u + g*u + d;
+end Curved;"""
+
+
+ROUGH = """model Rough
+  parameter Real g = 1; parameter Real there = 0; parameter Real back = 0;
+  input Real u; input Real d; output Real y;
+equation
+  y = (there + g*u + d) - back;
+end Rough;"""
+
+
+@pytest.fixture(scope="module")
+def rough(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """y = there + g u + d - back, in this order."""
+    return export_text(tmp_path_factory.mktemp("loops"), ROUGH)
+
+
+@pytest.fixture(scope="module")
+def curved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """y = k u² + g u + d."""
+    return export_text(tmp_path_factory.mktemp("loops"), CURVED)
+
+
+def linear(path: Path, there: float, back: float, thetas: Floats) -> Floats:
+    """Return y of a and b, each x + u, in a loop with these factors, at the first sample for each x of a (m,)."""
+    system = System(
+        components={"a": path, "b": path}, connections=[("a.y", "b.u", there, 0.0), ("b.y", "a.u", back, 0.0)]
+    )
+    frame = pd.DataFrame({"time": [0.0, 1e-3], "y": [0.0, 0.0]})
+    simulator = Simulator(system, Experiment(frame, outputs={"a.y": "y", "b.y": "y"}), ["a.x"])
+    return np.array([simulator(theta)[0] for theta in thetas[:, np.newaxis]])
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(
+    ("there", "back"), [(1.0, 0.95), (1.0, -0.5), (1e18, 0.5e-18), (1e3, -1e3), (1e-4, 1e-5)],
+    ids=["slow", "fast", "mixed", "high", "low"],
+)  # fmt: skip
+def test_linear_loops_in_signals_of_every_size(probe: ProbeMaker, there: float, back: float, size: float) -> None:
+    """y_a = x / (1 - f g), however small: 1.8e-9 is not 9e-11."""
+    thetas = size * np.array([1.0, 0.05, -3.0])
+    y = linear(probe(), there, back, thetas)
+    np.testing.assert_allclose(y[:, 0], thetas / (1.0 - there * back), rtol=EXACT)
+    np.testing.assert_allclose(y[:, 1], there * thetas / (1.0 - there * back), rtol=EXACT)
+
+
+@pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
+@pytest.mark.parametrize("size", SIZES)
+def test_curved_loops_in_signals_of_every_size(curved: Path, size: float, kind: str) -> None:
+    """y = k g² y² + d, k = 1 / size, g = 1/2: y = 2 d / (1 + sqrt(1 - d / size)), over twelve decades and zero."""
+    d = size * np.array([0.5, 0.9, -3.0, 0.0, 1e-6, 0.999, 1e-12, -1e-12, 0.3, 0.3, 0.0, -0.7])
+    frame = pd.DataFrame({"time": 1e-3 * np.arange(d.size), "d": d, "y": 0.0})
+    system = System(
+        components={"a": curved, "b": curved},
+        numerics=Numerics(kind),
+        connections=[("a.y", "b.u"), ("b.y", "a.u")],
+    )
+    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="hold")
+    y = Simulator(system, experiment, ["a.k", "b.g"])([1.0 / size, 0.5])[:, 0]
+    expected = 2.0 * d / (1.0 + np.sqrt(1.0 - d / size))
+    np.testing.assert_allclose(y, expected, rtol=EXACT, atol=1e-23 * size)  # which is zero
+
+
+def test_a_simulation_does_not_depend_on_the_one_before(curved: Path) -> None:
+    """What a loop keeps from step to step is forgotten: the bits are the same whatever was simulated before."""
+    frame = pd.DataFrame({"time": 1e-3 * np.arange(20), "d": np.sin(np.arange(20.0)), "y": 0.0})
+    system = System(components={"a": curved, "b": curved}, connections=[("a.y", "b.u"), ("b.y", "a.u")])
+    simulator = Simulator(system, Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="hold"), ["a.k", "b.g"])
+    first = simulator([0.5, 0.3])
+    simulator([-0.3, 0.8])
+    np.testing.assert_array_equal(simulator([0.5, 0.3]), first)
+
+
+def test_rounding_of_what_a_loop_does_not_see_is_no_failure(rough: Path) -> None:
+    """y = (230 + u + d) - 230 with u = g y: no step is so small that rounding hides it, and none is asked for."""
+    n = 300
+    d = np.concatenate([1e-17 * np.random.default_rng(1).standard_normal(n), np.exp(-0.2 * np.arange(n)), np.zeros(n)])
+    frame = pd.DataFrame({"time": 1e-3 * np.arange(d.size), "d": d, "y": 0.0})
+    system = System(components={"a": rough, "b": rough}, connections=[("a.y", "b.u"), ("b.y", "a.u")])
+    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="hold")
+    simulator = Simulator(system, experiment, ["a.there", "a.back", "b.g"])
+    for gain in (1.5, -1.5, 0.99, -100.0):
+        rounding = 100 * np.spacing(230.0) * max(1.0, 1.0 / abs(1.0 - gain))
+        np.testing.assert_allclose(simulator([230.0, 230.0, gain])[:, 0], d / (1.0 - gain), rtol=EXACT, atol=rounding)
+
+
+def edited(path: Path, target: Path, old: str, new: str) -> Path:
+    """Return a copy of an FMU whose description says something else."""
+    shutil.copy(path, target)
+
+    def change(files: dict[str, bytes]) -> None:
+        text = files["modelDescription.xml"].decode()
+        assert text.count(old) == 1
+        files["modelDescription.xml"] = text.replace(old, new).encode()
+
+    rezip(target, change)
+    return target
+
+
+U = 'name="u" valueReference="0" causality="input" variability="continuous"><Real start="0.0"/>'
+
+
+def test_nominal_values_of_a_loop(curved: Path, tmp_path: Path) -> None:
+    """An input's own goes before that of the output that feeds it, in the input's unit; 0 where none is stated."""
+    of_y = edited(curved, tmp_path / "y.fmu", "<Real/>", '<Real nominal="250"/>')
+    both = edited(of_y, tmp_path / "both.fmu", U, U.replace("/>", ' nominal="3"/>'))
+    system = System(
+        components={"a": of_y, "b": both, "c": curved},
+        connections=[("a.y", "c.u", 2.0, 0.0), ("c.y", "b.u", 2.0, 0.0), ("b.y", "a.u", 4.0, 0.0)],
+    )
+    system_ = System(components={"a": of_y, "b": curved}, connections=[("a.y", "b.u", 2.0, 0.0), ("b.y", "a.u")])
+    frame = pd.DataFrame({"time": [0.0, 1.0], "y": [0.0, 0.0]})
+    found = []
+    for each in (system, system_):
+        (loop,) = Simulator(each, Experiment(frame, outputs={"a.y": "y"}))._simulation.plan.loops
+        found.append(sorted(loop.nominals))
+    assert found == [[3.0, 500.0, 1000.0], [0.0, 500.0]]
+
+
+@pytest.mark.parametrize("gain", [0.0, -1.0])
+def test_events_that_cause_each_other_without_end_fail(curved: Path, tmp_path: Path, gain: float) -> None:
+    """Inputs that act by events: y_a = d + y_b, y_b = g y_a has a rest for g = 0, for g = -1 it alternates."""
+    discrete = edited(curved, tmp_path / "u.fmu", U, U.replace("continuous", "discrete"))
+    path = edited(
+        discrete,
+        tmp_path / "discrete.fmu",
+        'index="5" dependencies="3 4"/>\n  </Outputs>',
+        'index="5" dependencies="4"/></Outputs>',
+    )
+    system = System(
+        components={"a": path, "b": path},
+        numerics=Numerics("model-exchange"),
+        connections=[("a.y", "b.u"), ("b.y", "a.u")],
+    )
+    assert not any(is_loop for _, is_loop in system.exchange_order)
+    frame = pd.DataFrame({"time": [0.0, 1.0, 2.0], "d": [0.0, 0.0, 1.0], "y": 0.0})
+    experiment = Experiment(frame, {"a.d": "d"}, {"a.y": "y"}, interpolation="hold")
+    simulator = Simulator(system, experiment, ["b.g"], values={"a.g": 1.0})
+    if gain == 0.0:
+        assert simulator([gain])[:, 0].tolist() == [0.0, 0.0, 1.0]
+        return
+    with pytest.raises(
+        SimulationError, match=r"[ab] \(.*\) failed at t = 2 s.*cause one another without end.*hysteresis"
+    ):
+        simulator([gain])
