@@ -33,6 +33,9 @@ class Executor(Protocol):
     def printed(self) -> str:
         """Return and forget what the FMUs printed."""
 
+    def cancel(self) -> None:
+        """Have simulations that other threads run here fail, at the end of the system's use."""
+
     def close(self) -> None:
         """Free all instances; a later simulation makes new ones."""
 

@@ -43,6 +43,7 @@ class InProcessExecutor:
         self._threads = [SimulationThread(components, 0, resets, self._told)]
         self._custody = Custody((model.fmu, model.kind) for model in components.values())
         self._doing: Indices | None = None
+        self._running: Simulation | None = None
 
     def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N), in equal shares over the threads; a model found stiff is run again as such.
@@ -50,6 +51,7 @@ class InProcessExecutor:
         Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`).
         """
         with self._custody.turn(self):
+            self._running = simulation
             self._run_shares(simulation, thetas, outputs, reports)
             if any(simulation.plan.integrations) and self._found_stiff(simulation, reports):
                 for thread in self._threads:
@@ -129,6 +131,12 @@ class InProcessExecutor:
     def vacate(self, abandon: bool) -> None:
         """Free the instances for others that cannot live beside them, or leave them alone, never to be used again."""
         self._threads[0].close(fatal=abandon)
+
+    def cancel(self) -> None:
+        """Have the simulations that another thread runs here fail, at the end of the system's use."""
+        if self._running is not None:
+            for thread in self._threads:
+                thread.cancel(self._running)
 
     def close(self) -> None:
         """Free all instances; a later simulation makes new ones."""

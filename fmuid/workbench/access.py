@@ -17,8 +17,11 @@ from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
 from bokeh.server.tornado import BokehTornado
+from bokeh.server.views.ws import WSHandler
 from tornado.httputil import HTTPHeaders, HTTPServerRequest
 from tornado.web import ErrorHandler, OutputTransform, RequestHandler
+
+from fmuid.workbench.sockets import TabSocket
 
 SCHEME = "fmuid-scheme"
 """The cookie, and the argument of a page, that says whether the browser shows dark pages."""
@@ -68,7 +71,7 @@ class Guard(BokehTornado):  # type: ignore[misc]
             include_cookies=[],
             session_token_expiration=SESSION_SECONDS,
             keep_alive_milliseconds=10_000,
-            check_unused_sessions_milliseconds=2_000,
+            check_unused_sessions_milliseconds=500,
             unused_session_lifetime_milliseconds=15_000,
             websocket_max_message_size_bytes=LARGEST_MESSAGE,
         )
@@ -111,6 +114,11 @@ class Guard(BokehTornado):  # type: ignore[misc]
             return self._refuse(request)
         request.arguments[SCHEME] = [b"dark" if cookies.get(SCHEME) == "dark" else b"light"]
         return super().find_handler(request, **kwargs)
+
+    def get_handler_delegate(self, request: HTTPServerRequest, target_class: Any, *given: Any, **named: Any) -> Any:
+        """Return who answers a request with a handler; `TabSocket` stands in for Bokeh's websockets."""
+        target = TabSocket if target_class is WSHandler else target_class
+        return super().get_handler_delegate(request, target, *given, **named)
 
     def _refuse(self, request: HTTPServerRequest) -> Any:
         return self.get_handler_delegate(request, ErrorHandler, {"status_code": 403})

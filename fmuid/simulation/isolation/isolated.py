@@ -218,14 +218,19 @@ class IsolatedExecutor:
 
     def _host(self) -> Host:
         """Return the process, a new one where there is none."""
-        if self.cancelled:
-            raise FmuidError(f"the simulations of {self._labels} were cancelled")
+        self._check_cancelled()
         try:
-            return self._keeper.host(self._begin)
+            host = self._keeper.host(self._begin)
         except End:
             raise FmuidError(
                 f"the process that is to run {self._labels} ends again and again before it has begun"
             ) from None
+        self._check_cancelled()  # it could not be struck while it began
+        return host
+
+    def _check_cancelled(self) -> None:
+        if self.cancelled:
+            raise FmuidError(f"the simulations of {self._labels} were cancelled")
 
     def _begin(self, host: Host) -> None:
         for _, model in self._models:
@@ -279,7 +284,7 @@ class IsolatedExecutor:
     def close(self) -> None:
         """End the process; a later simulation makes a new one."""
         with self.lock:
-            self._keeper.replace()
+            self._keeper.close()
 
 
 def printed() -> str:

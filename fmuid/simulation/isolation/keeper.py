@@ -59,6 +59,10 @@ class Keeper(HostKeeper[Host]):
         if self._hosts and self._hosts[0].simulations:
             super().replace()
 
+    def close(self) -> None:
+        """End the process."""
+        super().replace()
+
     def replace_outgrown(self) -> None:
         """End the process after as many simulations as the settings say, or where it has grown."""
         recycle = self._settings.recycle

@@ -62,8 +62,7 @@ class SpreadExecutor:
             for future in futures:
                 future.result()
         except BaseException:  # also an interruption, which reaches this thread alone
-            for part in self._parts:
-                part.cancel()
+            self.cancel()
             wait(futures)
             raise
         finally:
@@ -85,6 +84,11 @@ class SpreadExecutor:
     def printed(self) -> str:
         """Return and forget what the FMUs printed."""
         return "".join(part.printed() for part in self._parts)
+
+    def cancel(self) -> None:
+        """Have simulations that other threads run here end, with an error there."""
+        for part in self._parts:
+            part.cancel()
 
     def close(self) -> None:
         """End the processes; a later simulation makes new ones."""

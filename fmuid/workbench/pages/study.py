@@ -21,7 +21,7 @@ from fmuid.estimation import Result
 from fmuid.files import is_file
 from fmuid.processes import AVAILABLE
 from fmuid.reports.interactive.live import LiveFit, in_scheme
-from fmuid.simulation import Simulator, fit_of, parameter_units
+from fmuid.simulation import Simulator, executor_of, fit_of, parameter_units
 from fmuid.studies import Study
 from fmuid.text import fit_text, with_unit
 from fmuid.workbench.access import SCHEME
@@ -77,7 +77,7 @@ class StudyPage:
         self.optimum: Result | None = None
         self.shown = np.full(len(self.rows), np.nan)  # the values whose simulation is shown
         self._undone = [self._state()]
-        self._newest: Newest[Floats] = Newest(self._simulate)
+        self._newest: Newest[Floats] = Newest(self._simulate, executor_of(study.system).cancel, study.system.close)
         doc.on_session_destroyed(lambda _context: self._newest.close())
         self._make()
         self.identifying = Identifying(self)
