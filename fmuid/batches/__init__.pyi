@@ -9,8 +9,8 @@ from .statistics import EstimateDoubt as EstimateDoubt
 from .statistics import converged as converged
 from .statistics import data_sets as data_sets
 from .statistics import estimates as estimates
+from .statistics import fit_cost as fit_cost
 from .statistics import is_repetition as is_repetition
-from .statistics import misfit as misfit
 from .statistics import optimum_numbers as optimum_numbers
 from .summary import Dependence as Dependence
 from .summary import Summary as Summary

@@ -92,7 +92,7 @@ def converged(frame: pd.DataFrame) -> pd.DataFrame:
     return frame[frame["status"] == "converged"]
 
 
-def misfit(frame: pd.DataFrame, *, given_noise: bool) -> Floats:
+def fit_cost(frame: pd.DataFrame, *, given_noise: bool) -> Floats:
     """Return how badly each case fits (n,), to rank cases of the same data; infinite where that is not known.
 
     The criterion (1.37) where all noise variances are given. Where they are estimated, each case weighs its residual by
@@ -124,12 +124,12 @@ def estimates(frame: pd.DataFrame, *, given_noise: bool) -> pd.DataFrame:
     frame : DataFrame
         Of a batch.
     given_noise : bool
-        See `misfit`.
+        See `fit_cost`.
     """
     found, columns = converged(frame), Columns.of(frame)
     if not columns.starts:
         return found
-    ranked = found.iloc[np.argsort(misfit(found, given_noise=given_noise), kind="stable")]
+    ranked = found.iloc[np.argsort(fit_cost(found, given_noise=given_noise), kind="stable")]
     best = ranked.drop_duplicates(columns.data) if columns.data else ranked.iloc[:1]
     return best.sort_values("case")
 
@@ -283,13 +283,13 @@ def optimum_numbers(frame: pd.DataFrame, *, given_noise: bool) -> NDArray[np.int
     frame : DataFrame
         Of a batch.
     given_noise : bool
-        See `misfit`.
+        See `fit_cost`.
     """
     columns = Columns.of(frame)
     numbers = np.zeros(len(frame), np.int64)
     values = frame[[f"value.{name}" for name in columns.parameters]].to_numpy(np.float64)
     stds = frame[[f"std.{name}" for name in columns.parameters]].to_numpy(np.float64)
-    badness = misfit(frame, given_noise=given_noise)
+    badness = fit_cost(frame, given_noise=given_noise)
     done = (frame["status"] == "converged").to_numpy(bool)
     for rows in data_sets(frame, columns):
         of_set = rows[done[rows]]

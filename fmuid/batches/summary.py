@@ -18,8 +18,8 @@ from fmuid.batches.statistics import (
     converged,
     doubted,
     estimates,
+    fit_cost,
     is_repetition,
-    misfit,
     optimum_numbers,
     statistics,
 )
@@ -173,7 +173,7 @@ def summarize(
         Of the parameters.
     given_noise : bool
         Whether the study gives all noise variances, so that criteria of several starts compare; see
-        `fmuid.batches.statistics.misfit`.
+        `fmuid.batches.statistics.fit_cost`.
     failures : DataFrame, optional
         Those of `condensed`, whose frame has no messages.
     """
@@ -352,7 +352,7 @@ def _optima(frame: pd.DataFrame, columns: Columns, *, given_noise: bool) -> pd.D
     if there.empty:
         return pd.DataFrame()
     # of each case against the best of its data set: ln of the root of the geometric mean of the variances
-    size = 0.5 * misfit(there, given_noise=False) / max(1, len(columns.outputs))
+    size = 0.5 * fit_cost(there, given_noise=False) / max(1, len(columns.outputs))
     keys = there[columns.data].assign(optimum=numbers[numbers > 0], size=size)
     best = keys["size"].where(keys["optimum"] == 1)
     best = best.groupby([keys[name] for name in columns.data], dropna=False).transform("min") if columns.data else best

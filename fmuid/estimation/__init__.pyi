@@ -62,7 +62,7 @@ from .numerical_noise import NoiseLevel as NoiseLevel
 from .result import Optimum as Optimum
 from .result import Result as Result
 from .starts.noise_level import second_difference_noise as second_difference_noise
-from .starts.outcome import LARGEST_MISFIT as LARGEST_MISFIT
+from .starts.outcome import MAX_NOISE_RATIO as MAX_NOISE_RATIO
 from .starts.outcome import Attempt as Attempt
 from .starts.outcome import ChoiceTried as ChoiceTried
 from .starts.outcome import Remedy as Remedy

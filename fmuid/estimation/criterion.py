@@ -327,7 +327,7 @@ def _prepared(problem: LeastSquares, at: Floats) -> tuple[Start, Flags]:
     least = np.where(least > 0, least, 1.0)
     from_residual = np.maximum(problem.noise_variances(problem.measured - base), least)
     first = np.where(np.isnan(problem.first_variance), from_residual, problem.first_variance)
-    # a robust loss must not take the misfit of the start for outliers: it sets out from large variances
+    # a robust loss must not take the residual of the start for outliers: it sets out from large variances
     given = problem.variance if problem.loss is None else np.maximum(problem.variance, from_residual)
     variance = np.where(np.isnan(problem.variance), first, given)
     criterion = Criterion(problem, variance, noise, least, base)

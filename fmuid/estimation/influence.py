@@ -38,7 +38,7 @@ def waking_point(problem: LeastSquares, theta: Floats, idle: Indices, noise: Flo
     idle : (k,) array of int
         The parameters that act on nothing there; only they are moved.
     noise, weights : (n,) arrays
-        Standard deviation of the simulation's noise in each sample, and of what a misfit is worth there.
+        Standard deviation of the simulation's noise in each sample, and of what a residual is worth there.
 
     Raises
     ------
@@ -51,8 +51,8 @@ def waking_point(problem: LeastSquares, theta: Floats, idle: Indices, noise: Flo
     floor = INFLUENCE_NOISES * np.maximum(noise, ROUNDING_SHARE * np.abs(base))
     with np.errstate(invalid="ignore", over="ignore"):  # what failed is NaN, and not different
         different = usable(np.nan_to_num(values, nan=np.inf)) & (np.abs(values - base) > floor).any(axis=1)
-        misfits = np.where(different, np.sum(((values - problem.measured) * weights) ** 2, axis=1), np.inf)
-    chosen = np.argsort(misfits, kind="stable")[: min(BEST_POINTS, int(different.sum()))]
+        squares = np.where(different, np.sum(((values - problem.measured) * weights) ** 2, axis=1), np.inf)
+    chosen = np.argsort(squares, kind="stable")[: min(BEST_POINTS, int(different.sum()))]
     acts = _acting(problem, points[chosen], values[chosen], idle, noise)
     moved = points[different] != theta
     alone = moved[moved.sum(axis=1) == 1].any(axis=0)[idle] if len(moved) else np.zeros(idle.size, dtype=np.bool_)

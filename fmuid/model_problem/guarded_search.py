@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from fmuid.arrays import Floats, numbers
 from fmuid.errors import FmuidError, InputError, SimulationError, check_kind
 from fmuid.estimation import (
-    LARGEST_MISFIT,
+    MAX_NOISE_RATIO,
     Attempt,
     LeastSquares,
     Marquardt,
@@ -88,7 +88,7 @@ def identify(
         box that are as good as the best, and that a finer simulation does not bear out, are no optima.
     remedies : bool
         Try other starts where the search cannot begin or end, or where a residual is larger than
-        `fmuid.estimation.LARGEST_MISFIT` times the noise that the data show; `Result.attempts` says what was tried. A
+        `fmuid.estimation.MAX_NOISE_RATIO` times the noise that the data show; `Result.attempts` says what was tried. A
         search of the whole box needs none.
     region : CheckedRegion, optional
         What is known of the simulation from other searches on like data, of the same parameters.
@@ -296,8 +296,8 @@ class _GuardedSearch:
         predicted = self.problem.predict(points)
         with np.errstate(over="ignore", invalid="ignore"):
             squares = ((predicted - self.problem.measured) / self.noise[self.problem.groups]) ** 2
-        misfits = np.minimum(np.nan_to_num(squares, nan=np.inf), LARGEST_SQUARE).sum(axis=1)
-        yield from (points[i] for i in np.argsort(misfits, kind="stable")[:BEST] if np.isfinite(predicted[i]).all())
+        squared = np.minimum(np.nan_to_num(squares, nan=np.inf), LARGEST_SQUARE).sum(axis=1)
+        yield from (points[i] for i in np.argsort(squared, kind="stable")[:BEST] if np.isfinite(predicted[i]).all())
 
     # --- one search
 
@@ -314,20 +314,20 @@ class _GuardedSearch:
         )
 
     def _end(self, remedy: Remedy, result: Result, before: int) -> None:
-        misfit = self._misfit(result)
+        ratio = self._noise_ratio(result)
         trouble = Trouble.NONE
         if result.outcome in UNFINISHED:
             trouble = Trouble.UNFINISHED
-        elif misfit > LARGEST_MISFIT:
-            trouble = Trouble.MISFIT
-        attempt = self._note(remedy, trouble, before, misfit)
+        elif ratio > MAX_NOISE_RATIO:
+            trouble = Trouble.LARGE_RESIDUAL
+        attempt = self._note(remedy, trouble, before, ratio)
         self.ended.append(_Ended(result, attempt, len(self.attempts) - 1))
 
-    def _note(self, remedy: Remedy, trouble: Trouble, before: int, misfit: float = math.nan) -> Attempt:
-        self.attempts.append(Attempt(remedy, trouble, misfit, self.problem.simulations - before))
+    def _note(self, remedy: Remedy, trouble: Trouble, before: int, ratio: float = math.nan) -> Attempt:
+        self.attempts.append(Attempt(remedy, trouble, ratio, self.problem.simulations - before))
         return self.attempts[-1]
 
-    def _misfit(self, result: Result) -> float:
+    def _noise_ratio(self, result: Result) -> float:
         """Return the largest root mean square of an output's residual, by its noise."""
         variances = [result.noise_variance[name] for name in self.problem.output_names]
         ratios = np.sqrt(variances) / self.noise
@@ -340,14 +340,14 @@ class _GuardedSearch:
             return True
         if last.attempt.trouble is Trouble.UNFINISHED:
             return False
-        others = [each for each in self.ended[:-1] if each.attempt.trouble is Trouble.MISFIT]
+        others = [each for each in self.ended[:-1] if each.attempt.trouble is Trouble.LARGE_RESIDUAL]
         confirmed = sum(
             _same_place(each.result, last.result)
             for each in others
             # corrections set out from the start that was given: the two confirm nothing of each other
             if {each.attempt.remedy, last.attempt.remedy} != {Remedy.GIVEN, Remedy.CORRECTION}
         )
-        return confirmed > (1 if last.attempt.misfit > POOR else 0)
+        return confirmed > (1 if last.attempt.noise_ratio > POOR else 0)
 
     def _concluded(self, given: Floats) -> Result:
         """Return the best result with all that was tried."""

@@ -78,7 +78,7 @@ def test_second_differences_of_straight_lines_and_of_nearly_nothing() -> None:
 
 
 def test_attempts_survive_a_file() -> None:
-    attempt = Attempt(Remedy.SOBOL, Trouble.MISFIT, 4.5, 12, kept=True)
+    attempt = Attempt(Remedy.SOBOL, Trouble.LARGE_RESIDUAL, 4.5, 12, kept=True)
     assert Attempt.of_json(
-        {"remedy": "sobol", "trouble": "misfit", "misfit": 4.5, "simulations": 12, "kept": True}
+        {"remedy": "sobol", "trouble": "large_residual", "noise_ratio": 4.5, "simulations": 12, "kept": True}
     ) == (attempt)

@@ -111,7 +111,7 @@ class Tried:
     [
         ([(Trouble.UNFINISHED, -1600.35), (Trouble.NONE, -1600.34)], 1),  # it fits as well, and has an end
         ([(Trouble.UNFINISHED, -1600.0), (Trouble.NONE, -1590.0)], 0),
-        ([(Trouble.MISFIT, 5.0), (Trouble.UNFINISHED, 4.0), (Trouble.MISFIT, 4.5)], 2),
+        ([(Trouble.LARGE_RESIDUAL, 5.0), (Trouble.UNFINISHED, 4.0), (Trouble.LARGE_RESIDUAL, 4.5)], 2),
         ([(Trouble.UNFINISHED, -np.inf), (Trouble.NONE, 1.0)], 0),
     ],
 )
@@ -176,8 +176,8 @@ def test_a_secondary_optimum_is_left_for_points_of_the_box(curved: Path) -> None
     assert (first.remedy, first.trouble) == (Remedy.GIVEN, Trouble.FAR)
     assert corrected.remedy is Remedy.CORRECTION  # where the equations give nothing
     assert given.remedy is Remedy.GIVEN
-    assert given.trouble in (Trouble.MISFIT, Trouble.UNFINISHED)
-    assert given.misfit > 3.0
+    assert given.trouble in (Trouble.LARGE_RESIDUAL, Trouble.UNFINISHED)
+    assert given.noise_ratio > 3.0
     assert result.attempts[-1].remedy is Remedy.SOBOL
     assert result.attempts[-1].kept
     assert result.simulations == sum(each.simulations for each in result.attempts) - first.simulations
@@ -205,7 +205,7 @@ def test_a_model_that_is_wrong_is_confirmed_by_a_second_start(curved: Path) -> N
     result = fmuid.identify(wave(curved, 2.9, lambda t: 0.3 * np.cos(1.3 * t)))
     assert result.converged
     kept = next(each for each in result.attempts if each.kept)
-    assert kept.trouble is Trouble.MISFIT
+    assert kept.trouble is Trouble.LARGE_RESIDUAL
     assert "other starts fit no better: look at the model" in fmuid.describe(result)
 
 

@@ -36,11 +36,11 @@ class Trouble(Enum):
     """A parameter acts on no output there, or something else cannot be searched."""
     UNFINISHED = "unfinished"
     """The search stalled, or ended at a limit."""
-    MISFIT = "misfit"
-    """The residual of an output is above `LARGEST_MISFIT` times the noise that its second differences show."""
+    LARGE_RESIDUAL = "large_residual"
+    """The residual of an output is above `MAX_NOISE_RATIO` times the noise that its second differences show."""
 
 
-LARGEST_MISFIT = 3.0
+MAX_NOISE_RATIO = 3.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Attempt:
     ----------
     remedy : Remedy
     trouble : Trouble
-    misfit : float
+    noise_ratio : float
         Largest root mean square of an output's residual by its noise from second differences; NaN where unknown.
     simulations : int
     kept : bool
@@ -60,7 +60,7 @@ class Attempt:
 
     remedy: Remedy
     trouble: Trouble
-    misfit: float = math.nan
+    noise_ratio: float = math.nan
     simulations: int = 0
     kept: bool = False
 
@@ -73,9 +73,9 @@ class Attempt:
         KeyError, TypeError, ValueError
             If the data are not of one.
         """
-        misfit = math.nan if data["misfit"] is None else float(data["misfit"])
+        noise_ratio = math.nan if data["noise_ratio"] is None else float(data["noise_ratio"])
         return cls(
-            Remedy(data["remedy"]), Trouble(data["trouble"]), misfit, int(data["simulations"]), bool(data["kept"])
+            Remedy(data["remedy"]), Trouble(data["trouble"]), noise_ratio, int(data["simulations"]), bool(data["kept"])
         )
 
 

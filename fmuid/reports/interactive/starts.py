@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmuid.arrays import Flags, Floats
-from fmuid.batches import INTERVAL_STDS, Columns, data_sets, misfit, optimum_numbers
+from fmuid.batches import INTERVAL_STDS, Columns, data_sets, fit_cost, optimum_numbers
 from fmuid.reports.interactive.batch import outside
 from fmuid.reports.interactive.sketch import ColumnDataSource
 from fmuid.reports.interactive.style import AMBER, BLUE, MAX_DOTS, RED, Panel, Units, named
@@ -36,7 +36,7 @@ def over_starts(
     truth : mapping of str to float
     units : mapping of str to str
     given_noise : bool
-        See `fmuid.batches.statistics.misfit`.
+        See `fmuid.batches.statistics.fit_cost`.
     """
     columns, number = Columns.of(frame), optimum_numbers(frame, given_noise=given_noise)
     lost = (frame["status"] != "converged").to_numpy(bool)
@@ -93,7 +93,7 @@ def _excess(frame: pd.DataFrame, columns: Columns, *, given_noise: bool) -> Floa
 
     By the criterion where the noise variances are given, else the share by which the residual is larger.
     """
-    fits = np.where(frame["status"] == "converged", misfit(frame, given_noise=given_noise), np.nan)
+    fits = np.where(frame["status"] == "converged", fit_cost(frame, given_noise=given_noise), np.nan)
     for rows in data_sets(frame, columns):
         known = rows[np.isfinite(fits[rows])]
         fits[rows] -= fits[known].min() if known.size else 0.0

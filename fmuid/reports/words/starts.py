@@ -26,7 +26,7 @@ ENDS = {
     Trouble.FAILED: "could not be simulated",
     Trouble.NO_EFFECT: "could not be searched from",
     Trouble.UNFINISHED: "did not come to an end",
-    Trouble.MISFIT: "left {misfit:.3g} times the noise that the data show",
+    Trouble.LARGE_RESIDUAL: "left {ratio:.3g} times the noise that the data show",
 }
 """What became of it."""
 
@@ -63,12 +63,12 @@ def attempt_words(result: Result) -> tuple[str, ...]:
     kept = next((each for each in result.attempts if each.kept), None)
     if kept is None or kept.trouble is Trouble.NONE:
         return (f"several starts were tried: {listed(told)}",)
-    if kept.trouble is Trouble.MISFIT:
+    if kept.trouble is Trouble.LARGE_RESIDUAL:
         reason = "; other starts fit no better: look at the model, or at what else moves the outputs"
         return (f"several starts were tried: {listed(told)}{reason}",)
     return (f"several starts were tried: {listed(told)}; none ended well",)
 
 
 def _end(attempt: Attempt) -> str:
-    words = ENDS[attempt.trouble].format(misfit=attempt.misfit)
+    words = ENDS[attempt.trouble].format(ratio=attempt.noise_ratio)
     return f"{words}, which is kept" if attempt.kept else words
