@@ -27,7 +27,12 @@ from .monitoring.alarms import Onset as Onset
 from .monitoring.alarms import Rule as Rule
 from .monitoring.alarms import Trend as Trend
 from .monitoring.monitor import Monitor as Monitor
+from .monitoring.state import ALARMS_FILE as ALARMS_FILE
+from .monitoring.state import FOUND_FILE as FOUND_FILE
 from .monitoring.state import STATE_FILE as STATE_FILE
+from .monitoring.state import TABLE_FILE as TABLE_FILE
+from .monitoring.state import DamagedStateError as DamagedStateError
+from .monitoring.state import damage_of as damage_of
 from .monitoring.windows import Gap as Gap
 from .procedure import DiagnosisSettings as DiagnosisSettings
 from .procedure import diagnose as diagnose

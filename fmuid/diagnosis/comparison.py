@@ -197,6 +197,8 @@ def _shown(
                 "name its tables as records"
             )
         basis = unlike
+    elif known is not None and known.path is not None:
+        basis = Basis.DAMAGED
     records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
     whitening = whitening_of(records, coordinates, None if given is None else variance)
     return basis, replace(shown_by(records, whitening, coordinates), subject=asked)

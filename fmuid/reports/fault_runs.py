@@ -167,10 +167,10 @@ def run_monitoring(
     study, target = _prepared(study, folder, figures is not None or report or append)
     monitor = monitor_of(study, rule_of(study))
     paths, written = [Path(table) for table in tables], list[Path]()
-    earlier, kept = dict[str, Any](), None
+    earlier, beside, kept = dict[str, Any](), dict[str, Any](), None
     if target is not None:
         if append:
-            monitor.resume(target)
+            beside = monitor.resume(target)
             earlier = read_json(target / "monitoring.json")
         files.make_folder(target)
         kept = MonitoredTables(target, study.experiments[0], append=append)
@@ -186,7 +186,7 @@ def run_monitoring(
             told["files"] = earlier.get("files", {}) | told["files"]
             told["experiments"] = kept.said
             written += kept.write()
-            written += monitor.write(target, told | {"words": monitoring_sentences(monitor)})
+            written += monitor.write(target, told | {"words": monitoring_sentences(monitor)}, beside=beside)
     found = MonitoringFindings(monitor, tuple(written))
     _tell(progress, found)
     there = [] if target is None or not written else show_results(target, report=report, figures=figures)

@@ -13,12 +13,15 @@ from pathlib import Path
 from subprocess import PIPE, STDOUT, TimeoutExpired
 from subprocess import run as run_program
 
+import numpy as np
+
 from fmuid import files
-from fmuid.diagnosis import STATE_FILE, Monitor
-from fmuid.errors import InputError, SimulationError
+from fmuid.diagnosis import ALARMS_FILE, FOUND_FILE, STATE_FILE, TABLE_FILE, DamagedStateError, Monitor, damage_of
+from fmuid.errors import FmuidError, InputError
 from fmuid.reports.alarm_lines import AlarmLines
 from fmuid.reports.fault_runs import MonitoredTables, MonitoringFindings
 from fmuid.reports.origin import made_from, made_now
+from fmuid.reports.page.faults import MONITORED_FILE
 from fmuid.reports.page.write import show_results
 from fmuid.reports.words.monitoring import gap_words, monitoring_sentences
 from fmuid.studies import Follower, Piece, Study, monitor_of, rule_of
@@ -103,41 +106,72 @@ class _Running:
     """A monitoring in operation."""
 
     def __init__(self, study: Study, place: Path, folder: Path) -> None:
-        self.study, self.folder, self.origin = study, folder, made_from(study)
-        rule = rule_of(study)
-        self.monitor = monitor_of(study, rule)
-        beside = self.monitor.resume(folder, KEPT_ROWS) if files.is_file(folder / STATE_FILE) else {}
+        self.study, self.place, self.folder, self.origin = study, place, folder, made_from(study)
         self.key = _key(study)
-        if beside.get("key", self.key) != self.key:
-            raise InputError(
-                f"{folder} is of a run with another study or other models ({study.path} has changed since): "
-                "use the same, or another output folder"
-            )
-        self.tables = MonitoredTables(folder, study.experiments[0], append=bool(beside))
-        followed = beside.get("followed")
-        self.follower = Follower(study.experiments[0], place, rule.window, rule.transient, followed)
-        self.alarms = AlarmLines(**beside.get("alarms", {"study": study.title}))
-        self.waiting: list[str] = beside.get("waiting", [])  # lines of which the command was not told
         self.lines: list[str] = []
         self.remarks: list[str] = []
         self.written: Sequence[str] = ()
         self.sound, self.changed = True, False
         self._next = 0.0
+        try:
+            self._resume()
+        except DamagedStateError as error:
+            self._begin_anew(error)
+
+    def _resume(self) -> None:
+        """Go on where the earlier run in the folder was; begin where there is none, or it has examined no window."""
+        rule, given = rule_of(self.study), self.study.experiments[0]
+        self.monitor = monitor_of(self.study, rule)
+        state = self.folder / STATE_FILE
+        left = [name for name in (TABLE_FILE, ALARMS_FILE) if files.is_file(self.folder / name)]
+        if left and not files.is_file(state):
+            raise DamagedStateError(state, f"it is missing beside {left[0]}")
+        beside = self.monitor.resume(self.folder, KEPT_ROWS) if files.is_file(state) else {}
+        if beside.get("key", self.key) != self.key:
+            raise InputError(
+                f"{self.folder} is of a run with another study or other models ({self.study.path} has changed since): "
+                "use the same, or another output folder"
+            )
+        with damage_of(state):
+            self.follower = Follower(given, self.place, rule.window, rule.transient, beside.get("followed"))
+            self.alarms = AlarmLines(**beside.get("alarms", {"study": self.study.title}))
+            self.waiting = [str(line) for line in beside.get("waiting", [])]  # of which the command was not told
+        try:
+            self.tables = MonitoredTables(self.folder, given, append=bool(self.monitor.windows))
+        except InputError as error:
+            raise DamagedStateError(self.folder, str(error)) from None
+
+    def _begin_anew(self, error: DamagedStateError) -> None:
+        """Begin anew where the files of an earlier run are damaged, which are put aside."""
+        aside = _put_aside(self.folder)
+        self.remarks.append(
+            f"{error.path}: the earlier run cannot be resumed ({error.why}); its files are in {aside}, and all records "
+            "are examined anew"
+        )
+        self.sound, self.changed = True, False
+        self._resume()
 
     def run(self, show: Callable[[Watching], None] | None, until: Callable[[Watching], bool] | None) -> None:
         self.tell()
         while True:
-            for found in self.follower.look():
-                if isinstance(found, Piece):
-                    self.examine(found)
-                else:
-                    self.remarks.append(found.text)
-                if self.lines or time.monotonic() >= self._next:
-                    self._shown(show, idle=False)
+            try:
+                self._look(show)
+            except DamagedStateError as error:  # which shows only when the first record comes
+                self._begin_anew(error)
             watching = self._shown(show, idle=True)
             if until is not None and until(watching):
                 return
             time.sleep(EVERY)
+
+    def _look(self, show: Callable[[Watching], None] | None) -> None:
+        """Examine what is new."""
+        for found in self.follower.look():
+            if isinstance(found, Piece):
+                self.examine(found)
+            else:
+                self.remarks.append(found.text)
+            if self.lines or time.monotonic() >= self._next:
+                self._shown(show, idle=False)
 
     def _shown(self, show: Callable[[Watching], None] | None, *, idle: bool) -> Watching:
         lines = tuple(self.lines)
@@ -160,9 +194,12 @@ class _Running:
                 self.monitor.add(piece.record, grows=piece.grows)
                 self.tables.add(piece.record, piece.raw)
                 self.follower.taken(piece, self.monitor.needed)
-            except (InputError, SimulationError) as error:
+            except DamagedStateError:
+                raise
+            except (FmuidError, ArithmeticError, np.linalg.LinAlgError) as error:
                 self.follower.refused(piece)
-                self.remarks.append(str(error))
+                known = isinstance(error, InputError)  # which names the record
+                self.remarks.append(str(error) if known else f"{piece.record.source}: {error}")
         self.remarks += gap_words(self.monitor.gaps[told:])
         self.lines += self.alarms.new(self.monitor)
         self.sound = self.changed = True
@@ -200,12 +237,28 @@ class _Running:
             self._write(())
 
 
+def _put_aside(folder: Path) -> Path:
+    """Move the files of an earlier run into a folder of their own, and return that."""
+    number = 1
+    while files.exists(folder / f"earlier-{number}"):
+        number += 1
+    aside = folder / f"earlier-{number}"
+    aside.mkdir()
+    for name in (STATE_FILE, TABLE_FILE, FOUND_FILE, ALARMS_FILE, MONITORED_FILE):
+        if files.exists(folder / name):
+            (folder / name).replace(aside / name)
+    return aside
+
+
 def _key(study: Study) -> str:
-    """Return the digest of all that what is found depends on: the study without what is only told, and its models."""
+    """Return the digest of all that what is found depends on: the study without what is only told, and its models.
+
+    What is kept beside the healthy result is compared by its content (`Monitor.resume`).
+    """
     monitoring = {key: value for key, value in study.data.get("monitoring", {}).items() if key not in NOT_IN_KEY}
     words = {key: study.data.get(key) for key in ("model", "experiments", "parameters", "noise", "diagnosis")}
     content = json.dumps([words, monitoring], sort_keys=True, default=str).encode()
-    tables = {each.table for each in study.experiments}
+    tables = {*(each.table for each in study.experiments), study.fault_search.kept}
     for path in study.files():
         content += b"" if path in tables else hashlib.sha256(path.read_bytes()).digest()
     return hashlib.sha256(content).hexdigest()

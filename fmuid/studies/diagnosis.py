@@ -392,5 +392,5 @@ class FaultSearch:
         records = [read(path) for path in self.records]
         trials = {name: [read(path) for path in paths] for name, paths in self.trials.items()}
         variance = noise.given_variance()
-        shown = None if self.kept is None else HealthyEvidence.read(self.kept)
+        shown = None if self.kept is None else HealthyEvidence.read(self.kept, needed=not records)
         return Baseline(self.source.result, self.inflate, variance, parameters, model.values, records, trials, shown)

@@ -14,6 +14,7 @@ import fmuid
 from fmuid.cli.app import run
 from fmuid.diagnosis import Basis
 from fmuid.diagnosis.comparison import Juxtaposition
+from fmuid.reports import run_following
 from fmuid.reports.words.diagnosis import UNLIKE, basis_notes
 from tests.support.paths import FMUS
 
@@ -107,7 +108,7 @@ def test_a_file_that_does_not_fit(kept: Path, said: dict[str, Any], basis: Basis
     study = asked(kept, records=["healthy.csv"], **own)
     found = made(fmuid.Study.of({**study.data, **top}, study.path))
     assert found.basis is basis
-    assert f"is of {UNLIKE[basis]} and was not used" in basis_notes(found.basis)[0]
+    assert f"is {UNLIKE[basis]} and was not used" in basis_notes(found.basis)[0]
 
 
 def test_wrong_words(kept: Path) -> None:
@@ -122,6 +123,31 @@ def test_wrong_words(kept: Path) -> None:
     with pytest.raises(fmuid.InputError, match="is not of fmuid identify, or not whole"):
         made(asked(kept))
     (kept / "healthy/baseline.npz").write_bytes(whole)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_damaged_file_serves_nobody_and_ends_nothing(kept: Path, tmp_path: Path, share: float) -> None:
+    """With healthy records a monitoring goes on without it, and says so; without them it says what to do."""
+    folder = tmp_path / "a"
+    shutil.copytree(kept, folder)
+    (folder / "records").mkdir()
+    pd.read_csv(folder / "test1.csv").to_parquet(folder / "records" / "a.parquet")
+
+    def followed(*names: str) -> fmuid.Monitor:
+        study = asked(folder, records=list(names))
+        return run_following(study, folder / "records", folder / "out", until=lambda at: at.idle).monitor
+
+    assert followed("healthy.csv").basis is Basis.FILE
+    path = folder / "healthy/baseline.npz"
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    pd.read_csv(folder / "test2.csv").to_parquet(folder / "records" / "b.parquet")
+    found = followed("healthy.csv")
+    assert found.records == ("a", "b")
+    assert found.basis is Basis.DAMAGED
+    (said,) = basis_notes(found.basis)
+    assert said.startswith("the baseline.npz beside the healthy result is damaged and was not used: the healthy")
+    with pytest.raises(fmuid.InputError, match=r"not whole .*: identify the healthy study again"):
+        followed()
 
 
 def test_a_later_run_without_faults_leaves_no_file(kept: Path, tmp_path: Path) -> None:

@@ -79,14 +79,14 @@ def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.Capture
         return made.getvalue()
 
     for path, spoilt, said in (
-        (table, whole[table][:-400], "is no table of fmuid monitor, or not whole"),
+        (table, whole[table][:-400], "is not of fmuid monitor, or not whole"),
         (table, b"\n".join(whole[table].split(b"\n")[:4]), "it has not the 12 windows"),
-        (table, b"time,u\n0,1\n", "is no table of fmuid monitor"),
-        (table, b"", "is no table of fmuid monitor"),
+        (table, b"time,u\n0,1\n", "is not of fmuid monitor"),
+        (table, b"", "is not of fmuid monitor"),
         (state, whole[state][:-400], "is not of fmuid monitor, or not whole"),
-        (state, saying({}), "give the monitoring.npz of fmuid monitor"),
+        (state, saying({}), "has no 'version'"),
         (state, saying({k: v for k, v in later.items() if k != "windows"}), "has no 'windows'"),
-        (state, saying(later | {"records": [1]}), "has something in 'records'"),
+        (state, saying(later | {"records": [1]}), "its content is of other types"),
     ):
         path.write_bytes(spoilt)
         assert run(["monitor", study, str(records), *words, *grown, "--append"]) == 2

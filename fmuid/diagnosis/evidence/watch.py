@@ -239,14 +239,16 @@ class Watch:
 
     def restored(self, state: Mapping[str, Any]) -> Watch:
         """Return the watch that a state is of; it must be of the same coordinates."""
+        for name, own in self.state().items():
+            free = name in (*_KEPT, "lags", "shown")  # there are as many as there are
+            if state[name].dtype.kind != own.dtype.kind or state[name].shape[free:] != own.shape[free:]:
+                raise ValueError(f"{name!r} is of other coordinates")
         other = self.copy()
         other._of = {name: state[name] for name in _KEPT}
         other._total, other._score, other._least = state["total"], state["score"], state["least"]
         other.build_up, other.slow = BuildUp(state["lags"], state["shown"]), state["slow"]
         windows, other.end, *pinned = state["seen"].tolist()
         other.windows, other.pinned = int(windows), (pinned[0], pinned[1])
-        if other._total.shape != self._total.shape:
-            raise ValueError("it is of other coordinates")
         return other
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -23,7 +21,7 @@ from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.healthy.whitening import Whitening
 from fmuid.errors import InputError
 from fmuid.estimation import Autoregression
-from fmuid.files import as_json, read_content, replacing
+from fmuid.files import as_json, read_arrays, read_content, replacing
 from fmuid.models import System
 from fmuid.version import __version__
 
@@ -43,6 +41,7 @@ class Basis(Enum):
     OTHER_CAUSES = "other causes"
     OTHER_NOISE = "other noise"
     OTHER_RECORDS = "other records"
+    DAMAGED = "damaged"
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,21 +148,35 @@ class HealthyEvidence:
         return path
 
     @classmethod
-    def read(cls, path: Path) -> HealthyEvidence:
+    def read(cls, path: Path, *, needed: bool = True) -> HealthyEvidence:
         """Read a ``baseline.npz``.
+
+        Parameters
+        ----------
+        path : Path
+        needed : bool
+            Whether there are no records to examine again; else only the path of a damaged file is returned.
 
         Raises
         ------
         InputError
-            If it cannot be read, or is something else.
+            If it is needed and cannot be read, or is something else.
         """
         try:
-            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-                sums = dict(file)
+            return cls._read(path)
+        except InputError:
+            if needed:
+                raise
+            return cls((), Information(np.zeros((0, 0)), np.zeros(0)), Whitening({}), None, path)
+
+    @classmethod
+    def _read(cls, path: Path) -> HealthyEvidence:
+        try:
+            sums = read_arrays(path)
             text = sums.pop("text").tobytes()
             said = tuple(map(Information, sums["matrices"], sums["scores"]))
             owed = Information(sums["owed"], sums["owed_score"])
-        except (OSError, ValueError, EOFError, KeyError, BadZipFile) as error:
+        except (KeyError, ValueError, TypeError) as error:
             raise InputError(f"{path} is not of fmuid identify, or not whole ({error}): {REMEDY}") from None
         with read_content(text, path, KIND, REMEDY) as content:
             own, noise = content["of"], content["noise"]

@@ -33,7 +33,7 @@ from fmuid.diagnosis.linearisation import Machine
 from fmuid.diagnosis.monitoring.alarms import Alarm, Moment, Rule
 from fmuid.diagnosis.monitoring.judging import judged
 from fmuid.diagnosis.monitoring.seeing import Against, Now, Seen
-from fmuid.diagnosis.monitoring.state import Journal, restored
+from fmuid.diagnosis.monitoring.state import STATE_FILE, Journal, restored
 from fmuid.diagnosis.monitoring.sums import WindowSums, summed
 from fmuid.diagnosis.monitoring.transient import build_up_of
 from fmuid.diagnosis.monitoring.trends import with_trend
@@ -170,8 +170,8 @@ class Monitor:
         if self._made is None:
             made = Juxtaposition.of(self.system, self.baseline, self.faults, self.causes, [record])
             watch = Watch(made.healthy.known, made.healthy.drift)
-            if self._resumed:
-                watch = restored(watch, self._resumed)
+            if self._resumed and self._journal is not None:
+                watch = restored(watch, self._resumed, self._journal.folder / STATE_FILE)
             point = self._resumed.get("point", made.coordinates.healthy)
             self._made, self._now = made, replace(self._now, watch=watch, point=point)
             self._against = Against(made, self.rule, self.model_error)
@@ -382,7 +382,7 @@ class Monitor:
         Raises
         ------
         InputError
-            If there is none, or it had another rule, other faults or another healthy machine.
+            If there is none, it is damaged, or it had another rule, other faults or another healthy machine.
         """
         self._journal = Journal(Path(folder))
         self._now, self._resumed, beside = self._journal.read(self._now, self._same, rows)

@@ -132,10 +132,10 @@ class Now:
         """Return it with so many of the latest rows and alarms, and the records that onsets may lie in."""
         table = self.table().tail(rows)
         needed, kept = self.watch.clocks(), []
-        for each, later in zip(self.records, (*self.records[1:], None), strict=True):
-            until = math.inf if later is None else later.clock
+        for k, each in enumerate(self.records, start=1):
+            last = k == len(self.records)
             low = int(np.searchsorted(needed, each.clock))
-            if later is None or (low < needed.size and needed[low] < until):
+            if last or (low < needed.size and needed[low] < self.records[k].clock):
                 kept.append(each)
         return replace(
             self, tables=(table,), forgotten=self.row - len(table), alarms=self.alarms[-alarms:], records=tuple(kept)

@@ -10,11 +10,11 @@ import io
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import pandas as pd
@@ -24,12 +24,22 @@ from fmuid.diagnosis.findings import Explanation
 from fmuid.diagnosis.monitoring.alarms import Alarm, onset_of_json
 from fmuid.diagnosis.monitoring.seeing import Now, WatchedRecord
 from fmuid.errors import InputError
-from fmuid.files import as_json, is_file, note, read_content, replacing, with_formulas, without_formulas, write_json
+from fmuid.files import (
+    as_json,
+    first_line,
+    is_file,
+    note,
+    read_arrays,
+    replacing,
+    with_formulas,
+    without_formulas,
+    write_json,
+)
 from fmuid.version import __version__
 
 TABLE_FILE, FOUND_FILE, STATE_FILE = "monitoring.csv", "monitoring.json", "monitoring.npz"
 ALARMS_FILE = "alarms.jsonl"
-KIND, REMEDY = "the monitoring.npz of fmuid monitor", "monitor without appending, or into another folder"
+REMEDY = "monitor without appending, or into another folder"
 TEXTS, NUMBERS, TRUTHS = ("record", "significant", "alarm"), ("window", "samples"), ("unexplained",)
 
 
@@ -74,8 +84,8 @@ class Journal:
             file.flush()
             os.fsync(file.fileno())
         said = {**content, "records": now.records, "windows": now.row, "version": __version__}
-        found = [write_json(self.folder / FOUND_FILE, said), self.folder / TABLE_FILE]
-        return [*found, self.folder / ALARMS_FILE] if self._lengths[ALARMS_FILE] else found
+        found = write_json(self.folder / FOUND_FILE, said)
+        return [found, *(self.folder / name for name in (TABLE_FILE, ALARMS_FILE) if self._lengths[name])]
 
     def _add_rows(self, now: Now) -> None:
         table = now.table()
@@ -85,11 +95,15 @@ class Journal:
         self._rows = now.row
 
     def _add(self, name: str, text: str) -> None:
-        """Add text to a file, which has the length that the state says before."""
+        """Add text to a file after as many bytes as the state says, or as there are where it was cut meanwhile."""
         path = self.folder / name
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            if not self._lengths[name] and not text:
+                path.unlink(missing_ok=True)
+                return
             with path.open("r+b" if path.is_file() else "w+b") as file:
+                self._lengths[name] = min(self._lengths[name], file.seek(0, os.SEEK_END))
                 file.truncate(self._lengths[name])
                 file.seek(self._lengths[name])
                 file.write(text.encode())
@@ -118,44 +132,105 @@ class Journal:
         ------
         InputError
             If there is none, or it had another rule, other faults or another healthy machine.
+        DamagedStateError
+            If its files are damaged or of another version.
         """
         path = self.folder / STATE_FILE
         if not is_file(path):
             raise InputError(f"{self.folder} has no earlier run to append to: {REMEDY} first")
-        try:
-            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-                sums = dict(file)
-            text = sums.pop("text").tobytes()
-        except (OSError, ValueError, EOFError, KeyError, BadZipFile) as error:
-            raise InputError(f"{path} is not of fmuid monitor, or not whole ({error}): {REMEDY}") from None
-        with read_content(text, path, KIND, REMEDY) as content:
-            if content["same"] != as_json(same):
-                raise InputError(
-                    f"{path} is of a run with another rule, other faults or another healthy machine: use the same, or "
-                    "another output folder"
-                )
-            records = tuple(WatchedRecord(**each) for each in content["records"])
-            alarms = tuple(_alarm(each) for each in content["alarms"])
-            self._rows, self._lengths = int(content["windows"]), dict(content["lengths"])
-            beside = dict(content["beside"])
+        with damage_of(path):
+            sums = read_arrays(path)
+            earlier = _Earlier.of(json.loads(sums.pop("text").tobytes()), as_json(same))
+        if not earlier.windows:  # nothing was found, whatever the run was of
+            return now, {}, {}
+        if not earlier.same and earlier.version != __version__:
+            raise DamagedStateError(path, f"fmuid {earlier.version} has written it, this is fmuid {__version__}")
+        if not earlier.same:
+            raise InputError(
+                f"{path} is of a run with another rule, other faults or another healthy machine: use the same, or "
+                "another output folder"
+            )
+        self._rows, self._lengths = earlier.windows, earlier.lengths
         table = _table(self.folder / TABLE_FILE, self._lengths[TABLE_FILE], self._rows, rows)
         forgotten = self._rows - len(table)
-        found = replace(now, records=records, tables=(table,), alarms=alarms, row=self._rows, forgotten=forgotten)
-        return found, sums, beside
+        found = replace(now, records=earlier.records, tables=(table,), alarms=earlier.alarms, row=self._rows)
+        return replace(found, forgotten=forgotten), sums, earlier.beside
 
 
-def restored(watch: Watch, sums: Mapping[str, Any]) -> Watch:
-    """Return a watch as it was when its sums were written.
+@dataclass(frozen=True)
+class _Earlier:
+    """What the text of a state says."""
+
+    version: str
+    same: bool
+    windows: int
+    records: tuple[WatchedRecord, ...] = ()
+    alarms: tuple[Alarm, ...] = ()
+    lengths: dict[str, int] = field(default_factory=dict)
+    beside: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, content: Any, same: Any) -> _Earlier:
+        """Return what a text says; of a run that found nothing, or is another one, no more than that."""
+        version, windows, as_before = str(content["version"]), _count(content["windows"]), content["same"] == same
+        if not windows or not as_before:
+            return cls(version, as_before, windows)
+        records, alarms = tuple(map(_record, content["records"])), tuple(map(_alarm, content["alarms"]))
+        if not records:
+            raise ValueError("it has windows of no record")
+        lengths = {name: _count(content["lengths"][name]) for name in (TABLE_FILE, ALARMS_FILE)}
+        return cls(version, True, windows, records, alarms, lengths, dict(content["beside"]))
+
+
+class DamagedStateError(InputError):
+    """What an earlier run has left is damaged or of another version.
+
+    Attributes
+    ----------
+    path : Path
+    why : str
+    """
+
+    def __init__(self, path: Path, why: str) -> None:
+        super().__init__(f"{path} is not of fmuid monitor, or not whole ({why}): {REMEDY}")
+        self.path, self.why = path, why
+
+
+@contextmanager
+def damage_of(path: Path) -> Iterator[None]:
+    """Have errors that show damage of a file be a `DamagedStateError`."""
+    try:
+        yield
+    except (OSError, LookupError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        said = f"it has no {error}" if isinstance(error, KeyError) else first_line(error)
+        said = "its content is of other types" if isinstance(error, TypeError | AttributeError) else said
+        raise DamagedStateError(path, said) from None
+
+
+def restored(watch: Watch, sums: Mapping[str, Any], path: Path) -> Watch:
+    """Return a watch as it was when its sums were written to a file.
 
     Raises
     ------
-    InputError
+    DamagedStateError
         If they are of other coordinates.
     """
-    try:
+    with damage_of(path):
         return watch.restored(sums)
-    except (KeyError, ValueError) as error:
-        raise InputError(f"the {STATE_FILE} of the earlier run does not fit ({error}): {REMEDY}") from None
+
+
+def _record(data: Mapping[str, Any]) -> WatchedRecord:
+    numbers = {name: float(data[name]) for name in ("begin", "clock", "counts")}
+    return WatchedRecord(
+        **{**data, **numbers, "name": str(data["name"]), "date": str(data["date"]), "windows": _count(data["windows"])}
+    )
+
+
+def _count(given: Any) -> int:
+    """Return a number of something."""
+    if not isinstance(given, int) or given < 0:
+        raise ValueError(f"{given!r} is no number of rows or bytes")
+    return given
 
 
 def _alarm(data: Mapping[str, Any]) -> Alarm:
@@ -165,22 +240,19 @@ def _alarm(data: Mapping[str, Any]) -> Alarm:
 
 def _table(path: Path, length: int, count: int, most: int | None) -> pd.DataFrame:
     """Return the last rows of a table of which so many bytes and rows were written."""
-    try:
+    with damage_of(path):
         with path.open("rb") as file:
             content = file.read(length)
-        if len(content) < length:
-            raise ValueError(f"it has not the {count} windows that {STATE_FILE} is of")
-        head, *lines = content.decode().splitlines()
+        head, *lines = content.decode().splitlines() or [""]
         kept = lines if most is None else lines[-most:]
+        if len(content) < length or len(lines) != count:
+            raise ValueError(f"it has not the {count} windows that {STATE_FILE} is of")
         text = pd.read_csv(io.StringIO("\n".join([head, *kept])), dtype=str, keep_default_na=False)
-        if len(lines) != count or text.isna().to_numpy().any():
+        if text.isna().to_numpy().any():
             raise ValueError(f"it has not the {count} windows that {STATE_FILE} is of")
         text = with_formulas(text)
         # Python reads numbers back exactly, as tables are not always
         return pd.DataFrame({name: [_cell(str(name), each) for each in text[name]] for name in text})
-    except (OSError, KeyError, ValueError) as error:
-        said = str(error).splitlines()[0]
-        raise InputError(f"{path} is no table of fmuid monitor, or not whole ({said}): {REMEDY}") from None
 
 
 def _cell(column: str, text: str) -> Any:

@@ -110,7 +110,7 @@ def part_of_monitoring(folder: Path) -> Part:
         If a file in it cannot be read, or is of an earlier version.
     """
     content = read_json(folder / "monitoring.json")
-    rows = read_table(folder / "monitoring.csv")
+    rows = read_table(folder / "monitoring.csv") if content.get("windows") else pd.DataFrame()
     try:
         said = [Said(text, "timeline") for text in content["words"]]
         alarms = content["alarms"]

@@ -189,10 +189,11 @@ def scope_notes(found: Diagnosis) -> list[str]:
 
 # What the file of the healthy study is of, where it does not serve.
 UNLIKE = {
-    Basis.OTHER_MODELS: "other models or values",
-    Basis.OTHER_CAUSES: "other faults or causes",
-    Basis.OTHER_NOISE: "another noise variance",
-    Basis.OTHER_RECORDS: "other records",
+    Basis.DAMAGED: "damaged",
+    Basis.OTHER_MODELS: "of other models or values",
+    Basis.OTHER_CAUSES: "of other faults or causes",
+    Basis.OTHER_NOISE: "of another noise variance",
+    Basis.OTHER_RECORDS: "of other records",
 }
 
 
@@ -203,7 +204,7 @@ def basis_notes(basis: Basis) -> list[str]:
     if basis is Basis.FILE:
         return ["what the healthy records show is from the baseline.npz beside the healthy result"]
     return [
-        f"the baseline.npz beside the healthy result is of {UNLIKE[basis]} and was not used: "
+        f"the baseline.npz beside the healthy result is {UNLIKE[basis]} and was not used: "
         "the healthy records were examined again"
     ]
 

@@ -194,6 +194,7 @@ class Follower:
                 piece = None if rows is None else self._piece(path, each, rows, over)
             except InputError as error:
                 if over:
+                    each.mark(path, path.stat().st_size)
                     each.done = True
                 if over or self._settled(each):
                     yield from self._say(each, str(error))
