@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -135,7 +136,8 @@ FROM = ("2026-01-02T03:04", "draws.toml, SHA-256 abc", "SHA-256 def")
 
 def test_the_page_of_a_batch(tmp_path: Path) -> None:
     (tmp_path / "cases").mkdir()
-    cases(40, draw=range(40)).assign(message="long").to_parquet(tmp_path / "cases" / "part-0.parquet")
+    rows = cases(40, draw=range(40)).assign(message="long").to_parquet()
+    (tmp_path / "cases" / f"part-000000000-{hashlib.sha256(rows).hexdigest()[:12]}.parquet").write_bytes(rows)
     row = {"parameter": "R", "cases": 39, "mean": 4.01, "spread": 0.11, "stated_std": 0.1, "ratio": 1.1, "unit": "Ohm"}
     pd.DataFrame([row | {"note": ""}, row | {"parameter": "held", "cases": 0}]).to_csv(tmp_path / "summary.csv")
     failed = {"status": "failed", "message": "fmi2Error <b>", "cases": 1, "first": 39}
