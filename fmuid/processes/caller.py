@@ -22,7 +22,7 @@ class IsolatedCaller:
     time_limit : float
         How long a call may take, s.
     memory : float, optional
-        What the process may take, MB; default: a share of the machine's.
+        What the process may take, MB; default: half of the machine's, since one call works at a time.
     """
 
     def __init__(self, time_limit: float, memory: float | None = None) -> None:
@@ -62,7 +62,10 @@ class IsolatedCaller:
             return value
 
     def _kept(self) -> Any:
+        import psutil
+
         from fmuid.processes.host import HostProcess  # for Linux and macOS only
         from fmuid.processes.keeper import HostKeeper
 
-        return HostKeeper(lambda memory: HostProcess((), memory, self._told), self._memory)
+        memory = self._memory or psutil.virtual_memory().total / 2e6
+        return HostKeeper(lambda limit: HostProcess((), limit, self._told), memory)
