@@ -7,7 +7,6 @@ from .component import HowRun as HowRun
 from .component import Isolation as Isolation
 from .component import Numerics as Numerics
 from .connections import Connection as Connection
-from .executor import Executor as Executor
 from .facts import Facts as Facts
 from .facts import Line as Line
 from .facts import facts as facts

@@ -11,7 +11,7 @@ from fmuid.errors import InputError
 from fmuid.fmi import FMU, Variable, in_threads, unit_conversion
 from fmuid.models.component import AS_OFFERED, Component, Isolation, Numerics
 from fmuid.models.connections import Connection, exchange_order
-from fmuid.models.executor import Owner
+from fmuid.models.owner import Owner
 from fmuid.text import nearest
 
 MASTERS = ("jacobi", "gauss-seidel")

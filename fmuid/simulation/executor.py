@@ -4,10 +4,45 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
+from collections.abc import Mapping
+from typing import Protocol
 
-from fmuid.models import Executor, System
+from fmuid.arrays import Floats, Indices
+from fmuid.errors import SimulationError
+from fmuid.fmi import Simulation
+from fmuid.models import System
 
 _log = logging.getLogger("fmuid.fmu")
+
+
+class Executor(Protocol):
+    """What simulates for one system, shared by all its simulators."""
+
+    lock: threading.RLock
+
+    def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
+        """Simulate all thetas (m, N) into outputs (m, K, n_outputs) and reports (m, codes.REPORT)."""
+
+    def failure(
+        self,
+        simulation: Simulation,
+        theta: Floats,
+        outputs: Floats,
+        report: Indices,
+        parameters: Mapping[str, float],
+        explain: bool = False,
+    ) -> SimulationError | None:
+        """Return what outputs and report of one simulation say as an error; None where it succeeded."""
+
+    def printed(self) -> str:
+        """Return and forget what the FMUs printed."""
+
+    def cancel(self) -> None:
+        """Have simulations that other threads run here fail, at the end of the system's use."""
+
+    def close(self) -> None:
+        """Free all instances; a later simulation makes new ones."""
 
 
 def executor_of(system: System) -> Executor:

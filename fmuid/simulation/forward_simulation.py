@@ -11,7 +11,8 @@ import numpy as np
 from fmuid.arrays import Floats
 from fmuid.data import Experiment
 from fmuid.fmi import Plan, Sensitivities, Simulation, codes, new_reports
-from fmuid.models import STIFF_INTEGRATOR, Component, Executor, Port, System
+from fmuid.models import STIFF_INTEGRATOR, Component, Port, System
+from fmuid.simulation.executor import Executor
 from fmuid.simulation.grid import grid_of
 from fmuid.simulation.operations import outputs_with_sensitivities
 from fmuid.simulation.plan import plan_of, simulation_of
