@@ -177,7 +177,10 @@ class Findings(Plotted):
                 "words": list(residual_words(self.diagnostics, self.output_units)),
                 **self.diagnostics.to_json_dict(),
             },
-            "consistency": {"words": list(reading_words(self.reading)), **self.reading.to_json_dict()},
+            "consistency": {
+                "words": list(reading_words(self.reading, self.output_units)),
+                **self.reading.to_json_dict(),
+            },
         }
         if self.result.optima:
             content["optima"] = [

@@ -297,8 +297,10 @@ def test_the_known_variance() -> None:
     assert both.probability == pytest.approx(stats.chi2(2 * COUNT - 3).sf(total), rel=1e-3)
     assert [each.deviation for each in (one, other)] == [Deviation.NONE, Deviation.LARGER]
     said = reading_words(reading)
-    levels = f"{np.sqrt(result.noise_variance['i']):.3g} against {np.sqrt(VARIANCE):.3g}"
-    assert said[0].startswith(f"The residual of i is larger than its stated noise level: {levels} (probability ")
+    levels = f"{np.sqrt(result.noise_variance['i']):.4g} A against {np.sqrt(VARIANCE):.4g} A"
+    (told,) = (line for line in reading_words(reading, {"i": "A"}) if "noise level" in line)
+    assert told.startswith(f"The residual of i is larger than its stated noise level: {levels} (probability ")
+    assert said[0].startswith("The residual of i is larger than its stated noise level: 0.")
     assert said[0].endswith("the system has changed, or the model is wrong")
     assert all(not line.startswith("The residual of u") for line in said)
     smaller = white_reading(problem, result, healthy={"u": 4.0 * VARIANCE})

@@ -60,7 +60,9 @@ def show_result(found: Findings) -> None:
         out.print()
         out.print(_reading(out, found))
     show_remarks(found.remarks)
-    show_sentences([*reading_words(found.reading), *residual_words(found.diagnostics, found.output_units)])
+    show_sentences(
+        [*reading_words(found.reading, found.output_units), *residual_words(found.diagnostics, found.output_units)]
+    )
     show_sentences([f"Fit (NRMSE): {fit_words(fits)}", f"Residual: {_noise(result, fits)}"])
     color = "green" if result.converged else "red"
     out.print(f"[bold {color}]{escape(capitalised(ending(result)))}[/]", soft_wrap=True)

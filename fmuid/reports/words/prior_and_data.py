@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,18 +12,25 @@ from fmuid.assessment import Deviation
 from fmuid.estimation import Outcome
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.result import ENDS
-from fmuid.text import listed
+from fmuid.text import listed, with_unit
 
 if TYPE_CHECKING:
     from fmuid.assessment import Agreement, Influence, Obstacle, Reading
 
 
-def reading_words(reading: Reading) -> tuple[str, ...]:
-    """Return what is to be known of it; nothing where there is neither a prior nor a known variance."""
+def reading_words(reading: Reading, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
+    """Return what is to be known of it; nothing where there is neither a prior nor a known variance.
+
+    Parameters
+    ----------
+    reading : Reading
+    units : mapping of str to str, optional
+        Of the outputs.
+    """
     said = [] if reading.agreement is None else [_agreement(reading, reading.agreement)]
     said += [_influence(reading, each) for each in reading.influences]
     said += [_bent(reading)] if reading.bent else []
-    said += _variances(reading)
+    said += _variances(reading, units or {})
     said += [obstacle_words(reading.obstacle)] if reading.obstacle is not None else []
     return tuple(said)
 
@@ -69,12 +77,13 @@ def _bent(reading: Reading) -> str:
     )
 
 
-def _variances(reading: Reading) -> list[str]:
+def _variances(reading: Reading, units: Mapping[str, str | None]) -> list[str]:
     """Say which residuals are larger or smaller than the known noise, or that all are as large."""
     blame = "the model or the prior" if np.isfinite(reading.prior_mean).any() else "the model"
     said, outputs = [], [test for test in reading.variances if test.output]
     for test in outputs:
-        levels = f"{math.sqrt(test.estimated):.3g} against {math.sqrt(test.known):.3g}"
+        unit = units.get(test.output)
+        levels = " against ".join(with_unit(math.sqrt(each), unit) for each in (test.estimated, test.known))
         if test.deviation is Deviation.LARGER:
             said.append(
                 f"The residual of {test.output} is larger than its stated noise level: {levels} (probability "
