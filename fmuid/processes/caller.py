@@ -31,7 +31,7 @@ class IsolatedCaller:
         self._told: set[str] = set()
         self._keeper: Any = None
 
-    def call(self, function: Callable[..., Value], *arguments: Any) -> Value:
+    def call(self, function: Callable[..., Value], *arguments: Any, time_limit: float | None = None) -> Value:
         """Call a function of a module, which the process imports by its name; return the value.
 
         Parameters
@@ -39,6 +39,8 @@ class IsolatedCaller:
         function : callable
         arguments
             What can be pickled.
+        time_limit : float, optional
+            How long this call may take, s; default: as every call.
 
         Returns
         -------
@@ -56,7 +58,7 @@ class IsolatedCaller:
             return function(*arguments)
         with self._lock:
             keeper = self._keeper = self._keeper or self._kept()
-            value: Value = keeper.host().call(function, *arguments, watchdog=Watchdog(self._time_limit))
+            value: Value = keeper.host().call(function, *arguments, watchdog=Watchdog(time_limit or self._time_limit))
             keeper.replace_outgrown()
             keeper.printed()  # what libraries print about damaged files is nobody's news
             return value

@@ -230,3 +230,18 @@ def test_parquet_columns_of_other_types(tmp_path: Path) -> None:
     assert found["list"][0] == "list<element: double>"
     assert found["nothing"].isna().all()
     assert read_table(tmp_path / "a.parquet", "days")["days"][1] == 86400.0
+
+
+def test_parquet_numbers_with_missing_samples_in_several_groups(tmp_path: Path) -> None:
+    """Compare with pandas."""
+    rng = np.random.default_rng(1)
+    frame = pd.DataFrame({"time": np.arange(20.0)})
+    for name, kind in (("i", "Int16"), ("u", "UInt8"), ("f", "Float32"), ("b", "boolean")):
+        frame[name] = pd.array(rng.integers(0, 2, 20), dtype=kind)  # type: ignore[call-overload]
+        frame.loc[rng.integers(0, 20, 3), name] = None
+    frame["date"] = DATES[0] + pd.to_timedelta(frame["time"].where(frame["time"] != 7), unit="s")
+    pq.write_table(pa.Table.from_pandas(frame), tmp_path / "a.parquet", row_group_size=6)
+    found = read_table(tmp_path / "a.parquet")
+    for name in "iufb":
+        np.testing.assert_array_equal(found[name].astype(float), frame[name].to_numpy(float, na_value=np.nan))
+    pd.testing.assert_series_equal(found["date"], frame["date"], check_dtype=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from fmuid.data.formats.binary import BINARY, SPREADSHEETS, raw_table, read_columns
+from fmuid.data.formats.binary import BINARY, SPREADSHEETS, raw_table
 from fmuid.data.formats.columns import TIME_NAMES, RawTable, is_number, named, split_header
 from fmuid.errors import InputError
 
@@ -16,7 +16,7 @@ def reader_of(path: Path, sheet: str | int | None = None) -> Reader | None:
     """Return what reads files of this suffix, None where nothing does; a sheet is one of spreadsheets."""
     suffix = path.suffix.lower()
     if suffix in BINARY:
-        return lambda path, source: raw_table(read_columns(path, source, sheet), source)
+        return lambda path, source: _read_binary(path, source, sheet)
     if suffix == ".json":
         return _read_json
     inner = Path(path.stem).suffix.lower()
@@ -42,6 +42,12 @@ TABLE_SUFFIXES = (
     ".mdf",
 )
 """Suffixes of the formats that are read."""
+
+
+def _read_binary(path: Path, source: str, sheet: str | int | None) -> RawTable:
+    from fmuid.data.formats.isolated import read_isolated
+
+    return raw_table(read_isolated(path, source, sheet), source)
 
 
 def _read_text(path: Path, source: str) -> RawTable:

@@ -57,15 +57,50 @@ def _array(column: Any) -> Array:
         return _array(pa.chunked_array([each.storage for each in column.chunks], kind.storage_type))
     if types.is_dictionary(kind):
         return _array(column.cast(kind.value_type))
-    if types.is_date(kind):
-        return _array(column.cast(pa.timestamp("ms")))
     if types.is_decimal(kind):
         return _array(column.cast(pa.float64()))
-    if types.is_boolean(kind) and column.null_count:
-        return _array(column.cast(pa.uint8()))
-    if types.is_primitive(kind) and not types.is_time(kind):
-        found: Array = column.to_numpy()
-        return found
+    letter = next((each for each, holds in _LETTERS.items() if getattr(types, holds)(kind)), None)
+    if letter is not None:
+        chunks = [_numbers(each, letter) for each in column.chunks]
+        return np.concatenate(chunks) if chunks else np.zeros(0)
     if types.is_string(kind) or types.is_large_string(kind) or types.is_time(kind) or types.is_null(kind):
         return array_of_cells(column.to_pylist())
     return np.full(len(column), str(kind), dtype=object)
+
+
+_LETTERS = {
+    "?": "is_boolean",
+    "i": "is_signed_integer",
+    "u": "is_unsigned_integer",
+    "f": "is_floating",
+    "M": "is_timestamp",
+    "m": "is_duration",
+    "D": "is_date",
+}
+"""Kinds of numbers, and what Arrow calls the question."""
+
+
+def _numbers(array: Any, letter: str) -> Array:
+    """Return an array of numbers; Arrow's own conversion would import pandas."""
+    there, data = array.buffers()
+    if not len(array):
+        return np.zeros(0)
+    if letter == "?":
+        found = _bits(data, array)
+    else:
+        width = array.type.bit_width // 8
+        kind = f"{letter if letter in 'uf' else 'i'}{width}"
+        found = np.frombuffer(data, kind, len(array), array.offset * width)
+    if letter in "mM":
+        found = found.view(f"{letter}8[{array.type.unit}]")
+    elif letter == "D":
+        found = found.astype(np.int64).view("M8[D]" if array.type.bit_width == 32 else "M8[ms]")
+    if not array.null_count:
+        return found
+    missing = np.datetime64("NaT") if found.dtype.kind == "M" else np.timedelta64("NaT") if letter == "m" else np.nan
+    return np.where(_bits(there, array), found if letter in "mMD" else found.astype(np.float64), missing)
+
+
+def _bits(data: Any, array: Any) -> Array:
+    bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")
+    return bits[array.offset : array.offset + len(array)].astype(np.bool_)

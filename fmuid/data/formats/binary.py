@@ -59,7 +59,7 @@ def read_columns(path: Path, source: str, sheet: str | int | None = None) -> Fil
     try:
         found: FileColumns = read(path, source, sheet) if suffix in SPREADSHEETS else read(path, source)
         return found
-    except (InputError, KeyboardInterrupt, SystemExit):
+    except (InputError, MemoryError, KeyboardInterrupt, SystemExit):
         raise
     except BaseException:  # libraries raise errors of all kinds on damaged files; those in Rust panic
         raise InputError(f"{source}: the file is no readable {name}: write it again") from None

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.data import Experiment
+from fmuid.data import Experiment, read_arrays_isolated
 from fmuid.diagnosis.coordinates import Coordinates
 from fmuid.diagnosis.evidence.information import Information
 from fmuid.diagnosis.evidence.remainder import SPANS
@@ -21,7 +21,7 @@ from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.healthy.whitening import Whitening
 from fmuid.errors import InputError
 from fmuid.estimation import Autoregression
-from fmuid.files import as_json, read_arrays, read_content, replacing
+from fmuid.files import as_json, read_content, replacing
 from fmuid.models import System
 from fmuid.version import __version__
 
@@ -172,7 +172,7 @@ class HealthyEvidence:
     @classmethod
     def _read(cls, path: Path) -> HealthyEvidence:
         try:
-            sums = read_arrays(path)
+            sums = read_arrays_isolated(path)
             text = sums.pop("text").tobytes()
             said = tuple(map(Information, sums["matrices"], sums["scores"]))
             owed = Information(sums["owed"], sums["owed_score"])

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from fmuid.data import read_arrays_isolated
 from fmuid.diagnosis.evidence.watch import Watch
 from fmuid.diagnosis.findings import Explanation
 from fmuid.diagnosis.monitoring.alarms import Alarm, onset_of_json
@@ -29,7 +30,6 @@ from fmuid.files import (
     first_line,
     is_file,
     note,
-    read_arrays,
     replacing,
     with_formulas,
     without_formulas,
@@ -139,7 +139,7 @@ class Journal:
         if not is_file(path):
             raise InputError(f"{self.folder} has no earlier run to append to: {REMEDY} first")
         with damage_of(path):
-            sums = read_arrays(path)
+            sums = read_arrays_isolated(path)
             earlier = _Earlier.of(json.loads(sums.pop("text").tobytes()), as_json(same))
         if not earlier.windows:  # nothing was found, whatever the run was of
             return now, {}, {}
