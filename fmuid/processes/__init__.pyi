@@ -7,6 +7,7 @@ from .children import search_path as search_path
 from .children import watch_lifeline as watch_lifeline
 from .ends import CRASHED as CRASHED
 from .ends import EXITED as EXITED
+from .ends import FAILED as FAILED
 from .ends import GARBLED as GARBLED
 from .ends import GREW as GREW
 from .ends import HUNG as HUNG

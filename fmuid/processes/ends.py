@@ -5,9 +5,10 @@ from __future__ import annotations
 import signal
 from dataclasses import dataclass
 
-CRASHED, EXITED, HUNG, GREW, KILLED, REFUSED, GARBLED, STOPPED = range(8)
+CRASHED, EXITED, HUNG, GREW, KILLED, REFUSED, GARBLED, STOPPED, FAILED = range(9)
 """Ends of a process: crashed by a signal, exited, over its time limit, over its memory limit, killed from outside,
-refused by the system what it needs, ended since its answer was garbled, ended since it was stopped (SIGSTOP)."""
+refused by the system what it needs, ended since its answer was garbled, ended since it was stopped (SIGSTOP), ended
+since code of fmuid failed in it."""
 
 
 @dataclass(unsafe_hash=True)  # not frozen: who passes on an exception notes where

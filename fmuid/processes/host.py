@@ -120,13 +120,13 @@ class HostProcess:
         except EOFError:
             raise self._ended() from None
         except GarbledError:
-            raise self._stopped(End(GARBLED, 0)) from None
+            raise self.stopped(End(GARBLED, 0)) from None
         except BaseException:  # half a message may be on its way
             self.kill()
             raise
-        self._pass_on(said)
+        self.pass_on(said)
         if failed:
-            raise answer
+            raise self.failure(answer)
         value: Value = answer
         return value
 
@@ -137,9 +137,9 @@ class HostProcess:
             raise self._ended()
         end = watchdog.end(condition)
         if end is not None:
-            raise self._stopped(end)
+            raise self.stopped(end)
         if self._footprint.exceeds(self._limit + self.given):
-            raise self._stopped(End(GREW, round(self._limit / 1e6)))
+            raise self.stopped(End(GREW, round(self._limit / 1e6)))
         if os.fstat(self._printed).st_size > PRINTED_LARGEST_BYTES:
             self._read_printed()
 
@@ -159,7 +159,8 @@ class HostProcess:
         grown = self._footprint.exceeds(self._baseline + LARGEST_GROWTH + self.given)
         return grown or len(family(self.pid)) > MOST_RELATIVES
 
-    def _stopped(self, end: End) -> End:
+    def stopped(self, end: End) -> End:
+        """Kill it; return how it came to its end."""
         self.kill()
         return end
 
@@ -220,7 +221,11 @@ class HostProcess:
         room = max(0, PRINTED_KEPT_BYTES - len(self._text))
         self._text += (data.decode("utf-8", errors="replace") + lost)[:room]
 
-    def _pass_on(self, said: list[tuple[str, int, str]]) -> None:
+    def failure(self, error: Exception) -> Exception:
+        """Return what a call raises whose function has raised an error."""
+        return error
+
+    def pass_on(self, said: list[tuple[str, int, str]]) -> None:
         """Log what was logged on the other side, each text once."""
         for logger, level, text in said if self._told is not None else ():
             if self._told is not None and text not in self._told:

@@ -18,8 +18,10 @@ from fmuid.processes import HUNG, STOPPED, Condition, End
 from fmuid.processes.family import condition_of, family
 from fmuid.processes.fork_server import SERVER
 from fmuid.simulation.executor import executor_of
+from fmuid.simulation.isolation import orders
 from fmuid.simulation.isolation.process import AT_REST_SECONDS, HostWatchdog
 from fmuid.simulation.simulator import Simulator
+from tests.support import spoilt_orders
 from tests.support.isolated import (
     NAMES,
     PROCESSES,
@@ -119,3 +121,21 @@ def test_a_process_that_is_stopped_for_a_moment_goes_on(monkeypatch: pytest.Monk
         assert clock.end_after(1.5, psutil.STATUS_STOPPED) is None
         assert clock.end_after(1.5, psutil.STATUS_RUNNING, share=1.0) is None
     assert clock.end_after(2.5, psutil.STATUS_STOPPED) == End(STOPPED, 0)
+
+
+def test_code_that_fails_beside_an_fmu_costs_the_simulation(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(orders, "run", spoilt_orders.run)
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=1))
+    some = thetas(Mode.SOUND)
+    some[:, 0] = np.minimum(some[:, 0], 2.5)
+    some[5, 0] = 2 * spoilt_orders.MOST_GAIN
+    found = simulator.many(some)
+    good = [i for i in range(len(some)) if i != 5]
+    assert [error is None for error in found.errors] == [i != 5 for i in range(len(some))]
+    assert "code of fmuid failed in its process" in str(found.errors[5])
+    assert np.array_equal(found.outputs[good], expected(folder, some)[good])
+    assert [record.getMessage() for record in caplog.records] == [
+        "code of fmuid failed in the process of an FMU: TypeError: 'NoneType' object is not callable"
+    ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from fmuid.processes import EXITED, GARBLED, GREW, HUNG, KILLED, REFUSED, STOPPED, End
+from fmuid.processes import EXITED, FAILED, GARBLED, GREW, HUNG, KILLED, REFUSED, STOPPED, End
 
 
 def end_words(end: End) -> str:
@@ -20,6 +20,8 @@ def end_words(end: End) -> str:
         return f"the system refused its process what it needs to go on{why}"
     if end.kind == GARBLED:
         return "it wrote into the connection of its process with fmuid"
+    if end.kind == FAILED:
+        return "code of fmuid failed in its process"
     if end.kind == STOPPED:
         return "its process was stopped (SIGSTOP) and did not go on"
     if end.kind == HUNG:

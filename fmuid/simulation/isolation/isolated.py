@@ -22,7 +22,7 @@ from fmuid.arrays import Floats, Indices
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.fmi import Simulation, codes, shares
 from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
-from fmuid.processes import GREW, HUNG, KILLED, MOST_KILLS, End
+from fmuid.processes import FAILED, GREW, HUNG, KILLED, MOST_KILLS, End
 from fmuid.simulation.isolation import orders
 from fmuid.simulation.isolation.ahead import CODE
 from fmuid.simulation.isolation.ends import end_words
@@ -114,7 +114,8 @@ class IsolatedExecutor:
             if end is None:
                 continue
             doing = self._keeper.states_at_end()[: self._limit]
-            blamed = self._blamed(group, undone, doing)
+            # code that failed by itself was doing nothing of what threads say: it may be any of them
+            blamed = undone.tolist() if end.kind == FAILED else self._blamed(group, undone, doing)
             if not blamed:
                 unblamed = unblamed + 1 if len(undone) == len(group) else 0
                 if (doing == codes.REPEATING).any() and end.kind != KILLED:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import logging
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 
 from fmuid.arrays import Indices
+from fmuid.errors import FmuidError
 from fmuid.fmi import codes
-from fmuid.processes import CLOSING_LIMIT, REFUSED, Condition, End, HostProcess, Watchdog
+from fmuid.processes import CLOSING_LIMIT, FAILED, REFUSED, Condition, End, HostProcess, Watchdog
 from fmuid.simulation.isolation import orders
 
 PREPARATION_LIMIT = 120.0  # s for instantiation and loading code: some FMUs read large files
@@ -111,12 +113,20 @@ class Host(HostProcess):
         Raises
         ------
         End
-            If the process comes to an end over it, also since the system refuses it what it needs; it is gone then.
+            If the process comes to an end over it, also since the system refuses it what it needs or code of fmuid
+            fails in it; it is gone then.
         """
-        try:
-            return self.call(function, *arguments, watchdog=HostWatchdog(limit, self.doing, reports, computes))
-        except (OSError, MemoryError) as error:
-            raise self._stopped(End(REFUSED, getattr(error, "errno", errno.ENOMEM) or 0)) from None
+        return self.call(function, *arguments, watchdog=HostWatchdog(limit, self.doing, reports, computes))
+
+    def failure(self, error: Exception) -> Exception:
+        """Return its end unless it says something in words: code beside an FMU fails where that spoils its memory."""
+        if isinstance(error, FmuidError):
+            return error
+        if isinstance(error, OSError | MemoryError):
+            return self.stopped(End(REFUSED, getattr(error, "errno", errno.ENOMEM) or 0))
+        words = f"code of fmuid failed in the process of an FMU: {type(error).__name__}: {error}"
+        self.pass_on([("fmuid.fmu", logging.WARNING, words)])
+        return self.stopped(End(FAILED, 0))
 
     @property
     def given(self) -> float:
