@@ -58,6 +58,12 @@ class ComparisonFindings:
         return pd.DataFrame(rows.values())
 
     @property
+    def units(self) -> dict[str, str]:
+        """The unit of each output of the common tables."""
+        found = [score for each in self.predictions.values() for record in each for score in record.scores]
+        return {score.output: score.unit for score in found}
+
+    @property
     def words(self) -> tuple[str, ...]:
         """What follows, in sentences."""
         said = [self.apart] if self.apart else []
@@ -67,7 +73,7 @@ class ComparisonFindings:
     def write(self, folder: Path) -> list[Path]:
         """Write ``comparison.json`` and ``comparison.csv``, and return their paths."""
         content: dict[str, Any] = {"words": list(self.words), "results": self.table.to_dict("records")}
-        content |= {"estimates": list(self.estimates), **self.origin}
+        content |= {"units": self.units, "estimates": list(self.estimates), **self.origin}
         if self.comparison is not None:
             content |= {"tests": self.comparison.tests, "dependence": self.comparison.dependence}
         return [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fmuid.reports.console.layout import console, show_sentences, table_of
-from fmuid.text import fit_text
+from fmuid.text import fit_text, label
 
 if TYPE_CHECKING:
     from fmuid.reports.comparisons import ComparisonFindings
@@ -16,7 +16,7 @@ def show_comparison(found: ComparisonFindings) -> None:
     frame = found.table
     heads = {"name": "result", "parameters": "k", "log_likelihood": "log-likelihood"}
     heads |= {"corrected_aic": "AIC", "corrected_bic": "BIC", "behind": "behind"}
-    heads |= {name: name.replace("rmse.", "RMSE ") for name in frame.columns if name.startswith("rmse.")}
+    heads |= {f"rmse.{output}": label(f"RMSE {output}", unit) for output, unit in found.units.items()}
     heads |= {"fit": "fit"}
     shown = [name for name in heads if name in frame.columns]
     columns = {heads[name]: [_cell(name, each) for each in frame[name].tolist()] for name in shown}

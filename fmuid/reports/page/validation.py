@@ -21,7 +21,7 @@ from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.prediction import ALIKE_AIC, LEAST_RATIO
 from fmuid.simulation import Fit
-from fmuid.text import fit_text, listed, with_unit
+from fmuid.text import fit_text, label, listed, with_unit
 
 PREDICTED = (
     "Dots were measured, the line is simulated with the values of the result; the residual is below. "
@@ -138,9 +138,11 @@ def part_of_comparison(folder: Path) -> Part:
         sections += [Section("estimates", "Estimates beside each other", ESTIMATES, drawn)] if drawn else []
         ordered = rows.sort_values("behind" if "behind" in rows else "error")
         alike = float(ordered["behind"].iloc[1]) < ALIKE_AIC if "behind" in rows else rows["error"].isna().all()
-        columns = {HEADS.get(str(key), str(key)): [_cell(each) for each in rows[key]] for key in rows if key != "error"}
+        errors = {f"rmse.{name}": label(f"RMSE {name}", unit) for name, unit in content["units"].items()}
+        heads = {**HEADS, "fit": "fit (%)", **errors}
+        columns = {heads.get(str(key), str(key)): [_cell(each) for each in rows[key]] for key in rows if key != "error"}
         shown = table(columns, numbers=list(columns)[1:])
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise InputError(f"{folder} has no whole results of fmuid compare ({error}): compare again") from None
     state = "not told apart" if alike else f"best: {ordered['name'].iloc[0]}"
     return Part("Comparison", state, not alike, said, shown, sections, origin(content))
