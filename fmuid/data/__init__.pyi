@@ -5,6 +5,7 @@ from .experiment import Experiment as Experiment
 from .formats import TABLE_SUFFIXES as TABLE_SUFFIXES
 from .formats import TEXT as TEXT
 from .formats.isolated import read_arrays_isolated as read_arrays_isolated
+from .formats.text import first_lines as first_lines
 from .formats.text import head_length as head_length
 from .interpolation import INTERPOLATIONS as INTERPOLATIONS
 from .losses import LOSSES as LOSSES

@@ -377,6 +377,20 @@ def test_a_study_is_begun_in_the_browser(browser: Any, address: str, folder: Pat
     assert quiet(browser)
 
 
+def test_a_short_tab_is_not_as_high_as_the_others(browser: Any, address: str) -> None:
+    size = {"width": 360, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    open_study(browser, address)
+    wait(browser, f"{MODEL}('scores').text.includes('fit of i')")
+    height = "document.querySelector('[aria-label=figures]').getBoundingClientRect().height"
+    assert browser.execute_script(f"return {height}") > 300
+    browser.execute_script(f"{MODEL}('main').active = 1")  # a sentence: the search has not begun
+    wait(browser, f"{height} < 200")
+    browser.execute_script(f"{MODEL}('main').active = 0")
+    wait(browser, f"{height} > 300")
+    assert quiet(browser)
+
+
 @pytest.mark.parametrize("width", [360, 800, 1920])
 def test_pages_are_as_wide_as_their_window(browser: Any, address: str, width: int) -> None:
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}

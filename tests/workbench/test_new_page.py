@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -53,6 +54,19 @@ def test_tables_are_shown_as_they_are_read(page: NewPage) -> None:
     assert page.run.buttons[0].disabled
     page.rate.value = "-3"
     assert "samples per second are a number above 0" in page.said.text
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"), [("bench.csv", "cp1252"), ("bench.csv", "utf-16"), ("bench.csv.gz", "utf-8")]
+)
+def test_the_beginning_of_a_file_is_decoded_as_it_is_read(
+    page: NewPage, tmp_path: Path, name: str, encoding: str
+) -> None:
+    content = ("# Prüfstand 7\n" + (tmp_path / "bench.csv").read_text()).encode(encoding)
+    (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith(".gz") else content)
+    page.tables.options = [name]
+    page.tables.value = [name]
+    assert "# Prüfstand 7\ntime,U_soll,strom" in page.said.text
 
 
 def test_columns_are_chosen(page: NewPage) -> None:

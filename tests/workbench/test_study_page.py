@@ -328,11 +328,51 @@ def test_ranges_of_sliders() -> None:
     signed = reach_of(Parameter(0.0, nominal=3.0))
     assert (signed.low, signed.high) == (-6.0, 6.0)
     known = reach_of(Parameter(9.0, prior=Normal(10.0, 0.5)), (9.8, 0.1))
-    assert known.low < 8.0 < 12.0 < known.high
-    for reach in (bounded, wide, alone, signed, known):
+    assert (known.low, known.high) == pytest.approx((1.96, 49.0))
+    bent = reach_of(Parameter(-2.0, max=-1.0), (-3.0, 0.1))
+    assert (bent.low, bent.high) == (-15.0, -1.0)
+    for reach in (bounded, wide, alone, signed, known, bent):
         for place in (0.0, 123.0, PLACES):
             assert reach.place(reach.value(place)) == pytest.approx(place)
     assert wide.including(-1.0).logarithmic is False
+
+
+def test_reach_of_an_estimate_is_not_its_interval() -> None:
+    """An estimate does not shrink the range of its slider to values that move no curve; a switch does."""
+    resistance, estimate = Parameter(14.7, min=0.0), (9.8, 0.05)
+    reach = reach_of(resistance, estimate)
+    assert (reach.low, reach.high) == pytest.approx((1.96, 49.0))
+    near = reach_of(resistance, estimate, near=True)
+    assert (near.low, near.high) == pytest.approx((9.3, 10.3))
+    assert reach_of(resistance, (0.2, 0.05), near=True).low == 0.0  # the bound
+    for std in (0.0, float("inf")):  # there is no interval
+        assert reach_of(resistance, (9.8, std), near=True) == reach_of(resistance, (9.8, std))
+    zero = reach_of(Parameter(0.0, nominal=3.0), (0.0, 0.1))
+    assert (zero.low, zero.high) == (-6.0, 6.0)
+    tiny = reach_of(Parameter(2.0), (1e-9, 0.1))
+    assert (tiny.low, tiny.high) == pytest.approx((-1.0, 2.0))  # ten standard deviations and the start
+    moved = Parameter(0.5, min=0.1, max=1.0)  # the bounds have changed since
+    assert reach_of(moved, (9.8, 0.05), near=True) == reach_of(moved)
+
+
+def test_the_switch_shows_ten_standard_deviations(path: Path, tmp_path: Path) -> None:
+    for name in ("first.csv", "study.toml"):
+        (tmp_path / name).write_bytes((path.parent / name).read_bytes())
+    page = Page(tmp_path / "study.toml")
+    assert page.page.near.disabled
+    (tmp_path / "results").mkdir()
+    result(tmp_path / "results", {"R": (4.0, 0.01), "L": (0.1, None)})
+    page.page.show_result(tmp_path / "results")
+    assert not page.page.near.disabled
+    page.page.put({"R": 4.05, "L": 0.1})
+    reach = {name: row.reach for name, row in page.rows.items()}
+    page.page.near.active = True
+    assert (page.rows["R"].reach.low, page.rows["R"].reach.high) == pytest.approx((3.9, 4.1))
+    assert page.rows["R"].slider.value == pytest.approx(750.0)
+    assert page.rows["R"].value == 4.05
+    assert page.rows["L"].reach == reach["L"]  # it is not determined
+    page.page.near.active = False
+    assert {name: row.reach for name, row in page.rows.items()} == reach
 
 
 def test_another_experiment_is_shown_with_what_is_known_of_it(path: Path, tmp_path: Path) -> None:

@@ -42,6 +42,8 @@ _SPACES = r"\s+"
 _SEPARATORS = (",", ";", "\t", "|", _SPACES)
 _SPREADSHEET = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of .xlsx, .ods and .zip, and of .xls."""
+_ENCODINGS = (None, "cp1252")
+"""In the order in which they are tried; None is what the first bytes say."""
 _COMMENT = ("#", "%", "//")
 
 
@@ -68,7 +70,7 @@ def read_text(path: Path, source: str) -> RawTable:
         Where the file is no such text, a column is there twice, or a row has too few or too many cells.
     """
     opened = _opener(path, source)
-    for encoding in (None, "cp1252"):
+    for encoding in _ENCODINGS:
         with suppress(UnicodeDecodeError):  # the next encoding is tried, and then it is refused
             return _read(opened, source, encoding)
     raise InputError(f"{source}: the file is no text in UTF-8, UTF-16 or cp1252: save it as UTF-8")
@@ -82,7 +84,7 @@ def _read(opened: Callable[[], IO[bytes]], source: str, encoding: str | None) ->
             f"{source}: the file is a spreadsheet or packed, by its first bytes: name it .xlsx, .ods, .xls or .zip"
         )
     encoding = encoding or _encoding(start)
-    text = codecs.getincrementaldecoder(encoding)().decode(start, final=len(start) < _LOOKED_AT)
+    text = _decoded(start, encoding)
     if "\0" in text:
         raise InputError(f"{source}: the file is no text: give a table")
     if len(start) == _LOOKED_AT:
@@ -91,6 +93,39 @@ def _read(opened: Callable[[], IO[bytes]], source: str, encoding: str | None) ->
     names, said = named(layout.head.names, layout.head.units)
     check_once(source, names)
     return RawTable(_samples(_without_end(opened, encoding, layout), source, layout, encoding, names), said)
+
+
+def _decoded(start: bytes, encoding: str) -> str:
+    return codecs.getincrementaldecoder(encoding)().decode(start, final=len(start) < _LOOKED_AT)
+
+
+def first_lines(path: Path, count: int) -> list[str]:
+    """Return the first lines of a file as `read_text` decodes them.
+
+    Parameters
+    ----------
+    path : Path
+        Plain, or packed with gzip or zip.
+    count : int
+        The largest number of lines.
+
+    Returns
+    -------
+    list of str
+        Empty for a file that is no text.
+
+    Raises
+    ------
+    InputError
+        If it cannot be unpacked.
+    """
+    with _opener(path, str(path))() as file:
+        start = file.read(_LOOKED_AT)
+    for encoding in _ENCODINGS:
+        with suppress(UnicodeDecodeError):
+            text = _decoded(start, encoding or _encoding(start))
+            return [] if "\0" in text else text.splitlines()[:count]
+    return []
 
 
 def head_length(start: bytes, source: str) -> int:

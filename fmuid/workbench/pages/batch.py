@@ -36,6 +36,8 @@ WIDTHS = {"case": 60, "status": 110, "criterion": 90, "message": 600}
 """Of columns, pixels."""
 WIDEST = 1430
 """Of the table: the last column takes what the others leave."""
+ROW, HEAD, HIGHEST = 25, 45, 420
+"""Heights in pixels: of a row, of the head with the bar that scrolls, of a table at most."""
 _GRID = """
 .slick-header-columns,.slick-header-column{background:var(--card)!important;color:var(--soft)!important}
 .slick-row,.slick-cell{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important}
@@ -63,7 +65,7 @@ class BatchPage:
         self.text = TextInput(title="with the text", value="", name="filter", stylesheets=[SHEET])
         self.number = TextInput(title="show the case", value="", name="number", width=110, stylesheets=[SHEET])
         self.source = ColumnDataSource({"case": []}, name="cases")
-        self.table = DataTable(source=self.source, height=420, index_position=None, reorderable=False, **WIDE)
+        self.table = DataTable(source=self.source, height=HIGHEST, index_position=None, reorderable=False, **WIDE)
         self.table.autosize_mode = "none"  # else all columns are squeezed into a narrow window
         self.table.stylesheets = [_GRID]
         self.case = words("case", "<p>Choose a case in the table.</p>")
@@ -170,6 +172,7 @@ class BatchPage:
             self.table.columns = [*others, last]
         chosen = [self.source.data["case"][k] for k in self.source.selected.indices]
         self.source.data = {name: _plain(shown[name]) for name in names}
+        self.table.height = min(HIGHEST, HEAD + ROW * len(shown))
         self.source.selected.indices = [k for k, case in enumerate(shown["case"]) if case in chosen]
 
     def _choose(self, indices: list[int]) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from bokeh.layouts import column, row
 from bokeh.models import Select, TextInput
 
+from fmuid.data import first_lines
 from fmuid.errors import FmuidError, InputError
 from fmuid.reports import prepared_columns
 from fmuid.reports.console.draft import LINK_HEADS, heading, link_cells, remarks
@@ -185,17 +185,9 @@ def _record(record: Record, folder: Folder) -> str:
             for name in [record.time, *record.columns]
         }
     )
-    file = _beginning(record.path)
+    file = "\n".join(first_lines(record.path, 2 * ROWS))[:CHARACTERS]
     file = details("The beginning of the file", file) if file else ""
     said = "".join(f"<li>{escaped(each)}</li>" for each in remarks(record))
     doubts = f"<ul class=doubts>{said}</ul>" if said else ""
     title = escaped(heading(record, folder.name(record.path)))
     return f"<h3>{title}</h3>{taken}{doubts}<p class=soft>As it is read, time in s:</p>{read}{file}"
-
-
-def _beginning(path: Path) -> str:
-    """Return how a file of text begins, "" for others."""
-    with path.open("rb") as file:
-        content = file.read(CHARACTERS)
-    lines = content.decode("utf-8", errors="replace").splitlines()[: 2 * ROWS]
-    return "" if b"\0" in content else "\n".join(lines)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -19,9 +19,10 @@ PLACES = 1000
 """Steps of a slider."""
 # A range that goes over more than this ratio is logarithmic.
 LOG_RATIO = 20.0
-# Where there are no bounds: so many standard deviations around an estimate, and around a prior; of a start alone, from
-# this part of it to so many times it.
-ESTIMATE_STDS, PRIOR_STDS, START_RATIO = 8.0, 4.0, 5.0
+# A range reaches from this part of the estimate, or else of the start, to so many times it.
+SPAN_RATIO = 5.0
+# It has so many standard deviations of the estimate and of the prior.
+ESTIMATE_STDS, PRIOR_STDS = 10.0, 4.0
 # What is shaded: two standard deviations of a prior, and the interval of 95 % of an estimate.
 SHADED_STDS = 1.96
 # A prior that is asked for is proposed with this share of the start as its standard deviation.
@@ -69,32 +70,41 @@ class Reach:
         return Reach(low, high, self.logarithmic and low > 0)
 
 
-def reach_of(parameter: Parameter, estimate: tuple[float, float] | None = None) -> Reach:
-    """Return the range of a slider: the bounds, or what is known of the parameter.
+def reach_of(parameter: Parameter, estimate: tuple[float, float] | None = None, *, near: bool = False) -> Reach:
+    """Return the range of a slider within the bounds.
 
     Parameters
     ----------
     parameter : Parameter
     estimate : (float, float), optional
-        Value and standard deviation of the last result.
+        Value and standard deviation of the last result; without it, two bounds are the range.
+    near : bool
+        Whether the range is that of `ESTIMATE_STDS` alone, where the standard deviation is known.
+
+    Returns
+    -------
+    Reach
     """
-    start, prior = parameter.start, parameter.prior
-    places = [start]
-    if estimate is not None and math.isfinite(estimate[0]):
-        half = ESTIMATE_STDS * estimate[1] if math.isfinite(estimate[1]) else 0.0
-        places += [estimate[0] - half, estimate[0] + half]
-    if prior is not None:
-        places += [prior.mean - PRIOR_STDS * prior.std, prior.mean + PRIOR_STDS * prior.std]
-    low, high = min(places), max(places)
-    if len(places) == 1:
-        size = abs(start) or parameter.nominal or 1.0
-        low, high = (start / START_RATIO, start * START_RATIO) if start > 0 else (start - 2 * size, start + 2 * size)
-    else:
-        room = 0.1 * (high - low) or 0.5 * abs(high) or 1.0
-        low, high = low - room, high + room
-    low = parameter.min if math.isfinite(parameter.min) and math.isfinite(parameter.max) else max(low, parameter.min)
-    high = parameter.max if math.isfinite(parameter.min) and math.isfinite(parameter.max) else min(high, parameter.max)
-    return Reach(low, high, low > 0 and high / low >= LOG_RATIO)
+    if estimate is None or not math.isfinite(estimate[0]):
+        bounded = math.isfinite(parameter.min) and math.isfinite(parameter.max)
+        return _within(parameter, [parameter.min, parameter.max] if bounded else _span(parameter, parameter.start))
+    half = ESTIMATE_STDS * estimate[1] if math.isfinite(estimate[1]) else 0.0
+    places = [estimate[0] - half, estimate[0] + half]
+    return _within(parameter, places if near and half > 0 else [*places, *_span(parameter, estimate[0])])
+
+
+def _span(parameter: Parameter, centre: float) -> list[float]:
+    """Return values that a range has around an estimate or a start: the start, a span by ratio, the prior."""
+    size, prior = abs(parameter.start) or parameter.nominal or 1.0, parameter.prior
+    span = [centre / SPAN_RATIO, centre * SPAN_RATIO] if centre else [-2 * size, 2 * size]
+    room = [] if prior is None else [prior.mean + side * PRIOR_STDS * prior.std for side in (-1.0, 1.0)]
+    return [parameter.start, *span, *room]
+
+
+def _within(parameter: Parameter, places: Sequence[float]) -> Reach:
+    """Return the range over some values within the bounds; that around the start where they are all outside."""
+    low, high = max(min(places), parameter.min), min(max(places), parameter.max)
+    return Reach(low, high, low > 0 and high / low >= LOG_RATIO) if low < high else reach_of(parameter)
 
 
 class ParameterRow:
@@ -118,7 +128,7 @@ class ParameterRow:
         self.text = label(name, unit)
         self.value = parameter.start
         self.estimate: tuple[float, float] | None = None
-        self.reach, self._quiet = reach_of(parameter), False
+        self.reach, self._near, self._quiet = reach_of(parameter), False, False
         self._shades = InlineStyleSheet(css="")
         self.slider = Slider(start=0, end=PLACES, step=1, value=0, show_value=False, tooltips=False, name=name, **WIDE)
         self.typed = TextInput(value="", name=f"typed {name}", stylesheets=[SHEET], width=104)
@@ -172,9 +182,14 @@ class ParameterRow:
     def know(self, estimate: tuple[float, float] | None) -> None:
         """Take the value and standard deviation of the last result: range and shades follow."""
         self.estimate = estimate
-        self.reach = reach_of(self.parameter, estimate).including(self.value)
+        self.reach = reach_of(self.parameter, estimate, near=self._near).including(self.value)
         self._shade()
         self.put(self.value)
+
+    def show_near(self, near: bool) -> None:
+        """Show the values near the estimate alone, or all."""
+        self._near = near
+        self.know(self.estimate)
 
     def put(self, value: float) -> None:
         """Show a value; nobody is told of it."""

@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 import numpy as np
 from bokeh.layouts import column, row
-from bokeh.models import Select, TabPanel, Tabs
+from bokeh.models import Select, TabPanel, Tabs, Toggle
 
 from fmuid.arrays import Floats
 from fmuid.errors import FmuidError, InputError
@@ -32,7 +32,7 @@ from fmuid.workbench.pages.identifying import Identifying
 from fmuid.workbench.pages.newest import Newest
 from fmuid.workbench.pages.remedies import last_of, noise_of
 from fmuid.workbench.pages.sliders import ParameterRow, stacked
-from fmuid.workbench.shell import SHEET, WIDE, argument, arguments, button, dress, words
+from fmuid.workbench.shell import LINE, SHEET, WIDE, argument, arguments, button, dress, words
 
 # Of so many states one can go back.
 MOST_UNDONE = 100
@@ -102,6 +102,8 @@ class StudyPage:
         self.undo = button("Undo", self.go_back, disabled=True)
         self.to_starts = button("Starts", lambda: self.put({r.name: r.parameter.start for r in self.rows}))
         self.to_optimum = button("Optimum", self._go_to_optimum, disabled=True)
+        self.near = Toggle(label="± 10 σ", name="sliders over ± 10 σ", disabled=True, stylesheets=[SHEET])
+        self.near.on_change("active", lambda _attr, _old, new: self._show_near(new))
         names = [each.experiment.name for each in self.simulators]
         self.experiment = Select(title="experiment", options=names, value=names[0], name="experiment")
         self.experiment.stylesheets = [SHEET]
@@ -115,7 +117,9 @@ class StudyPage:
         return LiveFit(record, self.doc.add_next_tick_callback)
 
     def _lay_out(self) -> None:
-        buttons = row(self.undo, self.to_starts, self.to_optimum, sizing_mode="stretch_width")
+        buttons = row(
+            self.undo, self.to_starts, self.to_optimum, self.near, stylesheets=[LINE], sizing_mode="stretch_width"
+        )
         chosen = [self.experiment] if len(self.simulators) > 1 else []
         side = column(
             *chosen, stacked(self.rows), buttons, self.scores, self.identifying.controls, sizing_mode="stretch_width"
@@ -164,6 +168,10 @@ class StudyPage:
         self.ask()
         if ended:
             self.note()
+
+    def _show_near(self, near: bool) -> None:
+        for each in self.rows:
+            each.show_near(near)
 
     def _state(self) -> tuple[tuple[float, bool], ...]:
         return tuple((each.value, each.held) for each in self.rows)
@@ -281,7 +289,7 @@ class StudyPage:
         values = self._at_optimum()
         for each in self.rows:
             each.know(values.get(each.name))
-        self.to_optimum.disabled = not values
+        self.to_optimum.disabled = self.near.disabled = not values
         if not values:
             self.live.haunt(None)
             return
