@@ -11,6 +11,10 @@ from .facts import Facts as Facts
 from .facts import Line as Line
 from .facts import facts as facts
 from .facts import lines as lines
+from .renewal import Renewal as Renewal
+from .renewal import is_repeated as is_repeated
+from .renewal import needs_process as needs_process
+from .renewal import note_process as note_process
 from .roles import Value as Value
 from .roles import check_roles as check_roles
 from .roles import column_conversion as column_conversion

@@ -192,6 +192,8 @@ class HowRun:
         Largest step, s; None from sample to sample.
     divisor : int
         Into how many each step is divided beyond that.
+    new_processes : bool
+        Whether each simulation had a process of its own, since the FMU keeps something outside its instances.
     """
 
     fmi_version: str
@@ -201,6 +203,7 @@ class HowRun:
     tolerance: float | None
     step_size: float | None
     divisor: int = 1
+    new_processes: bool = False
 
 
 DEFAULT_INTEGRATOR = "rk45"  # no start-up phase after each step of the inputs, and detects stiffness

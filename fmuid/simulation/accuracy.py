@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from fmuid.models import DEFAULT_TOLERANCE, Component, HowRun, Numerics, System
+from fmuid.models import DEFAULT_TOLERANCE, Component, HowRun, Numerics, System, needs_process
 from fmuid.simulation.simulator import Simulator
 
 FINE_TOLERANCE = 1e-9
@@ -149,8 +149,13 @@ def how_run(system: System, refinement: Refinement, stiff: frozenset[str] = froz
     models = dict(system.components)
     if refinement.tolerance is not None:
         models |= {name: Component(m.fmu, _exchange(m, refinement.tolerance)) for name, m in _exchanged(system).items()}
+    new_processes = needs_process(models.values())
     return {
-        name: replace(model.how_run(stiff=name in stiff), divisor=refinement.divisor if system.integrates(name) else 1)
+        name: replace(
+            model.how_run(stiff=name in stiff),
+            divisor=refinement.divisor if system.integrates(name) else 1,
+            new_processes=new_processes,
+        )
         for name, model in models.items()
     }
 

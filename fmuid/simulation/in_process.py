@@ -9,7 +9,7 @@ from concurrent.futures import Future, wait
 from fmuid.arrays import Floats, Indices
 from fmuid.errors import SimulationError
 from fmuid.fmi import Custody, Simulation, codes, shares
-from fmuid.models import STIFF_INTEGRATOR, Component
+from fmuid.models import STIFF_INTEGRATOR, Component, Renewal
 from fmuid.simulation.simulation_thread import SimulationThread
 
 
@@ -21,26 +21,28 @@ class InProcessExecutor:
     components : mapping of str to Component
     limit : int
         The largest number of threads.
-    resets : bool, optional
-        Whether instances can be reset; default: found out.
+    renewal : Renewal, optional
+        What brings instances back to their beginning; default: found out with the first simulation.
 
     Attributes
     ----------
     lock : RLock
         Held by who runs simulations and asks for their failures.
+    renewal : Renewal or None
+        None: not known yet.
     """
 
     def __init__(
         self,
         components: Mapping[str, Component],
         limit: int,
-        resets: bool | None = None,
+        renewal: Renewal | None = None,
         told: set[str] | None = None,
     ) -> None:
         self.lock = threading.RLock()
-        self._components, self._limit, self._resets = components, limit, resets
+        self._components, self._limit, self.renewal = components, limit, renewal
         self._told = set[str]() if told is None else told
-        self._threads = [SimulationThread(components, 0, resets, self._told)]
+        self._threads = [SimulationThread(components, 0, renewal, self._told)]
         self._custody = Custody((model.fmu, model.kind) for model in components.values())
         self._doing: Indices | None = None
         self._running: Simulation | None = None
@@ -53,6 +55,9 @@ class InProcessExecutor:
         with self._custody.turn(self):
             self._running = simulation
             self._run_shares(simulation, thetas, outputs, reports)
+            self.renewal = self._threads[0].renewal
+            if len(thetas) > 1:  # in several threads each may have made one
+                self._threads[0].check_process()
             if any(simulation.plan.integrations) and self._found_stiff(simulation, reports):
                 for thread in self._threads:
                     thread.forget(simulation)
@@ -70,7 +75,7 @@ class InProcessExecutor:
     def _run_shares(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         count = min(self._limit, len(thetas))
         while len(self._threads) < count:
-            self._threads.append(SimulationThread(self._components, len(self._threads), self._resets, self._told))
+            self._threads.append(SimulationThread(self._components, len(self._threads), self.renewal, self._told))
             self.show_doing(self._doing)
         futures: list[Future[None]] = []
         try:
@@ -143,5 +148,5 @@ class InProcessExecutor:
         with self.lock:
             for thread in self._threads:
                 thread.shut_down()
-            self._threads = [SimulationThread(self._components, 0, self._resets, self._told)]
+            self._threads = [SimulationThread(self._components, 0, self.renewal, self._told)]
             self.show_doing(self._doing)

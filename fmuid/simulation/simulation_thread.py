@@ -17,15 +17,12 @@ import numpy as np
 from fmuid.arrays import Floats, Indices
 from fmuid.errors import InputError, SimulationError
 from fmuid.fmi import Instance, Loop, Simulation, codes, describe, new_reports, warn
-from fmuid.models import Component
+from fmuid.models import Component, Renewal, is_repeated, needs_process, note_process
 
 _log = logging.getLogger("fmuid.fmu")
 # Longest that one call of the core should last, s: between calls an interruption gets through.
 CALL_SECONDS = 0.2
 FATAL = 4  # fmi2Fatal
-# Two simulations with the same parameters, before and after a reset, may differ by this share of the largest output:
-# an integrator that keeps its last step length is still the same model.
-RESET_TOLERANCE = 1e-6
 MESSAGES_TOLD = 3  # of one failed simulation
 
 
@@ -53,8 +50,8 @@ class SimulationThread:
     components : mapping of str to Component
     index : int
         Its number; 0 is the caller's own thread.
-    resets : bool, optional
-        Whether an instance can be reset to its beginning; default: found out with the first simulation.
+    renewal : Renewal, optional
+        What brings it back to its beginning; default: found out with the first simulation.
     told : set of str, optional
         The warnings that were passed on, shared by the threads of a system.
 
@@ -64,22 +61,26 @@ class SimulationThread:
         What it is doing now (`codes.IDLE` and so on), and how often it was told to simulate.
     longest : float
         Duration of the longest simulation so far, s.
+    renewal : Renewal or None
+        None: not known yet.
     """
 
     def __init__(
         self,
         components: Mapping[str, Component],
         index: int,
-        resets: bool | None = None,
+        renewal: Renewal | None = None,
         told: set[str] | None = None,
     ) -> None:
         self._components, self._index = components, index
+        self._spent = needs_process(components.values())  # what a process allows only once was done
+        self.renewal = Renewal.PROCESS if self._spent else renewal
         self._executor = ThreadPoolExecutor(1, f"fmuid-{index}") if index else None
         self._instances: list[Instance] = []
         self._loops: weakref.WeakKeyDictionary[Simulation, Loop] = weakref.WeakKeyDictionary()
         self._used = np.zeros(0, np.intp)
         self._seconds = CALL_SECONDS  # of one simulation, as last measured
-        self._resets, self._cancelled = resets, False
+        self._cancelled = False
         self._told = set[str]() if told is None else told
         self.doing = _words()
         self.longest = 0.0
@@ -99,13 +100,13 @@ class SimulationThread:
         """Simulate all thetas (m, N) into outputs (m, K, n_y) and reports (m, codes.REPORT)."""
         done = 0
         while done < len(thetas) and not self._cancelled:
-            share = max(1, int(CALL_SECONDS / self._seconds)) if self._resets else 1
+            share = max(1, int(CALL_SECONDS / self._seconds)) if self.renewal is Renewal.RESET else 1
             part = slice(done, min(len(thetas), done + share))
             began = time.perf_counter()
             self._call(simulation, thetas[part], outputs[part], reports[part])
             self._seconds = max((time.perf_counter() - began) / share, 1e-6)
             if (reports[part, 2] == codes.DONE_WELL).all():
-                if self._resets is None:
+                if self.renewal is None:
                     self._try_reset(simulation, thetas[part], outputs[part])
             else:
                 part = self._valid(part, reports)
@@ -118,7 +119,9 @@ class SimulationThread:
         """Return the part of a call that counts; what comes after it is simulated again by another instance."""
         begun = reports[part]
         again = begun[:, 2] == codes.UNDONE  # the one before them failed fatally
-        if self._resets and self._can_be_replaced:  # what they were to begin with was spoilt by the one before them
+        if (
+            self.renewal is Renewal.RESET and self._can_be_replaced
+        ):  # what they were to begin with was spoilt by the one before them
             stuck = begun[:, 0] == codes.RESET
             if stuck.any():
                 self.close(fatal=bool((begun[stuck, 2] >= FATAL).any()))
@@ -126,7 +129,7 @@ class SimulationThread:
         return slice(part.start, part.start + int(np.argmax(again)) if again.any() else part.stop)
 
     def _try_reset(self, simulation: Simulation, theta: Floats, expected: Floats) -> None:
-        """Repeat the first simulation after a reset: an FMU that keeps something is instantiated anew every time."""
+        """Repeat the first simulation, after a reset and by a new instance: find out what an FMU needs every time."""
         if not np.isfinite(expected).all():
             return
         with self._busy(codes.REPEATING):
@@ -134,32 +137,30 @@ class SimulationThread:
 
     def _judge_reset(self, simulation: Simulation, theta: Floats, expected: Floats) -> None:
         same, fatal = self._repeats(simulation, theta, expected)
-        self._resets = same
-        if not same:
-            self._give_up_reset(fatal)
-        if not same and self._can_be_replaced:
+        if same:
+            self.renewal = Renewal.RESET
+            return
+        self.close(fatal)
+        if self._can_be_replaced:
             self._prepare()
             same, fatal = self._repeats(simulation, theta, expected)
             self.close(fatal)
-            if not same and self._index == 0:
-                _log.warning(
-                    "%s: not even a new instance begins where the first did: the FMU keeps something outside its "
-                    "instances, and results depend on the simulations before them",
-                    ", ".join(self._labels),
-                )
+        if same:
+            self._give_up_reset()
+        else:
+            self.renewal = Renewal.PROCESS
+            note_process(self._components.values())
 
     def _repeats(self, simulation: Simulation, theta: Floats, expected: Floats) -> tuple[bool, bool]:
         """Simulate again; return whether the outputs are the same, and whether the FMU failed fatally."""
         outputs, report = np.empty_like(expected), new_reports(1)
         self._simulate(simulation, theta, outputs, report)
-        tolerance = RESET_TOLERANCE * np.abs(expected).max(initial=0.0)
-        same = report[0, 0] < 0 and np.allclose(outputs, expected, rtol=0.0, atol=tolerance)
-        return bool(same), bool(report[0, 0] >= 0 and report[0, 2] >= FATAL)
+        return report[0, 0] < 0 and is_repeated(outputs, expected), bool(report[0, 0] >= 0 and report[0, 2] >= FATAL)
 
     def _give_up_reset(self, fatal: bool = False) -> None:
-        self._resets = False
+        self.renewal = Renewal.INSTANCE if self._can_be_replaced else Renewal.PROCESS
         self.close(fatal)
-        if self._index == 0 and self._can_be_replaced:
+        if self._index == 0 and self.renewal is Renewal.INSTANCE:
             _log.warning(
                 "%s: a reset does not bring it back to its beginning, so it is instantiated anew for every "
                 "simulation, which is slow and, for some FMUs, fails after a thousand times",
@@ -185,7 +186,7 @@ class SimulationThread:
         """Repeat a failed simulation with the FMU's debug log on; return the error (None if it succeeds now)."""
         outputs = np.empty((1, simulation.grid.times.size, len(simulation.output_names)))
         reports = new_reports(1)
-        if self._resets is False or (self._resets is None and self._can_be_replaced):
+        if self.renewal is not Renewal.RESET and (self.renewal is not None or self._can_be_replaced):
             self.close()  # whether a reset undoes the failure is not known
         self._prepare()
         for instance in self._instances:
@@ -268,14 +269,27 @@ class SimulationThread:
         paths = {name: model.fmu.path for name, model in self._components.items()}
         return [f"{name} ({path})" if name else str(path) for name, path in paths.items()]
 
+    def check_process(self) -> None:
+        """Refuse to go on where a process allows one simulation only, and that is done.
+
+        Raises
+        ------
+        InputError
+        """
+        if self.renewal is not Renewal.PROCESS or not self._spent:
+            return
+        why = "it declares that a process may instantiate it only once"
+        if self._can_be_replaced:
+            why = "not even a new instance does: it keeps something outside its instances"
+        raise InputError(
+            f"{', '.join(self._labels)} can be simulated only once in a process: a reset does not bring it back to its "
+            f"beginning, and {why}; run it isolated (isolation=fmuid.Isolation(), the default of commands), or export "
+            "it with a reset that works"
+        )
+
     def _prepare(self) -> None:
         if not self._instances:
-            if self._resets is False and not self._can_be_replaced:
-                raise InputError(
-                    f"{', '.join(self._labels)} can be simulated only once in a process: a reset does not bring it "
-                    "back to its beginning, and it declares that a process may instantiate it only once; export it "
-                    "with a reset that works"
-                )
+            self.check_process()
             with self._busy(codes.PREPARING):
                 for component, model in self._components.items():
                     name = f"{component or model.fmu.name}-{self._index}"
@@ -283,11 +297,11 @@ class SimulationThread:
             self._used = np.zeros(len(self._instances), np.intp)
 
     def _call(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
-        if self._resets is False:
+        if self.renewal not in (None, Renewal.RESET):
             self.close()
         self._prepare()
         self._simulate(simulation, thetas, outputs, reports)
-        if self._resets is None and reports[0, 0] == codes.RESET:  # the simulation before failed: nothing was known
+        if self.renewal is None and reports[0, 0] == codes.RESET:  # the simulation before failed: nothing was known
             self._give_up_reset(fatal=reports[0, 2] >= FATAL)
             self._prepare()
             self._simulate(simulation, thetas, outputs, reports)
@@ -301,6 +315,7 @@ class SimulationThread:
             loop.cancel()
         began = time.perf_counter()
         self.doing[1] += 1
+        self._spent = True
         with self._busy(max(codes.SIMULATING, int(self.doing[0]))):
             loop.run(thetas, outputs, reports)
         self.longest = max(self.longest, (time.perf_counter() - began) / len(thetas))

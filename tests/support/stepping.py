@@ -20,9 +20,10 @@ X, DX, U, P = 0, 2, 4, 5
 
 
 @cache
-def _library(folder: Path, model: str, order: int, internal: float) -> bytes:
-    path = folder / f"{model}{order}-{internal:g}{fmpy.sharedLibraryExtension}"
+def _library(folder: Path, model: str, order: int, internal: float, memory: float, seed: str) -> bytes:
+    path = folder / f"{model}{order}-{internal:g}-{memory:g}-{len(seed)}{fmpy.sharedLibraryExtension}"
     defines = [f"-DMODEL={model.upper()}", f"-DORDER={order}", f"-DINTERNAL={internal!r}"]
+    defines += [f"-DMEMORY={memory!r}", f"-DSEED={seed}"] * (memory != 0.0)
     headers = Path(fmpy.__file__).parent / "c-code"
     command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}", *defines]
     subprocess.run([*command, "-o", str(path), str(HERE / "probe" / "stepping.c")], check=True, capture_output=True)
@@ -30,7 +31,15 @@ def _library(folder: Path, model: str, order: int, internal: float) -> bytes:
 
 
 def stepping_fmu(
-    folder: Path, model: Model, *, order: int = 1, internal: float = 0.0, exchange: bool = False, told: bool = True
+    folder: Path,
+    model: Model,
+    *,
+    order: int = 1,
+    internal: float = 0.0,
+    exchange: bool = False,
+    told: bool = True,
+    memory: float = 0.0,
+    seed: str = "0",
 ) -> Path:
     """Return an FMU of a model.
 
@@ -46,9 +55,13 @@ def stepping_fmu(
         Whether it offers model exchange, too.
     told : bool
         Whether its description names the states.
+    memory : float
+        What is added to the input after each simulation in the process.
+    seed : str
+        How often it is added in the first, in C.
     """
     name, states, parameters = model
-    path = folder / f"{name}{order}-{internal:g}-{exchange}-{told}.fmu"
+    path = folder / f"{name}{order}-{internal:g}-{exchange}-{told}-{memory:g}-{len(seed)}.fmu"
     lines = [_real(x, X + i, 'causality="output" initial="exact"', 'start="0"') for i, x in enumerate(states)]
     lines += [_real(f"der({x})", DX + i, "", f'derivative="{i + 1}"' if told else "") for i, x in enumerate(states)]
     lines.append(_real("u", U, 'causality="input"', 'start="0"'))
@@ -66,7 +79,7 @@ def stepping_fmu(
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
         library = f"binaries/{fmpy.platform}/stepping{fmpy.sharedLibraryExtension}"
-        archive.writestr(library, _library(folder, name, order, internal))
+        archive.writestr(library, _library(folder, name, order, internal, memory, seed))
     return path
 
 

@@ -55,7 +55,9 @@ def run_words(run: HowRun) -> str:
         words += f", tolerance {run.tolerance:g}"
     if run.step_size is not None:
         words += f", steps of at most {run.step_size:g} s"
-    return words + (f", each step divided by {run.divisor}" if run.divisor > 1 else "")
+    if run.divisor > 1:
+        words += f", each step divided by {run.divisor}"
+    return words + (", in a new process for each simulation" if run.new_processes else "")
 
 
 def runs_words(runs: Mapping[str, Mapping[str, Any]]) -> str:

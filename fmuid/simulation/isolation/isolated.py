@@ -19,9 +19,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from fmuid.arrays import Floats, Indices
-from fmuid.errors import FmuidError, SimulationError
-from fmuid.fmi import Simulation, codes, shares
-from fmuid.models import STIFF_INTEGRATOR, Component, Isolation
+from fmuid.errors import FmuidError, InputError, SimulationError
+from fmuid.fmi import Simulation, codes, new_reports, shares
+from fmuid.models import STIFF_INTEGRATOR, Component, Isolation, Renewal, is_repeated, needs_process, note_process
 from fmuid.processes import FAILED, GREW, HUNG, KILLED, MOST_KILLS, End
 from fmuid.simulation.isolation import orders
 from fmuid.simulation.isolation.ahead import CODE
@@ -64,7 +64,7 @@ class IsolatedExecutor:
         self._components, self._settings = dict(components), settings
         self._limit = min(limit, settings.threads or limit)
         self._keeper = Keeper(settings, [CODE], set() if told is None else told)
-        self._resets: bool | None = None  # False: a reset crashes the FMU
+        self._renewal: Renewal | None = None
         self._numbers: weakref.WeakKeyDictionary[Simulation, int] = weakref.WeakKeyDictionary()
         self._next, self._known, self._forgotten = 0, set[int](), list[int]()
         self._steps = 0  # of the simulation with most of them
@@ -89,14 +89,51 @@ class IsolatedExecutor:
     def _run_chunks(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         first, largest = 0, max(1, CHUNK_BYTES // max(1, outputs[:1].nbytes))
         while first < len(thetas):
-            # the first ones by themselves, so that what they need is known and not taken for growth
-            before, recycle = self._host().simulations, self._settings.recycle
-            often = 1 if not before else max(1, int(MEASURE_SECONDS / max(self._keeper.longest, 1e-6)))
-            most = min(largest, self._limit * often, max(1, recycle - before) if recycle else largest)
-            part = slice(first, first + most)
+            known = self._alone
+            part = slice(first, first + self._most(largest))
             self._run_part(simulation, thetas[part], outputs[part], reports[part])
+            if self._renewal is Renewal.PROCESS and not known:
+                self._try_processes(simulation, thetas[part][:1])  # and then that part again
+                continue
             self._keeper.replace_outgrown()
             first = part.stop
+
+    @property
+    def _alone(self) -> bool:
+        """Whether each simulation needs a new process."""
+        return needs_process(self._components.values())
+
+    def _most(self, largest: int) -> int:
+        """Return how many simulations may go next."""
+        if self._alone:
+            self._keeper.replace()
+            return 1
+        if self._renewal is None:
+            return 1
+        # the first ones by themselves, so that what they need is known and not taken for growth
+        before, recycle = self._host().simulations, self._settings.recycle
+        often = 1 if not before else max(1, int(MEASURE_SECONDS / max(self._keeper.longest, 1e-6)))
+        return min(largest, self._limit * often, max(1, recycle - before) if recycle else largest)
+
+    def _try_processes(self, simulation: Simulation, theta: Floats) -> None:
+        """See whether new processes give the same outputs each, where new instances do not."""
+        found = []
+        for _ in range(2):
+            self._keeper.replace()
+            outputs = np.full((1, simulation.grid.times.size, len(simulation.output_names)), np.nan)
+            self._run_part(simulation, theta, outputs, new_reports(1))
+            found.append(outputs)
+        if not is_repeated(*found):
+            raise InputError(
+                f"{self._labels} gives other outputs each time it is simulated with the same parameters, also in new "
+                "processes; export it without what is random in it"
+            )
+        if note_process(self._components.values()):
+            _log.warning(
+                "%s: the FMU keeps something outside its instances, so that a new process is started for every "
+                "simulation, which is slow",
+                self._labels,
+            )
 
     def _run_part(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         left, suspects = np.arange(len(thetas)), list[int]()
@@ -150,10 +187,11 @@ class IsolatedExecutor:
         try:
             number = self._tell(host, simulation)
             host.simulations += len(group)
-            stiff, longest = host.order(
+            stiff, longest, renewal = host.order(
                 orders.run, number, shape, size, varying, limit=self._time_limit(simulation), reports=their_reports
             )
             self._keeper.longest = max(self._keeper.longest, longest)
+            self._renewal = None if renewal is None else Renewal(renewal)
             self._steps = max(self._steps, _steps(simulation))
             for component in stiff:
                 simulation.integrate(component, STIFF_INTEGRATOR)
@@ -198,7 +236,10 @@ class IsolatedExecutor:
             return None
         if function != codes.PROCESS:
             try:
+                if self._alone:
+                    self._keeper.replace()
                 host = self._host()
+                host.simulations += explain
                 words = theta, outputs, report, dict(parameters), explain
                 number = self._tell(host, simulation)
                 return host.order(orders.failure, number, *words, limit=self._time_limit(simulation))
@@ -237,7 +278,7 @@ class IsolatedExecutor:
         for _, model in self._models:
             _ = model.fmu.directory  # unpacked here, where what is wrong with it can be said
         self._known.clear()
-        host.order(orders.start, self._components, self._limit, self._resets, limit=FIRST_TIME_LIMIT)
+        host.order(orders.start, self._components, self._limit, self._renewal, limit=FIRST_TIME_LIMIT)
 
     def _tell(self, host: Host, simulation: Simulation) -> int:
         """Return the number of a run, which the process knows now."""
@@ -270,7 +311,7 @@ class IsolatedExecutor:
         reports[indices, :4] = codes.PROCESS, end.kind, end.number if limits.get(end.kind, 1) else 0, -1
 
     def _give_up_reset(self) -> None:
-        self._resets = False
+        self._renewal = Renewal.INSTANCE
         _log.warning(
             "%s: a reset crashes it, so it is instantiated anew for every simulation, which is slow and, for some "
             "FMUs, fails after a thousand times",

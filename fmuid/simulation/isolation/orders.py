@@ -48,11 +48,12 @@ def arrays(memory: mmap.mmap, shape: tuple[int, int, int, int]) -> Arrays:
     )
 
 
-def start(components: dict[str, Any], limit: int, resets: bool | None) -> None:
+def start(components: dict[str, Any], limit: int, renewal: int | None) -> None:
     """Make the system that this process runs (`fmuid.simulation.in_process.InProcessExecutor`)."""
+    from fmuid.models import Renewal
     from fmuid.simulation.in_process import InProcessExecutor
 
-    _executor[:] = [InProcessExecutor(components, limit, resets)]
+    _executor[:] = [InProcessExecutor(components, limit, None if renewal is None else Renewal(renewal))]
 
 
 def know(number: int, simulation: Simulation, forgotten: Sequence[int]) -> None:
@@ -64,8 +65,8 @@ def know(number: int, simulation: Simulation, forgotten: Sequence[int]) -> None:
 
 def run(
     number: int, shape: tuple[int, int, int, int], size: int, varying: Sequence[Sequence[Any]]
-) -> tuple[list[int], float]:
-    """Simulate; return the components that were found stiff, and the duration of the longest simulation, s."""
+) -> tuple[list[int], float, int | None]:
+    """Simulate; return which components were found stiff, the longest simulation, s, and what it takes (`Renewal`)."""
     simulation, (executor,) = _runs[number], _executor
     if not _memory or len(_memory[0]) != size:
         _memory[:] = [shared_memory(size)]
@@ -77,7 +78,8 @@ def run(
     before = [each and each.integrator for each in simulation.plan.integrations]
     executor.run(simulation, thetas, outputs, reports)
     after = [each and each.integrator for each in simulation.plan.integrations]
-    return [i for i, pair in enumerate(zip(before, after, strict=True)) if pair[0] != pair[1]], executor.longest
+    stiff = [i for i, pair in enumerate(zip(before, after, strict=True)) if pair[0] != pair[1]]
+    return stiff, executor.longest, None if executor.renewal is None else int(executor.renewal)
 
 
 def failure(number: int, *arguments: Any) -> SimulationError | None:

@@ -1,6 +1,7 @@
 /* First and second order models as FMI 2.0 FMUs for tests, one of them chosen at compilation (-DMODEL), which integrate
    in a plain way by co-simulation: ORDER 1 (explicit Euler) or 4 (Runge-Kutta), one step a communication step, or with
-   INTERNAL steps of their own length. By model exchange their derivatives are exact. */
+   INTERNAL steps of their own length. By model exchange their derivatives are exact. With MEMORY the input is larger by
+   this much after each simulation in the process, and by SEED times as much in the first. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,8 +13,20 @@ static const int states[] = {1, 2};
 #define N states[MODEL]
 typedef struct { double r[N_REALS], time; } Model;
 
+#ifdef MEMORY
+#ifndef SEED
+#define SEED 0
+#endif
+#include <unistd.h>
+static int simulations = 0; /* outside all instances */
+#endif
+
 static void derivatives(const Model *m, const double *x, double *d) {
-  const double *p = m->r + P, u = m->r[U];
+  const double *p = m->r + P;
+  double u = m->r[U];
+#ifdef MEMORY
+  u += MEMORY * (simulations - 1);
+#endif
   if (MODEL == LAG) d[0] = u - p[0] * x[0];
   else d[0] = (u - p[0] * x[0] - p[2] * x[1]) / p[1], d[1] = (p[2] * x[0] - p[4] * x[1]) / p[3];
 }
@@ -57,7 +70,14 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean d, fmi2Real t, fmi2R
 }
 #define DOES_NOTHING(name) fmi2Status name(fmi2Component c) { return (void)c, fmi2OK; }
 DOES_NOTHING(fmi2EnterInitializationMode)
+#ifdef MEMORY
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+  if (!simulations) simulations = SEED;
+  return (void)c, simulations++, fmi2OK;
+}
+#else
 DOES_NOTHING(fmi2ExitInitializationMode)
+#endif
 DOES_NOTHING(fmi2Terminate)
 DOES_NOTHING(fmi2EnterEventMode)
 DOES_NOTHING(fmi2EnterContinuousTimeMode)
