@@ -13,6 +13,7 @@ import os
 import re
 import socket
 import struct
+import tempfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -99,9 +100,9 @@ def locked(folder: Path, what: str) -> Iterator[None]:
     """
     make_folder(folder)
     with _opened_lock(folder / LOCK, what) as file:
-        file.truncate(0)
-        file.write(f"process {os.getpid()} on {socket.gethostname()}")
-        file.flush()
+        with contextlib.suppress(OSError):  # a full disk: nobody is told who has it
+            file.truncate(0)
+            os.write(file.fileno(), f"process {os.getpid()} on {socket.gethostname()}".encode())
         try:
             yield
         finally:
@@ -155,10 +156,13 @@ def noted() -> Iterator[list[Path]]:
     """Provide a list that receives the files written by `replacing` and told by `note`, in their order."""
     global _noted
     before, _noted = _noted, []
+    mine = _noted
     try:
-        yield _noted
+        yield mine
     finally:
         _noted = before
+        if before is not None:
+            before += mine
 
 
 def note(path: Path) -> None:
@@ -167,13 +171,37 @@ def note(path: Path) -> None:
         _noted.append(path)
 
 
+class WriteError(InputError):
+    """A file cannot be written, as where the disk is full.
+
+    Attributes
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path, error: OSError) -> None:
+        remedy = "make room, or choose" if error.errno in _FULL else "choose"
+        super().__init__(f"{path} cannot be written: {error.strerror or error}; {remedy} another folder with --output")
+        self.path = path
+
+
+def rescued(name: str, content: Mapping[str, Any]) -> Path | None:
+    """Write a JSON file into a new folder for temporary files; return its path, or None if that fails, too."""
+    with contextlib.suppress(OSError):
+        folder = Path(tempfile.mkdtemp(prefix="fmuid-"))
+        with contextlib.suppress(WriteError):
+            return write_json(folder / name, content)
+        folder.rmdir()
+    return None
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Provide a path beside `path` to write to, which replaces `path` when it is complete.
 
     Raises
     ------
-    InputError
+    WriteError
         If nothing can be written there.
     """
     try:
@@ -186,10 +214,7 @@ def replacing(path: Path) -> Iterator[Path]:
         finally:
             draft.unlink(missing_ok=True)
     except OSError as error:
-        remedy = "make room, or choose" if error.errno in _FULL else "choose"
-        raise InputError(
-            f"{path} cannot be written: {error.strerror or error}; {remedy} another folder with --output"
-        ) from None
+        raise WriteError(path, error) from None
 
 
 def write_table(path: Path, frame: pd.DataFrame) -> Path:

@@ -259,6 +259,15 @@ def _long(_: Path, __: pytest.CaptureFixture[str]) -> None:
     assert identify(Problem(COIL, fewer, FREE))["R"] == pytest.approx(4.0, abs=0.1)
 
 
+# --- a run ended early ----------------------------------------------------------------------
+
+elsewhere("Ctrl-C, SIGTERM, or the terminal was closed (SIGHUP)", "tests.cli.test_interruption:test_a_search")
+elsewhere("the output went to `head`, or to a full disk", "tests.cli.test_outputs:test_a_search_ends_whoever_reads")
+elsewhere("the disk was full", "tests.cli.test_outputs:test_no_room_for_a_result")
+elsewhere(
+    "`the earlier run cannot be resumed`", "tests.reports.test_following_damage:test_damaged_files_are_put_aside_once"
+)
+
 # --- the numbers differ -------------------------------------------------------------------
 
 

@@ -9,7 +9,6 @@ import atexit
 import copy
 import gc
 import inspect
-import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -24,8 +23,10 @@ from fmuid.cli import studies as cli_studies
 from fmuid.cli import workbench as cli_workbench
 from fmuid.cli.interruption import handled
 from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.cli.outputs import guarded, open_descriptors
 from fmuid.errors import FmuidError, InputError
-from fmuid.text import visible
+from fmuid.files import noted
+from fmuid.text import listed, visible
 from fmuid.version import __version__
 
 # Objects between two looks for garbage in cycles, and how many of these before a longer one: there is next to none, and
@@ -81,6 +82,7 @@ app.command("open", short_help=inspect.getdoc(cli_workbench.open_))(cli_workbenc
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code; whatever is wrong with the input is one sentence on stderr."""
+    open_descriptors()
     gc.set_threshold(*COLLECTIONS)
     atexit.register(gc.freeze)  # or Python looks through all that was loaded once more before it ends: 0.3 s
     with handled():
@@ -97,9 +99,20 @@ def run(arguments: Sequence[str] | None = None) -> int:
         As typed after ``fmuid``; default: those of the process.
     """
     given = sys.argv[1:] if arguments is None else list(arguments)
+    with guarded() as output, noted() as written:
+        code = _ran(given)
+        output.flush()
+        if output.lost is not None:
+            places = sorted({str(path.parent) for path in written})
+            kept = f"; the files are written, in {listed(places)}" if places else ""
+            return _refuse(f"the standard output: {output.lost.strerror or output.lost}{kept}", code or NOT_SUCCEEDED)
+        return code
+
+
+def _ran(given: Sequence[str]) -> int:
+    """Run a command and return its exit code; an error is a sentence."""
     try:
         code: Any = _with_command(given)(given or ["--help"], standalone_mode=False, prog_name="fmuid")
-        sys.stdout.flush()
     except InputError as error:
         return _refuse(str(error), WRONG_INPUT)
     except FmuidError as error:
@@ -112,13 +125,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         )
     except (KeyboardInterrupt, typer.Abort):
         return _refuse("interrupted", NOT_SUCCEEDED)
-    except BrokenPipeError:  # as in `fmuid info model.fmu | head`
-        _forget_output()
-        return NOT_SUCCEEDED
-    except OSError as error:  # a full disk behind the standard output, or wherever a library writes
-        _refuse(f"{error.filename or 'the standard output'}: {error.strerror or error}", NOT_SUCCEEDED)
-        _forget_output()
-        return NOT_SUCCEEDED
+    except OSError as error:  # a full disk wherever a library writes
+        place = f"{error.filename}: " if error.filename else ""
+        return _refuse(f"{place}{error.strerror or error}", NOT_SUCCEEDED)
     if code == _TYPER_INTERRUPTED:
         return _refuse("interrupted", NOT_SUCCEEDED)
     return code if isinstance(code, int) else DONE
@@ -140,14 +149,6 @@ def _with_command(given: Sequence[str]) -> typer.Typer:
 _TYPER_INTERRUPTED = 130
 # Click's exception of wrong usage, wherever this version of typer keeps click.
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
-
-
-def _forget_output() -> None:
-    """Have what cannot be written to the standard output raise no error at the end."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _refuse(sentence: str, code: int) -> int:

@@ -79,8 +79,8 @@ def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) 
         from fmuid.reports.console.batch import show_batch
 
         summary, _ = found.summary()
-        show_batch(summary)
         written = [*write_summary(summary, job.folder), write_overview(summary, found, job.study)]
+        show_batch(summary)
         written += show_results(job.folder, report=report, figures=figures)
         console.show_files([*job.dataset.files(), *written])
     if found.interrupted:

@@ -41,12 +41,12 @@ def design(
 
         files.make_folder(folder)
         ranked = ranked_excitations(read, tables, by=by, fault=fault)
+        written = [files.write_table(folder / "design.csv", ranked), write_origin(folder / "design.json", read, tables)]
         console.show_frame("Excitations, the best first", ranked)
         if fault is not None:
             best = str(ranked["excitation"].iloc[0])
             cost = healthy_record_cost(read, tables, fault, best)
             console.show_frame(f"Healthy records, in lengths of {best}: the smallest size found", cost)
             console.show_remarks(healthy_record_words(cost))
-        written = [files.write_table(folder / "design.csv", ranked), write_origin(folder / "design.json", read, tables)]
         console.show_files([*written, *show_results(folder, report=not no_report)])
         return DONE

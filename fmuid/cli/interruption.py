@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM on the command line: both mean to keep what there is and stop; the first is answered at once."""
+"""Ctrl-C, SIGTERM and SIGHUP on the command line: all mean to keep what there is and stop; the first is answered."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from types import FrameType
 
 # One request comes as several signals: `timeout` and some schedulers send to a process and to its group.
 _ONE_REQUEST = 1.0  # s
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# SIGTERM comes from schedulers, SIGHUP from a terminal that is closed: nobody is there to wait for what follows.
+_ENDING = (signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
+_SIGNALS = (signal.SIGINT, *_ENDING)
 
 
 class _Interruption:
@@ -29,9 +31,9 @@ class _Interruption:
     def handle(self, number: int, _frame: FrameType | None) -> None:
         """Handle a signal: answer, and raise KeyboardInterrupt for whoever keeps what there is."""
         now = time.monotonic()
-        if now - self._last < _ONE_REQUEST or (self.stopping and number == signal.SIGTERM):
+        if now - self._last < _ONE_REQUEST or (self.stopping and number in _ENDING):
             return
-        self.stopping = self.stopping or number == signal.SIGTERM
+        self.stopping = self.stopping or number in _ENDING
         self._last = now
         if self.answer:
             _say(f"interrupted: {self.answer}")
@@ -44,7 +46,7 @@ _interruption = _Interruption()
 
 @contextlib.contextmanager
 def handled() -> Iterator[None]:
-    """Handle Ctrl-C and SIGTERM; signals that the process was started to ignore stay ignored."""
+    """Handle Ctrl-C, SIGTERM and SIGHUP; signals that the process was started to ignore stay ignored."""
     _interruption.begin()
     before = {number: signal.getsignal(number) for number in _SIGNALS}
     for number, handler in before.items():
@@ -69,7 +71,7 @@ def answering(answer: str) -> Iterator[None]:
 
 
 def stopping() -> bool:
-    """Return whether SIGTERM has come, which leaves out what follows too, not what is being done alone as Ctrl-C."""
+    """Return whether SIGTERM or SIGHUP has come: it leaves out all that follows, Ctrl-C only what is being done."""
     return _interruption.stopping
 
 
@@ -77,4 +79,5 @@ def _say(sentence: str) -> None:
     try:
         print(sentence, file=sys.stderr, flush=True)
     except RuntimeError:  # the signal came while something else was being written there
-        os.write(2, f"{sentence}\n".encode())
+        with contextlib.suppress(OSError):
+            os.write(2, f"{sentence}\n".encode())

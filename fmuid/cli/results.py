@@ -79,9 +79,12 @@ def predict(
         with Display() as display:
             how: dict[str, Any] = {"like": like, "folds": folds, "level": level, "progress": display}
             found = run_prediction(path, records, study=read, free=free or (), **how)
-        show_predictions(found)
         files.make_folder(folder)
-        console.show_files([*found.write(folder), *show_results(folder, report=not no_report, figures=figures)])
+        try:
+            written = found.write(folder)
+        finally:  # what was found is shown also where there is no room for it
+            show_predictions(found)
+        console.show_files([*written, *show_results(folder, report=not no_report, figures=figures)])
         return DONE
 
 
@@ -123,9 +126,12 @@ def compare(
         from fmuid.reports.console.comparison import show_comparison
 
         found = run_comparison(results, tables or (), free=free or (), isolated=isolated)
-        show_comparison(found)
         files.make_folder(folder)
-        console.show_files([*found.write(folder), *show_results(folder, report=not no_report)])
+        try:
+            written = found.write(folder)
+        finally:
+            show_comparison(found)
+        console.show_files([*written, *show_results(folder, report=not no_report)])
         return DONE
 
 

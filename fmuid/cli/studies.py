@@ -69,9 +69,9 @@ def simulate(
         console.warn_unfed(simulators)
         console.warn_of_time(read, simulators)
         fits = read.fits() if result is None else _fits_at(read, result)
-        console.show_fits(fits)
         table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
         written = [files.write_table(folder / "simulated.csv", table)]
+        console.show_fits(fits)
         written += _sensitivities(read, folder) if sensitivities else []
         written += draw_simulation(folder, fits, figures, sensitivities=sensitivities)
         console.show_files(written)
@@ -149,7 +149,7 @@ def _show_event(display: Display, read: Study, event: Event, /) -> None:
     Raises
     ------
     KeyboardInterrupt
-        If SIGTERM has come, which leaves out what follows too.
+        If SIGTERM or SIGHUP has come, which leaves out what follows too.
     """
     from fmuid.progress import DataAloneStep
     from fmuid.reports import Identified

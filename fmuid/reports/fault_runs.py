@@ -109,9 +109,11 @@ def run_diagnosis(
     if target is not None:
         files.make_folder(target)
     found = DiagnosisFindings(study.diagnose(progress))
-    if target is not None:
-        found = replace(found, files=tuple(_written(target, study, found.diagnosis)))
-    _tell(progress, found)
+    try:
+        if target is not None:
+            found = replace(found, files=tuple(_written(target, study, found.diagnosis)))
+    finally:  # what was found is shown also where there is no room for it
+        _tell(progress, found)
     there = [] if target is None else show_results(target, report=report, figures=figures)
     return replace(found, files=(*found.files, *there))
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fmuid import files
 from fmuid.arrays import Floats
@@ -13,6 +14,7 @@ from fmuid.assessment import examine_residuals, explore, read_result
 from fmuid.data import dropouts
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Result
+from fmuid.files import WriteError
 from fmuid.model_problem import Problem
 from fmuid.progress import DataAloneStep, Event, Progress
 from fmuid.reports.apply import write_estimates
@@ -148,7 +150,11 @@ class _Run:
             self._save_point(result)
             raise SearchInterruptedError(result, tuple(self.files))
         found = self._examined(problem, result)
-        self._write(found)
+        try:
+            self._write(found)
+        except FmuidError:  # what was found is shown all the same
+            self._tell(Identified(findings=found))
+            raise
         if self.folder is not None:
             (self.folder / BASELINE_FILE).unlink(missing_ok=True)
             if shown is not None and result.converged:
@@ -202,14 +208,16 @@ class _Run:
 
     def _write(self, found: Findings) -> None:
         if self.folder is not None:
-            self.files += found.write(self.folder)
+            with _kept(self.folder / "result.json", found.to_json_dict):
+                self.files += found.write(self.folder)
             if found.uncertainty is None:
                 self.files += write_estimates(self.folder, self.study.system, found.result)
 
     def _save_point(self, result: Result) -> None:
         """Write the best point of a search that was interrupted before a fit began from it."""
         if self.folder is not None:
-            self.files += write_point(self.folder, result)
+            with _kept(self.folder / "result.json", result.to_json_dict):
+                self.files += write_point(self.folder, result)
             self.files += write_estimates(self.folder, self.study.system, result)
             show_results(self.folder, report=False)
 
@@ -217,3 +225,15 @@ class _Run:
         """Draw figures for print and write the report, where they are asked for; those of an earlier run go."""
         if self.folder is not None:
             self.files += show_results(self.folder, report=self.report, figures=self.figures)
+
+
+@contextmanager
+def _kept(path: Path, content: Callable[[], Mapping[str, Any]]) -> Iterator[None]:
+    """Keep a file elsewhere if there is no room for it, so that no search is in vain."""
+    try:
+        yield
+    except WriteError as error:
+        place = files.rescued(path.name, content()) if error.path == path else None
+        if place is None:
+            raise
+        raise FmuidError(f"{error}; the result is kept in {place}") from None

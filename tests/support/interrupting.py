@@ -12,7 +12,7 @@ import pytest
 
 from fmuid.cli import main
 
-SIGNALS = [signal.SIGINT, signal.SIGTERM]
+SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
 
 
 def command(*words: str | Path) -> int:

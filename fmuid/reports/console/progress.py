@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import sys
@@ -75,8 +76,8 @@ class Display:
     def __call__(self, event: Event, /) -> None:
         """Show an event."""
         if self._told:
-            with Path(self._told).open("a", encoding="utf-8") as file:
-                file.write(to_line(event))
+            with contextlib.suppress(OSError), Path(self._told).open("a", encoding="utf-8") as file:
+                file.write(to_line(event))  # a full disk ends no search
         if isinstance(event, SearchStep):
             self._starts = event.values if event.number == 0 else self._starts
             self._best = event.values if event.accepted else self._best
