@@ -96,7 +96,7 @@ COMMANDS = {
     "identify": ["study.toml", "-o", "found"],
     "simulate": ["study.toml", "-o", "found"],
     "predict": ["results", "second.csv", "-o", "found"],
-    "compare": ["results", "results", "-o", "found"],
+    "compare": ["results", "other", "-o", "found"],
     "design": ["design.toml", "first.csv", "second.csv", "-o", "found"],
     "diagnose": ["test.toml", "-o", "found"],
     "monitor": ["test.toml", "test1.csv", "-o", "found"],
@@ -116,6 +116,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, text in texts.items():
         (folder / f"{name}.toml").write_text(text)
     assert fmuid_("identify", folder / "study.toml", "--no-report") == DONE
+    shutil.copytree(folder / "results", folder / "other")
     shutil.copytree(coil.HERE / "healthy", folder / "healthy")
     warming(3, to=4.0).to_csv(folder / "test1.csv", index=False)
     text = (coil.HERE / "test.toml").read_text().replace("../../fmus", coil.FMUS.as_posix())
@@ -126,7 +127,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_files_are_there_whatever_is_behind_the_output(bench: Path, name: str) -> None:
-    line = " ".join([sys.executable, "-m", "fmuid", name, *COMMANDS[name], "--no-report"])
+    line = " ".join([sys.executable, "-m", "fmuid", name, *COMMANDS[name]])
     found = []
     for way in ("", *WAYS):
         shutil.rmtree(bench / "found", ignore_errors=True)
