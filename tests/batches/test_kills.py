@@ -23,6 +23,7 @@ from fmuid.batches.batch import Batch
 from fmuid.batches.run_case import VOLATILE, CaseRunner
 from fmuid.batches.worker import versions
 from fmuid.errors import FmuidError
+from fmuid.files import replacing
 from fmuid.progress import Event
 from fmuid.studies.study import Study
 from fmuid.workbench import Folder
@@ -39,10 +40,27 @@ from tests.support.coil_batches import (
 )
 from tests.support.coil_study import fmuid_
 from tests.support.isolated import wait_until
+from tests.support.misbehaving import RELEASED, Mode, Where, lag, misbehaving_fmu
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
-# Samples of a table whose identification takes long enough to be disturbed.
-LONG, STEP = 6000, 1e-3
+SAMPLES, STEP = 200, 0.1  # of the record of the cases that wait; s
+QUARTER, CASES = 50, 200
+GATED = """
+[model]
+fmu = "{fmu}"
+values = {{ mode = {mode}, where = {where} }}
+[[experiments]]
+table = "first.csv"
+inputs = ["u"]
+outputs = ["x"]
+interpolation = "hold"
+[parameters]
+gain = {{ start = 1.0, min = 0.0 }}
+T = {{ start = 1.0, min = 1e-3 }}
+[batch]
+values = {{ amount = [1.0, 2.0, 3.0, 4.0] }}
+noise = {{ draws = 50, std = 0.02, truth = {{ gain = 2.0, T = 0.5 }} }}
+"""
 
 
 # --- on this machine ---------------------------------------------------------------------
@@ -80,13 +98,27 @@ def wait_for_part(process: subprocess.Popen[str], folder: Path, known: int = 0) 
     raise AssertionError(process.communicate())
 
 
+def release(gate: Path, quarter: str) -> None:
+    with replacing(gate) as draft:
+        draft.write_text(quarter)
+
+
+def gated_study(folder: Path) -> None:
+    """Write a study whose cases wait, a quarter of them each, until their quarter is released."""
+    times = STEP * np.arange(SAMPLES, dtype=np.float64)
+    u = np.sign(np.sin(3.0 * times))
+    pd.DataFrame({"time": times, "u": u, "x": lag(times, u, 2.0, 0.5)}).to_csv(folder / "first.csv", index=False)
+    words = {"fmu": misbehaving_fmu(folder).as_posix(), "mode": float(Mode.WAIT), "where": float(Where.INITIALIZATION)}
+    (folder / "study.toml").write_text(GATED.format(**words), encoding="utf-8")
+
+
 @pytest.mark.slow
-def test_kills(folder: Path) -> None:
+def test_kills(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a worker and, at a drawn moment, of the driver; Ctrl-C, SIGTERM: no row lost or run again, no process left."""
-    draws, rng = 200, np.random.default_rng(5)
-    times = STEP * np.arange(LONG)
-    pd.DataFrame({"time": times, "u": np.sign(np.sin(300 * times))}).to_csv(folder / "first.csv", index=False)
-    write(folder, NOISE.format(draws=draws))
+    rng, gate = np.random.default_rng(5), folder / "released"
+    monkeypatch.setenv(RELEASED, str(gate))
+    gated_study(folder)
+    release(gate, "1")
     process = started(folder, 2)
     wait_for_part(process, folder)
     workers = [each for each in family(process.pid) if "spawn_main" in " ".join(each.cmdline())]
@@ -99,10 +131,11 @@ def test_kills(folder: Path) -> None:
     assert not left_over(everybody)
     assert not list((folder / "scratch").glob("fmuid-*"))
     kept = pd.read_parquet(folder / "out" / "cases")
-    assert 0 < len(kept) < draws
+    assert 0 < len(kept) <= QUARTER
 
     partial = [kept]
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for quarter, number in enumerate((signal.SIGINT, signal.SIGTERM), 2):
+        release(gate, f"{quarter}")
         process = started(folder, 2)
         wait_for_part(process, folder, len(list((folder / "out" / "cases").glob("part-*.parquet"))))
         everybody = family(process.pid)
@@ -112,21 +145,22 @@ def test_kills(folder: Path) -> None:
         assert not list((folder / "scratch").glob("fmuid-*"))
         assert process.returncode == 1
         partial.append(pd.read_parquet(folder / "out" / "cases"))
-        assert len(partial[-2]) < len(partial[-1]) < draws
+        assert len(partial[-2]) < len(partial[-1]) <= quarter * QUARTER
         answer, *others, last = said.splitlines()
         assert others == []
         assert answer.startswith("interrupted: saving the finished cases, then ending the workers")
-        assert last == f"interrupted: {len(partial[-1])} of {draws} cases are finished; the same command goes on"
+        assert last == f"interrupted: {len(partial[-1])} of {CASES} cases are finished; the same command goes on"
 
+    release(gate, "4")
     process = started(folder, 1)
     _, said = process.communicate(timeout=600)
     assert (process.returncode, said) == (0, "")
     found = pd.read_parquet(folder / "out" / "cases")
-    assert found["case"].tolist() == list(range(draws))
+    assert found["case"].tolist() == list(range(CASES))
     for before in partial:
         assert before.merge(found[["case", *VOLATILE]]).shape[0] == len(before)
     runner = CaseRunner(Study.read(folder / "study.toml"))
-    for case in rng.choice(draws, 20, replace=False).tolist():
+    for case in rng.choice(CASES, 20, replace=False).tolist():
         row = runner(case).row
         assert [row[str(name)] for name in plain(found)] == plain(found).loc[case].tolist()
 

@@ -24,6 +24,9 @@ START_VALUES = {"gain": 1.0, "T": 1.0, "mode": 0.0, "at": 0.0, "bad_from": -1e30
     "amount": 4.0,
 }
 
+RELEASED = "FMUID_TEST_RELEASED"
+"""Environment variable: the file with the number that `Mode.WAIT` waits for."""
+
 
 class Mode(IntEnum):
     """What the FMU does where `mode` rounds to it; the C source is compiled with these."""
@@ -69,6 +72,7 @@ class Mode(IntEnum):
     RETURN_TWICE = 38  # forks, and its child returns as well, `amount` ms later
     FORGE = 39  # writes the beginning of a message of 2^56 parts into all sockets of its process, and sleeps
     STOP_PARENT = 40  # SIGSTOP to the process that has forked its own
+    WAIT = 41  # until the number in the file that `RELEASED` names is at least `amount`
 
 
 class Where(IntEnum):
@@ -88,6 +92,7 @@ def _library(folder: Path, version: int, at_loading: Mode | None) -> bytes:
     command = [*compiler_here(), "-O1", "-shared", "-fPIC", "-fno-sanitize=undefined"]
     command += [f"-I{headers}", f"-DFMI={version}", "-DMODES=" + ",".join(mode.name for mode in Mode)]
     command += [f"-DMARK={','.join(map(str, MARK))}"]
+    command += [f'-DRELEASED="{RELEASED}"']
     command += [] if at_loading is None else [f"-DAT_LOADING={at_loading.name}"]
     subprocess.run([*command, "-o", str(path), str(HERE / "misbehaving.c")], check=True, capture_output=True)
     return path.read_bytes()

@@ -102,6 +102,14 @@ static void write_much(double megabytes) {
     fprintf(stderr, "%-1023s\n", "a line on stderr");
   }
 }
+static double released(void) {
+  const char *path = getenv(RELEASED);
+  FILE *file = path ? fopen(path, "r") : 0;
+  double number = 0;
+  if (file && fscanf(file, "%lf", &number) != 1) number = 0;
+  if (file) fclose(file);
+  return number;
+}
 static void change_floats(int mode) {
   if (mode == ROUND_UPWARD) fesetround(FE_UPWARD);
 #if defined(__x86_64__)
@@ -161,6 +169,7 @@ static STATUS misbehave(int mode, double amount) {
   case STOP_PARENT: kill(getppid(), SIGSTOP); break;
   case SHARE: for (;;) share(4), usleep(1000);
   case BROOD: brood(); break;
+  case WAIT: while (released() < amount) usleep(1000); break;
   }
   return OK;
 }
