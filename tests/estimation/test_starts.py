@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,39 @@ def test_windows_without_samples_do_not_count() -> None:
     for few in (TIMES[:WINDOW], TIMES[:2]):
         with pytest.raises(fmuid.InputError, match="no window with enough samples"):
             WeakForm(few, np.ones((few.size, 1), dtype=bool))
+
+
+def test_windows_are_those_of_a_direct_count() -> None:
+    there = np.random.default_rng(7).random((400, 2)) < [0.4, 0.5]
+    times = np.repeat(TIMES[::4], 4) + np.tile([0.0, 0.0, 0.0, 1e-3], 100)  # jumps
+    times[60:75] = times[60]
+    firsts = [a for a in range(0, 390, WINDOW // 2) if (there[a : a + WINDOW + 1].sum(axis=0) >= 3).all()]
+    firsts = [a for a in firsts if times[a + WINDOW] > times[a]]
+    weak = WeakForm(times, there)
+    assert weak.shape == (len(firsts), 2)
+    # a step at each sample in turn is seen by the windows that have it inside
+    seen = np.abs(weak.residual(np.eye(400), np.zeros((399, 400)), np.zeros((399, 400)))) > 0.0
+    for window, first in zip(seen, firsts, strict=True):
+        assert set(np.flatnonzero(window)) <= set(range(first, first + WINDOW + 1))
+
+
+class Counting(np.ndarray):
+    """An array that counts how often it is indexed."""
+
+    indexed = 0
+
+    def __getitem__(self, key: Any) -> Any:
+        Counting.indexed += 1
+        return super().__getitem__(key)
+
+
+def test_windows_are_counted_all_at_once() -> None:
+    found = []
+    for samples in (100, 10_000):
+        Counting.indexed = 0
+        WeakForm(np.arange(float(samples)), np.ones((samples, 2), dtype=bool).view(Counting))
+        found.append(Counting.indexed)
+    assert found[0] == found[1]
 
 
 def test_a_time_constant_by_the_weak_form_alone() -> None:

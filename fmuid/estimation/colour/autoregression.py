@@ -216,24 +216,20 @@ def _burg(columns: Floats, weights: Floats, there: Flags, orders: int) -> tuple[
     reflections: list[float] = []
     scores: list[float] = []
     score, length, gaps, mask = 0.0, there.size, not there.all(), there
-    # all columns in one row, those of negative weight at its end
-    sorted_weights = np.sort(weights)[::-1, None]
-    ahead = (columns[np.argsort(-weights)] * np.sqrt(np.abs(sorted_weights))).ravel()
-    behind, positive = ahead.copy(), int(np.count_nonzero(weights >= 0.0)) * length
+    signs = np.sign(weights)
+    ahead = np.multiply(columns, np.sqrt(np.abs(weights))[:, None], order="C")  # `ravel` below makes no copies
+    behind, changes = ahead.copy(), np.empty(columns.size)
     for order in range(1, orders + 1):
-        # what is ahead belongs to what is behind as many samples before, and has none at the ends of a column
-        ahead[order - 1 :: length] = behind[length - order :: length] = 0.0
+        x, y = ahead[:, order:], behind[:, :-order]
         mask = mask[1:] & there[: length - order] if gaps else mask[1:]
         pairs = int(np.count_nonzero(mask)) if gaps else mask.size
         if pairs < 2 * order + MORE_PAIRS:
             break
         if gaps:
-            ahead.reshape(-1, length)[:, order:] *= mask
-            behind.reshape(-1, length)[:, :-order] *= mask
-        x, y = ahead[order:], behind[:-order]
-        at = positive - order if positive < ahead.size else x.size
-        power = float(x[:at] @ x[:at] + y[:at] @ y[:at]) - float(x[at:] @ x[at:] + y[at:] @ y[at:])
-        cross = float(x[:at] @ y[:at]) - float(x[at:] @ y[at:])
+            x *= mask
+            y *= mask
+        power = _sum_of_products(signs, x, x) + _sum_of_products(signs, y, y)
+        cross = _sum_of_products(signs, x, y)
         if not power > 0.0:  # what is added to the moments may make them improper
             break
         found, most = 2.0 * cross / power, 1.0 - 1.0 / pairs
@@ -243,10 +239,17 @@ def _burg(columns: Floats, weights: Floats, there: Flags, orders: int) -> tuple[
         scores.append(score)
         if abs(found) > most:
             break
-        before = x.copy()
-        scipy.linalg.blas.daxpy(y, x, a=-reflection)
-        scipy.linalg.blas.daxpy(before, y, a=-reflection)
+        # One row takes a third of the time. Pairs across columns write only to samples outside all later x and y.
+        flat_x, flat_y = ahead.ravel()[order:], behind.ravel()[:-order]
+        change = np.multiply(flat_x, reflection, out=changes[order:])
+        flat_x -= reflection * flat_y
+        flat_y -= change
     return reflections, scores
+
+
+def _sum_of_products(signs: Floats, x: Floats, y: Floats) -> float:
+    """Return Σ_i sign_i Σ_t x_it y_it."""
+    return float(signs @ (x[:, None, :] @ y[:, :, None])[:, 0, 0])
 
 
 def _model(reflections: Sequence[float], samples: int) -> Floats:

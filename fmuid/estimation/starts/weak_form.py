@@ -48,8 +48,9 @@ class WeakForm:
     def __init__(self, times: Floats, there: Flags) -> None:
         last = len(times) - 1
         firsts = np.arange(0, max(last - WINDOW, 0) + 1, WINDOW // 2)
-        known = np.array([(there[a : a + WINDOW + 1].sum(axis=0) >= LEAST_SAMPLES).all() for a in firsts])
-        known &= times[np.minimum(firsts + WINDOW, last)] > times[firsts]
+        lasts = np.minimum(firsts + WINDOW, last)
+        counts = np.pad(there.cumsum(axis=0), ((1, 0), (0, 0)))  # samples before each time
+        known = (counts[lasts + 1] - counts[firsts] >= LEAST_SAMPLES).all(axis=1) & (times[lasts] > times[firsts])
         firsts = firsts[known] if last >= WINDOW else firsts[:0]
         if not firsts.size:
             raise InputError("the record has no window with enough samples")
