@@ -67,4 +67,5 @@ from .starts.outcome import Attempt as Attempt
 from .starts.outcome import ChoiceTried as ChoiceTried
 from .starts.outcome import Remedy as Remedy
 from .starts.outcome import Trouble as Trouble
+from .starts.sobol import sobol_points as sobol_points
 from .starts.weak_form import WeakForm as WeakForm

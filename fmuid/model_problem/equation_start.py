@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from fmuid.arrays import Flags, Floats, Indices
 from fmuid.data import FunctionPredictions, Noise, Parameter, Table
 from fmuid.errors import FmuidError, InputError
-from fmuid.estimation import LeastSquares, Marquardt, WeakForm, second_difference_noise
+from fmuid.estimation import LeastSquares, Marquardt, WeakForm, second_difference_noise, sobol_points
 from fmuid.model_problem.measured_states import MeasuredStates, both_ends, told_states
 from fmuid.model_problem.problem import Problem
 from fmuid.simulation import RightHandSide
@@ -119,9 +119,7 @@ class _Scaled:
 
     def points(self, lower: Floats, upper: Floats) -> Floats:
         """Return points (`POINTS`, n_acting) between bounds, in which the shares stay at their start."""
-        from scipy.stats import qmc  # slow to import
-
-        units = qmc.Sobol(lower.size, seed=SEED).random(POINTS)
+        units = sobol_points(lower.size, POINTS, SEED)
         return np.where(self._logs, lower + units * (upper - lower), 0.0)
 
     def parameters(self, lower: Floats, upper: Floats) -> dict[str, Parameter]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -14,6 +13,7 @@ from fmuid.errors import InputError
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.misfit import Misfits, misfits
+from fmuid.estimation.starts.sobol import sobol_points
 from fmuid.progress import GlobalStep, Progress
 
 # Points whose simulation fails are replaced by further points of the sequence, until so many times `starts` are tried.
@@ -67,10 +67,7 @@ class Exploration:
 
     def _points(self, count: int) -> Floats:
         """Return the parameters' own start and the first points of a Sobol sequence, (count, N)."""
-        from scipy.stats import qmc  # slow to import
-
-        sequence = qmc.Sobol(self.box.lower.size, rng=self._rng)
-        points = sequence.random_base2(math.ceil(math.log2(count)))
+        points = sobol_points(self.box.lower.size, count, self._rng)
         return np.vstack([self.problem.parameters.start, self.box.thetas(points)])[:count]
 
     def spread(self, wanted: int) -> Floats:
