@@ -23,7 +23,6 @@ import pandas as pd
 import psutil
 
 from experiments.batches.campaign import FMUS, command, family
-from fmuid.batches.worker import SINGLE_THREADED
 
 STUDY = """
 [model]
@@ -70,7 +69,7 @@ print({cases} / (time.perf_counter() - began))
 def loop(study: Path, cases: int, *, isolated: bool) -> float:
     """Return the cases a second of a plain loop in one process, whose linear algebra has one thread as in workers."""
     script = LOOP.format(study=str(study), cases=cases, isolated=isolated)
-    environment = os.environ | dict.fromkeys(SINGLE_THREADED, "1")
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
     return float(done.stdout)
 

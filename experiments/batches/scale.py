@@ -38,7 +38,6 @@ import pyarrow.parquet as pq
 from experiments.batches.campaign import command, family, left_over, write_study
 from fmuid.batches.batch import Batch
 from fmuid.batches.dataset import PART_ROWS
-from fmuid.batches.worker import SINGLE_THREADED
 from fmuid.processes import MEMORY_KEPT
 
 SAMPLES, LOOP_SECONDS, EVERY, LINES = 50, 20.0, 1.0, 12
@@ -82,7 +81,7 @@ print(json.dumps([found.cases, took, before / 1e3, after / 1e3]))
 def loops(study: Path, count: int, seconds: float = LOOP_SECONDS) -> float:
     """Return the CPU time a case, ms, of plain loops in so many processes at a time, their environment a worker's."""
     script, environment = LOOP.format(study=str(study), seconds=seconds), dict(os.environ)
-    environment |= dict.fromkeys(SINGLE_THREADED, "1") | MEMORY_KEPT
+    environment |= {"OMP_NUM_THREADS": "1", **MEMORY_KEPT}
     line = [sys.executable, "-c", script]
     found = [subprocess.Popen(line, env=environment, stdout=subprocess.PIPE) for _ in range(count)]
     return float(np.mean([json.loads(each.communicate()[0]) for each in found]))

@@ -23,6 +23,7 @@ import pandas as pd
 
 from fmuid.arrays import Floats
 from fmuid.assessment.conditional import check_result
+from fmuid.blas import single_threaded
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, check_level, misfits, refuse_loss, spans_decades, variances
 
@@ -117,6 +118,7 @@ def region_rise(level: float, freedom: float) -> float:
     return -2.0 * beyond if math.isinf(freedom) else freedom * math.expm1(-2.0 * beyond / freedom)
 
 
+@single_threaded
 def map_criterion(
     problem: LeastSquares,
     result: Result,

@@ -25,6 +25,7 @@ from fmuid.assessment.consistency import (
     variance_tests,
 )
 from fmuid.assessment.residuals import Diagnostics, examine_residuals
+from fmuid.blas import single_threaded
 from fmuid.errors import InputError
 from fmuid.estimation import (
     Criterion,
@@ -212,6 +213,7 @@ class Reading:
         return found
 
 
+@single_threaded
 def read_result(
     problem: LeastSquares,
     result: Result,

@@ -33,6 +33,7 @@ import pandas as pd
 from fmuid.arrays import Floats
 from fmuid.assessment.conditional import Point, best_near, best_with, check_result
 from fmuid.assessment.ends import EndKind, Remark
+from fmuid.blas import single_threaded
 from fmuid.errors import InputError
 from fmuid.estimation import AtBound, Criterion, LeastSquares, Outcome, Result, check_level
 from fmuid.progress import ProfileStep, Progress
@@ -110,6 +111,7 @@ class Profile:
         return self.table["criterion"].to_numpy(np.float64)
 
 
+@single_threaded
 def profiles(
     problem: LeastSquares,
     result: Result,

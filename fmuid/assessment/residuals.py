@@ -27,6 +27,7 @@ import pandas as pd
 from fmuid.arrays import Floats
 from fmuid.assessment.residual_series import InputCorrelation, ResidualSeries, examine_outputs
 from fmuid.assessment.series import Taken
+from fmuid.blas import single_threaded
 from fmuid.data import Measurements
 from fmuid.errors import InputError
 from fmuid.estimation import ColouredNoise, LeastSquares, Result
@@ -281,6 +282,7 @@ class Diagnostics:
         return plain
 
 
+@single_threaded
 def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     """Examine the residuals of a result; nothing is simulated.
 

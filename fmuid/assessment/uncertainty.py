@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from fmuid.blas import single_threaded
 from fmuid.estimation import LeastSquares, Result, check_level
 from fmuid.files import as_json
 from fmuid.progress import Event, MapStep, Progress
@@ -176,6 +177,7 @@ def better_point(chart: CriterionMap) -> tuple[float, float, float] | None:
     return (float(x), float(y), float(chart.criterion - least)) if least < chart.criterion - LOWER_CRITERION else None
 
 
+@single_threaded
 def explore(
     problem: LeastSquares,
     result: Result,

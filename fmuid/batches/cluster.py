@@ -22,7 +22,7 @@ from fmuid.arrays import Indices
 from fmuid.batches.local_workers import CALM
 from fmuid.batches.parcel import Parcel
 from fmuid.batches.scratch import scratch_folder
-from fmuid.batches.worker import SINGLE_THREADED, GroupResult, difference, forget, run_group, versions
+from fmuid.batches.worker import GroupResult, difference, forget, run_group, versions
 from fmuid.errors import FmuidError, InputError
 from fmuid.processes import MEMORY_KEPT, Child
 
@@ -216,7 +216,7 @@ class _LocalWorkers:
             self._process = Child(
                 "fmuid.batches.local_workers",
                 *(self._address, str(self._count), str(self._folder)),
-                environment=dict.fromkeys(SINGLE_THREADED, "1") | MEMORY_KEPT,
+                environment={"OMP_NUM_THREADS": "1", **MEMORY_KEPT},
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 pass_fds=self._locks,  # the folder is in use as long as this process or that one lives

@@ -24,6 +24,7 @@ from fmuid.batches.case_problem import flat_names, problem_of, truth_simulators,
 from fmuid.batches.cases import Case, Cases
 from fmuid.batches.draws import noise
 from fmuid.batches.parcel import Copies
+from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.estimation import Accuracy, Direction, Outcome, Result, Waypoints, waypoints
@@ -117,6 +118,7 @@ class CaseRunner:
             model.fmu.path = self._copies.original(model.fmu.file)
         self.columns = self._all_columns()
 
+    @single_threaded
     def __call__(self, index: int) -> CaseOutcome:
         """Run a case; one that fails has a row that says why.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import shutil
 import tempfile
 import threading
@@ -26,8 +25,6 @@ from fmuid.studies import Study
 
 # What must be the same on both sides, to how many places of the version.
 VERSION_PLACES = {"python": 2, "fmuid": 9, "dask": 9, "distributed": 9, "numpy": 1, "pandas": 1}
-# Sums in another order give other last digits: how many threads a machine has must not show in results.
-SINGLE_THREADED = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -105,12 +102,6 @@ def run_group(parcel: Parcel, cases: Sequence[int], records: Mapping[str, bytes]
 
 def _check_worker(parcel: Parcel) -> None:
     said = difference(parcel.versions, versions())
-    many = [name for name in SINGLE_THREADED if os.environ.get(name) != "1"]
-    if said is None and many:
-        said = (
-            f"does its linear algebra in several threads, whose results differ in the last digits: start it with "
-            f"{many[0]}=1 in its environment"
-        )
     if said is not None:
         raise InputError(f"the worker {_address()} {said}")
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fmuid.arrays import Floats
+from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.coordinates import OPEN, Causes, Coordinates, coordinates_of
 from fmuid.diagnosis.evidence.information import Known
@@ -161,6 +162,7 @@ def compare(
     return Evidence.of(examine(machines, made.healthy, made.coordinates, level, kappa), faults, made.basis)
 
 
+@single_threaded
 def show(baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes) -> HealthyEvidence:
     """Return what the records of a baseline show of the healthy machine and of all causes.
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.comparison import Juxtaposition
 from fmuid.diagnosis.coordinates import CauseKind, Causes
@@ -130,6 +131,7 @@ class Design:
         self.causes, self.model_error = causes or Causes(), model_error
         self.false_alarm, self.miss = false_alarm, miss
 
+    @single_threaded
     def detectable(self, excitation: Experiment, healthy: float | None = None) -> tuple[Detectable, ...]:
         """Return the smallest detectable value of each size.
 
@@ -258,6 +260,7 @@ class Design:
         return pd.DataFrame(rows).sort_values("worst", kind="stable", ignore_index=True)
 
 
+@single_threaded
 def trial(
     frame: pd.DataFrame,
     inputs: Sequence[str] | Mapping[str, str],

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import special
 
 from fmuid.assessment import SAME_VARIANCE_RATIO, SIGNIFICANCE_LEVEL, Reading, VarianceTest, read_result
+from fmuid.blas import single_threaded
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.comparison import compare
 from fmuid.diagnosis.coordinates import Causes
@@ -92,6 +93,7 @@ class DiagnosisSettings:
             raise InputError(f"sensitivity {self.sensitivity!r} is not known{near}: give {' or '.join(SENSITIVITIES)}")
 
 
+@single_threaded
 def diagnose(
     experiments: Experiment | Sequence[Experiment],
     baseline: Baseline | Result | str | Path,

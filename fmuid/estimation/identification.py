@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.arrays import Floats
+from fmuid.blas import single_threaded
 from fmuid.data import Loss
 from fmuid.estimation.colour.sandwich import sandwich_of
 from fmuid.estimation.covariance import AtBound, LocalCovariance, local_covariance
@@ -37,6 +38,7 @@ LEAST_CURVATURE = 0.05
 LARGEST_WAYPOINTS = 16_000_000
 
 
+@single_threaded
 def identify(
     problem: LeastSquares,
     settings: MarquardtSettings | None = None,
@@ -102,6 +104,7 @@ def point_result(problem: LeastSquares, theta: Floats) -> Result:
     )
 
 
+@single_threaded
 def waypoints(problem: LeastSquares, settings: MarquardtSettings) -> Waypoints:
     """Search, and return the derivatives of the simulation at the points that the search went through.
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.arrays import Floats, numbers
+from fmuid.blas import single_threaded
 from fmuid.errors import FmuidError, InputError, SimulationError, check_kind
 from fmuid.estimation import (
     MAX_NOISE_RATIO,
@@ -31,6 +32,7 @@ from fmuid.estimation import (
     Trouble,
     Weights,
     second_difference_noise,
+    sobol_points,
 )
 from fmuid.model_problem import checked_search
 from fmuid.model_problem.corrected_start import corrected_start
@@ -58,6 +60,7 @@ LARGEST_SQUARE = 1e12
 UNFINISHED = (Outcome.STALLED, Outcome.ITERATION_LIMIT, Outcome.FAILING, Outcome.RUNAWAY, Outcome.UNSETTLED)
 
 
+@single_threaded
 def identify(
     problem: LeastSquares,
     settings: Method | None = None,
@@ -280,10 +283,8 @@ class _GuardedSearch:
 
     def _points(self, given: Floats) -> Iterator[Floats]:
         """Return the best of some points of the box, by one batch of simulations."""
-        from scipy.stats import qmc  # slow to import
-
         parameters = self.problem.parameters
-        units = qmc.Sobol(given.size, seed=SEED).random(POINTS)
+        units = sobol_points(given.size, POINTS, SEED)
         scale = parameters.magnitudes(given)
         multiples = given + (2.0 * units - 1.0) * MULTIPLE * scale
         factors = given * FACTOR ** (2.0 * units - 1.0)
@@ -385,8 +386,7 @@ def _same_place(one: Result, other: Result) -> bool:
 
 def _noise(problem: Problem) -> Floats:
     """Return the standard deviation of each output's noise (n_outputs,) as its second differences show it."""
-    squares = np.zeros(problem.counts.size)
-    counts = np.zeros(problem.counts.size)
+    squares, counts = np.zeros((2, problem.counts.size))
     for experiment, tables in zip(problem.experiments, problem.tables(problem.measured), strict=True):
         for name, values, counted in zip(experiment.output_names, tables.T, experiment.counted.T, strict=True):
             j, own = problem.output_names.index(name), np.where(counted, values, np.nan)

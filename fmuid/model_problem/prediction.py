@@ -33,6 +33,7 @@ from scipy import special
 
 from fmuid.arrays import Floats
 from fmuid.assessment import CONFIDENCE_LEVEL, Diagnostics, residuals_of
+from fmuid.blas import single_threaded
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.errors import NO_EXPERIMENT, InputError, check_kind
 from fmuid.estimation import Result, check_level
@@ -163,6 +164,7 @@ def _estimates(again: Result) -> dict[str, Any]:
     return {"outcome": again.outcome, "converged": again.converged, "parameters": values}
 
 
+@single_threaded
 def predict(
     model: System | FMU | str | Path,
     result: Result,

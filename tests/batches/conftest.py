@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from fmuid.batches import batch as module
-from fmuid.batches import worker as workshop
 from tests.support.coil_batches import (
     DRAWS,
     NOISE,
@@ -45,8 +44,6 @@ def fleet(folder: Path) -> Path:
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return what puts a `Here` in place of the cluster."""
-    for name in workshop.SINGLE_THREADED:
-        monkeypatch.setenv(name, "1")
     monkeypatch.setattr(module, "WRITE_SECONDS", 0.0)
     monkeypatch.setattr(module, "WRITE_SHARE", 0.0)
 

@@ -122,10 +122,3 @@ def test_a_cluster_that_is_not_alike() -> None:
 
 def test_the_command_refuses_what_the_class_refuses() -> None:
     assert inspect.signature(cli_batch.batch).parameters["max_cases"].default == module.MAX_CASES
-
-
-def test_a_worker_that_computes_in_threads(folder: Path, here: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    here()
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "4")
-    with pytest.raises(InputError, match=r"start it with OPENBLAS_NUM_THREADS=1 in its environment"):
-        run(folder)

@@ -45,6 +45,7 @@ from fmuid.assessment.profile import reach
 from fmuid.assessment.sampling.archive import Archive
 from fmuid.assessment.sampling.chains import effective_size, r_hat
 from fmuid.assessment.sampling.posterior import LARGEST_R_HAT, Posterior, Sampling, SamplingDoubt
+from fmuid.blas import single_threaded
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import GlobalSearch, LeastSquares, Outcome, Result
 from fmuid.progress import Progress, SamplingStep
@@ -73,6 +74,7 @@ MOST_HALVINGS = 40
 BATCH_SAMPLES = 8_000_000
 
 
+@single_threaded
 def sample(
     problem: LeastSquares, result: Result, settings: Sampling | None = None, progress: Progress | None = None
 ) -> Posterior:

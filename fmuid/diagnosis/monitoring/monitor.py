@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.comparison import Juxtaposition
 from fmuid.diagnosis.coordinates import CauseKind, Causes, Coordinates
@@ -108,6 +109,7 @@ class Monitor:
         self._resumed: Mapping[str, Any] = {}
         self._now = Now(Watch(Known(np.zeros(0), np.zeros((0, 0))), np.zeros(0)), np.zeros(0))
 
+    @single_threaded
     def add(self, record: Experiment, progress: Progress | None = None, *, grows: bool = False) -> pd.DataFrame:
         """Examine the windows of a record and return their rows; what goes wrong leaves everything as it was.
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.arrays import Floats
+from fmuid.blas import single_threaded
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.exploration import Exploration
@@ -103,6 +104,7 @@ class GlobalSearch:
         refuse_loss(problem, "a global search")
         Box(problem.parameters)
 
+    @single_threaded
     def search(self, problem: LeastSquares, progress: Progress | None = None, start: ArrayLike | None = None) -> Result:
         """Search the box of the bounds for the best optimum, and list the others that were met (`Result.optima`).
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.arrays import Floats, numbers
+from fmuid.blas import single_threaded
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation.linear_models.estimate import Estimator, LinearEstimate, solve
 from fmuid.estimation.linear_models.filters import StateVariableFilter, Term
@@ -31,6 +32,7 @@ ROUNDING = 1e-9
 MOST_ROUNDS = 20
 
 
+@single_threaded
 def equation_error(
     times: ArrayLike, target: Term, terms: Mapping[str, Term], *, cutoff: float, order: int | None = None
 ) -> LinearEstimate:
@@ -77,6 +79,7 @@ def equation_error(
     return solve(Estimator.EQUATION_ERROR, equation.names, equation.rows, equation.values)
 
 
+@single_threaded
 def instrumental_variables(
     times: ArrayLike,
     target: Term,
