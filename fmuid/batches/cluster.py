@@ -314,7 +314,9 @@ def _quiet() -> Iterator[None]:
     """Keep Dask's own log lines and warnings, which are about its inside, off the terminal."""
     # Its loop speaks through tornado: a call that is interrupted before the loop has taken it up is cancelled by a name
     # that does not exist yet (`distributed.utils.sync`).
-    loggers = [logging.getLogger(name) for name in ("distributed", "tornado.application")]
+    # Dask gives some of its loggers levels and handlers of their own, which their parents' do not change.
+    names = ["distributed", *(name for name in logging.root.manager.loggerDict if name.startswith("distributed."))]
+    loggers = [logging.getLogger(name) for name in (*names, "tornado.application")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
         logger.setLevel(logging.CRITICAL + 1)

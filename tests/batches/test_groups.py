@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import time
 from pathlib import Path
@@ -23,6 +24,16 @@ from tests.support.coil_batches import (
 )
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+@pytest.mark.parametrize("name", ["distributed", "distributed.client", "distributed.core", "tornado.application"])
+def test_the_inside_of_dask_is_quiet(name: str) -> None:
+    """Also by loggers that have levels of their own."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    with cluster._quiet():
+        assert not logger.isEnabledFor(logging.CRITICAL)
+    assert logger.level == before
 
 
 def test_sizes_of_groups() -> None:

@@ -186,6 +186,29 @@ def shops(folder: Path) -> list[Path]:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_scheduler_that_is_lost_is_one_sentence(
+    folder: Path, scheduler: tuple[str, subprocess.Popen[bytes]], number: int
+) -> None:
+    """Whatever Dask and asyncio say of it; and the same command goes on without it."""
+    address, process = scheduler
+    write(folder, NOISE.format(draws=3000))
+    words = [sys.executable, "-m", "fmuid", "batch", "study.toml", "-o", "out", "--no-report"]
+    line = [*words, "--scheduler", address]
+    pipes: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    with worker(address, folder / "one"), subprocess.Popen(line, cwd=folder, **pipes) as batch:
+        wait_until(lambda: list(folder.glob("out/cases/part-*")))
+        process.send_signal(number)
+        _, error = batch.communicate(timeout=120)
+    assert batch.returncode == 1
+    assert error.splitlines() == [
+        f"error: the scheduler at {address} was lost: the cases finished so far are kept, give the same command to go "
+        "on once there is a scheduler again"
+    ]
+    assert 0 < len(rows(folder / "out")) < 3000
+
+
+@pytest.mark.slow
 def test_a_cluster(
     fleet: Path, scheduler: tuple[str, subprocess.Popen[bytes]], capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
