@@ -7,7 +7,8 @@ shorter than the sampling: a start, and never a result.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,8 +34,23 @@ CHANGE = 0.01
 FIRST_SAMPLES = 3
 
 
-def equation_start(problem: Problem, start: Floats) -> Floats | None:
-    """Return a start (N,) by the weak form, None where it cannot be had.
+@dataclass(frozen=True, eq=False)
+class EquationStart:
+    """A start by the weak form.
+
+    Attributes
+    ----------
+    theta : (N,) array
+    noise_ratio : float
+        Root mean square of the weak form's residual by its noise.
+    """
+
+    theta: Floats
+    noise_ratio: float
+
+
+def equation_start(problem: Problem, start: Floats) -> EquationStart | None:
+    """Return a start by the weak form, None where it cannot be had.
 
     Parameters
     ----------
@@ -47,7 +63,7 @@ def equation_start(problem: Problem, start: Floats) -> Floats | None:
         found = _fitted(problem, [each for each in records if each is not None], start)
     except FmuidError:  # a start is not worth an error: the search itself says what is wrong with the model
         return None
-    return None if found is None else _with_initial_states(problem, records, found)
+    return None if found is None else replace(found, theta=_with_initial_states(problem, records, found.theta))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +151,8 @@ class _Scaled:
         return found
 
 
-def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> Floats | None:
-    """Return the parameters (N,) that act on f as the weak form finds them, None where it finds nothing."""
+def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> EquationStart | None:
+    """Return the parameters that act on f as the weak form finds them, None where it finds nothing."""
     if not records:
         return None
     every = np.arange(start.size)
@@ -161,7 +177,7 @@ def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> Floa
         if found.criterion <= enough:
             break
         found = min(found, SECOND.search(search, None, theta), key=lambda each: each.criterion)
-    return np.asarray(scaled.thetas(found.values[None])[0], dtype=np.float64)
+    return EquationStart(scaled.thetas(found.values[None])[0], math.sqrt(2.0 * found.criterion / size))
 
 
 def _with_initial_states(problem: Problem, records: list[_WeakRecord | None], theta: Floats) -> Floats:

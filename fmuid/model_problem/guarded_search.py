@@ -4,7 +4,7 @@ A start that explains little is not searched from at once where the equations of
 (`fmuid.model_problem.equation_start`), or corrected simulations do (`fmuid.model_problem.corrected_start`). After each
 search it is asked whether it ended, and whether its residual is about as large as the noise of the data themselves; if
 not, the next start is tried: the others of these three, then points of the box. A search from elsewhere that ends where
-another did confirms it: then it is the model, not the start.
+another did confirms it (`fmuid.model_problem.agreement`): then it is the model, not the start.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,9 +35,10 @@ from fmuid.estimation import (
     sobol_points,
 )
 from fmuid.model_problem import checked_search
+from fmuid.model_problem.agreement import EndedSearch, is_confirmed
 from fmuid.model_problem.corrected_start import corrected_start
 from fmuid.model_problem.discrete_search import identify_each
-from fmuid.model_problem.equation_start import POOR, equation_start
+from fmuid.model_problem.equation_start import equation_start
 from fmuid.model_problem.problem import Problem
 from fmuid.model_problem.region import CheckedRegion
 from fmuid.progress import Progress
@@ -50,9 +51,6 @@ START_LIMIT = 1e-6
 # Points of the box that are simulated, how many of the best are searched from, and how far the box reaches without
 # bounds: as a factor, or so many times the nominal magnitude.
 POINTS, BEST, FACTOR, MULTIPLE, SEED = 16, 3, 10.0, 3.0, 0
-# Two searches ended at the same place where the estimates differ by less than so many standard deviations. Where the
-# residual is `POOR`, this takes three: all of them may have met the same secondary optimum.
-SAME_PLACE = 1.0
 # So many iterations has a search from a start that nobody gave, before others have had their turn.
 PATIENCE = 60
 # One wild sample must not decide between points: squares of residuals count up to here, in those of the noise.
@@ -175,15 +173,6 @@ def _weighed(first: Result, found: Result) -> Result:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Ended:
-    """A search that came to an end, and the attempt that it was."""
-
-    result: Result
-    attempt: Attempt
-    number: int
-
-
 class _GuardedSearch:
     """The starts of one search, and what became of them."""
 
@@ -199,7 +188,8 @@ class _GuardedSearch:
         self.accuracy, self.region = accuracy, region
         self.clock, self.before = time.perf_counter(), problem.simulations
         self.attempts: list[Attempt] = []
-        self.ended: list[_Ended] = []
+        self.ended: list[EndedSearch] = []
+        self.equation_ratio = math.nan
         self.error: FmuidError | None = None
         self.noise = _noise(problem)
 
@@ -257,7 +247,8 @@ class _GuardedSearch:
         """Return the starts that are found from the one that was given, the cheapest first."""
         equation = equation_start(self.problem, given)
         if equation is not None:
-            yield Remedy.EQUATION_ERROR, equation
+            self.equation_ratio = equation.noise_ratio
+            yield Remedy.EQUATION_ERROR, equation.theta
         corrected = corrected_start(self.problem, given, self.progress)
         if corrected is not None:
             yield Remedy.CORRECTION, corrected
@@ -322,7 +313,7 @@ class _GuardedSearch:
         elif ratio > MAX_NOISE_RATIO:
             trouble = Trouble.LARGE_RESIDUAL
         attempt = self._note(remedy, trouble, before, ratio)
-        self.ended.append(_Ended(result, attempt, len(self.attempts) - 1))
+        self.ended.append(EndedSearch(result, attempt, len(self.attempts) - 1, self._worth(result)))
 
     def _note(self, remedy: Remedy, trouble: Trouble, before: int, ratio: float = math.nan) -> Attempt:
         self.attempts.append(Attempt(remedy, trouble, ratio, self.problem.simulations - before))
@@ -339,21 +330,15 @@ class _GuardedSearch:
         last = self.ended[-1]
         if last.attempt.trouble is Trouble.NONE or last.result.outcome is Outcome.INTERRUPTED:
             return True
-        if last.attempt.trouble is Trouble.UNFINISHED:
-            return False
-        others = [each for each in self.ended[:-1] if each.attempt.trouble is Trouble.LARGE_RESIDUAL]
-        confirmed = sum(
-            _same_place(each.result, last.result)
-            for each in others
-            # corrections set out from the start that was given: the two confirm nothing of each other
-            if {each.attempt.remedy, last.attempt.remedy} != {Remedy.GIVEN, Remedy.CORRECTION}
-        )
-        return confirmed > (1 if last.attempt.noise_ratio > POOR else 0)
+        return is_confirmed(last, self.ended, self.equation_ratio)
 
     def _concluded(self, given: Floats) -> Result:
         """Return the best result with all that was tried."""
         best = self._best()
-        self.attempts[best.number] = replace(best.attempt, kept=True)
+        is_wrong = is_confirmed(best, self.ended, self.equation_ratio)
+        self.attempts[best.number] = replace(
+            best.attempt, kept=True, trouble=Trouble.MODEL_ERROR if is_wrong else best.attempt.trouble
+        )
         tried = tuple(self.attempts) if len(self.attempts) > 1 else ()
         return replace(
             best.result,
@@ -363,25 +348,17 @@ class _GuardedSearch:
             attempts=tried,
         )
 
-    def _best(self) -> _Ended:
+    def _best(self) -> EndedSearch:
         """Return the one that fits best; of those that fit alike, one that came to an end."""
-        least = min(self._worth(each.result) for each in self.ended)
-        alike = [each for each in self.ended if self._worth(each.result) - checked_search.RIVAL_CRITERION <= least]
-        return min(alike, key=lambda each: (each.attempt.trouble is Trouble.UNFINISHED, self._worth(each.result)))
+        least = min(each.worth for each in self.ended)
+        alike = [each for each in self.ended if each.worth - checked_search.RIVAL_CRITERION <= least]
+        return min(alike, key=lambda each: (each.attempt.trouble is Trouble.UNFINISHED, each.worth))
 
     def _worth(self, result: Result) -> float:
         """Return Σ K_j log σ̂_j², by which results of any variances compare."""
         variances = [result.noise_variance[name] for name in self.problem.output_names]
         with np.errstate(divide="ignore"):
             return float(self.problem.counts @ np.log(variances))
-
-
-def _same_place(one: Result, other: Result) -> bool:
-    """Whether two results are the same optimum, by their standard deviations where they have such."""
-    std = np.fmax(one.std, other.std)
-    apart = np.abs(one.values - other.values)
-    near = apart <= np.where(np.isfinite(std), SAME_PLACE * std, np.inf)
-    return bool(near.all())
 
 
 def _noise(problem: Problem) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from fmuid.arrays import Floats
 from fmuid.estimation import Attempt, Remedy, Trouble
 from fmuid.files import as_json
 from fmuid.model_problem import guarded_search
+from fmuid.model_problem.agreement import EndedSearch, is_confirmed
 from fmuid.model_problem.corrected_start import corrected_start
-from fmuid.model_problem.equation_start import equation_start
+from fmuid.model_problem.equation_start import POOR, equation_start
 from fmuid.reports.words.starts import ENDS, PLACES, attempt_words
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
@@ -83,8 +85,10 @@ def test_a_motor_from_far_away_is_found_by_its_equations(motor: Path, record: Re
 
 def test_the_equations_give_a_start_and_the_initial_states(motor: Path, record: Record) -> None:
     whole = problem(motor, record)
-    theta = equation_start(whole, whole.parameters.start)
-    assert theta is not None
+    found = equation_start(whole, whole.parameters.start)
+    assert found is not None
+    theta = found.theta
+    assert 1.0 < found.noise_ratio < POOR
     assert whole.simulations == 0
     ratios = theta[:6] / record.truth
     assert (ratios > 1 / 3).all()
@@ -98,12 +102,9 @@ class Tried:
 
     def __init__(self, *ended: tuple[Trouble, float]) -> None:
         self.ended = [
-            guarded_search._Ended(worth, Attempt(Remedy.GIVEN, trouble), k)  # type: ignore[arg-type]
+            EndedSearch(worth, Attempt(Remedy.GIVEN, trouble), k, worth)  # type: ignore[arg-type]
             for k, (trouble, worth) in enumerate(ended)
         ]
-
-    def _worth(self, result: float) -> float:
-        return result
 
 
 @pytest.mark.parametrize(
@@ -205,8 +206,66 @@ def test_a_model_that_is_wrong_is_confirmed_by_a_second_start(curved: Path) -> N
     result = fmuid.identify(wave(curved, 2.9, lambda t: 0.3 * np.cos(1.3 * t)))
     assert result.converged
     kept = next(each for each in result.attempts if each.kept)
-    assert kept.trouble is Trouble.LARGE_RESIDUAL
-    assert "other starts fit no better: look at the model" in fmuid.describe(result)
+    assert kept.trouble is Trouble.MODEL_ERROR
+    assert "the model does not explain the data" in fmuid.describe(result)
+
+
+LAG = """model Lag
+  parameter Real a = 1;
+  parameter Real b = 1;
+  input Real u;
+  output Real x(start=0, fixed=true);
+equation
+  der(x) = b*u - a*x;
+end Lag;
+"""
+
+
+def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: Path) -> None:
+    """The lag's damping is of third power: its best fit, and that of its equations, is far above the noise."""
+    times, rng = np.linspace(0.0, 8.0, 401), np.random.default_rng(4)
+    u = np.repeat(rng.uniform(-3.0, 3.0, 21), 20)[:401]
+    x = np.zeros(401)
+    for k in range(400):
+        for _ in range(20):
+            x[k + 1] = (x[k + 1] or x[k]) + 1e-3 * (2.0 * u[k] - x[k + 1] ** 3)
+    frame = pd.DataFrame({"time": times, "u": u, "x": x + 1e-3 * rng.standard_normal(401)})
+    experiment = fmuid.Experiment(frame, ["u"], ["x"], interpolation="hold")
+    parameters = {"a": fmuid.Parameter(3.0, min=0.0), "b": fmuid.Parameter(1.0, min=0.0)}
+    result = fmuid.identify(fmuid.Problem(export_text(tmp_path, LAG), experiment, parameters))
+    assert result.converged
+    assert len([each for each in result.attempts if each.trouble is not Trouble.FAR]) == 2
+    kept = next(each for each in result.attempts if each.kept)
+    assert kept.trouble is Trouble.MODEL_ERROR
+    assert kept.noise_ratio > 15.0
+    (said,) = attempt_words(result)
+    assert said.endswith(
+        "; the model does not explain the data, other starts end there too: check the model and its inputs"
+    )
+    data = json.loads(json.dumps(as_json(result.to_json_dict())))
+    assert [each["trouble"] for each in data["attempts"] if each["kept"]] == ["model_error"]
+
+
+def ended(remedy: Remedy, values: list[float], worth: float = 0.0, number: int = 0) -> EndedSearch:
+    """A search that ended with standard deviations of 0.1, the second one without end."""
+    result: Any = SimpleNamespace(values=np.array(values), std=np.array([0.1, np.inf]))
+    return EndedSearch(result, Attempt(remedy, Trouble.LARGE_RESIDUAL, 20.0), number, worth)
+
+
+@pytest.mark.parametrize(
+    ("other", "equation_ratio", "confirmed"),
+    [
+        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0]), np.nan, True),
+        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0]), 15.0, True),
+        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0]), 3.0, False),  # the equations hold: a secondary optimum
+        (ended(Remedy.EQUATION_ERROR, [1.2, 7.0]), np.nan, False),
+        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0], worth=-4.0), np.nan, False),
+        (ended(Remedy.CORRECTION, [1.05, 7.0]), np.nan, False),  # which set out from the given start
+    ],
+)
+def test_searches_agree_in_criterion_and_estimates(other: EndedSearch, equation_ratio: float, confirmed: bool) -> None:
+    one = ended(Remedy.GIVEN, [1.0, 2.0], number=1)
+    assert is_confirmed(one, [other, one], equation_ratio) == confirmed
 
 
 def test_where_nothing_helps_the_error_is_that_of_the_start() -> None:

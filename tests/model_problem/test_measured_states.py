@@ -103,10 +103,10 @@ def test_unmeasured_states_with_a_law_that_is_not_linear(cubic: Path) -> None:
 
 def test_far_parameters_of_unmeasured_states_are_found_by_the_equations(cubic: Path) -> None:
     whole, _ = cubic_problem(cubic, 40.0, 0.1)
-    theta = equation_start(whole, whole.parameters.start)
-    assert theta is not None
+    found = equation_start(whole, whole.parameters.start)
+    assert found is not None
     assert whole.simulations == 0
-    assert theta == pytest.approx([2.0, 3.0], rel=0.2)
+    assert found.theta == pytest.approx([2.0, 3.0], rel=0.2)
 
 
 @pytest.mark.slow

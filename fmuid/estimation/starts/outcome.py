@@ -38,6 +38,8 @@ class Trouble(Enum):
     """The search stalled, or ended at a limit."""
     LARGE_RESIDUAL = "large_residual"
     """The residual of an output is above `MAX_NOISE_RATIO` times the noise that its second differences show."""
+    MODEL_ERROR = "model_error"
+    """As `LARGE_RESIDUAL`, and other starts lead to the same optimum: the model does not explain the data."""
 
 
 MAX_NOISE_RATIO = 3.0

@@ -27,6 +27,7 @@ ENDS = {
     Trouble.NO_EFFECT: "could not be searched from",
     Trouble.UNFINISHED: "did not come to an end",
     Trouble.LARGE_RESIDUAL: "left {ratio:.3g} times the noise that the data show",
+    Trouble.MODEL_ERROR: "left {ratio:.3g} times the noise that the data show",
 }
 """What became of it."""
 
@@ -63,6 +64,9 @@ def attempt_words(result: Result) -> tuple[str, ...]:
     kept = next((each for each in result.attempts if each.kept), None)
     if kept is None or kept.trouble is Trouble.NONE:
         return (f"several starts were tried: {listed(told)}",)
+    if kept.trouble is Trouble.MODEL_ERROR:
+        reason = "; the model does not explain the data, other starts end there too: check the model and its inputs"
+        return (f"several starts were tried: {listed(told)}{reason}",)
     if kept.trouble is Trouble.LARGE_RESIDUAL:
         reason = "; other starts fit no better: look at the model, or at what else moves the outputs"
         return (f"several starts were tried: {listed(told)}{reason}",)
