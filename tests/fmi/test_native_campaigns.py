@@ -22,7 +22,13 @@ from tests.support.sanitizers import SANITIZE, assert_nothing_found, needs_sanit
 pytestmark = pytest.mark.slow
 TESTS = [
     *(f"fmi/test_{name}" for name in ("native", "integrators", "model_exchange", "fmi3", "float_environment")),
-    *("models/test_system", "models/test_loops", "simulation/test_sensitivities", "simulation/test_simulator"),
+    *(
+        "models/test_system",
+        "models/test_loops",
+        "simulation/test_state_sizes",
+        "simulation/test_sensitivities",
+        "simulation/test_simulator",
+    ),
 ]
 
 

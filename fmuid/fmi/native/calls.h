@@ -19,6 +19,23 @@ INLINE Outcome check(Integrator *self, Failure function, int32_t status) {
   return status == fmi2Discard ? REJECTED : FAILED;
 }
 
+/* The absolute tolerance of a state. One far below a nominal value of 1, which may be one that nobody has stated, is
+ * measured by its size. */
+INLINE double absolute_of(const Integrator *self, size_t i, double size) {
+  const double most_times = 1e3, absolute = self->absolute[i], own = self->how.tolerance * most_times * size;
+  return absolute == self->how.tolerance && size > 0.0 && own < absolute ? own : absolute;
+}
+
+/* Note the sizes of the states at the step's end, as long as one of them is small. */
+INLINE void note_sizes(Integrator *self) {
+  if (!self->small) return;
+  self->small = false;
+  for (size_t i = 0; i < self->how.n_states; i++) {
+    const double size = self->x_sizes[i] = fmax(self->x_sizes[i], fabs(self->x_end[i]));
+    self->small = self->small || size == 0.0 || absolute_of(self, i, size) < self->absolute[i];
+  }
+}
+
 INLINE double input_at(const Integrator *self, size_t j, double t) {
   const Curve *curve = &self->how.curves[j];
   const double after = t - self->origin;

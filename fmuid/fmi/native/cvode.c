@@ -85,7 +85,7 @@ static bool make(Integrator *self, Solver *s) {
   cv->SUNContext_ClearErrHandlers(s->context); /* they would print; the flags say what is wrong */
   s->state = cv->N_VMake_Serial(n, self->x_end, s->context);
   s->at = cv->N_VMake_Serial(n, self->x_at, s->context);
-  s->absolute = cv->N_VMake_Serial(n, self->absolute, s->context);
+  s->absolute = cv->N_VMake_Serial(n, self->own_absolute, s->context);
   s->matrix = cv->SUNDenseMatrix(n, n, s->context);
   if (!s->state || !s->at || !s->absolute || !s->matrix) return false;
   s->linear = cv->SUNLinSol_Dense(s->state, s->matrix, s->context);
@@ -122,10 +122,23 @@ void cvode_free(Integrator *self) {
 
 /* ---- steps ---- */
 
+/* Find the absolute tolerances for the time ahead. The size of a state that has had none yet is what its slope makes of
+ * it by the wanted time. */
+static void measure(Integrator *self) {
+  const size_t n = self->how.n_states;
+  double *own = self->own_absolute, *slope = self->slopes[0];
+  copy(self->n_total, self->absolute, own);
+  note_sizes(self);
+  if (!self->small || right_hand_side(self, self->step_end, self->x_end, slope) != DONE) return;
+  const double ahead = self->wanted - self->step_end;
+  for (size_t i = 0; i < n; i++) own[i] = absolute_of(self, i, fmax(self->x_sizes[i], fabs(slope[i]) * ahead));
+}
+
 /* Let CVODE begin anew at the step's end; next_step is the first step length, 0 leaves it to CVODE. */
 static Outcome restart(Integrator *self) {
   const Sundials *cv = self->how.sundials;
   const Solver *s = self->solver;
+  measure(self);
   int flag = cv->CVodeReInit(s->memory, self->step_end, s->state);
   if (flag == 0)
     flag = cv->CVodeSVtolerances(s->memory, self->how.tolerance, s->absolute); /* it has a copy of its own */
@@ -177,6 +190,7 @@ Outcome cvode_step(Integrator *self, double bound) {
   self->step_start = begin;
   self->step_end = end;
   self->step_length = end - begin;
+  note_sizes(self);
   return DONE;
 }
 

@@ -126,6 +126,7 @@ struct Integrator {
   double error, old_error; /* of the last attempt and of the last accepted step, 1 being just acceptable */
   double powered_error, power; /* an old error, and the power of it that control takes */
   size_t steps_before;         /* the present advance */
+  double wanted;               /* time of the present advance */
   int32_t stiff_hits, stiff_misses;
   bool has_directional; /* derivatives, as far as is known */
   bool in_event_mode;
@@ -134,13 +135,16 @@ struct Integrator {
   bool fmu_is_at_end; /* the FMU holds time, inputs and states of the step's end */
   bool can_go_on;     /* from where it is: derivatives of the step's end, history of CVODE */
   bool nominals_known;
-  bool bent; /* `bend` is that of the present step */
+  bool small; /* a state has been zero or far below 1 so far */
+  bool bent;  /* `bend` is that of the present step */
   Pending pending;
 
   /* The arrays lie in one block of memory, which `memory` owns. */
   double *memory;
   double *x_start, *x_end, *x_stage, *x_at; /* states; x_at: interpolated */
   double *absolute;                         /* tolerances */
+  double *own_absolute;                     /* the same where states far below 1 are measured by their own size */
+  double *x_sizes;                          /* largest magnitudes of the states so far */
   double *slopes[MOST_STAGES];
   double *bend, *x_whole; /* dense output: its term of fourth order; states at the end of the uncut step */
   double *zeros;

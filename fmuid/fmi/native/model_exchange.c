@@ -23,17 +23,17 @@ static double *take(double **rest, size_t n) {
 
 static bool allot(Integrator *self, size_t count) {
   const size_t n = self->n_total, n_x = self->how.n_states, n_z = self->how.n_indicators, n_u = self->how.n_inputs;
-  double *rest = self->memory = calloc((8 + MOST_STAGES) * n + 6 * n_z + 2 * n_u + 5 * n_x + 1 + count, sizeof(double));
+  double *rest = self->memory = calloc((9 + MOST_STAGES) * n + 6 * n_z + 2 * n_u + 6 * n_x + 1 + count, sizeof(double));
   if (!rest) return false;
-  double **by_total[] = {&self->x_start,  &self->x_end, &self->x_stage, &self->x_at,
-                         &self->absolute, &self->bend,  &self->x_whole, &self->zeros};
+  double **by_total[] = {&self->x_start, &self->x_end,   &self->x_stage, &self->x_at,        &self->absolute,
+                         &self->bend,    &self->x_whole, &self->zeros,   &self->own_absolute};
   for (size_t i = 0; i < sizeof by_total / sizeof *by_total; i++) *by_total[i] = take(&rest, n);
   for (size_t i = 0; i < MOST_STAGES; i++) self->slopes[i] = take(&rest, n);
   double **by_indicators[] = {&self->z_start, &self->z_end, &self->z_at, &self->z_event, &self->z_early, &self->z_late};
   for (size_t i = 0; i < sizeof by_indicators / sizeof *by_indicators; i++) *by_indicators[i] = take(&rest, n_z);
   self->input_values = take(&rest, n_u);
   self->input_sizes = take(&rest, n_u);
-  double **by_states[] = {&self->x_before, &self->slopes_before, &self->slopes_after, &self->x_work};
+  double **by_states[] = {&self->x_before, &self->slopes_before, &self->slopes_after, &self->x_work, &self->x_sizes};
   for (size_t i = 0; i < sizeof by_states / sizeof *by_states; i++) *by_states[i] = take(&rest, n_x);
   self->seeds = take(&rest, n_x + 1);
   self->shifts = take(&rest, count);
@@ -191,6 +191,8 @@ int integrator_begin(Integrator *self, double t) {
     self->input_values[j] = NAN;
     self->input_sizes[j] = 0.0;
   }
+  self->small = true;
+  for (size_t i = 0; i < self->how.n_states; i++) self->x_sizes[i] = 0.0;
   return DONE;
 }
 
@@ -250,6 +252,7 @@ int integrator_advance(Integrator *self, double t) {
   const size_t last_event = self->n_events + MAX_EVENTS, last_step = self->n_steps + self->how.most_steps;
   const bool chooses_steps = self->how.method != RK4 && self->n_total > 0;
   self->steps_before = self->n_steps;
+  self->wanted = t;
   self->stiff_hits = 0;
   for (;;) {
     if (self->cancel && atomic_load_explicit(self->cancel, memory_order_relaxed))

@@ -95,10 +95,26 @@ static double scale(const Integrator *self, size_t i, const double *x, const dou
   return self->absolute[i] + self->how.tolerance * larger(fabs(x[i]), fabs(other[i]));
 }
 
+/* The same where a state is measured by its own size. */
+static double own_scale(const Integrator *self, size_t i, const double *x, const double *other) {
+  if (i >= self->how.n_states) return scale(self, i, x, other);
+  const double present = larger(fabs(x[i]), fabs(other[i]));
+  return absolute_of(self, i, larger(present, self->x_sizes[i])) + self->how.tolerance * present;
+}
+
 /* The root of the mean square of values, each measured by its tolerance at x_start and `other`. */
 static double norm(const Integrator *self, const double *values, const double *other) {
   double total = 0.0;
   for (size_t i = 0; i < self->n_total; i++) total += square(values[i] / scale(self, i, self->x_start, other));
+  return sqrt(total / (double)self->n_total);
+}
+
+/* The root of the mean square of the errors, likewise, small states by their own size. */
+static double error_norm(const Integrator *self, const double *errors) {
+  if (!self->small) return norm(self, errors, self->x_end);
+  double total = 0.0;
+  for (size_t i = 0; i < self->n_total; i++)
+    total += square(errors[i] / own_scale(self, i, self->x_start, self->x_end));
   return sqrt(total / (double)self->n_total);
 }
 
@@ -132,7 +148,7 @@ static double power_of_old(Integrator *self) {
 static double judge(Integrator *self, double h, bool clipped, bool again) {
   double *y = self->x_at;
   combine(self, MOST_STAGES, dormand_prince.error, h, self->zeros, y);
-  const double error = self->error = norm(self, y, self->x_end);
+  const double error = self->error = error_norm(self, y);
   double factor = GROW;
   if (!(error < NO_ERROR)) {
     const double raw = pow(error, 0.2 - 0.75 * PI_EXPONENT);
@@ -150,7 +166,7 @@ static double judge(Integrator *self, double h, bool clipped, bool again) {
 static void blame(Integrator *self) {
   double worst = -1.0;
   for (size_t i = 0; i < self->n_total; i++) {
-    const double error = fabs(self->x_at[i]) / scale(self, i, self->x_end, self->x_end);
+    const double error = fabs(self->x_at[i]) / own_scale(self, i, self->x_end, self->x_end);
     if (error <= worst) continue; /* not if it is NAN */
     worst = error;
     self->report.state = (int64_t)i;
@@ -198,6 +214,7 @@ static void accept(Integrator *self, double begin, double end, double h) {
   self->step_end = end;
   self->step_length = h;
   self->can_go_on = self->fmu_is_at_end = true;
+  note_sizes(self);
 }
 
 /* Try a step of length h; *following is the length of the next one, or of the next attempt. */
