@@ -22,6 +22,12 @@ pytestmark = PROCESSES
 MEMORY = 1e-3  # added to the input after each simulation
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return where the FMUs are, each compiled once."""
+    return tmp_path_factory.mktemp("memory")
+
+
 def experiment() -> Experiment:
     """Return a record of x' = u - 3 x in closed form, u held."""
     step, n, k = 0.01, 100, 3.0
@@ -34,11 +40,11 @@ def experiment() -> Experiment:
     return Experiment(frame, ["u"], ["x"], interpolation="hold")
 
 
-def test_each_simulation_has_a_new_process(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_each_simulation_has_a_new_process(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Outputs are those of the same FMU without the memory, bit for bit, also where several go at a time."""
-    thetas = [[1.0], [2.0], [3.0], [1.0], [2.0]]
-    expected = Simulator(stepping_fmu(tmp_path, LAG, order=4), experiment(), ["k"])(thetas)
-    with System(stepping_fmu(tmp_path, LAG, order=4, memory=MEMORY), isolation=Isolation()) as system:
+    thetas = [[1.0], [2.0], [1.0]]
+    expected = Simulator(stepping_fmu(folder, LAG, order=4), experiment(), ["k"])(thetas)
+    with System(stepping_fmu(folder, LAG, order=4, memory=MEMORY), isolation=Isolation()) as system:
         simulator = Simulator(system, experiment(), ["k"])
         with caplog.at_level(logging.WARNING, "fmuid.fmu"):
             np.testing.assert_array_equal(simulator(thetas), expected)
@@ -47,11 +53,11 @@ def test_each_simulation_has_a_new_process(tmp_path: Path, caplog: pytest.LogCap
     assert "keeps something outside its instances, so that a new process is started for" in record.getMessage()
 
 
-def test_identify_by_new_processes(tmp_path: Path) -> None:
+def test_identify_by_new_processes(folder: Path) -> None:
     """The cost never rises over accepted steps, the estimate is that of the FMU without memory, the result says how."""
     found = []
     for memory in (0.0, MEMORY):
-        with System(stepping_fmu(tmp_path, LAG, order=4, memory=memory), isolation=Isolation()) as system:
+        with System(stepping_fmu(folder, LAG, order=4, memory=memory), isolation=Isolation()) as system:
             problem = Problem(system, experiment(), {"k": Parameter(1.0, min=0.1, max=10.0)})
             found.append(identify(problem, accuracy="off", remedies=False))
     plain, result = found
@@ -63,10 +69,10 @@ def test_identify_by_new_processes(tmp_path: Path) -> None:
     assert run_words(HowRun(**result.models[""]["run"])).endswith("in a new process for each simulation")
 
 
-def test_one_simulation_in_a_process(tmp_path: Path) -> None:
+def test_one_simulation_in_a_process(folder: Path) -> None:
     """Without new processes it is refused, at once where several simulations were asked for."""
     path, sentence = (
-        stepping_fmu(tmp_path, LAG, order=4, memory=2 * MEMORY),
+        stepping_fmu(folder, LAG, order=4, memory=2 * MEMORY),
         r"only once in a process.*outside its inst",
     )
     with pytest.raises(InputError, match=sentence):
@@ -75,17 +81,17 @@ def test_one_simulation_in_a_process(tmp_path: Path) -> None:
         identify(Problem(path, experiment(), {"k": Parameter(1.0, min=0.1, max=10.0)}))
 
 
-def test_outputs_at_random_are_refused(tmp_path: Path) -> None:
+def test_outputs_at_random_are_refused(folder: Path) -> None:
     """What differs from process to process no process mends."""
-    path = stepping_fmu(tmp_path, LAG, order=4, memory=MEMORY, seed="getpid()")
+    path = stepping_fmu(folder, LAG, order=4, memory=MEMORY, seed="getpid()")
     with System(path, isolation=Isolation()) as system:
         simulator = Simulator(system, experiment(), ["k"])
         with pytest.raises(InputError, match=r"gives other outputs each time .* also in new processes"):
             simulator([1.0])
 
 
-def test_validate_says_so(tmp_path: Path) -> None:
-    found = validate(stepping_fmu(tmp_path, LAG, order=4, memory=3 * MEMORY))
+def test_validate_says_so(folder: Path) -> None:
+    found = validate(stepping_fmu(folder, LAG, order=4, memory=3 * MEMORY))
     (check,) = (each for each in found.checks if each.subject is Subject.RESET)
     assert check.result == "failed"
     assert "it keeps something outside its instances" in check_words(check)[0]
