@@ -61,6 +61,8 @@ from .model_derivatives import Sensitivity as Sensitivity
 from .numerical_noise import NoiseLevel as NoiseLevel
 from .result import Optimum as Optimum
 from .result import Result as Result
+from .saved.check import check_types as check_types
+from .saved.schema import ResultContent as ResultContent
 from .starts.noise_level import second_difference_noise as second_difference_noise
 from .starts.outcome import MAX_NOISE_RATIO as MAX_NOISE_RATIO
 from .starts.outcome import Attempt as Attempt

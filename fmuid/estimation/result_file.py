@@ -15,6 +15,8 @@ from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_derivatives import Sensitivity
+from fmuid.estimation.saved.check import check_types
+from fmuid.estimation.saved.schema import ResultContent
 from fmuid.estimation.starts.outcome import Attempt, ChoiceTried
 from fmuid.files import ContentError, as_json, content_of
 from fmuid.text import with_std
@@ -86,6 +88,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def _fields(data: Mapping[str, Any]) -> dict[str, Any]:
+    check_types(data, ResultContent)
     parameters = data["parameters"]
     names = tuple(parameters)
     column = {

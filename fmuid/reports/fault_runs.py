@@ -17,8 +17,9 @@ from fmuid.progress import Event, Progress
 from fmuid.reports.drawn import check_format
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS
 from fmuid.reports.origin import made_from
-from fmuid.reports.page.contents import read_json, read_table
+from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.faults import MONITORED_FILE, PREPARED_FILE
+from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.write import show_results
 from fmuid.reports.preparations import prepared, prepared_table, said_of, thinned_again, words_of, write_prepared
 from fmuid.reports.words.diagnosis import verdict

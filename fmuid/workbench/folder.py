@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from fmuid.errors import InputError
 from fmuid.files import full, is_file, is_folder
+from fmuid.reports.page.saved import read_json
 from fmuid.studies import read_toml
 
 RESULTS = {
@@ -80,30 +79,36 @@ class FoundResult:
         Of `RESULTS`.
     study : Path or None
         That it says it is of.
+    content : mapping
+        What the file says; nothing where it cannot be read.
+    error : str
+        Why it cannot be read, or nothing.
     """
 
     path: Path
     kind: str
     study: Path | None
+    content: Mapping[str, Any]
+    error: str = ""
 
     @classmethod
     def of(cls, path: Path) -> FoundResult:
         """Return what a file of `RESULTS` is."""
-        given = _content(path).get("study")
+        try:
+            content, error = read_json(path), ""
+        except InputError as wrong:
+            content, error = {}, str(wrong)
+        given = content.get("study")
         file = given.get("file") if isinstance(given, dict) else given
         # a search for faults says its study's name alone, as its files are to be passed on
         near = [each / file for each in path.parents[:DEEPEST]] if isinstance(file, str) and file else []
-        return cls(path, RESULTS[path.name], next((each.resolve() for each in near if is_file(each)), None))
+        study = next((each.resolve() for each in near if is_file(each)), None)
+        return cls(path, RESULTS[path.name], study, content, error)
 
     @property
     def folder(self) -> Path:
         """Where its files are."""
         return self.path.parent
-
-    @cached_property
-    def content(self) -> Mapping[str, Any]:
-        """What the file says; nothing where it cannot be read."""
-        return _content(self.path)
 
 
 class Folder:
@@ -211,11 +216,3 @@ def read_study(path: Path) -> FoundStudy | None:
     asks = tuple(word for word in ("diagnosis", "batch") if isinstance(data.get(word), dict))
     title = str(data.get("title") or path.stem)
     return FoundStudy(path, title, "", tables, tuple(names) if isinstance(names, dict) else (), asks)
-
-
-def _content(path: Path) -> Mapping[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}

@@ -101,6 +101,8 @@ def _study(folder: Folder, study: FoundStudy, results: Sequence[FoundResult], *,
 def _state(result: FoundResult, study: FoundStudy) -> str:
     """Return how a result ended, and whether the study is another since."""
     content = result.content
+    if result.error:
+        return badge("cannot be read", good=False)
     if result.kind == "identification":
         told = badge(str(content.get("outcome", "unknown")).replace("_", " "), good=bool(content.get("converged")))
     else:
@@ -143,10 +145,11 @@ def _row(folder: Folder, result: FoundResult) -> str:
     report = result.folder / "report.html"
     link = f'<a href="{file_address(folder, report)}">report</a>' if report.is_file() else ""
     date = datetime.fromtimestamp(result.path.stat().st_mtime).strftime("%Y-%m-%d %H:%M")
-    state = str(result.content.get("outcome", "") or "").replace("_", " ")
+    outcome = str(result.content.get("outcome", "") or "").replace("_", " ")
+    state = f"<span class=error>{escaped(result.error)}</span>" if result.error else escaped(outcome)
     first = f'<a href="{address(_page(result), folder, result.folder)}">{name}</a>'
     box = f'<input type=checkbox name=file value="{name}" aria-label="choose {name}">'
-    cells = "".join(f"<td>{each}</td>" for each in (result.kind, escaped(state), date, link))
+    cells = "".join(f"<td>{each}</td>" for each in (result.kind, state, date, link))
     return f"<tr><td>{box if result.kind == 'identification' else ''}</td><th scope=row>{first}</th>{cells}</tr>"
 
 

@@ -109,10 +109,11 @@ def test_results_of_other_versions_are_one_sentence(tmp_path: Path) -> None:
 
     for key in ("outcome", "parameters", "covariance", "noise_variance", "criterion", "iterations", "elapsed_s"):
         assert f"has no '{key}', which fmuid {__version__} needs" in said({k: v for k, v in whole.items() if k != key})
-    for key in whole.keys() - {"version", "converged", "moved_start"}:
-        assert f"has something in '{key}' that fmuid {__version__} cannot read" in said(whole | {key: "of old"})
+    assert f"has something in 'outcome' that fmuid {__version__} cannot read" in said(whole | {"outcome": "of old"})
+    for key in whole.keys() - {"version", "outcome"}:
+        assert f"cannot be right: {key}: the value should be" in said(whole | {key: "of old"})
     models = {"": {"name": "Coil", "digest": "1", "run": "co-simulation"}}
-    assert "has something in 'models'" in said(whole | {"models": models})
+    assert "cannot be right: models..run: the value should be" in said(whole | {"models": models})
     direction = {"names": ["k"], "coefficients": [1.0], "values": [1.0], "magnitudes": [1.0], "std": 1.0}
     assert "has no 'determined' in 'weak'" in said(whole | {"weak": [direction]})
     negative = {"names": list(whole["parameters"]), "matrix": np.diag([1.0, -1.0]).tolist()}

@@ -12,9 +12,10 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import batch
 from fmuid.reports.interactive.starts import over_starts
-from fmuid.reports.page.contents import read_json, read_table
+from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
+from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.result import capitalised
 from fmuid.text import rounded, unit_text

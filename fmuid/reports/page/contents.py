@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from fmuid.assessment import CriterionMap
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import with_formulas
+from fmuid.reports.page.saved import read_json
 from fmuid.simulation import Fit
 
 if TYPE_CHECKING:
@@ -101,23 +101,6 @@ _MINE = (
     *("estimates", "trace", "rounds", "fit", "correlations", "reading", "optima", "profiles", "posterior"),
     *("preparation", "walkers", "map"),
 )
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Return the content of a JSON file.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read or is not an object.
-    """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read: {error}") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{path} is not what fmuid writes: it is no JSON object")
-    return content
 
 
 def read_table(path: Path) -> pd.DataFrame:

@@ -12,9 +12,10 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import diagnosis
 from fmuid.reports.page import preparation
-from fmuid.reports.page.contents import read_json, read_table
+from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
+from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.diagnosis import diagnosis_words, explanation_words, faults_columns
 

@@ -14,10 +14,11 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import comparison
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS
-from fmuid.reports.page.contents import read_json, read_table
+from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
+from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.verdict import Said
 from fmuid.reports.words.prediction import ALIKE_AIC, LEAST_RATIO
 from fmuid.simulation import Fit

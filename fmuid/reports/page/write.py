@@ -61,7 +61,7 @@ def contents(folder: Path, files: Sequence[str] = FILES) -> tuple[str, list[Part
     there = [name for name in files if is_file(folder / name)]
     if not there:
         raise InputError(f"{folder} has no {listed(FILES)}: give the folder that a command has written into")
-    from fmuid.reports.page.contents import read_json
+    from fmuid.reports.page.saved import read_json
 
     beside = (folder / there[0]).with_suffix(".json")
     first = read_json(beside) if is_file(beside) else {}

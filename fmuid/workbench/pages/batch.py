@@ -21,6 +21,7 @@ from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import batch as figures
 from fmuid.reports.interactive.live import in_scheme
+from fmuid.reports.page.saved import read_json
 from fmuid.studies import Study
 from fmuid.workbench.access import SCHEME
 from fmuid.workbench.folder import Folder, FoundResult, FoundStudy, beside
@@ -58,7 +59,8 @@ class BatchPage:
         if not is_file(place / "batch.json"):
             raise InputError(f"{folder.name(place)} has no batch.json: it is no folder of a batch")
         self.doc, self.folder, self.place, self.scheme = doc, folder, place, scheme
-        self.manifest: Mapping[str, Any] = json.loads((place / "batch.json").read_text(encoding="utf-8"))
+        self.manifest: Mapping[str, Any] = read_json(place / "batch.json")
+        self._wrong: list[str] = []  # what is said of files that cannot be read
         self.frame, self._seen, self._counts = pd.DataFrame(), object(), list[tuple[float, int]]()
         self.state = words("state")
         self.status = Select(title="cases", options=["all"], value="all", name="status", stylesheets=[SHEET])
@@ -107,10 +109,14 @@ class BatchPage:
         parts = sorted((self.place / "cases").glob("part-*.parquet"))
         seen = tuple((path.name, path.stat().st_size) for path in parts if path.exists())
         if seen != self._seen:
-            frames = []
+            frames, self._wrong = [], []
             for path in parts:
-                with contextlib.suppress(OSError, ValueError):  # merged into another one meanwhile
-                    frames.append(pd.read_parquet(path, page_checksum_verification=True))
+                try:
+                    frames.append(_rows(path))
+                except FileNotFoundError:  # merged into another one meanwhile
+                    continue
+                except InputError as error:
+                    self._wrong.append(str(error))
             self._seen = seen
             known = pd.concat(frames, ignore_index=True) if frames else pd.DataFrame({"case": [], "status": []})
             self.frame = known.drop_duplicates("case").sort_values("case", ignore_index=True)
@@ -135,6 +141,7 @@ class BatchPage:
                 words.append(f"nothing written for {silent:.0f} s")
         bar = f"<progress value={done} max={max(total, 1)}></progress>" if total else ""
         text = f"{bar}<p>{escaped(', '.join(words))}</p>"
+        text += "".join(f"<p class=error>{escaped(error)}</p>" for error in self._wrong)
         if is_file(self.place / "summary.json"):  # it has ended
             text += f'<p><a href="{address("results", self.folder, self.place)}">All figures</a></p>'
         if text != self.state.text:
@@ -143,11 +150,18 @@ class BatchPage:
     def _draw(self) -> None:
         """Draw the estimates so far."""
         if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
-            summary = self.place / "summary.json"  # there once it has ended
-            units = json.loads(summary.read_text(encoding="utf-8")).get("units") or {} if is_file(summary) else {}
             truth = self.manifest.get("truth") or {}
-            plots = [in_scheme(plot, self.scheme) for plot in figures.over_cases(self.frame, truth, units)]
+            plots = [in_scheme(plot, self.scheme) for plot in figures.over_cases(self.frame, truth, self._units())]
             self.drawn.children = [side_by_side(plots)]
+
+    def _units(self) -> Mapping[str, str | None]:
+        """Return the units of the estimates, which are there once the batch has ended."""
+        summary = self.place / "summary.json"
+        try:
+            return read_json(summary).get("units") or {} if is_file(summary) else {}
+        except InputError as error:
+            self._wrong.append(str(error))
+            return {}
 
     # --- the table
 
@@ -256,6 +270,39 @@ def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
         value = value if math.isfinite(value) else float(case.starts.get(name, parameter.start))
         starts += [f'parameters."{name}"' + (f".start={value:.9g}" if name in case.free else f"={value:.9g}")]
     return [*table, *held, *starts]
+
+
+def _rows(path: Path) -> pd.DataFrame:
+    """Return the rows of a part of a batch.
+
+    Raises
+    ------
+    FileNotFoundError
+        If it is not there any more.
+    InputError
+        If it cannot be read, or is no table of cases.
+    """
+    from pyarrow import ArrowException
+    from pyarrow.parquet import ParquetFile
+
+    try:
+        with ParquetFile(path, page_checksum_verification=True) as part:
+            frame: pd.DataFrame = part.read().to_pandas(ignore_metadata=True)
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, TypeError, ArrowException) as error:
+        raise InputError(f"{path.name} cannot be read ({error}). Run the same command again.") from None
+    numbers = [name for name in map(str, frame) if name == "case" or name.startswith(("value.", "std."))]
+    wrong = [name for name in numbers if not _is_numeric(frame[name], "iu" if name == "case" else "iuf")]
+    if missing := {"case", "status"} - set(frame):
+        raise InputError(f"{path.name} has no column {', '.join(sorted(missing))}. Run the same command again.")
+    if wrong:
+        raise InputError(f"{path.name}: {', '.join(wrong)}: the values are no numbers. Run the same command again.")
+    return frame
+
+
+def _is_numeric(values: pd.Series[Any], kinds: str) -> bool:
+    return values.dtype.kind in kinds or bool(values.isna().all())
 
 
 def _columns(frame: pd.DataFrame) -> list[str]:

@@ -115,7 +115,14 @@ def _zoomed(doc: Any, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:
 
 def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
     """Return the title and the part of a page that shows results side by side."""
-    results = {folder.name(place): Result.from_json(place / "result.json") for place in places}
+    results, wrong = dict[str, Result](), ""
+    for place in places:
+        try:
+            results[folder.name(place)] = Result.from_json(place / "result.json")
+        except InputError as error:
+            wrong += f"<p class=error>{escaped(error)}</p>"
+    if not results:
+        return "Results side by side", [Part("Side by side", "cannot be read", False, [], wrong, [])]
     units = {name: unit for each in results.values() for name, unit in each.units.items()}
     labels = {  # of a result that says no unit as others have it; those in another unit are in another row
         key: [label(name, each.units.get(name, units.get(name))) for name in each.names]
@@ -132,7 +139,7 @@ def _compared(folder: Folder, places: Sequence[Path]) -> tuple[str, list[Part]]:
     words = command_text(["compare", *results])
     note = f"<h3>Which of them the data prefer says</h3><pre>{escaped(words)}</pre>"
     note += "".join(f"<h3>{escaped(folder.name(place))}</h3>{_onward(folder, place)}" for place in places)
-    return "Results side by side", [replace(part, table=part.table + note)]
+    return "Results side by side", [replace(part, table=wrong + part.table + note)]
 
 
 def _onward(folder: Folder, place: Path) -> str:

@@ -1,0 +1,1 @@
+"""Files of results: the types of their values."""
