@@ -99,7 +99,7 @@ def test_columns_of_lists(coil_folder: Path, capsys: pytest.CaptureFixture[str])
     frame = pd.DataFrame({"time": [0.0, 1.0], "u": [[1.0, 2.0], [3.0]], "i": [0.0, 0.0]})
     frame.to_parquet(coil_folder / "run.parquet")
     (coil_folder / "study.toml").write_text(SOUND.replace("run.csv", "run.parquet"))
-    assert "column 'u' holds 'list<element: double>' in row 1" in refused(capsys, "simulate", coil_folder / "study.toml")
+    assert "column 'u' holds 'list<element: double>'" in refused(capsys, "simulate", coil_folder / "study.toml")
 
 
 def test_mat_files_with_a_name_twice(coil_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
