@@ -130,3 +130,22 @@ def test_white_noise_hardly_ever_passes_for_slow() -> None:
 
 def test_records_too_short_to_tell_have_none() -> None:
     assert slow_noise(np.arange(12.0)[None] - 5.5, ONE, np.ones(12, dtype=np.bool_), np.zeros(0)) is None
+
+
+def test_rounding_between_neighbours_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Products of some BLAS give other last digits in other rows; a random walk leads to a bound of the memory."""
+    x = np.cumsum(np.random.default_rng(6).standard_normal(60))
+    plain = slow_noise(x[None], ONE, np.ones(60, dtype=bool), np.zeros(0))
+    fitted, calls = Spectrum.fitted, []
+
+    def rounding(self: Spectrum, logs: Floats) -> tuple[Floats, Floats]:
+        calls.append(logs)
+        assert len(calls) < 1000, "it goes round in circles"
+        levels, heights = fitted(self, logs)
+        return levels, heights - 1e-12 * np.arange(len(heights))
+
+    monkeypatch.setattr(Spectrum, "fitted", rounding)
+    found = slow_noise(x[None], ONE, np.ones(60, dtype=bool), np.zeros(0))
+    assert plain is not None
+    assert found is not None
+    assert found.pole == pytest.approx(plain.pole, rel=1e-9)

@@ -190,18 +190,22 @@ def slow_noise(columns: Floats, weights: Floats, there: Flags, coefficients: Flo
         return None
     least = np.log([LEAST, SHORTEST / 2.0])
     most = np.log([MOST, LONGEST_SHARE * spectrum.length])
-    step, best = 1.0, 0
+    step, level, height = 1.0, math.nan, math.inf
     while step > CLOSE:
         near = np.clip(at + step * NEIGHBOURS, least, most)
         levels, heights = spectrum.fitted(near)
         best = int(np.argmin(heights))
-        at, step = near[best], step if best else step / 2.0
+        # lower than all before: by rounding alone a point may be lower than itself, as its own neighbour at a bound
+        if heights[best] < height:
+            at, level, height = near[best], float(levels[best]), float(heights[best])
+        else:
+            step /= 2.0
     flat = 2.0 * float(spectrum.bins.counts.sum()) * spectrum.samples / spectrum.length * math.log(spectrum.level)
-    gain = flat - float(heights[best]) - ASKED * math.log(spectrum.samples)
+    gain = flat - height - ASKED * math.log(spectrum.samples)
     if not gain > 0.0:
         return None
     rise, memory = np.exp(at).tolist()
     pole = math.exp(-1.0 / memory)
     half = (1.0 + pole**2 + rise * (1.0 - pole) ** 2) / (2.0 * pole)
     zero = 1.0 / (half + math.sqrt(half**2 - 1.0))
-    return SlowNoise(pole, zero, float(levels[best]) * pole / zero, gain)
+    return SlowNoise(pole, zero, level * pole / zero, gain)
