@@ -3,10 +3,13 @@
 What is measured cannot drift away then, so that the criterion has few secondary optima; what is not is simulated, and
 must be stable. The noise of the measurements enters the states, and biases what is found, so that a search without
 corrections follows: a start, and never a result. Both are rough, by simulations that are rough too: parameters that are
-far away often make a model stiff, and an accurate simulation of such a one takes many times as long.
+far away often make a model stiff, and an accurate simulation of such a one takes many times as long. A model of many
+states is corrected at fewer samples.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -24,6 +27,9 @@ ROUGH = Marquardt(max_iterations=25, tolerance=1e-3), Marquardt(max_iterations=6
 TOLERANCE = 1e-5
 # Of the integrator between two samples; where there are more, something else than the start is looked for.
 MOST_STEPS = 1000
+# A correction begins the integration anew, for which cvode takes a Jacobian of one evaluation a state. So many states
+# are worth one sample: then it takes no more evaluations than the steps that follow.
+STATES_PER_SAMPLE = 20
 # Directions of the states that change the outputs by less than this share of the most are not corrected.
 UNSEEN = 1e-6
 
@@ -89,4 +95,5 @@ def _corrected(problem: Problem, index: int, start: Floats) -> tuple[Simulator, 
     sizes = np.nanstd(problem.experiments[index].output_values, axis=0) / np.abs(simulator.output_factors)
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     gain = side.nominals[:, None] * np.linalg.pinv(of_fmu / sizes[:, None], rcond=UNSEEN) / sizes
-    return side.corrected(gain, TOLERANCE, MOST_STEPS), side.simulator(TOLERANCE, MOST_STEPS)
+    every = math.ceil(len(side.states) / STATES_PER_SAMPLE)
+    return side.corrected(gain, TOLERANCE, MOST_STEPS, every), side.simulator(TOLERANCE, MOST_STEPS)

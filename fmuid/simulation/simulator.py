@@ -260,8 +260,10 @@ class Simulator:
         """
         return self._like(system, self.experiment, divisor, tolerance, most_steps)
 
-    def corrected(self, system: System, tolerance: float, gain: Floats, most_steps: int | None = None) -> Simulator:
-        """Return the simulator of the same experiment whose states the measurements correct after each sample.
+    def corrected(
+        self, system: System, tolerance: float, gain: Floats, most_steps: int | None = None, every: int = 1
+    ) -> Simulator:
+        """Return the simulator of the same experiment whose states the measurements correct after samples.
 
         Parameters
         ----------
@@ -271,11 +273,14 @@ class Simulator:
         gain : (n_states, n_outputs) array
             States move by it times measured less simulated outputs, in the units of the FMU.
         most_steps : int, optional
+        every : int
+            The first of so many samples corrects.
         """
         other = self._like(system, self.experiment, 1, tolerance, most_steps)
         measured = self.experiment.output_values.copy()
         for j, (factor, offset) in self._conversions.items():
             measured[:, j] = (measured[:, j] - offset) / factor
+        measured[np.arange(len(measured)) % every > 0] = np.nan
         other._simulation.grid = other._simulation.grid._replace(gain=np.ascontiguousarray(gain), measured=measured)
         return other
 

@@ -15,9 +15,11 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import fmuid
-from fmuid.model_problem import observed
+from fmuid.arrays import Floats
+from fmuid.model_problem import corrected_start, observed
 from fmuid.model_problem.observer import observer_gain
 from fmuid.reports.page.verdict import identification_words
+from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
 
 CART = """model Cart
@@ -67,6 +69,36 @@ def test_all_poles_are_where_they_are_asked_for(count: int) -> None:
     gain = observer_gain(slopes, output, 0.1, 4.0)
     error = (np.eye(count) - np.outer(gain, output)) @ expm(0.1 * slopes)
     assert np.poly(error) == pytest.approx(np.poly(np.full(count, np.exp(-0.25))), abs=1e-9)
+
+
+def test_between_corrections_cvode_goes_on_with_its_history(cart: Path) -> None:
+    """A gain of zero moves nothing: what differs from a simulation without corrections are new beginnings."""
+    system = fmuid.System(cart, numerics=fmuid.Numerics(interface="model-exchange", integrator="cvode"))
+    given = fmuid.Experiment(record(0.0), ["u"], ["q"], interpolation="hold")
+    side = RightHandSide.of(fmuid.Simulator(system, given, ["m", "d"]))
+    assert side is not None
+    theta = np.array([M, D])
+    plain = side.simulator(1e-5, 1000)(theta)
+    gain = np.zeros((2, 1))
+    assert (side.corrected(gain, 1e-5, 1000, every=len(TIMES))(theta) == plain).all()
+    assert (side.corrected(gain, 1e-5, 1000)(theta) != plain).any()
+
+
+def test_many_states_are_corrected_at_fewer_samples(cart: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A correction begins cvode anew, which takes an evaluation a state for its Jacobian."""
+    gaps = []
+    given = RightHandSide.corrected
+
+    def corrected(side: RightHandSide, gain: Floats, tolerance: float, most: int | None, every: int) -> fmuid.Simulator:
+        gaps.append(every)
+        return given(side, gain, tolerance, most, every)
+
+    monkeypatch.setattr(RightHandSide, "corrected", corrected)
+    whole = problem(cart, 0.0)
+    for states_per_sample in (20, 1):
+        monkeypatch.setattr(corrected_start, "STATES_PER_SAMPLE", states_per_sample)
+        corrected_start._corrected(whole, 0, whole.parameters.start)
+    assert gaps == [1, 2]
 
 
 def test_what_the_output_does_not_see_cannot_be_observed() -> None:

@@ -134,9 +134,9 @@ class RightHandSide:
         slopes = np.column_stack([each[1][0, 0] - outputs[0, 0] for each in found])
         return states, derivatives[0, 0], outputs[0], rates, slopes
 
-    def corrected(self, gain: Floats, tolerance: float, most_steps: int | None = None) -> Simulator:
-        """Return the simulator whose states are corrected by a gain (n_x, n_y) in the units of the FMU."""
-        return self._simulator.corrected(self._system, tolerance, gain, most_steps)
+    def corrected(self, gain: Floats, tolerance: float, most_steps: int | None = None, every: int = 1) -> Simulator:
+        """Return the simulator whose states a gain (n_x, n_y) corrects, in FMU units, after every so many samples."""
+        return self._simulator.corrected(self._system, tolerance, gain, most_steps, every)
 
     def simulator(self, tolerance: float, most_steps: int) -> Simulator:
         """Return the simulator by model exchange, with a relative tolerance and so many steps between samples."""
