@@ -7,19 +7,15 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import io
 import json
 import os
 import re
 import socket
-import struct
 import tempfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
-from zipfile import BadZipFile
 
 from fmuid.errors import InputError
 from fmuid.version import __version__
@@ -284,33 +280,6 @@ def write_json(path: Path, content: Mapping[str, Any]) -> Path:
     with replacing(path) as draft:
         draft.write_text(json.dumps(as_json(content), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     return path
-
-
-# What numpy and zipfile raise for files that are damaged or made up.
-_UNREADABLE = (
-    *(OSError, ValueError, EOFError, KeyError, BadZipFile, zlib.error, struct.error, RuntimeError),
-    *(MemoryError, OverflowError, IndexError, TypeError, AttributeError, SyntaxError),
-)
-
-
-def read_arrays(path: Path) -> dict[str, Any]:
-    """Return the arrays of a ``.npz`` file, whose sums are checked.
-
-    Raises
-    ------
-    ContentError
-        If it cannot be read.
-    """
-    import numpy as np
-
-    try:
-        content = path.read_bytes()
-        if not content.startswith(b"PK"):
-            raise ContentError("it is no .npz file")
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            return dict(file)
-    except _UNREADABLE as error:
-        raise ContentError(first_line(error)) from None
 
 
 def first_line(error: Exception) -> str:

@@ -17,6 +17,7 @@ from .measured import measured_series as measured_series
 from .noise import Noise as Noise
 from .noise_levels import NoiseLevels as NoiseLevels
 from .noise_levels import levels_of as levels_of
+from .npz import write_arrays as write_arrays
 from .parameter_estimate import ParameterEstimate as ParameterEstimate
 from .parameters import JointPrior as JointPrior
 from .parameters import Normal as Normal

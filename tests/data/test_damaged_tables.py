@@ -42,18 +42,13 @@ def test_damaged_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: s
     path = tmp_path / name
     WRITERS[name](path)
     sound, rng = path.read_bytes(), Random(name)
-    outcomes: dict[str, int] = {}
+    refused = 0
     for _ in range(MUTATIONS):
         path.write_bytes(mutated(rng, sound))
         try:
             frame = read_table(path)
             Experiment(frame, ["u"], ["i", "w"])
-            outcome = "table"
         except InputError as error:
             assert "\n" not in str(error)
-            outcome = (
-                "crash" if "crashed" in str(error) else "hang" if "was not read within" in str(error) else "refusal"
-            )
-        outcomes[outcome] = outcomes.get(outcome, 0) + 1
-    print(name, len(sound), outcomes)
-    assert outcomes["refusal"] > MUTATIONS / 10
+            refused += 1
+    assert refused > MUTATIONS / 10

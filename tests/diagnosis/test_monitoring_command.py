@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import shutil
@@ -16,6 +15,7 @@ import pytest
 import fmuid
 from experiments.coil import study as coil
 from fmuid.cli.app import run
+from fmuid.data.npz import read_arrays, write_arrays
 from fmuid.diagnosis.monitoring.alarms import Rule
 from fmuid.diagnosis.monitoring.seeing import Seen
 from fmuid.studies.monitoring import design_of, rule_of
@@ -69,14 +69,12 @@ def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.Capture
     assert "another rule" in capsys.readouterr().err
     table, state = folder / "grown" / "monitoring.csv", folder / "grown" / "monitoring.npz"
     whole = {path: path.read_bytes() for path in (table, state)}
-    with np.load(state) as file:
-        arrays = dict(file)
+    arrays = read_arrays(state)
     later = json.loads(arrays.pop("text").tobytes())
 
     def saying(content: object) -> bytes:
-        made = io.BytesIO()
-        np.savez(made, text=np.frombuffer(json.dumps(content).encode(), np.uint8), **arrays)
-        return made.getvalue()
+        text = np.frombuffer(json.dumps(content).encode(), np.uint8)
+        return write_arrays(folder / "made.npz", {"text": text, **arrays}).read_bytes()
 
     for path, spoilt, said in (
         (table, whole[table][:-400], "is not of fmuid monitor, or not whole"),

@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 
 from experiments.coil import study as coil
+from fmuid.data.npz import read_arrays, write_arrays
 from fmuid.diagnosis.monitoring import monitor as monitoring
 from fmuid.diagnosis.monitoring.state import Journal
 from fmuid.diagnosis.monitoring.sums import summed
@@ -41,21 +42,16 @@ def saying(change: Callable[[Any], None]) -> Callable[[Path], None]:
     """Return what changes the text of a state."""
 
     def damage(path: Path) -> None:
-        with np.load(path) as file:
-            arrays = dict(file)
+        arrays = read_arrays(path)
         text = json.loads(arrays.pop("text").tobytes())
         change(text)
-        with path.open("wb") as file:
-            np.savez(file, text=np.frombuffer(json.dumps(text).encode(), np.uint8), **arrays)
+        write_arrays(path, {"text": np.frombuffer(json.dumps(text).encode(), np.uint8), **arrays})
 
     return damage
 
 
 def of_other_coordinates(path: Path) -> None:
-    with np.load(path) as file:
-        arrays = dict(file)
-    with path.open("wb") as file:
-        np.savez(file, **(arrays | {"total": np.zeros((0, 0))}))
+    write_arrays(path, read_arrays(path) | {"total": np.zeros((0, 0))})
 
 
 def of_another_version(text: Any) -> None:

@@ -14,8 +14,9 @@ import numpy as np
 
 from fmuid.data.formats.binary import read_columns
 from fmuid.data.formats.columns import Array, FileColumns
+from fmuid.data.npz import read_arrays
 from fmuid.errors import InputError
-from fmuid.files import ContentError, read_arrays
+from fmuid.files import ContentError
 from fmuid.processes import CRASHED, GREW, HUNG, End, IsolatedCaller
 
 READING_SECONDS = 60.0

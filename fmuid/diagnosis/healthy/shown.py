@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.arrays import Floats
-from fmuid.data import Experiment, read_arrays_isolated
+from fmuid.data import Experiment, read_arrays_isolated, write_arrays
 from fmuid.diagnosis.coordinates import Coordinates
 from fmuid.diagnosis.evidence.information import Information
 from fmuid.diagnosis.evidence.remainder import SPANS
@@ -21,7 +21,7 @@ from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.healthy.whitening import Whitening
 from fmuid.errors import InputError
 from fmuid.estimation import Autoregression
-from fmuid.files import as_json, read_content, replacing
+from fmuid.files import as_json, read_content
 from fmuid.models import System
 from fmuid.version import __version__
 
@@ -136,16 +136,14 @@ class HealthyEvidence:
         """Write ``baseline.npz`` and return its path."""
         assert self.subject is not None
         text = {"version": __version__, "of": self.subject, "noise": self.whitening.models}
-        with replacing(path) as draft, draft.open("wb") as file:
-            np.savez(
-                file,
-                text=np.frombuffer(json.dumps(as_json(text)).encode(), np.uint8),
-                matrices=np.array([each.matrix for each in self.said]),
-                scores=np.array([each.score for each in self.said]),
-                owed=self.owed.matrix,
-                owed_score=self.owed.score,
-            )
-        return path
+        arrays = {
+            "text": np.frombuffer(json.dumps(as_json(text)).encode(), np.uint8),
+            "matrices": np.array([each.matrix for each in self.said]),
+            "scores": np.array([each.score for each in self.said]),
+            "owed": self.owed.matrix,
+            "owed_score": self.owed.score,
+        }
+        return write_arrays(path, arrays)
 
     @classmethod
     def read(cls, path: Path, *, needed: bool = True) -> HealthyEvidence:

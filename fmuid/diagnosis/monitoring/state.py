@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.data import read_arrays_isolated
+from fmuid.data import read_arrays_isolated, write_arrays
 from fmuid.diagnosis.evidence.watch import Watch
 from fmuid.diagnosis.findings import Explanation
 from fmuid.diagnosis.monitoring.alarms import Alarm, onset_of_json
@@ -30,7 +30,6 @@ from fmuid.files import (
     first_line,
     is_file,
     note,
-    replacing,
     with_formulas,
     without_formulas,
     write_json,
@@ -79,10 +78,7 @@ class Journal:
             "lengths": self._lengths,
         }
         text = np.frombuffer(json.dumps(as_json(whole)).encode(), np.uint8)
-        with replacing(self.folder / STATE_FILE) as draft, draft.open("wb") as file:
-            np.savez(file, text=text, point=now.point, **now.watch.state())
-            file.flush()
-            os.fsync(file.fileno())
+        write_arrays(self.folder / STATE_FILE, {"text": text, "point": now.point, **now.watch.state()})
         said = {**content, "records": now.records, "windows": now.row, "version": __version__}
         found = write_json(self.folder / FOUND_FILE, said)
         return [found, *(self.folder / name for name in (TABLE_FILE, ALARMS_FILE) if self._lengths[name])]

@@ -6,6 +6,9 @@ from functools import cache
 from typing import Any
 
 from fmuid.files import ContentError
+from fmuid.text import bounded
+
+_PLACE_SHOWN = 100  # characters
 
 
 def check_types(content: object, schema: type) -> None:
@@ -30,7 +33,7 @@ def check_types(content: object, schema: type) -> None:
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         place = ".".join(str(each) for each in first["loc"]) or "it"
-        raise ContentError(f"{place}: {first['msg'].replace('Input', 'the value')}") from None
+        raise ContentError(f"{bounded(place, _PLACE_SHOWN)}: {first['msg'].replace('Input', 'the value')}") from None
 
 
 @cache

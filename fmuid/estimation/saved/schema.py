@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NotRequired
+
 from typing_extensions import TypedDict  # pydantic asks for it up to Python 3.11
 
 Number = float | None
@@ -51,8 +53,10 @@ class BoundContent(TypedDict, total=False):
     value: float
 
 
-class RunContent(TypedDict, total=False):
-    """The fields of a `fmuid.models.HowRun`."""
+class RunContent(TypedDict):
+    """The fields of a `fmuid.models.HowRun`, and no others."""
+
+    __pydantic_config__ = {"extra": "forbid"}  # type: ignore[misc]  # noqa: RUF012
 
     fmi_version: str
     interface: str
@@ -60,7 +64,8 @@ class RunContent(TypedDict, total=False):
     stiff: bool
     tolerance: Number
     step_size: Number
-    divisor: int
+    divisor: NotRequired[int]
+    new_processes: NotRequired[bool]
 
 
 class ModelContent(TypedDict, total=False):

@@ -1,0 +1,52 @@
+"""Files of arrays that fmuid writes and reads: ``.npz`` with a digest of what they hold."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmuid.files import ContentError, first_line, replacing
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any]) -> Path:
+    """Write arrays as a ``.npz`` file with a digest of them, which reaches the disk; return its path."""
+    with replacing(path) as draft, draft.open("wb") as file:
+        np.savez(file, digest=np.frombuffer(_digest_of(arrays), np.uint8), **arrays)
+        file.flush()
+        os.fsync(file.fileno())
+    return path
+
+
+def read_arrays(path: Path) -> dict[str, Any]:
+    """Return the arrays of a ``.npz`` file that `write_arrays` has written.
+
+    Raises
+    ------
+    ContentError
+        If it cannot be read, or is not what was written.
+    """
+    try:
+        content = path.read_bytes()
+        if not content.startswith(b"PK"):
+            raise ContentError("it is no .npz file")
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = dict(file)
+        if arrays.pop("digest").tobytes() != _digest_of(arrays):
+            raise ContentError("its content is not what was written")
+    except Exception as error:  # numpy, zipfile and tokenize raise errors of many kinds for damaged files
+        raise ContentError(first_line(error)) from None
+    return arrays
+
+
+def _digest_of(arrays: Mapping[str, Any]) -> bytes:
+    found = hashlib.sha256()
+    for name in sorted(arrays):
+        found.update(f"{name} {arrays[name].dtype.str} {arrays[name].shape}".encode())
+        found.update(arrays[name].tobytes())
+    return found.digest()

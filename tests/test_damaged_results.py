@@ -1,0 +1,153 @@
+"""Damaged files of fmuid's own: what reads them gives a value or one sentence."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.batches.dataset import Dataset, read_rows
+from fmuid.data import Experiment
+from fmuid.errors import FmuidError
+from fmuid.estimation.saved.schema import RunContent
+from fmuid.models import HowRun
+from fmuid.studies.monitoring import monitor_of, rule_of
+from tests.support.fuzz_spoil import spoil_tree
+from tests.support.mutations import mutated
+from tests.support.paths import FMUS, ROOT
+
+MUTATIONS = 500
+COIL = {
+    "model": {"fmu": str(FMUS / "Coil/Coil.fmu")},
+    "experiments": [{"table": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "hold"}],
+    "parameters": {"R": {"start": 3.0}, "L": {"start": 0.2}},
+}
+TURNS = {"fmu": str(FMUS / "CoilTurns/CoilTurns.fmu"), "parameters": {"lost": {"nominal": 0.1, "max": 0.9}}}
+FAULTS: dict[str, Any] = {"faults": {"turns": TURNS}}
+BATCH = {"case": "int64", "status": "str", "value.R": "float64"}
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a healthy result, a monitoring and the rows of a batch."""
+    folder = tmp_path_factory.mktemp("sound")
+    for name in ("healthy.csv", "test1.csv"):
+        pd.read_csv(ROOT / "experiments/coil" / name).head(120).to_csv(folder / name, index=False)
+    healthy = COIL | {"diagnosis": FAULTS}
+    fmuid.run_study(fmuid.Study.of(healthy, folder / "healthy.toml"), folder / "healthy")
+    tables = [folder / "healthy.csv", folder / "test1.csv"]
+    fmuid.run_monitoring(asked(folder), tables[:1], folder / "monitoring")
+    rows = Dataset(folder / "batch", BATCH, 40)
+    with rows.locked():
+        rows.append([{"case": case, "status": "converged", "value.R": 4.0 + case} for case in range(40)])
+    return folder
+
+
+def asked(folder: Path) -> fmuid.Study:
+    """Return the study of a monitoring, which takes the healthy result."""
+    known = {"healthy": "healthy/result.json", **FAULTS}
+    tested = {name: COIL[name] for name in ("model", "experiments")}
+    return fmuid.Study.of(tested | {"diagnosis": known}, folder / "test.toml")
+
+
+def change_json(rng: Random, data: bytes) -> bytes:
+    """Return a damaged JSON text: bytes, or values of other types and sizes at any depth."""
+    if rng.random() < 0.3:
+        return mutated(rng, data)
+    return json.dumps(spoil_tree(rng, json.loads(data)), default=str).encode()
+
+
+def change_arrays(rng: Random, data: bytes) -> bytes:
+    """Return a damaged archive of arrays, at times with another text in it."""
+    if rng.random() < 0.5:
+        return mutated(rng, data)
+    with np.load(io.BytesIO(data)) as file:
+        arrays = dict(file)
+    name = rng.choice([*arrays])
+    if name == "text" or rng.random() < 0.5:
+        arrays["text"] = np.frombuffer(change_json(rng, arrays["text"].tobytes()), np.uint8)
+    else:
+        changes: list[Callable[[Any], Any]] = [np.ravel, lambda x: x[:-1], lambda x: x * np.nan, lambda x: 1e150 * x]
+        changes += [lambda x: np.stack([x, x]), lambda x: x.astype(str), lambda _: np.zeros((0, 3)), np.sum]
+        with np.errstate(all="ignore"):
+            arrays[name] = rng.choice(changes)(arrays[name])
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def read_result(folder: Path, _: Experiment) -> None:
+    result = fmuid.Result.from_json(folder / "healthy/result.json")
+    assert repr(result)
+    assert fmuid.describe(result)
+    result.to_json_dict()
+
+
+def read_baseline(folder: Path, _: Experiment) -> None:
+    study = asked(folder)
+    monitor_of(study, rule_of(study))
+
+
+def read_monitoring(folder: Path, record: Experiment) -> None:
+    study = asked(folder)
+    monitor = monitor_of(study, rule_of(study))
+    monitor.resume(folder / "monitoring")
+    monitor.add(record)
+
+
+def read_batch(folder: Path, _: Experiment) -> None:
+    rows = Dataset(folder / "batch", BATCH, 40)
+    for read in (
+        rows.read,
+        rows.finished,
+        lambda: list(rows.stream(["value.R"])),
+        lambda: read_rows(rows.folder, bool),
+    ):
+        with pytest.raises(fmuid.InputError, match="is damaged"):
+            read()
+    raise fmuid.InputError("is damaged")
+
+
+def test_the_fields_of_runs_are_those_of_how_run() -> None:
+    assert RunContent.__annotations__.keys() == {each.name for each in fields(HowRun)}
+
+
+Change = Callable[[Random, bytes], bytes]
+FILES: dict[str, tuple[Change, Callable[[Path, Experiment], None]]] = {
+    "healthy/result.json": (change_json, read_result),
+    "healthy/baseline.npz": (change_arrays, read_baseline),
+    "monitoring/monitoring.npz": (change_arrays, read_monitoring),
+    "batch/cases/part-000000000-*.parquet": (mutated, read_batch),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILES)
+def test_damaged_results(sound: Path, tmp_path: Path, name: str) -> None:
+    folder, (change, read) = tmp_path / "a", FILES[name]
+    shutil.copytree(sound, folder)
+    (path,) = folder.glob(name)
+    given, rng, refused = path.read_bytes(), Random(name), 0
+    record = replace(asked(folder).experiments[0].read_experiment(folder / "test1.csv"), name="test1")
+    for _ in range(MUTATIONS):
+        content = change(rng, given)
+        if content == given:
+            continue
+        path.write_bytes(content)
+        try:
+            read(folder, record)
+        except FmuidError as error:
+            assert "\n" not in str(error)
+            assert len(str(error)) > 8
+            refused += 1
+    assert refused > MUTATIONS / 4
