@@ -71,7 +71,9 @@ def test_plain_value_refuses_other_bytes(data: bytes) -> None:
 # --- tables of pandas in HDF5 ---
 
 
-@pytest.mark.parametrize("index", ["rows", "named", "dates", "dates with zone", "durations", "texts"])
+@pytest.mark.parametrize(
+    "index", ["rows", "named", "dates", "dates with zone", "dates of a town", "durations", "texts"]
+)
 @pytest.mark.parametrize(("layout", "by_column"), [("fixed", None), ("table", None), ("table", True)])
 def test_hdf_tables_of_pandas(tmp_path: Path, layout: Any, by_column: Any, index: str) -> None:
     """Compare with `pandas.read_hdf`."""
@@ -80,6 +82,9 @@ def test_hdf_tables_of_pandas(tmp_path: Path, layout: Any, by_column: Any, index
         "named": LONG.drop(columns="time").set_index(pd.Index(LONG["time"], name="time")),
         "dates": LONG.drop(columns="time").set_index(pd.DatetimeIndex(DATES)),
         "dates with zone": LONG.drop(columns="time").set_index(pd.DatetimeIndex(DATES.tz_localize("UTC"), name="time")),
+        "dates of a town": LONG.drop(columns="time").set_index(
+            pd.DatetimeIndex(DATES.tz_localize("Europe/Berlin"), name="time")
+        ),
         "durations": LONG.drop(columns="time").set_index(pd.TimedeltaIndex(LONG["lasted"], name="time")),
         "texts": LONG.set_index(pd.Index([*"uvwxyz"], name="part")),
     }
@@ -127,6 +132,12 @@ def test_hdf_tables_of_pandas_that_are_refused(tmp_path: Path, sentence: str) ->
     with pytest.raises(InputError, match=sentence) as caught:
         read_table(tmp_path / "run.h5")
     assert str(caught.value).startswith(f"{tmp_path / 'run.h5'}: ")
+
+
+def test_hdf_tables_of_pandas_by_a_compressor_that_is_missing(tmp_path: Path) -> None:
+    FRAME.to_hdf(tmp_path / "run.h5", key="run", format="table", complevel=1, complib="blosc")
+    with pytest.raises(InputError, match=r"run\.h5: 'run/table' is compressed by blosc.*: save it with zlib"):
+        read_table(tmp_path / "run.h5")
 
 
 def places(path: Path) -> list[tuple[str, str | None]]:

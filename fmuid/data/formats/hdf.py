@@ -28,9 +28,13 @@ def read_hdf(path: Path, source: str) -> FileColumns:
     with _opened(path, source) as file:
         objects = _objects(file)
         frame = next((each for _, each in objects if PANDAS_TYPE in each.attrs), None)
-        if frame is not None:
-            return read_frame(frame, source)
-        return columns_of_vectors(source, *_vectors(objects), "/")
+        try:
+            if frame is not None:
+                return read_frame(frame, source)
+            return columns_of_vectors(source, *_vectors(objects), "/")
+        except OSError:
+            _check_compression(objects, source)
+            raise
 
 
 def vectors_of_hdf(path: Path, source: str) -> dict[str, Array]:
@@ -45,6 +49,23 @@ def _objects(file: Any) -> list[tuple[str, Any]]:
     found: list[tuple[str, Any]] = []
     file.visititems(lambda name, item: found.append((name, item)))
     return found
+
+
+def _check_compression(objects: list[tuple[str, Any]], source: str) -> None:
+    """Refuse datasets with a filter that HDF5 lacks here: PyTables compresses by blosc, bzip2 and lzo, too."""
+    from h5py.h5z import filter_avail
+
+    for path, item in objects:
+        if not hasattr(item, "shape"):
+            continue
+        filters = item.id.get_create_plist()
+        for k in range(filters.get_nfilters()):
+            code, *_, name = filters.get_filter(k)
+            if not filter_avail(code):
+                raise InputError(
+                    f"{source}: {path!r} is compressed by {name.decode(errors='replace')}, which is not installed: "
+                    "save it with zlib or without compression"
+                )
 
 
 def _vectors(objects: list[tuple[str, Any]]) -> tuple[dict[str, Array], dict[str, str]]:

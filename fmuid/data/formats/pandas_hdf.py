@@ -19,6 +19,8 @@ PANDAS_TYPE = "pandas_type"
 """Attribute of a group that pandas has written."""
 
 _SECONDS_OF_DAY = 86_400
+_NAMED_ZONES = ("zoneinfo.ZoneInfo._unpickle", "pytz._p")
+"""Functions that pickles of time zones call with the name of the zone."""
 
 
 def read_frame(group: Any, source: str) -> FileColumns:
@@ -149,9 +151,11 @@ class _Frame:
             days, seconds, _ = given.arguments[0].arguments
             minutes = round((days * _SECONDS_OF_DAY + seconds) / 60)
             return f"UTC{'-' if minutes < 0 else '+'}{abs(minutes) // 60:02}:{abs(minutes) % 60:02}"
+        if isinstance(given, PickledObject) and given.name in _NAMED_ZONES:
+            given = given.arguments[0]
         if given is None or isinstance(given, str):
             return given
-        raise self._refusal("its dates", "a time zone that is stored as a Python object")
+        raise self._refusal("a column of dates", "a time zone that is stored as a Python object")
 
     def _refusal(self, where: str, what: str) -> InputError:
         return InputError(

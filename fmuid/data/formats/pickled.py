@@ -115,8 +115,8 @@ class _Machine:
             words = argument.split(" ") if code == "GLOBAL" else self._popped(2)
             self.stack.append(PickledObject(".".join(words)))
         elif code == "REDUCE":
-            arguments = self.stack.pop()
-            self.stack.append(PickledObject(self._popped(1, of=PickledObject)[0].name, tuple(arguments)))
+            arguments = tuple(self.stack.pop())
+            self.stack.append(_called(self._popped(1, of=PickledObject)[0].name, arguments))
         elif code == "BUILD":
             state = self.stack.pop()
             self._top(PickledObject).state = state
@@ -142,3 +142,11 @@ class _Machine:
         if not isinstance(self.stack[-1], kind):
             raise PickleError("it changes a value of another kind")
         return self.stack[-1]
+
+
+def _called(name: str, arguments: tuple[Any, ...]) -> PickledObject:
+    """Return what a call would build; a method that old pickles look up by `getattr` is one by name."""
+    if name in ("__builtin__.getattr", "builtins.getattr"):
+        owner, attribute = arguments
+        return PickledObject(f"{owner.name}.{attribute}")
+    return PickledObject(name, arguments)
