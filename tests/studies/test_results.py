@@ -64,13 +64,16 @@ def test_a_table_that_is_gone_needs_another_in_its_place(folder: Path) -> None:
         ("{}", "does not say which fmuid has written it"),
         ('{"version": "0"}', "does not say by which study it was made: name the study file with --study"),
         ('{"version": "0", "study": {}}', "has no 'file' in 'study'"),
+        ('{"version": "0", "study": {"file": "study.toml", "content": true}}', "does not say by which study"),
+        ('{"version": "0", "study": {"file": "s.toml", "content": {"experiments": 3}}}', r"s\.toml: .*experiments"),
+        ('{"version": "0", "study": {"file": "s.toml", "content": {"experiments": [3]}}}', r"s\.toml: .*experiments"),
         ("{", "is not JSON"),
     ],
 )
 def test_a_file_without_a_study_is_refused(folder: Path, text: str, said: str) -> None:
     (folder / "result.json").write_text(text)
     with pytest.raises(InputError, match=said):
-        study_of(folder)
+        study_of(folder, in_place=folder / "second.csv")
 
 
 def test_there_is_no_such_result(folder: Path) -> None:

@@ -55,15 +55,17 @@ def study_of(
     """
     path = result_path(result)
     with content_of(path, "the result.json of an identification", "name the study file with --study") as kept:
-        if not isinstance(kept.get("study"), dict):
+        origin = kept.get("study")
+        if not isinstance(origin, dict) or not isinstance(origin.get("content", {}), dict):
             raise InputError(f"{path} does not say by which study it was made: name the study file with --study")
         file, data = path.parent / str(kept["study"]["file"]), _mapped(kept["study"]["content"], _of_json)
     file = Path(os.path.normpath(file))
     for setting in overrides:
         override(data, setting, str(file))
     if in_place is not None:
-        for experiment in data.get("experiments", ()):
-            if not is_file(file.parent / str(experiment.get("table", ""))):
+        given = data.get("experiments")
+        for experiment in given if isinstance(given, list) else ():  # `Study.of` refuses another type
+            if isinstance(experiment, dict) and not is_file(file.parent / str(experiment.get("table", ""))):
                 experiment["table"] = str(in_place.resolve())
     return Study.of(data, file, isolated=isolated)
 
