@@ -109,7 +109,8 @@ def test_the_shift_is_part_of_the_covariance() -> None:
 
 def test_written_and_read(tmp_path: Path) -> None:
     one = problem()
-    a, b, c = ({"": {"tolerance": each}} for each in (1e-5, 1e-7, 1e-9))
+    run = {"fmi_version": "2.0", "interface": "model-exchange", "integrator": "rk45", "stiff": False, "step_size": None}
+    a, b, c = ({"": run | {"tolerance": each}} for each in (1e-5, 1e-7, 1e-9))
     switches = (Switch(SwitchCause.START_FAILED, math.nan, a, b), Switch(SwitchCause.SHIFT, 3.0, b, c, 17))
     shift = np.array([0.5, np.nan, -2.0])
     words = b, c, 12.5, Kept.FITS_BETTER, switches, 2, 40, 1e-9, 4

@@ -28,7 +28,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def of_coil(folder: Path, **values: float) -> Path:
-    models = {"": {"name": "Coil", "digest": FMU(COIL).digest, "run": {}}}
+    models = {"": {"name": "Coil", "digest": FMU(COIL).digest}}
     return result(folder, {name: (value, 0.01) for name, value in values.items()}, models=models)
 
 
@@ -53,14 +53,14 @@ def test_what_is_wrong_with_it(folder: Path) -> None:
     (folder / "result.json").write_text("{}")
     with pytest.raises(InputError, match=r"\[model.values.L\]: .*result.json does not say"):
         Study.read(folder / "study.toml")
-    result(folder, {"L": (0.1, 0.01)}, models={"": {"name": "Motor", "digest": "0", "run": {}}})
+    result(folder, {"L": (0.1, 0.01)}, models={"": {"name": "Motor", "digest": "0"}})
     with pytest.raises(InputError, match="is a result of another model, Motor"):
         _ = Study.read(folder / "study.toml").notes
 
 
 def test_of_a_component_that_was_identified_alone(tmp_path: Path) -> None:
     digest = FMU(DRIVE).digest
-    result(tmp_path, {"M": (93.0, 1.0)}, models={"": {"name": "PositionDrive", "digest": digest, "run": {}}})
+    result(tmp_path, {"M": (93.0, 1.0)}, models={"": {"name": "PositionDrive", "digest": digest}})
     emps = FMUS.parent / "experiments/emps/study.toml"
     data = tomllib.loads(emps.read_text(encoding="utf-8"))
     for each in data["model"]["components"]:
