@@ -1,6 +1,8 @@
 from .batch import Batch as Batch
 from .batch import BatchResult as BatchResult
 from .cases import Cases as Cases
+from .dataset import parts_in as parts_in
+from .dataset import read_part as read_part
 from .dataset import read_rows as read_rows
 from .parcel import NOT_IN_ROWS as NOT_IN_ROWS
 from .statistics import INTERVAL_STDS as INTERVAL_STDS

@@ -273,13 +273,22 @@ def read_rows(folder: Path, wanted: Callable[[str], bool]) -> pd.DataFrame:
     InputError
         If a part is damaged.
     """
-    tables = []
-    for path in parts_in(folder):
-        with _whole(path):
-            part = _opened(path)
-            tables.append(part.read([name for name in part.schema_arrow.names if name == "case" or wanted(name)]))
+    tables = [read_part(path, wanted) for path in parts_in(folder)]
     frame: pd.DataFrame = pa.concat_tables(tables).to_pandas() if tables else pd.DataFrame({"case": []})
     return frame.drop_duplicates("case").sort_values("case", ignore_index=True)
+
+
+def read_part(path: Path, wanted: Callable[[str], bool] = lambda _: True) -> pa.Table:
+    """Return some columns of a part, after a check of all its bytes; ``case`` is among them.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or not there any more.
+    """
+    with _whole(path):
+        part = _opened(path)
+        return part.read([name for name in part.schema_arrow.names if name == "case" or wanted(name)])
 
 
 def _opened(path: Path) -> pq.ParquetFile:

@@ -91,7 +91,7 @@ def test_the_fmu_of_these_tests_does_not_bear_threads(folder: Path) -> None:
     try:
         assert any(simulator.many(np.repeat(thetas(Mode.SOUND), 4, axis=0)).errors)
     except InputError as error:  # threads that disturb the repeated first simulation look like memory outside instances
-        assert "outside its instances" in str(error)  # noqa: PT017
+        assert "outside its instances" in str(error)
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from scipy import stats
 from fmuid.errors import InputError
 from fmuid.reports import write_report
 from fmuid.reports.interactive import style
+from tests.support.begun_batch import write_part
 from tests.support.live_figures import batch, starts
 
 
@@ -136,8 +136,7 @@ FROM = ("2026-01-02T03:04", "draws.toml, SHA-256 abc", "SHA-256 def")
 
 def test_the_page_of_a_batch(tmp_path: Path) -> None:
     (tmp_path / "cases").mkdir()
-    rows = cases(40, draw=range(40)).assign(message="long").to_parquet()
-    (tmp_path / "cases" / f"part-000000000-{hashlib.sha256(rows).hexdigest()[:12]}.parquet").write_bytes(rows)
+    write_part(tmp_path, 0, cases(40, draw=range(40)).assign(message="long"))
     row = {"parameter": "R", "cases": 39, "mean": 4.01, "spread": 0.11, "stated_std": 0.1, "ratio": 1.1, "unit": "Ohm"}
     pd.DataFrame([row | {"note": ""}, row | {"parameter": "held", "cases": 0}]).to_csv(tmp_path / "summary.csv")
     failed = {"status": "failed", "message": "fmi2Error <b>", "cases": 1, "first": 39}

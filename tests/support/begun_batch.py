@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -24,4 +25,10 @@ def batch(folder: Path, done: int) -> None:
         "accuracy": [None if k == 1 else "checked" for k in range(done)],
         "message": ["hit <b>a wall" if k == 1 else "converged" for k in range(done)],
     }
-    pd.DataFrame(rows).to_parquet(folder / f"cases/part-{done:09d}-{'0' * 12}.parquet")
+    write_part(folder, done, pd.DataFrame(rows))
+
+
+def write_part(folder: Path, first: int, frame: pd.DataFrame) -> None:
+    """Write rows under the name that a part has: its first case and the digest of its content."""
+    content = frame.to_parquet()
+    (folder / f"cases/part-{first:09d}-{hashlib.sha256(content).hexdigest()[:12]}.parquet").write_bytes(content)

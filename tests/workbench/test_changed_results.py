@@ -23,7 +23,7 @@ from fmuid.workbench.jobs import Jobs
 from fmuid.workbench.pages import results as results_page
 from fmuid.workbench.pages.batch import BatchPage
 from fmuid.workbench.pages.study import StudyPage
-from tests.support.begun_batch import batch
+from tests.support.begun_batch import batch, write_part
 from tests.support.changed_types import with_changed_type
 from tests.support.coil_study import STUDY, coil_table
 from tests.support.results import result
@@ -143,9 +143,10 @@ def test_batch_page_shows_the_sound_rows(tmp_path: Path, column: str, value: str
     (sound,) = (tmp_path / "out/cases").iterdir()
     frame = pd.read_parquet(sound).assign(case=[2, 3])
     changed = frame.drop(columns=column) if value is None else frame.assign(**{column: value})
-    changed.to_parquet(sound.with_name(sound.name.replace("part-", "part-1")))
-    sound.with_name("part-2.parquet").write_bytes(b"PAR1 no more")
+    write_part(tmp_path / "out", 3, changed)
+    damaged = sound.with_name("part-000000009-0123456789ab.parquet")
+    damaged.write_bytes(b"PAR1 no more")
     page = BatchPage(Document(), Folder(tmp_path), tmp_path / "out", "light")
     assert list(page.frame["case"]) == [0, 1]
     assert said in page.state.text
-    assert "part-2.parquet cannot be read" in page.state.text
+    assert f"{damaged.name} is damaged" in page.state.text

@@ -16,7 +16,7 @@ import pandas as pd
 from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, Select, TableColumn, TextInput
 
-from fmuid.batches import Cases, Columns
+from fmuid.batches import Cases, Columns, parts_in, read_part
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import batch as figures
@@ -106,17 +106,16 @@ class BatchPage:
 
     def look(self) -> None:
         """Show what has been written since the last look."""
-        parts = sorted((self.place / "cases").glob("part-*.parquet"))
+        parts = parts_in(self.place)
         seen = tuple((path.name, path.stat().st_size) for path in parts if path.exists())
         if seen != self._seen:
             frames, self._wrong = [], []
             for path in parts:
                 try:
                     frames.append(_rows(path))
-                except FileNotFoundError:  # merged into another one meanwhile
-                    continue
                 except InputError as error:
-                    self._wrong.append(str(error))
+                    if path.exists():  # else merged into another one meanwhile
+                        self._wrong.append(str(error))
             self._seen = seen
             known = pd.concat(frames, ignore_index=True) if frames else pd.DataFrame({"case": [], "status": []})
             self.frame = known.drop_duplicates("case").sort_values("case", ignore_index=True)
@@ -277,21 +276,10 @@ def _rows(path: Path) -> pd.DataFrame:
 
     Raises
     ------
-    FileNotFoundError
-        If it is not there any more.
     InputError
-        If it cannot be read, or is no table of cases.
+        If it is damaged, not there any more, or no table of cases.
     """
-    from pyarrow import ArrowException
-    from pyarrow.parquet import ParquetFile
-
-    try:
-        with ParquetFile(path, page_checksum_verification=True) as part:
-            frame: pd.DataFrame = part.read().to_pandas(ignore_metadata=True)
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError, TypeError, ArrowException) as error:
-        raise InputError(f"{path.name} cannot be read ({error}). Run the same command again.") from None
+    frame: pd.DataFrame = read_part(path).to_pandas(ignore_metadata=True)
     numbers = [name for name in map(str, frame) if name == "case" or name.startswith(("value.", "std."))]
     wrong = [name for name in numbers if not _is_numeric(frame[name], "iu" if name == "case" else "iuf")]
     if missing := {"case", "status"} - set(frame):
