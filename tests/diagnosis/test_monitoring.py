@@ -15,6 +15,7 @@ from scipy.signal import lfilter
 import fmuid
 from experiments.coil import study as coil
 from fmuid.data import BEGIN
+from fmuid.data.npz import read_arrays
 from fmuid.diagnosis import Gap, Shape
 from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Rule, Trend
 from fmuid.diagnosis.monitoring.monitor import Monitor
@@ -297,6 +298,27 @@ def test_a_name_that_is_a_formula_reads_back(healthy: fmuid.Result, tmp_path: Pa
     again = watch(healthy)
     again.resume(tmp_path)
     pd.testing.assert_frame_equal(again.table, found.table, check_exact=True)
+
+
+def test_a_run_that_is_resumed_and_written_without_a_record_stays_whole(healthy: fmuid.Result, tmp_path: Path) -> None:
+    """As where the first record after a restart is refused."""
+    day = [replace(coil.experiment(warming(2, to=4.0, seed=k)), name=f"day{k}") for k in range(2)]
+    first = watch(healthy)
+    first.add(day[0])
+    first.write(tmp_path / "a")
+    found = read_arrays(tmp_path / "a" / "monitoring.npz")
+    said = (tmp_path / "a" / "monitoring.json").read_bytes()
+    again = watch(healthy)
+    again.resume(tmp_path / "a")
+    again.write(tmp_path / "a")
+    kept = read_arrays(tmp_path / "a" / "monitoring.npz")
+    assert {name: each.tolist() for name, each in kept.items()} == {name: each.tolist() for name, each in found.items()}
+    assert (tmp_path / "a" / "monitoring.json").read_bytes() == said
+    third = watch(healthy)
+    third.resume(tmp_path / "a")
+    for each in (first, third):
+        each.add(day[1])
+    pd.testing.assert_frame_equal(third.table, first.table)
 
 
 def test_a_record_counts_once(healthy: fmuid.Result) -> None:

@@ -34,7 +34,7 @@ from fmuid.diagnosis.linearisation import Machine
 from fmuid.diagnosis.monitoring.alarms import Alarm, Moment, Rule
 from fmuid.diagnosis.monitoring.judging import judged
 from fmuid.diagnosis.monitoring.seeing import Against, Now, Seen
-from fmuid.diagnosis.monitoring.state import STATE_FILE, Journal, restored
+from fmuid.diagnosis.monitoring.state import STATE_FILE, Journal, Resumed, restored
 from fmuid.diagnosis.monitoring.sums import WindowSums, summed
 from fmuid.diagnosis.monitoring.transient import build_up_of
 from fmuid.diagnosis.monitoring.trends import with_trend
@@ -106,7 +106,7 @@ class Monitor:
         self._journal: Journal | None = None
         self._made: Juxtaposition | None = None
         self._machine: Machine | None = None
-        self._resumed: Mapping[str, Any] = {}
+        self._resumed = Resumed()
         self._now = Now(Watch(Known(np.zeros(0), np.zeros((0, 0))), np.zeros(0)), np.zeros(0))
 
     @single_threaded
@@ -172,9 +172,9 @@ class Monitor:
         if self._made is None:
             made = Juxtaposition.of(self.system, self.baseline, self.faults, self.causes, [record])
             watch = Watch(made.healthy.known, made.healthy.drift)
-            if self._resumed and self._journal is not None:
-                watch = restored(watch, self._resumed, self._journal.folder / STATE_FILE)
-            point = self._resumed.get("point", made.coordinates.healthy)
+            if self._resumed.sums and self._journal is not None:
+                watch = restored(watch, self._resumed.sums, self._journal.folder / STATE_FILE)
+            point = self._resumed.sums.get("point", made.coordinates.healthy)
             self._made, self._now = made, replace(self._now, watch=watch, point=point)
             self._against = Against(made, self.rule, self.model_error)
         return self._made
@@ -309,15 +309,17 @@ class Monitor:
     @property
     def units(self) -> dict[str, str]:
         """The unit of each column of sizes and parameters, "" without."""
-        each = () if self.coordinates is None else self.coordinates.each
-        return {one.name: one.unit for one in each if not one.second}
+        if self.coordinates is None:
+            return dict(self._resumed.units)
+        return {one.name: one.unit for one in self.coordinates.each if not one.second}
 
     @property
     def beside(self) -> tuple[str, ...]:
         """The columns of the causes beside the faults, but for the parameters."""
-        each = () if self.coordinates is None else self.coordinates.each
+        if self.coordinates is None:
+            return self._resumed.columns
         plain = (CauseKind.FAULT, CauseKind.PARAMETER)
-        return tuple(one.name for one in each if one.kind not in plain)
+        return tuple(one.name for one in self.coordinates.each if one.kind not in plain)
 
     # --- files
 
@@ -354,7 +356,14 @@ class Monitor:
             "units": self.units,
             **(also or {}),
         }
-        return self._journal.write(self._now, content, lines, {"same": self._same, "beside": beside or {}})
+        kept = Resumed(self._sums, beside or {}, self.units, self.beside)
+        return self._journal.write(self._now, content, lines, self._same, kept)
+
+    @property
+    def _sums(self) -> Mapping[str, Any]:
+        """What onsets need; before the first record those of the earlier run."""
+        own = {"point": self._now.point, **self._now.watch.state()}
+        return self._resumed.sums if self._made is None else own
 
     @property
     def _same(self) -> dict[str, Any]:
@@ -387,5 +396,5 @@ class Monitor:
             If there is none, it is damaged, or it had another rule, other faults or another healthy machine.
         """
         self._journal = Journal(Path(folder))
-        self._now, self._resumed, beside = self._journal.read(self._now, self._same, rows)
-        return beside
+        self._now, self._resumed = self._journal.read(self._now, self._same, rows)
+        return dict(self._resumed.beside)

@@ -42,6 +42,28 @@ REMEDY = "monitor without appending, or into another folder"
 TEXTS, NUMBERS, TRUTHS = ("record", "significant", "alarm"), ("window", "samples"), ("unexplained",)
 
 
+@dataclass(frozen=True)
+class Resumed:
+    """What a monitoring needs to go on beside its records, windows and alarms.
+
+    Attributes
+    ----------
+    sums : mapping of str to ndarray
+        Of its onsets, for `restored`; empty before any record.
+    beside : mapping
+        What was written beside.
+    units : mapping of str to str
+        Of the columns.
+    columns : tuple of str
+        Those of causes beside the faults.
+    """
+
+    sums: Mapping[str, Any] = field(default_factory=dict)
+    beside: Mapping[str, Any] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    columns: tuple[str, ...] = ()
+
+
 class Journal:
     """The files of a monitoring in a folder.
 
@@ -54,7 +76,14 @@ class Journal:
         self.folder = folder
         self._lengths, self._rows = {TABLE_FILE: 0, ALARMS_FILE: 0}, 0
 
-    def write(self, now: Now, content: Mapping[str, Any], lines: Sequence[str], state: Mapping[str, Any]) -> list[Path]:
+    def write(
+        self,
+        now: Now,
+        content: Mapping[str, Any],
+        lines: Sequence[str],
+        same: Mapping[str, Any],
+        resumed: Resumed,
+    ) -> list[Path]:
         """Write what is new and return the paths of findings, table and alarms.
 
         Parameters
@@ -64,13 +93,17 @@ class Journal:
             What the JSON file says.
         lines : sequence of str
             Of the alarms.
-        state : mapping
-            What the state says beside how far the monitoring is.
+        same : mapping
+            What must be the same to go on.
+        resumed : Resumed
         """
         self._add_rows(now)
         self._add(ALARMS_FILE, "".join(f"{line}\n" for line in lines))
         whole = {
-            **state,
+            "same": same,
+            "beside": resumed.beside,
+            "units": resumed.units,
+            "columns": resumed.columns,
             "version": __version__,
             "records": now.records,
             "alarms": now.alarms,
@@ -78,7 +111,7 @@ class Journal:
             "lengths": self._lengths,
         }
         text = np.frombuffer(json.dumps(as_json(whole)).encode(), np.uint8)
-        write_arrays(self.folder / STATE_FILE, {"text": text, "point": now.point, **now.watch.state()})
+        write_arrays(self.folder / STATE_FILE, {"text": text, **resumed.sums})
         said = {**content, "records": now.records, "windows": now.row, "version": __version__}
         found = write_json(self.folder / FOUND_FILE, said)
         return [found, *(self.folder / name for name in (TABLE_FILE, ALARMS_FILE) if self._lengths[name])]
@@ -112,8 +145,8 @@ class Journal:
         if text:
             note(path)
 
-    def read(self, now: Now, same: Mapping[str, Any], rows: int | None) -> tuple[Now, dict[str, Any], dict[str, Any]]:
-        """Return how far an earlier run was, the sums of its onsets, for `restored`, and what was written beside.
+    def read(self, now: Now, same: Mapping[str, Any], rows: int | None) -> tuple[Now, Resumed]:
+        """Return how far an earlier run was, and what it needs to go on.
 
         Parameters
         ----------
@@ -138,7 +171,7 @@ class Journal:
             sums = read_arrays_isolated(path)
             earlier = _Earlier.of(json.loads(sums.pop("text").tobytes()), as_json(same))
         if not earlier.windows:  # nothing was found, whatever the run was of
-            return now, {}, {}
+            return now, Resumed()
         if not earlier.same and earlier.version != __version__:
             raise DamagedStateError(path, f"fmuid {earlier.version} has written it, this is fmuid {__version__}")
         if not earlier.same:
@@ -150,7 +183,7 @@ class Journal:
         table = _table(self.folder / TABLE_FILE, self._lengths[TABLE_FILE], self._rows, rows)
         forgotten = self._rows - len(table)
         found = replace(now, records=earlier.records, tables=(table,), alarms=earlier.alarms, row=self._rows)
-        return replace(found, forgotten=forgotten), sums, earlier.beside
+        return replace(found, forgotten=forgotten), Resumed(sums, earlier.beside, earlier.units, earlier.columns)
 
 
 @dataclass(frozen=True)
@@ -164,6 +197,8 @@ class _Earlier:
     alarms: tuple[Alarm, ...] = ()
     lengths: dict[str, int] = field(default_factory=dict)
     beside: dict[str, Any] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    columns: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, content: Any, same: Any) -> _Earlier:
@@ -175,7 +210,8 @@ class _Earlier:
         if not records:
             raise ValueError("it has windows of no record")
         lengths = {name: _count(content["lengths"][name]) for name in (TABLE_FILE, ALARMS_FILE)}
-        return cls(version, True, windows, records, alarms, lengths, dict(content["beside"]))
+        beside, units, columns = dict(content["beside"]), dict(content["units"]), tuple(content["columns"])
+        return cls(version, True, windows, records, alarms, lengths, beside, units, columns)
 
 
 class DamagedStateError(InputError):
