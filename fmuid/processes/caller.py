@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from fmuid.processes.children import AVAILABLE
+from fmuid.processes.ends import KILLED, End
 from fmuid.processes.watchdog import Watchdog
 
 Value = TypeVar("Value")
@@ -56,9 +57,20 @@ class IsolatedCaller:
         """
         if not AVAILABLE:
             return function(*arguments)
+        limit = time_limit or self._time_limit
         with self._lock:
             keeper = self._keeper = self._keeper or self._kept()
-            value: Value = keeper.host().call(function, *arguments, watchdog=Watchdog(time_limit or self._time_limit))
+
+            def called() -> Value:
+                found: Value = keeper.host().call(function, *arguments, watchdog=Watchdog(limit))
+                return found
+
+            try:
+                value = called()
+            except End as end:
+                if end.kind != KILLED:
+                    raise
+                value = called()  # the process may have been ended before this call
             keeper.replace_outgrown()
             keeper.printed()  # what libraries print about damaged files is nobody's news
             return value

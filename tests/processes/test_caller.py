@@ -114,6 +114,13 @@ def test_a_process_that_is_lost_costs_one_call(function: Any, arguments: Any, en
     assert not psutil.pid_exists(before)
 
 
+def test_a_process_that_was_ended_between_calls_costs_none() -> None:
+    first = CALLER.call(os.getpid)
+    os.kill(first, signal.SIGKILL)
+    wait_until(lambda: not psutil.pid_exists(first) or psutil.Process(first).status() == psutil.STATUS_ZOMBIE)
+    assert CALLER.call(os.getpid) != first
+
+
 @contextlib.contextmanager
 def passing() -> Iterator[None]:
     """Do nothing around what is called."""
