@@ -92,6 +92,11 @@ def with_unit(value: float, unit: str | None) -> str:
     return f"{value:.4g} {unit}" if has_unit(unit) else f"{value:.4g}"
 
 
+def two_digits(value: float) -> str:
+    """Return a number with two digits, without an exponent below a million: 180, not 1.8e+02."""
+    return f"{value:.0f}" if 99.5 <= abs(value) < 1e6 else f"{value:.2g}"
+
+
 def fit_text(fit: float | None) -> str:
     """Return a fit in %, a dash where it has no meaning."""
     return "–" if fit is None or math.isnan(fit) else f"{fit:.4g} %"

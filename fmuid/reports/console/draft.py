@@ -13,7 +13,7 @@ from fmuid.errors import InputError
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows
 from fmuid.reports.words.result import dropout_words, size_words, time_words
 from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnLink, Draft, Reason, Record, proposal
-from fmuid.text import unit_text
+from fmuid.text import two_digits, unit_text
 
 REASONS: Mapping[Reason, str] = {
     Reason.GIVEN: "given",
@@ -137,4 +137,4 @@ def show_draft(made: Draft, output: Path) -> None:
 
 def _proposed(given: Candidate) -> tuple[str, ...]:
     unit = unit_text(given.variable.unit)
-    return given.variable.name, f"{given.start:.6g}", unit, f"{100 * given.effect:.2g} %", proposal(given)
+    return given.variable.name, f"{given.start:.6g}", unit, f"{two_digits(100 * given.effect)} %", proposal(given)

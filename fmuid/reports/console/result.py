@@ -31,7 +31,7 @@ from fmuid.reports.words.prior_and_data import reading_words
 from fmuid.reports.words.residuals import residual_words
 from fmuid.reports.words.result import capitalised, effort_words, ending, fit_words, result_words
 from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
-from fmuid.text import rounded, unit_text, with_std
+from fmuid.text import rounded, two_digits, unit_text, with_std
 
 if TYPE_CHECKING:
     from fmuid.assessment import Uncertainty
@@ -209,7 +209,7 @@ def _note(result: Result, name: str, factor: float) -> str:
     if any(bound.name == name for bound in result.at_bounds):
         words.append("at its bound")
     if factor >= LEAST_STD_FACTOR:
-        words.append(f"std {factor:.2g} x white noise's")
+        words.append(f"std {two_digits(factor)} x white noise's")
     return ", ".join(words)
 
 

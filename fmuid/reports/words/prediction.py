@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from fmuid.reports.words.residuals import residual_words
 from fmuid.reports.words.result import CONSTANT, ENDS
-from fmuid.text import fit_text, listed, with_unit
+from fmuid.text import fit_text, listed, two_digits, with_unit
 
 if TYPE_CHECKING:
     from fmuid.assessment import Comparison, LikelihoodRatio
@@ -42,7 +42,7 @@ def _score_words(found: Prediction, score: OutputScore) -> str:
     if score.ratio <= LEAST_RATIO:
         return f"{said}, as noise and estimates let expect ({with_unit(score.expected, score.unit)}): {band}"
     return (
-        f"{said}, {score.ratio:.2g} times what noise and estimates let expect "
+        f"{said}, {two_digits(score.ratio)} times what noise and estimates let expect "
         f"({with_unit(score.expected, score.unit)}): {band}; the record shows an error of the model, or the machine "
         "has changed"
     )
@@ -55,10 +55,13 @@ def fold_words(predictions: Sequence[Prediction]) -> str:
         return "Nothing says how large the residuals should be"
     worst = max(ratios)
     if worst <= LEAST_RATIO:
-        return f"Left out in turn, the experiments are predicted as noise and estimates let expect ({worst:.2g} times)"
+        return (
+            "Left out in turn, the experiments are predicted as noise and estimates let expect "
+            f"({two_digits(worst)} times)"
+        )
     return (
-        f"Left out in turn, experiments are predicted up to {worst:.2g} times worse than noise and estimates let "
-        "expect: what is identified from the others does not carry over to all of them"
+        f"Left out in turn, experiments are predicted up to {two_digits(worst)} times worse than noise and "
+        "estimates let expect: what is identified from the others does not carry over to all of them"
     )
 
 

@@ -12,7 +12,7 @@ from fmuid.assessment import Deviation
 from fmuid.estimation import Outcome
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.result import ENDS
-from fmuid.text import listed, with_unit
+from fmuid.text import listed, two_digits, with_unit
 
 if TYPE_CHECKING:
     from fmuid.assessment import Agreement, Influence, Obstacle, Reading
@@ -92,7 +92,7 @@ def _variances(reading: Reading, units: Mapping[str, str | None]) -> list[str]:
         elif test.deviation is Deviation.SMALLER:
             said.append(
                 f"The residual of {test.output} is smaller than its stated noise level: {levels}: standard deviations "
-                f"follow the stated level and are {1.0 / math.sqrt(test.ratio):.2g} times too large"
+                f"follow the stated level and are {two_digits(1.0 / math.sqrt(test.ratio))} times too large"
             )
     if outputs and not said:
         shares = listed([f"{test.ratio:.3g}" for test in outputs])

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from fmuid.assessment import LARGE_KURTOSIS, LEAST_STD_FACTOR, OUTLIER_STDS, RESIDUAL_LEVEL, Trait
-from fmuid.text import listed, unit_text
+from fmuid.text import listed, two_digits, unit_text
 
 if TYPE_CHECKING:
     from fmuid.assessment import Diagnostics, Finding, ResidualSeries
@@ -69,9 +69,9 @@ def _large(found: Diagnostics, finding: Finding, units: Mapping[str, str | None]
     traits += [f"has {'heavy' if series.kurtosis > 0 else 'light'} tails"] if series.tailed else []
     remedy = ": look for outliers, or use a robust loss" if series.kurtosis > LARGE_KURTOSIS else ""
     return (
-        f"The residual of {name} {listed(traits)}, unlike normal noise (skewness {series.skewness:.2g}, "
-        f"excess kurtosis {series.kurtosis:.2g}, {_count(series.outliers, 'sample')} beyond {OUTLIER_STDS:g} standard "
-        f"deviations){remedy}"
+        f"The residual of {name} {listed(traits)}, unlike normal noise (skewness {two_digits(series.skewness)}, "
+        f"excess kurtosis {two_digits(series.kurtosis)}, {_count(series.outliers, 'sample')} beyond "
+        f"{OUTLIER_STDS:g} standard deviations){remedy}"
     )
 
 
@@ -87,9 +87,9 @@ def _widening(found: Diagnostics, *, coloured: bool) -> list[str]:
         here = "For the estimates this makes little difference; their standard deviations allow for it"
         return [here] if coloured and known else []
     low, high = min(known, key=known.__getitem__), max(known, key=known.__getitem__)
-    about = f"{known[high]:.2g} times"
+    about = f"{two_digits(known[high])} times"
     if known[high] > LEAST_STD_FACTOR * known[low]:
-        about = f"{known[low]:.2g} ({low}) to {known[high]:.2g} times ({high})"
+        about = f"{two_digits(known[low])} ({low}) to {two_digits(known[high])} times ({high})"
     sure = any(each.trait is Trait.COLOURED for each in found.findings)
     why = "Since neighbouring samples are not independent, the"
     if not sure:
@@ -101,7 +101,7 @@ def _slow(found: Diagnostics) -> list[str]:
     """Say where the standard deviations allow for weak slow noise."""
     return [
         f"In the residual of {_name(found, each.output, *each.experiments)} there is slow noise "
-        f"beneath the rest ({100 * each.share:.2g} % of its variance, with a time constant of about "
+        f"beneath the rest ({two_digits(100 * each.share)} % of its variance, with a time constant of about "
         f"{each.time_constant:.1g} s), for which the standard deviations allow; one white residual in a hundred looks "
         "so by chance"
         for each in found.slow
@@ -122,8 +122,8 @@ def _returning(found: Diagnostics) -> list[str]:
     """Say where the standard deviations allow for what comes back with each cycle of the excitation."""
     return [
         f"In the residual of {_name(found, each.output, each.experiment)} something comes back with each "
-        f"cycle of the excitation, every {each.period:.3g} s ({100 * each.share:.2g} % of its variance): an error of "
-        "the model, which no number of cycles averages out; the standard deviations allow for it"
+        f"cycle of the excitation, every {each.period:.3g} s ({two_digits(100 * each.share)} % of its variance): an "
+        "error of the model, which no number of cycles averages out; the standard deviations allow for it"
         for each in found.returning
     ]
 
@@ -172,7 +172,7 @@ def _slight(finding: Finding) -> str:
         return f"a mean of {series.mean / series.std:.2g} standard deviations"
     if finding.input is not None:
         return f"a correlation of {finding.input.correlation:+.2g} with the input {finding.input.input}"
-    return f"a skewness of {series.skewness:.2g} and an excess kurtosis of {series.kurtosis:.2g}"
+    return f"a skewness of {two_digits(series.skewness)} and an excess kurtosis of {two_digits(series.kurtosis)}"
 
 
 def _tested(series: list[ResidualSeries]) -> str:

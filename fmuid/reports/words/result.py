@@ -11,7 +11,7 @@ from fmuid.reports.words.accuracy import accuracy_words
 from fmuid.reports.words.directions import direction_words
 from fmuid.reports.words.starts import attempt_words, combination_words
 from fmuid.studies import SourceDoubt
-from fmuid.text import fit_text, with_unit
+from fmuid.text import fit_text, two_digits, with_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -160,8 +160,8 @@ def time_words(doubt: TimeScaleDoubt) -> str:
 def size_words(source: str, column: str, ratio: float) -> str:
     """Return why the units of a record are to be looked at: so many times as far moves the model at its own values."""
     return (
-        f"{source}: at the FMU's own values what {column!r} measures moves {ratio:.2g} times as far as measured: look "
-        'at the units of its column and of the inputs\', and say them by units, as in U = "mV"'
+        f"{source}: at the FMU's own values what {column!r} measures moves {two_digits(ratio)} times as far as "
+        'measured: look at the units of its column and of the inputs\', and say them by units, as in U = "mV"'
     )
 
 

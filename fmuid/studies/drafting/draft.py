@@ -33,6 +33,7 @@ from fmuid.studies.drafting.survey import (
     proposal,
     survey,
 )
+from fmuid.text import two_digits
 
 if TYPE_CHECKING:
     from fmuid.fmi import Description
@@ -227,7 +228,7 @@ def _parameters(description: Description, found: Survey, experiments: int) -> li
 
 def _candidate(given: Candidate, experiments: int) -> str:
     """Return the line of a parameter that was looked at."""
-    said = [f"{100 * given.effect:.2g} %"] if given.effect else []
+    said = [f"{two_digits(100 * given.effect)} %"] if given.effect else []
     said += [proposal(given)] if given.use is not Use.FREED else []
     more = "per_experiment = true" if given.use in (Use.START_FREED, Use.START_OPEN) and experiments > 1 else ""
     line = parameter_line(given.variable, given.start, bounds(given), more, "; ".join(said))
