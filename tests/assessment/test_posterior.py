@@ -173,6 +173,7 @@ def test_a_bent_posterior() -> None:
     np.testing.assert_allclose(ends, stats.norm.ppf([0.05, 0.95]), atol=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prior", [None, Normal(2.0, 0.5)])
 def test_two_optima(prior: Normal | None) -> None:
     """a² is measured: a and −a are as likely, unless something else tells them apart."""

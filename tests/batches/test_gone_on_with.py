@@ -159,6 +159,7 @@ def test_another_batch_is_refused(folder: Path, here: Any, change: Any, told: st
     assert said.endswith("choose another folder with --output, or have the earlier cases removed with --no-resume")
 
 
+@pytest.mark.slow
 def test_what_no_row_depends_on_may_change(folder: Path, here: Any) -> None:
     here(3, stop_after=12)
     run(folder)

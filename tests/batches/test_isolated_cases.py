@@ -53,6 +53,7 @@ def orders(monkeypatch: pytest.MonkeyPatch, cases: IsolatedCases) -> list[int]:
     return sizes
 
 
+@pytest.mark.slow
 def test_what_several_cases_of_an_order_print_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study = study_of(tmp_path, [Mode.SOUND, Mode.SOUND, Mode.SPEAK, Mode.SOUND, Mode.SPEAK])
     cases = IsolatedCases(study)

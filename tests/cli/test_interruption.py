@@ -181,6 +181,7 @@ def test_no_room_for_tables(folder: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert {path.name for path in (folder / "results").iterdir()} == {"result.json"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_no_room_for_what_is_printed() -> None:
     with Path("/dev/full").open("w") as output:

@@ -96,6 +96,7 @@ def test_a_search_goes_round_a_band_where_the_fmu_crashes(fmu: Path, mode: Mode)
     assert (np.abs(found.values - [TRUTH["gain"], TRUTH["T"]]) < 4 * found.std).all()
 
 
+@pytest.mark.slow
 def test_a_global_search_goes_round_it_too(fmu: Path) -> None:
     settings = GlobalSearch("multistart", 6, 1)
     plain, isolated = problem(fmu, Mode.RETURN_ERROR, None), problem(fmu, Mode.ABORT, Isolation())
@@ -120,10 +121,10 @@ def test_the_command_identifies_round_a_band(tmp_path: Path, fmu: Path) -> None:
     ("command", "mode", "words"),
     [
         ("simulate", Mode.SEGFAULT, "its process crashed with SIGSEGV"),
-        ("identify", Mode.SEGFAULT, "its process crashed with SIGSEGV"),
-        ("identify", Mode.EXIT_0, "ended its process with exit code 0"),
-        ("simulate", Mode.LOOP, "did not end within 1 s and was stopped"),
-        ("simulate", Mode.RUNAWAY, "its process took more than 400 MB and was stopped"),
+        pytest.param("identify", Mode.SEGFAULT, "its process crashed with SIGSEGV", marks=pytest.mark.slow),
+        pytest.param("identify", Mode.EXIT_0, "ended its process with exit code 0", marks=pytest.mark.slow),
+        pytest.param("simulate", Mode.LOOP, "did not end within 1 s and was stopped", marks=pytest.mark.slow),
+        pytest.param("simulate", Mode.RUNAWAY, "its process took more than 400 MB", marks=pytest.mark.slow),
     ],
 )
 def test_a_command_that_cannot_succeed_ends_with_one_sentence(

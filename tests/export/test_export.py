@@ -276,6 +276,7 @@ class simulated:  # noqa: N801
         self.slave.fmi2FreeInstance(self.slave.component)
 
 
+@pytest.mark.slow
 def test_integration_is_of_order_six(tmp_path: Path) -> None:
     """On a nonlinear oscillator with an input that is linear in time: halving the step divides the error by 64."""
     text = """model Oscillator

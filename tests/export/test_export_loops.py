@@ -112,6 +112,7 @@ def inductances(leakage: float) -> np.ndarray:
     return np.asarray(0.4 * matrix + leakage * np.diag([1.0, 1.1, 0.9, 1.2, 1.0, 0.8]))
 
 
+@pytest.mark.slow
 def test_tightly_coupled_windings_are_solved_as_well_as_their_condition_allows() -> None:
     rng = np.random.default_rng(1)
     matrix = inductances(2e-7)
@@ -127,6 +128,7 @@ def test_tightly_coupled_windings_are_solved_as_well_as_their_condition_allows()
         assert np.abs(found - expected).max() / size < 1e-9
 
 
+@pytest.mark.slow
 def test_pivots_that_vanish_are_avoided() -> None:
     rng = np.random.default_rng(2)
     for _ in range(200):
@@ -251,6 +253,7 @@ end Machine;
 """
 
 
+@pytest.mark.slow
 def test_windings_that_turn_against_each_other(tmp_path: Path) -> None:
     """Six by six, the matrix a function of the angle: against scipy and a linear solver."""
     g, M, Ll = 2 * np.pi / 3, 0.2, 0.01

@@ -135,6 +135,7 @@ def test_platform_without_cvode(libraries: Libraries, monkeypatch: pytest.Monkey
         Trial(libraries[2], 2, LINEAR, [0.0], [1.0], integrator="cvode")
 
 
+@pytest.mark.slow
 def test_many_solvers_come_and_go(libraries: Libraries) -> None:
     for _ in range(200):
         trial = Trial(libraries[3], 3, LINEAR, [1.0], [2.0], integrator="cvode").begin()

@@ -68,6 +68,7 @@ def test_the_true_combination_is_found(fmu: Path, experiment: fmuid.Experiment, 
     assert np.std(left) == pytest.approx(NOISE, rel=0.2)
 
 
+@pytest.mark.slow
 def test_an_int32_and_a_boolean_of_fmi_3_are_found(tmp_path: Path, experiment: fmuid.Experiment) -> None:
     given = problem(choices_fmu(tmp_path), experiment, {"n": "all", "b": "all"})
     result = fmuid.identify(given)

@@ -167,6 +167,7 @@ def test_a_command_that_fails_is_said(
     assert said in remark
 
 
+@pytest.mark.slow
 def test_memory_is_of_the_latest_windows(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(following, "KEPT_ROWS", 5)
     remarks: list[str] = []

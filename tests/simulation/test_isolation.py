@@ -111,6 +111,7 @@ def test_in_every_interface_and_call(folder: Path, version: int, kind: str, wher
     check_costs_only_its_own(fmu, thetas(Mode.SEGFAULT), words, Isolation(), numerics=Numerics(kind), where=where)
 
 
+@pytest.mark.slow
 def test_a_hang_between_samples_of_model_exchange(folder: Path) -> None:
     numerics = Numerics("model-exchange", "cvode")
     words = "did not end within 1 s"

@@ -81,6 +81,7 @@ def test_an_fmu_that_stops_its_server_costs_none(folder: Path, monkeypatch: pyte
     assert {process.pid for process in processes()} <= there | {server.pid if server is not None else 0}
 
 
+@pytest.mark.slow
 def test_an_fmu_that_stops_its_process_costs_one_simulation(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fmuid.processes.watchdog.STOPPED_SECONDS", 0.2)
     words = "its process was stopped (SIGSTOP) and did not go on"

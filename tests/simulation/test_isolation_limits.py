@@ -48,6 +48,7 @@ def test_a_million_rows_are_those_in_process(folder: Path) -> None:
     assert np.ptp(alone) > 1
 
 
+@pytest.mark.slow
 def test_a_record_longer_than_all_before_has_the_time_of_a_first_one(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -61,6 +62,7 @@ def test_a_record_longer_than_all_before_has_the_time_of_a_first_one(
     assert simulator.over(long)([2.0, 0.5, Mode.SLOW])[-1] == pytest.approx(2.0)
 
 
+@pytest.mark.slow
 def test_twenty_thousand_parameters_cost_no_process(folder: Path) -> None:
     simulator = Simulator(misbehaving_fmu(folder, extra=20_000), RECORD, NAMES, isolation=Isolation(threads=1))
     some = thetas(Mode.SOUND)[:2]
@@ -150,6 +152,7 @@ def test_memory_that_is_shared_or_that_of_children_counts(folder: Path, mode: Mo
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), words, Isolation(time_limit=600.0, memory=300.0))
 
 
+@pytest.mark.slow
 @linux
 def test_what_fmuid_itself_gives_a_process_does_not_count(folder: Path) -> None:
     """Record and outputs take 56 MB: more than the limit leaves above what the process takes without them."""

@@ -190,6 +190,7 @@ def test_a_shared_library_that_is_missing(probe: ProbeMaker, tmp_path: Path) -> 
     assert "needs the shared library libabsent.so.3," in remark(checks, "co-simulation: instantiation")
 
 
+@pytest.mark.slow
 def test_a_hang_is_ended(troubled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PROBE_FAULT", "hang")
     monkeypatch.setattr(validation, "TIME_LIMIT", 2.0)

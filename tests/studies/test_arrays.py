@@ -186,6 +186,7 @@ parameters = { d = { nominal = 1.0 } }
 """
 
 
+@pytest.mark.slow
 def test_matrices_of_a_fault(linear: Path) -> None:
     """The fault's own model has a vector held at values; an input gain is 0.5 larger."""
     study = WHOLE.format(**SHAPES)

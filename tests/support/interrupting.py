@@ -12,7 +12,8 @@ import pytest
 
 from fmuid.cli import main
 
-SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+OTHERS = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+SIGNALS = [signal.SIGINT, *(pytest.param(each, marks=pytest.mark.slow) for each in OTHERS)]
 
 
 def command(*words: str | Path) -> int:
