@@ -59,6 +59,7 @@ def test_a_time_column_of_another_name(tmp_path: Path) -> None:
             r"the header has 3 names but row 1 has 2 cells: .* in quotes, such as \"x\[1,2\]\"",
         ),
         ("time,u\n0,1\n1,2,3\n", "the file is no table .*: give every row as many cells as the header"),
+        ("time,u\r0,1\r1,2\r", "lines end in a carriage return alone: end each in a line feed"),
         (
             "time,u,y\n0,1,2\n\n1,2,\n2,3\n",
             "the header has 3 names but row 3 has 2 cells: .* empty ones where samples are missing",

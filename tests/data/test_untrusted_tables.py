@@ -119,6 +119,7 @@ REFUSED: dict[str, tuple[Any, Any]] = {
     "its index in '/run' has levels": (FRAME.set_index(LEVELS), "fixed"),
     "its index in '/run' has levels,": (FRAME.set_index(LEVELS), "table"),
     "its header in '/run' has levels": (FRAME.T.set_axis(LEVELS[:3]).T, "fixed"),
+    "its header in '/run' has labels of the type object": (FRAME.set_axis(["time", 1, 2], axis="columns"), "fixed"),
     "'kind' in '/run' has categories": (FRAME.assign(kind=pd.Categorical([*"ababab"])), "table"),
     "'kind' in '/run' has Python objects": (FRAME.assign(kind=PATHS), "fixed"),
 }
@@ -132,6 +133,14 @@ def test_hdf_tables_of_pandas_that_are_refused(tmp_path: Path, sentence: str) ->
     with pytest.raises(InputError, match=sentence) as caught:
         read_table(tmp_path / "run.h5")
     assert str(caught.value).startswith(f"{tmp_path / 'run.h5'}: ")
+
+
+def test_hdf_headers_that_are_objects(tmp_path: Path) -> None:
+    FRAME.to_hdf(tmp_path / "run.h5", key="run")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        file["run/axis0"].attrs["kind"] = np.bytes_(pickle.dumps(Payload(tmp_path / "mark"), 0))
+    with pytest.raises(InputError, match="its header in '/run' has Python objects, which"):
+        read_table(tmp_path / "run.h5")
 
 
 def test_hdf_tables_of_pandas_by_a_compressor_that_is_missing(tmp_path: Path) -> None:

@@ -100,8 +100,11 @@ class _Frame:
         if _attribute(self._group, f"{name}_variety") != "regular":
             raise self._refusal("its header", "levels")
         node = self._group[name]
-        if _attribute(node, "kind") not in ("string", "integer", "float"):
-            raise self._refusal("its header", str(_attribute(node, "kind")))
+        kind = _attribute(node, "kind")
+        if kind not in ("string", "integer", "float"):
+            raise self._refusal(
+                "its header", f"labels of the type {kind}" if isinstance(kind, str) else "Python objects"
+            )
         if _attribute(node, "shape") is not None:  # an axis without labels
             return []
         return [self._text(each) for each in node[()].tolist()]

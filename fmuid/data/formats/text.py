@@ -268,8 +268,10 @@ def _as_it_is(source: str, text: str) -> _Layout:
     """Take the first line for the header of a table separated by commas, or say why there is no table."""
     try:
         read = list(_rows(io.StringIO(text), ","))
-    except csv.Error as error:
-        raise _no_table(source, str(error)) from None
+    except csv.Error:  # its sentences are for programmers
+        raise InputError(
+            f"{source}: the file is no text table, or its lines end in a carriage return alone: end each in a line feed"
+        ) from None
     if not read or not any(cell.strip() for cell in read[0][1]):
         raise InputError(f"{source}: the table is empty: give a header with the names and rows of samples")
     rows = [row for _, row in read]
