@@ -1,0 +1,1 @@
+"""Numbers of whole runs, kept while the code beneath them moves."""
