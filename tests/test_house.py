@@ -188,7 +188,8 @@ def test_simulating_imports_nothing_that_only_others_need() -> None:
 
 def test_tests_mirror_the_packages() -> None:
     tests = Path(__file__).parent
-    packages = {path.parent.name for path in PACKAGE.glob("*/__init__.py")} | {"support", "experiments", "fmus", "golden"}
+    packages = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    packages |= {"support", "experiments", "fmus", "golden"}
     assert {path.name for path in tests.iterdir() if path.is_dir() and path.name != "__pycache__"} <= packages
     for path in tests.rglob("*.py"):
         assert not re.search(r"^\s*(from|import) tests\.[\w.]*test_", path.read_text(encoding="utf-8"), re.M), path
