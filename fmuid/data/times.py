@@ -108,6 +108,11 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
     if isinstance(time, int):
         if not 1 <= time <= len(names):
             raise InputError(f"{source}: there is no column {time}: the table has {len(names)}")
+        if time_name(time) in set(names) - {names[time - 1]}:
+            raise InputError(
+                f"{source}: the time is asked for in column {time}, {names[time - 1]!r}, and another column is called "
+                f"{time_name(time)!r}: give the name of the one that holds it"
+            )
         return names[time - 1]
     found = column_of(names, time)
     if found is not None:

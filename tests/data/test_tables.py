@@ -299,3 +299,12 @@ def test_result_files_without_a_trajectory(tmp_path: Path) -> None:
     write_mat4(tmp_path / "half.mat", {"Aclass": trajectory, "name": characters(["time"], "nul").T})
     with pytest.raises(InputError, match=r"half\.mat: the result file is incomplete: simulate again"):
         read_table(tmp_path / "half.mat")
+
+
+def test_a_place_of_the_time_beside_a_column_of_that_name(tmp_path: Path) -> None:
+    path = written(tmp_path, "u,time\n0,1\n1,2\n")
+    with pytest.raises(
+        InputError, match="asked for in column 1, 'u', and another column is called 'time': give the name"
+    ):
+        read_table(path, 1)
+    assert [*read_table(path, 2)["time"]] == [1.0, 2.0]
