@@ -44,11 +44,16 @@ def growth(theta: Floats, rtol: float = 1e-8) -> Floats:
     return np.asarray(found.y.T)
 
 
+def drawn_at(theta: Floats) -> np.random.Generator:
+    """Return the noise of a point; the last digits, in which processors differ, choose no other."""
+    return np.random.default_rng(zlib.crc32(" ".join(f"{value:.9e}" for value in theta).encode()))
+
+
 def chattering(amplitude: float) -> Function:
     """Return the growth with noise of its own at every theta, which is hardly there at the start of the search."""
 
     def simulate(theta: Floats) -> Floats:
-        exact, rng = growth(theta), np.random.default_rng(zlib.crc32(theta.tobytes()))
+        exact, rng = growth(theta), drawn_at(theta)
         way = float(np.linalg.norm(np.log(theta / GROWTH_START)))
         return np.asarray(
             exact * (1.0 + amplitude * min(1.0, 10.0 ** (8.0 * way - 4.0)) * rng.standard_normal(exact.shape))
@@ -128,7 +133,7 @@ def test_noise_determines_nothing(amplitude: float, std: float) -> None:
 
     def simulate(theta: Floats) -> Floats:
         times = np.linspace(0.0, 3.0, 120)
-        rng = np.random.default_rng(zlib.crc32(theta.tobytes()))
+        rng = drawn_at(theta)
         smooth = theta[0] / theta[1] * np.exp(-theta[2] * times) + 0.5 * theta[2] * times
         return np.asarray(smooth * (1.0 + amplitude * rng.standard_normal(times.size)))
 
