@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import fmuid
-from fmuid.fmi.instance import Instance
-from fmuid.fmi.native.build import compiler_here
+from fmuid.simulation.instance import Instance
+from fmuid.simulation.native.build import compiler_here
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent

@@ -19,12 +19,12 @@ from scipy import special
 from scipy.signal import lfilter
 
 import fmuid
-from fmuid.arrays import Floats
-from fmuid.diagnosis.comparison import whitening_of
-from fmuid.diagnosis.coordinates import DIFFERENCE_STEP, CauseKind, Coordinates
-from fmuid.diagnosis.decision import UNEXPLAINED_SHARE
-from fmuid.diagnosis.evidence.naming import CauseSet
-from fmuid.diagnosis.examination import Examination, examine, healthy_of, shown_by
+from fmuid.array_types import Floats
+from fmuid.diagnosis.baseline_comparator import whitening_of
+from fmuid.diagnosis.cause_analysis import Examination, examine, healthy_of, shown_by
+from fmuid.diagnosis.change_detection.cause_ranking import CauseSet
+from fmuid.diagnosis.change_parameters import DIFFERENCE_STEP, CauseKind, Coordinates
+from fmuid.diagnosis.hypothesis_tests import UNEXPLAINED_SHARE
 from fmuid.diagnosis.linearisation import Machine
 
 LEVEL, SEED = 0.01, 17

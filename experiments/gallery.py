@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import fmuid
+from fmuid.formatting import with_std
 from fmuid.reports.figures.style import AMBER, BLUE, GREY, INK
-from fmuid.text import with_std
 
 HERE = Path(__file__).parent
 PICTURES = HERE.parent / "docs" / "pictures"

@@ -25,9 +25,9 @@ from scipy.stats import binom
 
 import fmuid
 from experiments.induction_machine import make_table
-from fmuid.assessment.profile import profiles
-from fmuid.assessment.sampling.posterior import Sampling
-from fmuid.assessment.sampling.sampler import sample
+from fmuid.identification.profile import profiles
+from fmuid.identification.sampling.posterior import Sampling
+from fmuid.identification.sampling.sampler import sample
 
 FMUS = Path(__file__).parents[1] / "fmus"
 METHODS = ("local", "profile", "posterior")

@@ -6,7 +6,7 @@ Everything public is here (`__init__.pyi` lists it); what a name needs is import
 
 import lazy_loader
 
-from fmuid.displays import shown_by
+from fmuid.display_mixins import shown_by
 
 shown_by("fmuid.reports.notebook")  # imported when a notebook first shows something
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

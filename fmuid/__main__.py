@@ -1,5 +1,5 @@
 """``python -m fmuid`` is the command ``fmuid``."""
 
-from fmuid.cli import main
+from fmuid.apps.cli import main
 
 main()

@@ -17,7 +17,7 @@ import pytest
 
 from experiments.induction_machine import make_table
 from fmuid.files import replacing
-from fmuid.fmi.native.build import compiler_here
+from fmuid.simulation.native.build import compiler_here
 from tests.support.paths import HERE
 from tests.support.probe_fmu import ProbeMaker
 

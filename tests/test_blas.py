@@ -13,10 +13,10 @@ import scipy.linalg.blas  # loads SciPy's library, which `threads` is to see
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import fmuid
-from fmuid.arrays import Floats
-from fmuid.batches.run_case import CaseRunner
+from fmuid.array_types import Floats
 from fmuid.blas import ONE_THREAD
-from fmuid.model_problem import Problem
+from fmuid.identification import Problem
+from fmuid.runs.batch.run_case import CaseRunner
 from fmuid.studies import Study
 from tests.support.coil_batches import NOISE, write
 from tests.support.coil_study import coil_table
@@ -103,5 +103,5 @@ def test_the_last_to_leave_gives_back_what_the_first_found() -> None:
 
 
 def test_help_imports_nothing_of_it() -> None:
-    code = "import sys; from fmuid.cli.app import run; run(['--help']); assert 'threadpoolctl' not in sys.modules"
+    code = "import sys; from fmuid.apps.cli.app import run; run(['--help']); assert 'threadpoolctl' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)

@@ -16,12 +16,12 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.batches.dataset import Dataset, read_rows
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.estimation.saved.schema import RunContent
 from fmuid.models import HowRun
-from fmuid.studies.monitoring import monitor_of, rule_of
+from fmuid.runs.batch.dataset import Dataset, read_rows
+from fmuid.runs.monitoring import monitor_of, rule_of
 from tests.support.fuzz_spoil import spoil_tree
 from tests.support.mutations import mutated
 from tests.support.paths import FMUS, ROOT

@@ -14,17 +14,17 @@ from pkgutil import resolve_name
 
 import pytest
 
-from fmuid.assessment.consistency import SAME_VARIANCE_RATIO
-from fmuid.assessment.residual_series import TESTED_LAGS
-from fmuid.batches.cases import Cases
-from fmuid.diagnosis.decision import STRONG_EVIDENCE, UNEXPLAINED_SHARE
+from fmuid.diagnosis.hypothesis_tests import STRONG_EVIDENCE, UNEXPLAINED_SHARE
 from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
 from fmuid.estimation.identification import VARIANCE_CHANGE
 from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
-from fmuid.estimation.numerical_noise import NOISE_POINTS
+from fmuid.estimation.simulation_noise import NOISE_POINTS
+from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
+from fmuid.identification.residual_series import TESTED_LAGS
 from fmuid.models.component import DEFAULT_TOLERANCE
+from fmuid.runs.batch.cases import Cases
 from fmuid.simulation.grid import LINEAR_SUBSTEPS
-from fmuid.simulation.isolation.keeper import FIRST_TIME_LIMIT, LEAST_TIME_LIMIT, SLOWER_FACTOR
+from fmuid.simulation.isolation.host_manager import FIRST_TIME_LIMIT, LEAST_TIME_LIMIT, SLOWER_FACTOR
 from fmuid.studies.study import Study
 
 ROOT = Path(__file__).parents[1]

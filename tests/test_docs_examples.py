@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 import fmuid
-from fmuid.cli.app import run
-from fmuid.studies.reference import schema
+from fmuid.apps.cli.app import run
+from fmuid.studies.schema import schema
 from tests.support.paths import ROOT
 from tools.commands_page import page as commands_page
 

@@ -14,7 +14,7 @@ import pytest
 import fmuid
 from fmuid.data import Experiment
 from fmuid.errors import InputError
-from fmuid.fmi import read_description
+from fmuid.models import read_description
 from fmuid.studies import Asked, Study, begin
 from tests.support.coil_study import COIL
 from tests.support.docs_rows import rows
@@ -327,7 +327,7 @@ def _several(folder: Path, _: pytest.MonkeyPatch) -> None:
 
 @row("hundreds of records, each a machine of its own")
 def _hundreds(folder: Path, _: pytest.MonkeyPatch) -> None:
-    from fmuid.batches.cases import Cases
+    from fmuid.runs.batch.cases import Cases
 
     for k in range(30):
         written(folder, name=f"rig{k}.csv")

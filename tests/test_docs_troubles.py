@@ -17,11 +17,11 @@ from scipy.signal import lfilter
 
 import fmuid
 from fmuid import Experiment, LeastSquares, Normal, Parameter, Problem, Simulator, describe, identify
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
-from fmuid.fmi.instance import _missing_library
 from fmuid.reports.console.layout import warn_unfed
-from fmuid.reports.words.accuracy import passed_words
+from fmuid.reports.messages.accuracy import passed_words
+from fmuid.simulation.instance import _missing_library
 from tests.support.coil_study import COIL
 from tests.support.docs_rows import rows
 from tests.support.fmu_texts import FMI2, write_fmu
@@ -84,9 +84,9 @@ def test_row(head: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
 
 # --- the FMU does not run -----------------------------------------------------------------
 
-elsewhere("`has no binary for` this platform", "tests.cli.test_newcomers:test_fmus_that_are_none")
+elsewhere("`has no binary for` this platform", "tests.apps.cli.test_newcomers:test_fmus_that_are_none")
 elsewhere("it asks for a licence, or for the tool that made it", "tests.simulation.test_validation:test_faults")
-elsewhere("`declares … more than once`", "tests.cli.test_bad_fmus:test_two_variables_of_one_name")
+elsewhere("`declares … more than once`", "tests.apps.cli.test_bad_fmus:test_two_variables_of_one_name")
 elsewhere("it crashes, or hangs", "tests.simulation.test_validation:test_a_hang_is_ended")
 
 
@@ -261,9 +261,11 @@ def _long(_: Path, __: pytest.CaptureFixture[str]) -> None:
 
 # --- a run ended early ----------------------------------------------------------------------
 
-elsewhere("Ctrl-C, SIGTERM, or the terminal was closed (SIGHUP)", "tests.cli.test_interruption:test_a_search")
-elsewhere("the output went to `head`, or to a full disk", "tests.cli.test_outputs:test_a_search_ends_whoever_reads")
-elsewhere("the disk was full", "tests.cli.test_outputs:test_no_room_for_a_result")
+elsewhere("Ctrl-C, SIGTERM, or the terminal was closed (SIGHUP)", "tests.apps.cli.test_interruption:test_a_search")
+elsewhere(
+    "the output went to `head`, or to a full disk", "tests.apps.cli.test_outputs:test_a_search_ends_whoever_reads"
+)
+elsewhere("the disk was full", "tests.apps.cli.test_outputs:test_no_room_for_a_result")
 elsewhere(
     "`the earlier run cannot be resumed`", "tests.reports.test_following_damage:test_damaged_files_are_put_aside_once"
 )

@@ -1,6 +1,6 @@
 """Words that messages are made of."""
 
-from fmuid.text import listed, two_digits
+from fmuid.formatting import listed, two_digits
 
 
 def test_words_in_a_list() -> None:

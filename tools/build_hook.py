@@ -12,13 +12,13 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-NATIVE = Path("fmuid", "fmi", "native")
+NATIVE = Path("fmuid", "simulation", "native")
 # The models of the records in fmuid/datasets.
 DATASET_MODELS = ("Coil", "FaultyCoil", "InductionMachine")
 
 
 def build_module(root: Path) -> ModuleType:
-    """Return fmuid/fmi/native/build.py, loaded alone: fmuid itself is not installed yet."""
+    """Return fmuid/simulation/native/build.py, loaded alone: fmuid itself is not installed yet."""
     spec = importlib.util.spec_from_file_location("fmuid_native_build", root / NATIVE / "build.py")
     assert spec is not None
     assert spec.loader is not None

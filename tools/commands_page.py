@@ -9,7 +9,7 @@ from typing import Any, get_args, get_type_hints
 
 from typer.models import ArgumentInfo, OptionInfo
 
-from fmuid.cli.app import app
+from fmuid.apps.cli.app import app
 
 HEAD = """# The commands
 

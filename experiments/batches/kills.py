@@ -34,7 +34,7 @@ def victim(batch: int, kind: str, rng: np.random.Generator) -> psutil.Process | 
     processes = family(batch)
     marks = {
         "worker": "spawn_main",
-        "keeper": "fmuid.batches.local_workers",
+        "keeper": "fmuid.runs.batch.local_workers",
         "FMU": "fmuid.processes.server ",
     }
     found = []

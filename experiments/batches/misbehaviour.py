@@ -22,8 +22,8 @@ import numpy as np
 import pandas as pd
 
 from experiments.batches.campaign import family, left_over, rows
-from fmuid.batches.batch import Batch
-from fmuid.batches.run_case import VOLATILE, CaseRunner
+from fmuid.runs.batch.batch import Batch
+from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
 from fmuid.studies.study import Study
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu
 

@@ -36,9 +36,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from experiments.batches.campaign import command, family, left_over, write_study
-from fmuid.batches.batch import Batch
-from fmuid.batches.dataset import PART_ROWS
 from fmuid.processes import MEMORY_KEPT
+from fmuid.runs.batch.batch import Batch
+from fmuid.runs.batch.dataset import PART_ROWS
 
 SAMPLES, LOOP_SECONDS, EVERY, LINES = 50, 20.0, 1.0, 12
 # Of a run, in which processes start and code is loaded.
@@ -50,7 +50,7 @@ KINDS = ("driver", "keeper", "workers", "servers", "hosts")
 LOOP = """
 import json, time
 from pathlib import Path
-from fmuid.batches.run_case import CaseRunner
+from fmuid.runs.batch.run_case import CaseRunner
 from fmuid.studies.study import Study
 runner = CaseRunner(Study.read(Path({study!r}), isolated=False))
 runner(0)
@@ -63,9 +63,9 @@ print(json.dumps(1e3 * (time.process_time() - computed) / cases))
 SUMMARY = """
 import json, resource, sys, time
 from pathlib import Path
-from fmuid.batches.batch import Batch
-from fmuid.batches.dataset import Dataset
-from fmuid.batches.summary import condensed, summarize
+from fmuid.runs.batch.batch import Batch
+from fmuid.runs.batch.dataset import Dataset
+from fmuid.runs.batch.summary import condensed, summarize
 job = Batch({study!r}, {output!r}, max_cases=10**9)
 job.dataset.count = {rows}
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -92,7 +92,7 @@ def kind_of(process: psutil.Process, driver: int) -> str:
     line = " ".join(process.cmdline()) + " "
     if process.pid == driver:
         return "driver"
-    if "fmuid.batches.local_workers" in line:
+    if "fmuid.runs.batch.local_workers" in line:
         return "keeper"
     if "spawn_main" in line:
         return "workers"

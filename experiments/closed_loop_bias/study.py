@@ -26,7 +26,7 @@ from scipy.signal import lfilter, max_len_seq
 
 import fmuid
 from experiments import pages
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
 
 HERE = Path(__file__).parent

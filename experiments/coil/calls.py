@@ -20,9 +20,9 @@ import pandas as pd
 import fmuid
 from experiments import calls, pages
 from experiments.coil import study
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.coordinates import coordinates_of
+from fmuid.diagnosis.change_parameters import coordinates_of
 from fmuid.diagnosis.linearisation import Machine
 
 HERE = Path(__file__).parent

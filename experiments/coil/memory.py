@@ -21,9 +21,10 @@ import pandas as pd
 from scipy.signal import lfilter
 
 from experiments.coil import study
-from fmuid.reports import following, run_following
-from fmuid.reports.following import Watching
-from fmuid.studies.following import follower
+from fmuid.reports import follow as following
+from fmuid.reports import run_following
+from fmuid.reports.follow import Watching
+from fmuid.runs.log_following import follower
 
 STEP, SAMPLES, LOOK = 0.01, 40, 500  # s; samples of a window, windows that come at once
 SHOWN = 1 / 20  # of all windows, after which memory is printed

@@ -20,9 +20,9 @@ from experiments import calls, pages
 from experiments.coil import calls as coil
 from experiments.coil import study
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.coordinates import coordinates_of
-from fmuid.diagnosis.evidence.detection import Chance, detectable
-from fmuid.diagnosis.evidence.information import Information, Known, News
+from fmuid.diagnosis.change_detection.detection import Chance, detectable
+from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News
+from fmuid.diagnosis.change_parameters import coordinates_of
 from fmuid.diagnosis.linearisation import Machine
 
 HERE = Path(__file__).parent

@@ -2,7 +2,7 @@
 
     FMUID_EMPS_DATA=/where/it/is/DATA_EMPS.mat python -m experiments.emps.open_loop
 
-rewrites the table of README.md. An observer keeps the simulation with the record (`fmuid.model_problem.observed`), the
+rewrites the table of README.md. An observer keeps the simulation with the record (`fmuid.identification.observed`), the
 slower the weaker; without one the parameters are pulled to where the drift is least.
 """
 
@@ -17,7 +17,7 @@ from scipy.io import loadmat
 
 import fmuid
 from experiments import pages
-from fmuid.model_problem import observed
+from fmuid.identification import observed
 
 HERE = Path(__file__).parent
 DRIVE = HERE.parents[1] / "fmus" / "PositionDrive" / "PositionDrive.fmu"

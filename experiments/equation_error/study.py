@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 import fmuid
 from experiments import pages
 from experiments.coil.study import SAMPLES, STEP, L, R, current, experiment, models, voltage
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
 
 HERE = Path(__file__).parent

@@ -22,8 +22,8 @@ import pandas as pd
 import fmuid
 from experiments.fmu_survey import plain
 from experiments.fmu_survey.equations import KNOWN
-from fmuid.arrays import Floats
-from fmuid.fmi.files.description import Variable
+from fmuid.array_types import Floats
+from fmuid.models.description import Variable
 
 TOLERANCE, TIGHT = 1e-8, 1e-11
 """What is asked of rk45 and cvode, and what is asked where that does not suffice."""

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 
 Start = Callable[..., float]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853, Radau
 
 import fmuid
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 
 RELATIVE = 1e-11
 """Relative tolerance of the reference; the absolute one is a hundredth of it times the nominal values."""

@@ -27,9 +27,9 @@ from matplotlib.ticker import MaxNLocator
 import fmuid
 from experiments import pages
 from experiments.induction_machine import make_table
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
+from fmuid.formatting import with_std
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, GREY, INK, WIDTH, style
-from fmuid.text import with_std
 
 HERE = Path(__file__).parent
 MODEL = HERE.parents[1] / "fmus" / "InductionMachine" / "InductionMachine.fmu"

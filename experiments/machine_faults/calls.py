@@ -23,10 +23,10 @@ from experiments import calls, pages
 from experiments.machine_faults import models
 from experiments.machine_faults.machine import BARS, TRUTH, TURNS, Condition
 from experiments.machine_faults.make_tables import SAMPLE_TIME, WARM, simulate
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.transforms import T23
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.coordinates import CauseKind, Coordinates, coordinates_of
+from fmuid.diagnosis.change_parameters import CauseKind, Coordinates, coordinates_of
 from fmuid.diagnosis.linearisation import Machine
 
 HERE = Path(__file__).parent

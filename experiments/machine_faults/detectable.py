@@ -18,12 +18,12 @@ from scipy.optimize import brentq
 from experiments import pages
 from experiments.machine_faults import calls, models
 from experiments.machine_faults.machine import TURNS
-from fmuid.arrays import Floats
-from fmuid.diagnosis.coordinates import CauseKind
-from fmuid.diagnosis.decision import Reference, orthant_weights
-from fmuid.diagnosis.evidence.causes import Cause
-from fmuid.diagnosis.evidence.detection import Chance, detectable
-from fmuid.diagnosis.evidence.information import Information, Known, News
+from fmuid.array_types import Floats
+from fmuid.diagnosis.change_detection.causes import Cause
+from fmuid.diagnosis.change_detection.detection import Chance, detectable
+from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News
+from fmuid.diagnosis.change_parameters import CauseKind
+from fmuid.diagnosis.hypothesis_tests import Reference, orthant_weights
 
 HERE = Path(__file__).parent
 LEVEL, MISS = 0.01, 0.1

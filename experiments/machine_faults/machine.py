@@ -31,9 +31,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.transforms import T23
-from fmuid.fmi.native.build import FLAGS, WARNINGS, compiler_here
+from fmuid.simulation.native.build import FLAGS, WARNINGS, compiler_here
 
 SOURCE = Path(__file__).with_suffix(".c")
 

@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 import fmuid
 from experiments import pages
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 
 HERE = Path(__file__).parent
 DIGITS = 4

@@ -22,7 +22,7 @@ from scipy.linalg import expm
 
 import fmuid
 from experiments import pages
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.estimation import AccuracyOutcome, Method
 from tests.support.stepping import LAG, MOTOR, stepping_fmu
 

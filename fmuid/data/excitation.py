@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy.signal import max_len_seq
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
 
 SAMPLE_TOLERANCE = 1e-6

@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.arrays import Flags, Floats
+from fmuid.array_types import Flags, Floats
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
-from fmuid.data.preparation.sampling import missing_rows, usual_step
+from fmuid.data.preprocessing.filters import missing_rows, usual_step
 from fmuid.data.tables import UNITS, numeric_column, read_table
 from fmuid.data.times import column_of, missing_column
-from fmuid.displays import Displayed
+from fmuid.display_mixins import Displayed
 from fmuid.errors import InputError
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 from fmuid.units import unit_in_name
 
 _TIME_TOLERANCE = 1e-9

@@ -7,9 +7,9 @@ from contextlib import suppress
 
 import numpy as np
 
-from fmuid.arrays import Flags, Floats
+from fmuid.array_types import Flags, Floats
 from fmuid.errors import InputError
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 INTERPOLATIONS = ("linear", "hold", "hold-previous", "cubic")
 """Linear (measured signals); held from each sample to the next (numerical commands); held during the step that ends at

@@ -25,9 +25,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 # Mean of min(x², 1) over the standard normal distribution: what Huber's proposal 2 compares with.
 NORMAL_SHARE = 1.0 - math.sqrt(2.0 / (math.pi * math.e))

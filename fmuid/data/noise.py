@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 # With larger variances, or smaller ones than its inverse, squares of residuals overflow.
 LARGEST_VARIANCE = 1e100

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from fmuid.data.parameters import Normal
-from fmuid.text import has_unit, with_std
+from fmuid.formatting import has_unit, with_std
 
 
 class ParameterEstimate(float):

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats, Indices
+from fmuid.array_types import Floats, Indices
 from fmuid.errors import InputError, check_kind
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 # A parameter near zero keeps this fraction of its start as its magnitude, so that steps do not vanish with it.
 LEAST_MAGNITUDE = 1e-3

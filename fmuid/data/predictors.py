@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Flags, Floats
+from fmuid.array_types import Flags, Floats
 from fmuid.errors import InputError, SimulationError
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.formats import SPREADSHEETS, TABLE_SUFFIXES, is_number, reader_of
 from fmuid.data.times import time_name, with_time
 from fmuid.errors import InputError

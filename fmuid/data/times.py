@@ -11,10 +11,10 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.formats import TIME_NAMES, RawTable, split_header
 from fmuid.errors import InputError
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 from fmuid.units import SECONDS, TIME_UNITS
 
 _LISTED_NAMES = 12

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.tables import numeric_column
 from fmuid.data.times import missing_column
 from fmuid.errors import InputError

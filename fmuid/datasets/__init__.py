@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from fmuid.data import Experiment, Parameter, read_table
 from fmuid.errors import InputError
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.model_problem import Problem
+    from fmuid.identification import Problem
 
 __all__ = ["coil", "faulty_coil", "induction_machine", "load"]
 
@@ -62,7 +62,7 @@ class ExampleRecord:
 
     def problem(self) -> Problem:
         """Return the least-squares problem of identifying the parameters."""
-        from fmuid.model_problem import Problem
+        from fmuid.identification import Problem
 
         return Problem(self.fmu, self.experiment, self.parameters)
 

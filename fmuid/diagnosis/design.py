@@ -1,7 +1,7 @@
 """Design of the test: the smallest fault that an excitation shows, and which excitation shows the smallest.
 
 From the sensitivities of the healthy machine follows, before anything is measured, the information on each cause beside
-all that may change and beside the errors of the healthy record (`fmuid.diagnosis.evidence`). A fault f makes D
+all that may change and beside the errors of the healthy record (`fmuid.diagnosis.change_detection`). A fault f makes D
 noncentral χ² with noncentrality (f/σ_f)²; for one parameter of either sign it is found with probability 1 − β at
 f = (z_{1−α/2} + z_{1−β}) σ_f, and with z_{1−α} where it has one sign only (S. M. Kay, "Fundamentals of Statistical
 Signal Processing, volume II: Detection Theory", 1998, chapter 6). With several causes α is what the smallest of their
@@ -20,20 +20,19 @@ import pandas as pd
 
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
-from fmuid.diagnosis.comparison import Juxtaposition
-from fmuid.diagnosis.coordinates import CauseKind, Causes
-from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL
-from fmuid.diagnosis.evidence.causes import Cause
-from fmuid.diagnosis.evidence.detection import Chance, detectable
-from fmuid.diagnosis.evidence.information import Information, Known, News
-from fmuid.diagnosis.evidence.naming import MODEL_ERROR, angle, told_apart_from
-from fmuid.diagnosis.evidence.watch import LEAST
+from fmuid.diagnosis.baseline.baseline import Baseline
+from fmuid.diagnosis.baseline_comparator import Juxtaposition
+from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, angle, told_apart_from
+from fmuid.diagnosis.change_detection.causes import Cause
+from fmuid.diagnosis.change_detection.detection import Chance, detectable
+from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News
+from fmuid.diagnosis.change_detection.onset_tracker import LEAST
+from fmuid.diagnosis.change_parameters import CauseKind, Causes
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.healthy.baseline import Baseline
+from fmuid.diagnosis.hypothesis_tests import FALSE_ALARM_LEVEL
 from fmuid.errors import InputError
 from fmuid.estimation import Result, check_level
-from fmuid.fmi import FMU
-from fmuid.models import System
+from fmuid.models import FMU, System
 
 # Of no alarm where there is a fault of the size, unless said otherwise: the size is found nineteen times of twenty.
 MISS_PROBABILITY = 0.05

@@ -16,9 +16,8 @@ from pathlib import Path
 from fmuid.data import Experiment, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.fmi import FMU
-from fmuid.models import System
-from fmuid.text import nearest, of_one_experiment
+from fmuid.formatting import nearest, of_one_experiment
+from fmuid.models import FMU, System
 
 # The search begins at so many angles, evenly spread over the period: two are enough where the criterion has one
 # minimum a period, more guard against weak ones.

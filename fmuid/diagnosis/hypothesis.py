@@ -9,11 +9,11 @@ from typing import Any
 
 from scipy import special
 
-from fmuid.assessment import VarianceTest
-from fmuid.diagnosis.decision import Reference
-from fmuid.diagnosis.fits import Checked
+from fmuid.diagnosis.fault_fits import Checked
+from fmuid.diagnosis.hypothesis_tests import Reference
 from fmuid.errors import InputError
 from fmuid.estimation import Direction, Outcome, Result, check_level
+from fmuid.identification import VarianceTest
 
 Estimate = tuple[float, float]
 """Value and standard deviation."""

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data import Experiment, Parameter
-from fmuid.diagnosis.coordinates import CauseKind, Coordinates
+from fmuid.diagnosis.change_parameters import CauseKind, Coordinates
 from fmuid.diagnosis.faults import Fault
 from fmuid.estimation import parabola_slope
 from fmuid.models import System

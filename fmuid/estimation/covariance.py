@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.arrays import Flags, Floats
+from fmuid.array_types import Flags, Floats
 from fmuid.errors import InputError
 from fmuid.estimation.marquardt.step import triangle
 

@@ -3,7 +3,7 @@
 A simulator with an adaptive integrator inside is not a smooth function: between neighbouring parameter values its
 steps and iterations change, and the outputs jump by something near its tolerance. A difference over a step that is
 blind to this differentiates the jumps. So the noise is measured first
-(`fmuid.estimation.numerical_noise`), and the steps balance it against the curvature of the simulation itself
+(`fmuid.estimation.simulation_noise`), and the steps balance it against the curvature of the simulation itself
 (`FiniteDifferences`):
 
 - forward: the error is at most 2 ε/h + |f″| h/2, least at h = 2 (ε/|f″|)^(1/2);
@@ -26,9 +26,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from fmuid.arrays import Flags, Floats, Indices
+from fmuid.array_types import Flags, Floats, Indices
 from fmuid.errors import FmuidError
-from fmuid.estimation.numerical_noise import Predict, usable
+from fmuid.estimation.simulation_noise import Predict, usable
 
 # Steps relative to a parameter's magnitude: a difference over more than a tenth says little about a derivative, and
 # below the least one the parameter itself has too few digits left.

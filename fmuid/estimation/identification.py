@@ -9,19 +9,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Loss
-from fmuid.estimation.colour.sandwich import sandwich_of
+from fmuid.estimation.cost_components import log_likelihood
+from fmuid.estimation.cost_function import Criterion, prepare
 from fmuid.estimation.covariance import AtBound, LocalCovariance, local_covariance
-from fmuid.estimation.criterion import Criterion, prepare
-from fmuid.estimation.history import History
-from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.local_model import LocalModel
+from fmuid.estimation.iteration_history import History
+from fmuid.estimation.linearized_problem import LocalModel
+from fmuid.estimation.marquardt.jacobian_cache import Waypoints
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.marquardt.search import Iteration, MarquardtSettings, State, search
-from fmuid.estimation.marquardt.waypoints import Waypoints
-from fmuid.estimation.misfit import log_likelihood
+from fmuid.estimation.noise.sandwich import sandwich_of
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.progress import Progress, SearchStep
 from fmuid.version import __version__

@@ -8,8 +8,8 @@ from typing import Protocol, runtime_checkable
 from numpy.typing import ArrayLike
 
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.marquardt.records import MarquardtSettings
+from fmuid.estimation.marquardt.settings import MarquardtSettings
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.progress import Progress
 

@@ -14,19 +14,19 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data import JointPrior, MeasuredSeries, Measurements, Normal, ParameterEstimate, measured_series
-from fmuid.displays import CanPredict, Text, text_of
+from fmuid.display_mixins import CanPredict, Text, text_of
 from fmuid.errors import InputError
 from fmuid.estimation import result_file
-from fmuid.estimation.accuracy.outcome import Accuracy
-from fmuid.estimation.colour.sandwich import ColouredNoise
 from fmuid.estimation.covariance import AtBound, Direction, check_level
-from fmuid.estimation.history import History
-from fmuid.estimation.local_model import LocalModel
+from fmuid.estimation.iteration_history import History
+from fmuid.estimation.linearized_problem import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.model_derivatives import Sensitivity
-from fmuid.estimation.starts.outcome import Attempt, ChoiceTried
+from fmuid.estimation.model_sensitivities import Sensitivity
+from fmuid.estimation.noise.sandwich import ColouredNoise
+from fmuid.estimation.solver_check.outcome import Accuracy
+from fmuid.estimation.starting_points.outcome import Attempt, ChoiceTried
 
 # Estimates correlated more strongly than this move together: their intervals must not be read one by one.
 STRONG_CORRELATION = 0.95
@@ -50,7 +50,7 @@ class Result(CanPredict):
         NaN where there is no prior.
     covariance : (N, N) array
         Local covariance of the estimates under noise of the colour that the residual shows
-        (`fmuid.estimation.colour.sandwich`); infinite variances where a parameter is not determined, all NaN where the
+        (`fmuid.estimation.noise.sandwich`); infinite variances where a parameter is not determined, all NaN where the
         search stalled.
     white_covariance : (N, N) array
         What it would be if the noise were white (1.31), or of the very colour by which samples were weighed.
@@ -103,9 +103,9 @@ class Result(CanPredict):
     combinations : tuple of ChoiceTried
         Of the values of parameters that take few: all that were tried, the best first, which the result is of.
     observer : float or None
-        Time constant in samples of the observer whose predictions were fitted (`fmuid.model_problem.observed`).
+        Time constant in samples of the observer whose predictions were fitted (`fmuid.identification.observed`).
     made_with : object
-        What `predict` needs: a `fmuid.model_problem.MadeWith`, or the path of the file that this was read from.
+        What `predict` needs: a `fmuid.identification.MadeWith`, or the path of the file that this was read from.
 
     Examples
     --------

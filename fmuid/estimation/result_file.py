@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data import MeasuredSeries
-from fmuid.estimation.accuracy.outcome import Accuracy
 from fmuid.estimation.covariance import AtBound, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.model_derivatives import Sensitivity
+from fmuid.estimation.model_sensitivities import Sensitivity
 from fmuid.estimation.saved.check import check_types
 from fmuid.estimation.saved.schema import ResultContent
-from fmuid.estimation.starts.outcome import Attempt, ChoiceTried
+from fmuid.estimation.solver_check.outcome import Accuracy
+from fmuid.estimation.starting_points.outcome import Attempt, ChoiceTried
 from fmuid.files import ContentError, as_json, content_of
-from fmuid.text import with_std
+from fmuid.formatting import with_std
 
 # Parameters that a result names where it is printed in a line.
 LINE_PARAMETERS = 8

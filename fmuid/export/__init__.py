@@ -56,8 +56,8 @@ def export_fmu(
     try:
         from fmuid.export.build import build
         from fmuid.export.equations import analyse
+        from fmuid.export.model_warnings import remarks
         from fmuid.export.parse import parse
-        from fmuid.export.remarks import remarks
         from fmuid.export.sensitivities import with_sensitivities
     except ImportError as error:
         raise InputError(f"exporting needs '{error.name}': pip install 'fmuid[export]'") from None

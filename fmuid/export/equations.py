@@ -22,10 +22,10 @@ from typing import Any
 import casadi as ca
 
 from fmuid.errors import ModelicaError
+from fmuid.export.algebraic_loops import always_singular, first_loop, solve_linear
 from fmuid.export.explicit_model import ExplicitModel, Relation, column, written_out
-from fmuid.export.loops import always_singular, first_loop, solve_linear
 from fmuid.export.syntax import Declaration, Equation, Expression, Model
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "+": lambda a, b: a + b,

@@ -16,7 +16,7 @@ from pymoca.generated.ModelicaParser import ModelicaParser as Rules
 
 from fmuid.errors import InputError, ModelicaError
 from fmuid.export.syntax import FUNCTIONS, MODIFIERS, Declaration, Equation, Expression, Model
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 _FLAT = "write one flat model"
 _SCALARS = "declare and write scalars"

@@ -16,7 +16,7 @@ import casadi as ca
 from fmuid.errors import InputError, ModelicaError
 from fmuid.export.explicit_model import ExplicitModel, column
 from fmuid.export.syntax import Declaration
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 
 def with_sensitivities(system: ExplicitModel, parameters: Sequence[str] | Literal["all"]) -> ExplicitModel:

@@ -13,7 +13,7 @@ import casadi as ca
 from fmuid.errors import ModelicaError
 from fmuid.export.explicit_model import ExplicitModel
 from fmuid.export.syntax import Declaration
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 _BASE_UNITS = ("kg", "m", "s", "A", "rad")
 _DERIVED_UNITS = {

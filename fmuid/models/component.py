@@ -6,8 +6,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from fmuid.errors import InputError
-from fmuid.fmi import FMU, KINDS
-from fmuid.text import nearest
+from fmuid.formatting import nearest
+from fmuid.models.description import KINDS
+from fmuid.models.fmu import FMU
 
 INTEGRATORS = ("rk4", "rk45", "cvode")
 
@@ -28,7 +29,7 @@ class Numerics:
         Largest step, s: between communications, and inside an integrator.
     most_steps : int, optional
         Of an integrator that chooses its steps, between two samples; a simulation that needs more fails, and a search
-        takes shorter steps. Default: `fmuid.fmi.MOST_STEPS`.
+        takes shorter steps. Default: `fmuid.simulation.MOST_STEPS`.
     samples : bool, optional
         Whether the FMU acts once a communication step, as a sampled controller does, so that shorter steps would make
         it another device; default: one of several without continuous states does, of others it is not known

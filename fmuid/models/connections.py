@@ -7,7 +7,7 @@ from graphlib import CycleError, TopologicalSorter
 from typing import NamedTuple
 
 from fmuid.errors import InputError
-from fmuid.fmi import Description
+from fmuid.models.description import Description
 
 
 class Connection(NamedTuple):

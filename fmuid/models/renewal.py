@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.models.component import Component
 
 # Two simulations with the same parameters may differ by this share of the largest output: an integrator that keeps its

@@ -8,11 +8,13 @@ from functools import cached_property
 from pathlib import Path
 
 from fmuid.errors import InputError
-from fmuid.fmi import FMU, Variable, in_threads, unit_conversion
+from fmuid.formatting import nearest
 from fmuid.models.component import AS_OFFERED, Component, Isolation, Numerics
 from fmuid.models.connections import Connection, exchange_order
+from fmuid.models.description import Variable, unit_conversion
+from fmuid.models.fmu import FMU
+from fmuid.models.instance_lock import in_threads
 from fmuid.models.owner import Owner
-from fmuid.text import nearest
 
 MASTERS = ("jacobi", "gauss-seidel")
 

@@ -11,10 +11,23 @@ from pathlib import Path
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import exists, is_folder, replacing
-from fmuid.fmi import DESCRIPTION_FILE, FMU, Description, Unit, Value, Variable, Zipped, unit_conversion, with_starts
-from fmuid.models import Quantity, System, read_ssv, write_ssv
-from fmuid.reports.words.result import ending
-from fmuid.text import nearest
+from fmuid.formatting import nearest
+from fmuid.models import (
+    DESCRIPTION_FILE,
+    FMU,
+    Description,
+    Quantity,
+    System,
+    Unit,
+    Value,
+    Variable,
+    Zipped,
+    read_ssv,
+    unit_conversion,
+    with_starts,
+    write_ssv,
+)
+from fmuid.reports.messages.result import ending
 
 ESTIMATES_FILE = "parameters.ssv"
 
@@ -93,7 +106,7 @@ def apply_result(result: Path, fmu: Path, output: Path, component: str | None = 
     """Write a copy of an FMU whose start values are the estimates of a result.
 
     Only the modelDescription.xml differs, and in it the start values and the annotation that names them
-    (`fmuid.fmi.files.start_values`): the binary has its own start values, and a simulator must set those of the XML.
+    (`fmuid.models.start_values`): the binary has its own start values, and a simulator must set those of the XML.
 
     Parameters
     ----------

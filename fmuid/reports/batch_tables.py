@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from fmuid.batches import BatchResult, Summary
 from fmuid.files import write_json, write_table
-from fmuid.reports.origin import made_from
-from fmuid.reports.words.batch import failure_words, note, summary_words
+from fmuid.reports.messages.batch import failure_words, note, summary_words
+from fmuid.reports.provenance import made_from
+from fmuid.runs import BatchResult, Summary
 from fmuid.studies import Study
 
 TABLES = ("summary", "groups", "failures", "optima")

@@ -11,16 +11,16 @@ from typing import Any
 import pandas as pd
 
 from fmuid import files
-from fmuid.assessment import CONFIDENCE_LEVEL, Compared, Comparison, IncomparableError, compare
 from fmuid.data import record_files
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import as_json, content_of
-from fmuid.model_problem import Prediction
-from fmuid.reports.origin import digests, made_now
+from fmuid.identification import CONFIDENCE_LEVEL, Compared, Comparison, IncomparableError, Prediction, compare
+from fmuid.reports.messages.prediction import comparison_words
 from fmuid.reports.predictions import run_prediction
-from fmuid.reports.words.prediction import comparison_words
-from fmuid.studies import RESULT_FILE, Study, result_path, study_of
+from fmuid.reports.provenance import digests, made_now
+from fmuid.runs import RESULT_FILE, result_path, study_of
+from fmuid.studies import Study
 
 
 @dataclass(frozen=True, eq=False)

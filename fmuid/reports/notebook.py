@@ -9,27 +9,27 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.batches import Batch, BatchResult
 from fmuid.data import Experiment
 from fmuid.diagnosis import Diagnosis
 from fmuid.errors import InputError
 from fmuid.estimation import Result, optima_table
-from fmuid.fmi import FMU
+from fmuid.formatting import unit_text
+from fmuid.models import FMU
 from fmuid.reports.batch_tables import noted
-from fmuid.reports.findings import Findings
+from fmuid.reports.identification_run import Findings
 from fmuid.reports.interactive import estimates
 from fmuid.reports.interactive.style import Units
+from fmuid.reports.messages.describe import describe
 from fmuid.reports.page import batches, faults, identification
 from fmuid.reports.page.batches import summary_table
 from fmuid.reports.page.contents import Identification
 from fmuid.reports.page.document import Section, table
 from fmuid.reports.page.faults import faults_table
 from fmuid.reports.page.identification import estimates_table
-from fmuid.reports.words.describe import describe
+from fmuid.runs import Batch, BatchResult
+from fmuid.runs import predicted as predicted
 from fmuid.simulation import Fit
 from fmuid.studies import Study
-from fmuid.studies import predicted as predicted
-from fmuid.text import unit_text
 
 # Rows of a table; a notebook is no place for ten thousand variables.
 MAX_ROWS = 25

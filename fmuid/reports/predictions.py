@@ -10,26 +10,16 @@ from typing import Any
 import pandas as pd
 
 from fmuid import files
-from fmuid.assessment import CONFIDENCE_LEVEL, Diagnostics
 from fmuid.data import record_files
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.model_problem import Prediction
+from fmuid.identification import CONFIDENCE_LEVEL, Diagnostics, Prediction
 from fmuid.progress import Progress
-from fmuid.reports.findings import stacked
-from fmuid.reports.origin import made_from
-from fmuid.reports.words.prediction import fold_words, prediction_words
-from fmuid.studies import (
-    Fold,
-    SourceNote,
-    Study,
-    cross_validate,
-    notes_of,
-    predict_with,
-    records_like,
-    result_path,
-    study_of,
-)
+from fmuid.reports.identification_run import stacked
+from fmuid.reports.messages.prediction import fold_words, prediction_words
+from fmuid.reports.provenance import made_from
+from fmuid.runs import Fold, cross_validate, notes_of, predict_with, records_like, result_path, study_of
+from fmuid.studies import SourceNote, Study
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +37,7 @@ class PredictionFindings:
     seen : tuple of str
         Records that the result was made from.
     origin : mapping
-        What they were made from (`fmuid.reports.origin.made_from`).
+        What they were made from (`fmuid.reports.provenance.made_from`).
     """
 
     predictions: tuple[Prediction, ...]

@@ -8,10 +8,10 @@ import threading
 from collections.abc import Mapping
 from typing import Protocol
 
-from fmuid.arrays import Floats, Indices
+from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
-from fmuid.fmi import Simulation
 from fmuid.models import System
+from fmuid.simulation.simulation_plan import Simulation
 
 _log = logging.getLogger("fmuid.fmu")
 
@@ -64,7 +64,7 @@ def _made_for(system: System) -> Executor:
 
         if AVAILABLE:
             from fmuid.simulation.isolation.isolated import IsolatedExecutor  # for Linux and macOS only
-            from fmuid.simulation.isolation.spread import SpreadExecutor
+            from fmuid.simulation.isolation.multi_process import SpreadExecutor
 
             processes = min(threads(), system.isolation.threads or threads())
             if not in_threads and system.can_be_repeated and processes > 1:

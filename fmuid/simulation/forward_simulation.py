@@ -8,14 +8,15 @@ from functools import partial
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data import Experiment
-from fmuid.fmi import Plan, Sensitivities, Simulation, codes, new_reports
 from fmuid.models import STIFF_INTEGRATOR, Component, Port, System
+from fmuid.simulation import core_constants as codes
 from fmuid.simulation.executor import Executor
 from fmuid.simulation.grid import grid_of
-from fmuid.simulation.operations import outputs_with_sensitivities
 from fmuid.simulation.plan import plan_of, simulation_of
+from fmuid.simulation.plan_builder import outputs_with_sensitivities
+from fmuid.simulation.simulation_plan import Plan, Sensitivities, Simulation, new_reports
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.task import task_of
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
-from fmuid.fmi import TimeGrid, codes
-from fmuid.models import column_conversion
+from fmuid.simulation import core_constants as codes
+from fmuid.simulation.simulation_plan import TimeGrid
 from fmuid.simulation.task import Task
+from fmuid.simulation.variable_checks import column_conversion
 
 # Substeps of a sampling interval where an input is linear in between but the FMU can only hold it. Each substep
 # holds the value at its middle, an error of second order in the substep: a hundredth of that of one whole step.

@@ -6,10 +6,11 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import Future, wait
 
-from fmuid.arrays import Floats, Indices
+from fmuid.array_types import Floats, Indices
 from fmuid.errors import SimulationError
-from fmuid.fmi import Custody, Simulation, codes, shares
-from fmuid.models import STIFF_INTEGRATOR, Component, Renewal
+from fmuid.models import STIFF_INTEGRATOR, Component, Custody, Renewal
+from fmuid.simulation import core_constants as codes
+from fmuid.simulation.simulation_plan import Simulation, shares
 from fmuid.simulation.simulation_thread import SimulationThread
 
 
@@ -50,7 +51,8 @@ class InProcessExecutor:
     def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N), in equal shares over the threads; a model found stiff is run again as such.
 
-        Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`).
+        Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in
+        (`fmuid.simulation.simulation_loop.Loop.run`).
         """
         with self._custody.turn(self):
             self._running = simulation

@@ -6,11 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fmuid.fmi import MOST_STEPS, Integration, Plan, Simulation, codes
 from fmuid.models import DEFAULT_TOLERANCE
-from fmuid.simulation import operations
+from fmuid.simulation import core_constants as codes
+from fmuid.simulation import plan_builder as operations
 from fmuid.simulation.grid import grid_of
-from fmuid.simulation.operations import Operations, Outputs
+from fmuid.simulation.plan_builder import Operations, Outputs
+from fmuid.simulation.simulation_plan import MOST_STEPS, Integration, Plan, Simulation
 from fmuid.simulation.task import Task
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError, RefusedError
 from fmuid.models import DEFAULT_TOLERANCE
 from fmuid.simulation.executor import executor_of

@@ -14,10 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.arrays import Floats, Indices
+from fmuid.array_types import Floats, Indices
 from fmuid.errors import InputError, SimulationError
-from fmuid.fmi import Instance, Loop, Simulation, codes, describe, new_reports, warn
 from fmuid.models import Component, Renewal, is_repeated, needs_process, note_process
+from fmuid.simulation import core_constants as codes
+from fmuid.simulation.failures import describe
+from fmuid.simulation.instance import Instance, warn
+from fmuid.simulation.simulation_loop import Loop
+from fmuid.simulation.simulation_plan import Simulation, new_reports
 
 _log = logging.getLogger("fmuid.fmu")
 # Longest that one call of the core should last, s: between calls an interruption gets through.

@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats, Indices
+from fmuid.array_types import Floats, Indices
 from fmuid.data import Experiment
 from fmuid.errors import NO_EXPERIMENT, InputError, SimulationError, check_kind
-from fmuid.fmi import FMU, codes, new_reports
-from fmuid.models import Isolation, Numerics, System, Value, column_conversion
+from fmuid.models import FMU, Isolation, Numerics, System
+from fmuid.simulation import core_constants as codes
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.plan import simulation_of
+from fmuid.simulation.simulation_plan import new_reports
 from fmuid.simulation.task import task_of
+from fmuid.simulation.variable_checks import Value, column_conversion
 
 # What is remembered of simulations takes no more memory than this, bytes.
 MOST_REMEMBERED = 32_000_000
@@ -59,7 +61,7 @@ class Simulator:
         Largest communication step, s, of all components, and largest step of an integrator; default: what the system
         says, else from sample to sample.
     divisor : int
-        What each step of components that integrate is divided by (`fmuid.simulation.accuracy`).
+        What each step of components that integrate is divided by (`fmuid.simulation.solver_refinement`).
     isolation : Isolation, optional
         Runs an FMU in a process of its own; default: in this one, which an FMU that crashes takes with it.
 

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 from fmuid.data import Experiment
 from fmuid.errors import InputError
-from fmuid.fmi import codes
-from fmuid.models import System, Value, check_roles
+from fmuid.models import System
+from fmuid.simulation import core_constants as codes
+from fmuid.simulation.variable_checks import Value, check_roles
 
 
 class Target(NamedTuple):

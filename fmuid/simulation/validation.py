@@ -9,9 +9,9 @@ from enum import Enum
 from pathlib import Path
 
 from fmuid.errors import InputError
-from fmuid.fmi import DESCRIPTION_FILE, FMU, Zipped, archive_of, parse_xml
+from fmuid.models import DESCRIPTION_FILE, FMU, Zipped, archive_of, parse_xml
 from fmuid.processes import Child
-from fmuid.simulation.smoke import SmokeReport
+from fmuid.simulation.smoke_test import SmokeReport
 
 BUILD_FILE = "sources/buildDescription.xml"
 """How to compile an FMU that has its sources with it (FMI 3.0.2, section 2.5.1.5)."""
@@ -221,7 +221,7 @@ def _try(fmu: FMU, kind: str, share: float) -> Trial:
         report, printed = Path(folder) / "report.json", Path(folder) / "printed.txt"
         arguments = [str(fmu.path.resolve()), kind, str(share), str(report)]
         with printed.open("wb") as output:  # a file, since who still holds a pipe would keep us waiting
-            child = Child("fmuid.simulation.smoke", *arguments, stdout=output, stderr=subprocess.STDOUT)
+            child = Child("fmuid.simulation.smoke_test", *arguments, stdout=output, stderr=subprocess.STDOUT)
             try:
                 code = child.wait(TIME_LIMIT)
             finally:

@@ -13,9 +13,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, Tag
 
 from fmuid.data import Noise, Parameter
 from fmuid.files import full, is_file
+from fmuid.formatting import nearest
 from fmuid.studies.model import ExperimentSettings
-from fmuid.studies.toml import show
-from fmuid.studies.words import (
+from fmuid.studies.section import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -35,7 +35,7 @@ from fmuid.studies.words import (
     one_of,
     word,
 )
-from fmuid.text import nearest
+from fmuid.studies.toml import show
 
 Value = float | int | bool | str
 

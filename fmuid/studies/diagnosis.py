@@ -15,11 +15,12 @@ from fmuid.diagnosis import MODEL_ERROR, Causes, Range, Rule
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt, Result
 from fmuid.files import is_file
+from fmuid.formatting import of_one_experiment
 from fmuid.models import System
 from fmuid.studies.arrays import by_element, check_shapes
 from fmuid.studies.model import ModelSettings, ModelWords
 from fmuid.studies.parameters import Knowns, Source
-from fmuid.studies.words import (
+from fmuid.studies.section import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -39,7 +40,6 @@ from fmuid.studies.words import (
     must_be,
     word,
 )
-from fmuid.text import of_one_experiment
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Angle, Baseline, DiagnosisSettings, Fault

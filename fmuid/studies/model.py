@@ -12,23 +12,22 @@ from pydantic import BeforeValidator, Tag
 from fmuid.data import INTERPOLATIONS
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.fmi import KINDS, MOST_STEPS
 from fmuid.models import (
     DEFAULT_INTEGRATOR,
     DEFAULT_TOLERANCE,
     INTEGRATORS,
+    KINDS,
     MASTERS,
     Component,
     Isolation,
     Numerics,
     System,
-    Value,
 )
+from fmuid.simulation import MOST_STEPS, Value
 from fmuid.studies.arrays import by_element
 from fmuid.studies.parameters import Estimate, Source
-from fmuid.studies.prepare import PrepareWords
-from fmuid.studies.settings import NoiseForms
-from fmuid.studies.words import (
+from fmuid.studies.preprocess import PrepareWords
+from fmuid.studies.section import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -53,6 +52,7 @@ from fmuid.studies.words import (
     one_of,
     word,
 )
+from fmuid.studies.settings import NoiseForms
 from fmuid.units import TIME_UNITS
 
 if TYPE_CHECKING:

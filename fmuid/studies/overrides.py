@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from fmuid.errors import InputError
+from fmuid.formatting import nearest
+from fmuid.studies.section import entries_of, only_tables, table_of
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import UnreadableError, parsed, show
-from fmuid.studies.words import entries_of, only_tables, table_of
-from fmuid.text import nearest
 
 _SEGMENT = re.compile(r"""\s*(?:"([^"]*)"|'([^']*)'|([^."'\s]+))\s*(?:\.|$)""")
 

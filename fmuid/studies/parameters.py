@@ -15,10 +15,10 @@ from pydantic import BeforeValidator, Tag
 from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import Outcome, Result
-from fmuid.fmi import FMU
-from fmuid.models import System, Value
-from fmuid.studies.toml import show
-from fmuid.studies.words import (
+from fmuid.formatting import nearest
+from fmuid.models import FMU, System
+from fmuid.simulation import Value
+from fmuid.studies.section import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -38,7 +38,7 @@ from fmuid.studies.words import (
     as_list,
     word,
 )
-from fmuid.text import nearest
+from fmuid.studies.toml import show
 
 
 class FromResult(Words):

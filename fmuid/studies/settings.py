@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, Tag
 
-from fmuid.assessment import CONFIDENCE_LEVEL, UncertaintySettings
 from fmuid.data import LOSSES, Noise
 from fmuid.diagnosis import Rule
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt
-from fmuid.model_problem import ACCURACIES, Problem, observed
-from fmuid.models import (
-    Isolation,
-)
-from fmuid.studies.words import (
+from fmuid.formatting import nearest
+from fmuid.identification import ACCURACIES, CONFIDENCE_LEVEL, Problem, UncertaintySettings, observed
+from fmuid.models import Isolation
+from fmuid.studies.section import (
     BY_SHAPE,
     TABLE_TAG,
     VALUE_TAG,
@@ -41,11 +39,10 @@ from fmuid.studies.words import (
     one_of,
     word,
 )
-from fmuid.text import nearest
 
 if TYPE_CHECKING:
-    from fmuid.assessment import Sampling
     from fmuid.estimation import GlobalSearch, Method
+    from fmuid.identification import Sampling
 
 SEARCH = Marquardt()
 """What is not said of Marquardt's search."""
@@ -324,7 +321,7 @@ class UncertaintyWords(Words):
     def _sampling(self) -> Sampling | None:
         if self.posterior is None:
             return None
-        from fmuid.assessment import Sampling
+        from fmuid.identification import Sampling
 
         try:
             return Sampling(**self.posterior.model_dump(exclude_unset=True))

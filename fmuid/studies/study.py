@@ -13,12 +13,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fmuid.assessment import Uncertainty, UncertaintySettings, explore
 from fmuid.data import Experiment, JointPrior, Noise, Parameter
-from fmuid.displays import Displayed
+from fmuid.display_mixins import Displayed
 from fmuid.errors import InputError
 from fmuid.estimation import Method, Result
-from fmuid.model_problem import Problem, identify
+from fmuid.formatting import bounded
+from fmuid.identification import Problem, Uncertainty, UncertaintySettings, explore, identify
 from fmuid.models import System
 from fmuid.progress import Progress
 from fmuid.simulation import Fit, Simulator, fit_of
@@ -27,11 +27,10 @@ from fmuid.studies.diagnosis import FaultSearch
 from fmuid.studies.model import ExperimentSettings, ModelSettings, named
 from fmuid.studies.overrides import override
 from fmuid.studies.parameters import Reader, Source, SourceNote
+from fmuid.studies.section import Place
 from fmuid.studies.settings import MonitoringWords, observed_by
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import read_toml
-from fmuid.studies.words import Place
-from fmuid.text import bounded
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,7 +72,8 @@ class Study(Displayed):
     remedies : bool
         Whether other starts are tried where the search fails or fits badly.
     observer : float or None
-        Samples in which an observer forgets that keeps the simulation with the record (`fmuid.model_problem.observed`).
+        Samples in which an observer forgets that keeps the simulation with the record
+        (`fmuid.identification.observed`).
     diagnosis : FaultSearch or None
         The faults to look for, and what is known of the healthy machine.
     monitoring : MonitoringWords

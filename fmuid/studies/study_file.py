@@ -11,8 +11,8 @@ from fmuid.studies.batch import BatchSettings
 from fmuid.studies.diagnosis import DiagnosisWords
 from fmuid.studies.model import ExperimentSettings, ModelWords
 from fmuid.studies.parameters import JointPriorWords, ParameterWords
+from fmuid.studies.section import Text, Words, word
 from fmuid.studies.settings import EstimatorWords, IsolationWords, MonitoringWords, NoiseWords, UncertaintyWords
-from fmuid.studies.words import Text, Words, word
 
 
 class StudyFile(Words):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fmuid.errors import InputError
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 # `tomllib` takes time with the square of a dotted key's length.
 _LONG_KEY = re.compile(r"""(?:(?<![\w-])(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){100}""")

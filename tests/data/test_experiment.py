@@ -14,7 +14,7 @@ from fmuid.data.predictors import FunctionPredictor
 from fmuid.errors import InputError
 from fmuid.estimation.global_search.search import GlobalSearch
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.problem import LeastSquares
 
 NAN = float("nan")
 

@@ -11,9 +11,9 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 import fmuid
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data import Axes, Experiment, reduce
-from fmuid.data.preparation.expressions import evaluate
+from fmuid.data.preprocessing.expressions import evaluate
 from fmuid.errors import InputError
 
 T: Floats = np.arange(2000.0) * 1e-3

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import fmuid
 from fmuid import datasets
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from tools.make_datasets import MACHINE_NOISE, MACHINE_SAMPLES, MACHINE_STEP, SPEED, TABLES
 
 NAMES = sorted(TABLES)

@@ -11,9 +11,9 @@ import pytest
 from scipy.linalg import expm
 
 import fmuid
-from fmuid.diagnosis.fits import fit_both
+from fmuid.diagnosis.fault_fits import fit_both
 from fmuid.estimation import AccuracyOutcome, Kept
-from fmuid.reports.words.diagnosis import diagnosis_words
+from fmuid.reports.messages.diagnosis import diagnosis_words
 from tests.support.stepping import MOTOR, stepping_fmu
 
 TRUTH = {"R": 1.0, "L": 5e-3, "K": 0.05, "J": 1e-4}

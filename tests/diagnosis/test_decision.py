@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from fmuid.diagnosis.decision import Reference, at_least_one, orthant_weights, rivals
+from fmuid.diagnosis.hypothesis_tests import Reference, at_least_one, orthant_weights, rivals
 from fmuid.errors import InputError
 
 CORRELATED = np.array([[1.0, 0.6, -0.3], [0.6, 1.0, 0.2], [-0.3, 0.2, 1.0]])

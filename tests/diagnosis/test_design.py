@@ -14,11 +14,11 @@ from scipy.signal import lfilter
 import fmuid
 from experiments.coil import study as coil
 from fmuid.data.excitation import multisine, prbs, steps
+from fmuid.diagnosis.baseline.baseline import Baseline
 from fmuid.diagnosis.design import Design, trial
-from fmuid.diagnosis.healthy.baseline import Baseline
 from fmuid.diagnosis.monitoring.alarms import Rule
 from fmuid.diagnosis.monitoring.monitor import Monitor
-from fmuid.studies.monitoring import design_of
+from fmuid.runs.monitoring import design_of
 from tests.support.exported import export_text
 from tests.support.plate import COLUMNS, PHASES, PLATE, STD, TRUTH
 from tests.support.plate import record as plate_record

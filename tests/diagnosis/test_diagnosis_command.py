@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.cli.app import run
+from fmuid.apps.cli.app import run
 from fmuid.progress import Event
 from fmuid.reports import Judged
 from tests.support.diagnosis_studies import Look

@@ -12,13 +12,13 @@ import pytest
 from scipy import signal
 
 import fmuid
-from fmuid.cli.app import run
+from fmuid.apps.cli.app import run
 from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, Evidence, Range
-from fmuid.diagnosis.coordinates import Coordinates, coordinates_of
-from fmuid.diagnosis.healthy.whitening import Whitening
+from fmuid.diagnosis.baseline.whitening import Whitening
+from fmuid.diagnosis.change_parameters import Coordinates, coordinates_of
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.errors import InputError
-from fmuid.reports.words.diagnosis import verdict
+from fmuid.reports.messages.diagnosis import verdict
 from tests.support.closed_forms import coil_response
 from tests.support.paths import FMUS
 

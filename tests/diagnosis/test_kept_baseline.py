@@ -11,11 +11,11 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.cli.app import run
+from fmuid.apps.cli.app import run
 from fmuid.diagnosis import Basis
-from fmuid.diagnosis.comparison import Juxtaposition
+from fmuid.diagnosis.baseline_comparator import Juxtaposition
 from fmuid.reports import run_following
-from fmuid.reports.words.diagnosis import UNLIKE, basis_notes
+from fmuid.reports.messages.diagnosis import UNLIKE, basis_notes
 from tests.support.paths import FMUS
 
 COIL = Path(__file__).parents[2] / "experiments" / "coil"

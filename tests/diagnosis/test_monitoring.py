@@ -19,8 +19,8 @@ from fmuid.data.npz import read_arrays
 from fmuid.diagnosis import Gap, Shape
 from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Rule, Trend
 from fmuid.diagnosis.monitoring.monitor import Monitor
-from fmuid.reports.words.monitoring import gap_words, monitoring_words
-from fmuid.studies.monitoring import monitor_of, rule_of
+from fmuid.reports.messages.monitoring import gap_words, monitoring_words
+from fmuid.runs.monitoring import monitor_of, rule_of
 from tests.support.coil_records import warming
 from tests.support.exported import export_text
 from tests.support.plate import COLUMNS, PHASES, PLATE, STD, TRUTH, identified

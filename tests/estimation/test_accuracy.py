@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data import Normal, Parameter
 from fmuid.estimation import (
     Accuracy,

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from fmuid.arrays import Floats
-from fmuid.estimation.colour import autoregression
+from fmuid.array_types import Floats
+from fmuid.estimation.noise import autoregression
 
 
 def plain_burg(columns: Floats, weights: Floats, there: NDArray[np.bool_], orders: int) -> list[float]:

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.signal import lfilter
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data import Table
-from fmuid.estimation.colour import autoregression
-from fmuid.estimation.colour.autoregression import Autoregression, impulse_response, most_orders
-from fmuid.estimation.colour.grid import Grid, Rows
-from fmuid.estimation.colour.sandwich import ColouredNoise, sandwich
-from fmuid.estimation.colour.series import Series, series_of, table_grid
+from fmuid.estimation.noise import autoregression
+from fmuid.estimation.noise.autoregression import Autoregression, impulse_response, most_orders
+from fmuid.estimation.noise.output_series import Series, series_of, table_grid
+from fmuid.estimation.noise.sample_grid import Grid, Rows
+from fmuid.estimation.noise.sandwich import ColouredNoise, sandwich
 from tests.support.problems import ar1
 
 SLOW, OSCILLATING = np.array([0.8]), np.array([1.6, -0.9])
@@ -254,7 +254,7 @@ def test_what_the_fit_takes_is_given_back(monkeypatch: pytest.MonkeyPatch) -> No
         return np.asarray(stated / true)
 
     whole = ratio()
-    monkeypatch.setattr("fmuid.estimation.colour.sandwich.ROUNDS", 0)
+    monkeypatch.setattr("fmuid.estimation.noise.sandwich.ROUNDS", 0)
     assert (whole > 0.6).all()
     assert (whole > 1.2 * ratio()).all()
 
@@ -308,7 +308,7 @@ def test_what_a_fit_hardly_takes_is_not_made_up_for(monkeypatch: pytest.MonkeyPa
     without = sandwich(rows, own).covariance
     assert not calls
     monkeypatch.undo()
-    monkeypatch.setattr("fmuid.estimation.colour.sandwich.SLIGHT", 0.0)
+    monkeypatch.setattr("fmuid.estimation.noise.sandwich.SLIGHT", 0.0)
     np.testing.assert_allclose(np.diag(without), np.diag(sandwich(rows, own).covariance), rtol=5e-3)
 
 

@@ -17,14 +17,14 @@ import pytest
 from scipy import stats
 from scipy.signal import lfilter
 
-from fmuid.arrays import Floats
-from fmuid.assessment.profile import profiles
-from fmuid.assessment.sampling.posterior import Sampling
-from fmuid.assessment.sampling.sampler import sample
+from fmuid.array_types import Floats
 from fmuid.data.parameters import Parameter
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification.profile import profiles
+from fmuid.identification.sampling.posterior import Sampling
+from fmuid.identification.sampling.sampler import sample
 from tests.support.problems import ar1
 
 SEED, STD, LEVEL, TEST = 2026, 0.05, 0.95, 0.01

@@ -15,18 +15,18 @@ import pandas as pd
 import pytest
 from scipy import linalg
 
-from fmuid.arrays import Floats
-from fmuid.assessment.residuals import examine_residuals
+from fmuid.array_types import Floats
 from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.colour.cycles import Folded, Returning, _floor, _likelihoods, _products, _sides, _summed
-from fmuid.estimation.colour.sandwich import sandwich_of
-from fmuid.estimation.colour.series import Series, period_of
-from fmuid.estimation.colour.slow import Bins
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.noise.low_frequency import Bins
+from fmuid.estimation.noise.output_series import Series, period_of
+from fmuid.estimation.noise.periodic_error import Folded, Returning, _floor, _likelihoods, _products, _sides, _summed
+from fmuid.estimation.noise.sandwich import sandwich_of
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.reports.words.residuals import residual_words
+from fmuid.identification.residual_analysis import examine_residuals
+from fmuid.reports.messages.residuals import residual_words
 from tests.support.problems import ar1
 
 STEP, PERIOD, CYCLES = 0.032, 125, 8
@@ -199,7 +199,7 @@ def test_an_error_of_two_outputs_acts_at_once(signs: tuple[float, float], least:
     np.testing.assert_allclose(found.shares, 0.8, atol=0.21)
     assert (rest.shares < 0.05).all()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fmuid.estimation.colour.cycles._together", lambda _folded, alone, _noise: alone)
+        patch.setattr("fmuid.estimation.noise.periodic_error._together", lambda _folded, alone, _noise: alone)
         apart = sandwich_of(problem, result.local, np.array([False, False]))
     wider = np.sqrt(np.diag(result.covariance) / np.diag(apart.covariance))
     assert (wider > least).all()
@@ -230,7 +230,7 @@ def test_where_nothing_returns_hardly_anything_changes(kind: str, monkeypatch: p
     rng = np.random.default_rng(4)
     problem, result = fitted(rng.standard_normal(COUNT) if kind == "white" else np.cumsum(rng.standard_normal(COUNT)))
     assert result.local is not None
-    monkeypatch.setattr("fmuid.estimation.colour.sandwich.returning", lambda *_: ())
+    monkeypatch.setattr("fmuid.estimation.noise.sandwich.returning", lambda *_: ())
     without = sandwich_of(problem, result.local, np.array([False]))
     wider = np.sqrt(np.diag(result.covariance) / np.diag(without.covariance))
     assert (wider >= 1.0).all()
@@ -296,7 +296,7 @@ def covered(parts: tuple[Drawn, ...], draws: int) -> tuple[float, float, float]:
         inside.append((ends[:, 0] <= 0.0) & (ends[:, 1] >= 0.0))
         assert result.local is not None
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("fmuid.estimation.colour.sandwich.returning", lambda *_: ())
+            patch.setattr("fmuid.estimation.noise.sandwich.returning", lambda *_: ())
             before = sandwich_of(problem, result.local, np.zeros(len(problem.output_names), dtype=np.bool_))
         half = before_half(before.covariance, before.freedom)
         without.append(np.abs(result.values) < half)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.estimation.finite_differences import FiniteDifferences, SensitivityError
-from fmuid.estimation.numerical_noise import noise_level
+from fmuid.estimation.simulation_noise import noise_level
 
 Function = Callable[[Floats], Floats]
 Method = Literal["RK45", "BDF", "LSODA", "DOP853"]

@@ -9,20 +9,20 @@ import pandas as pd
 import pytest
 from scipy.optimize import minimize_scalar
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
+from fmuid.estimation.cost_components import misfits
 from fmuid.estimation.global_search import search as global_search
 from fmuid.estimation.global_search.optima import optima_table
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.method import Marquardt
-from fmuid.estimation.misfit import misfits
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.model_problem import Problem
+from fmuid.identification import Problem
 from fmuid.progress import Event
 from tests.support.paths import ROOT
 from tests.support.sinusoids import FREQUENCY, METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
-from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.problem import LeastSquares
 from fmuid.progress import Event
-from fmuid.reports.words.result import ending
+from fmuid.reports.messages.result import ending
 from tests.support.sinusoids import METHODS, RANGE, TIMES, dense_minima, of_search, searched, sinusoid
 
 # --- failing simulations ----------------------------------------------------------------

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 
 TIMES = np.arange(0.0, 6.0, 0.01)

@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from fmuid import identify
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.data.predictors import Table
 from fmuid.errors import InputError, SimulationError
-from fmuid.estimation.criterion import prepare
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.cost_function import prepare
+from fmuid.estimation.problem import LeastSquares
 from tests.support.problems import TIMES, Fake, simulate
 
 

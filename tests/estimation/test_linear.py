@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.criterion import prepare
+from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.marquardt.search import State, search
 from fmuid.estimation.method import Marquardt
+from fmuid.estimation.problem import LeastSquares
 
 TRUTH = np.array([1.5, -40.0, 2e-3])
 

@@ -10,7 +10,7 @@ import pytest
 from scipy import signal, special
 
 import fmuid
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.estimation import Estimator
 from fmuid.estimation.linear_models.colored import colored_covariance
 from fmuid.estimation.linear_models.filters import StateVariableFilter

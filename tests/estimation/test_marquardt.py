@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit, lsq_linear
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.criterion import prepare
+from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.identification import identify, waypoints
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.marquardt.jacobian_cache import Waypoints
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.marquardt.radius import GROW, SHRINK_LEAST, SHRINK_MOST, Radius
 from fmuid.estimation.marquardt.search import Iteration, State, search
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
-from fmuid.estimation.marquardt.waypoints import Waypoints
+from fmuid.estimation.marquardt.trust_region import GROW, SHRINK_LEAST, SHRINK_MOST, Radius
 from fmuid.estimation.method import Marquardt
+from fmuid.estimation.problem import LeastSquares
 
 TIMES = np.linspace(0.0, 3.0, 120)
 TRUTH = np.array([3.0, 1.2, 0.5])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.errors import RefusedError
 from fmuid.estimation.finite_differences import FiniteDifferences
-from fmuid.estimation.model_derivatives import RELATIVE_ERROR, ModelSensitivities
+from fmuid.estimation.model_sensitivities import RELATIVE_ERROR, ModelSensitivities
 
 TIMES = np.linspace(0.0, 3.0, 50)
 THETA = np.array([2.0, 0.7])

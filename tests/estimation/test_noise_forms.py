@@ -11,18 +11,18 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from fmuid.arrays import Floats
-from fmuid.assessment.consistency import Deviation
-from fmuid.assessment.prior_and_data import read_result
-from fmuid.assessment.residuals import examine_residuals
-from fmuid.assessment.sampling.sampler import log_density
+from fmuid.array_types import Floats
 from fmuid.data import Experiment, FunctionPredictor, Noise, Parameter, Table, robust_variance
 from fmuid.data.tables import UNITS
 from fmuid.errors import InputError
+from fmuid.estimation.cost_components import fitted, misfits
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.misfit import fitted, misfits
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification.prior_and_data import read_result
+from fmuid.identification.prior_data_tests import Deviation
+from fmuid.identification.residual_analysis import examine_residuals
+from fmuid.identification.sampling.sampler import log_density
 from tests.support.problems import ar1
 
 COUNT = 60

@@ -9,20 +9,20 @@ from scipy import stats
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.data.predictors import Table
 from fmuid.estimation import identification
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.method import Marquardt
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.progress import Event, SearchStep
-from fmuid.reports.findings import at_minimum
-from fmuid.reports.words.result import ending
+from fmuid.reports.identification_run import at_minimum
+from fmuid.reports.messages.result import ending
 from tests.support.problems import Fake
 from tests.support.two_outputs import TIMES, two_output_problem, two_outputs
 

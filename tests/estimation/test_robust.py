@@ -11,17 +11,17 @@ from scipy.optimize import brentq, least_squares
 
 import fmuid
 from experiments.induction_machine import make_table
-from fmuid.arrays import Floats
-from fmuid.assessment.profile import profiles
+from fmuid.array_types import Floats
 from fmuid.data.losses import LOSSES, NORMAL_SHARE, Loss, robust_variance
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.criterion import prepare
+from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.method import Marquardt
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification.profile import profiles
 from tests.support.paths import FMUS
 
 ROBUST = ["soft_l1", "huber", "cauchy"]

@@ -12,16 +12,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError
 from fmuid.estimation.finite_differences import FiniteDifferences
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.reports.apply import apply_result
-from fmuid.reports.words.result import ending
+from fmuid.reports.messages.result import ending
 from tests.support.paths import FMUS
 
 Function = Callable[[Floats], Floats]

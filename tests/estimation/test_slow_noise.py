@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fmuid.arrays import Floats
-from fmuid.estimation.colour.autoregression import Autoregression, fit
-from fmuid.estimation.colour.grid import Grid, Rows
-from fmuid.estimation.colour.series import Series
-from fmuid.estimation.colour.slow import Spectrum, slow_noise
+from fmuid.array_types import Floats
+from fmuid.estimation.noise.autoregression import Autoregression, fit
+from fmuid.estimation.noise.low_frequency import Spectrum, slow_noise
+from fmuid.estimation.noise.output_series import Series
+from fmuid.estimation.noise.sample_grid import Grid, Rows
 from tests.support.problems import ar1
 
 WEAK, POLE = 0.08, 0.98

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import qmc
 
 from fmuid.estimation import sobol_points
-from fmuid.estimation.starts.sobol import MAX_DIMENSIONS
+from fmuid.estimation.starting_points.sobol import MAX_DIMENSIONS
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 7, MAX_DIMENSIONS, MAX_DIMENSIONS + 1])

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.parameters import Parameter
 from fmuid.estimation.covariance import AtBound, Determined
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
-from fmuid.reports.words.directions import direction_words
-from fmuid.reports.words.result import ending
+from fmuid.estimation.problem import LeastSquares
+from fmuid.reports.messages.identifiability import direction_words
+from fmuid.reports.messages.result import ending
 from tests.support.problems import coil_problem
 from tests.support.two_outputs import TIMES, two_output_problem
 

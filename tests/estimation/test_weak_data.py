@@ -10,18 +10,18 @@ import pytest
 from numpy.typing import ArrayLike
 
 import fmuid
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import JointPrior, Normal, Parameter
 from fmuid.data.predictors import Table
 from fmuid.errors import InputError
 from fmuid.estimation.covariance import UNDETERMINED_STD, AtBound, Determined, local_covariance
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.reports.words.directions import direction_words
-from fmuid.reports.words.result import ending
+from fmuid.reports.messages.identifiability import direction_words
+from fmuid.reports.messages.result import ending
 from tests.support.paths import FMUS
 from tests.support.problems import Fake, coil
 

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 import fmuid
-from fmuid.arrays import Floats
-from fmuid.assessment.profile import profiles
-from fmuid.assessment.residuals import examine_residuals
-from fmuid.assessment.sampling.posterior import Sampling
-from fmuid.assessment.sampling.sampler import sample
+from fmuid.array_types import Floats
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation.colour.innovations import Weights
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.noise.prewhitening import Weights
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.model_problem import identify
-from fmuid.reports.words.residuals import residual_words
+from fmuid.identification import identify
+from fmuid.identification.profile import profiles
+from fmuid.identification.residual_analysis import examine_residuals
+from fmuid.identification.sampling.posterior import Sampling
+from fmuid.identification.sampling.sampler import sample
+from fmuid.reports.messages.residuals import residual_words
 from tests.support.problems import ar1
 
 COUNT, COLOUR = 300, 0.8

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fmuid
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.export import export_fmu
 from tests.support.paths import ROOT
 

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import fmuid
 from experiments import pages
 from experiments.coil import study
-from fmuid.reports.words.diagnosis import hypothesis_notes, verdict
+from fmuid.reports.messages.diagnosis import hypothesis_notes, verdict
 
 README = (study.HERE / "README.md").read_text(encoding="utf-8")
 

@@ -13,7 +13,7 @@ import pytest
 
 from experiments.batches.campaign import command, family, left_over, write_study
 from experiments.batches.scale import SAMPLES, repeat_rows
-from fmuid.batches.batch import Batch
+from fmuid.runs.batch.batch import Batch
 
 pytestmark = [
     pytest.mark.slow,
@@ -26,7 +26,7 @@ def test_a_thousand_cases(tmp_path: Path) -> None:
     study, output = write_study(tmp_path, CASES, SAMPLES), tmp_path / "out"
     process = subprocess.Popen(command(study, output, "--workers", "2"), stdout=subprocess.DEVNULL)
     until = time.monotonic() + 600
-    # a fast machine may be done by then: batches that are certainly not are killed in tests/batches/test_kills.py
+    # a fast machine may be done by then: batches that are certainly not are killed in tests/runs/batch/test_kills.py
     while len(list(output.glob("cases/part-*"))) < 2 and process.poll() is None:
         assert time.monotonic() < until
         time.sleep(0.05)

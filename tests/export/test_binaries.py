@@ -10,7 +10,7 @@ from pathlib import Path
 import fmpy
 import fmpy.fmi2
 
-from fmuid.fmi.native.build import compiler_here
+from fmuid.simulation.native.build import compiler_here
 from tests.support.exporting import description, members, models
 from tests.support.paths import FMUS
 

@@ -16,7 +16,7 @@ from fmpy.validation import validate_fmu
 
 from fmuid.errors import InputError
 from fmuid.export import export_fmu
-from fmuid.fmi.native.build import compiler_here
+from fmuid.simulation.native.build import compiler_here
 from tests.support.exported import export_text, running
 from tests.support.modelica import FRICTION
 from tests.support.paths import FMUS

@@ -11,7 +11,7 @@ import pytest
 import scipy.linalg
 from scipy.integrate import solve_ivp
 
-from fmuid.export.loops import first_loop, solve_linear
+from fmuid.export.algebraic_loops import first_loop, solve_linear
 from tests.support.exported import Running, both_versions, export_text, running
 
 # ---- powers

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.experiment import Experiment
 from fmuid.errors import SimulationError
 from fmuid.models.component import Numerics

@@ -154,4 +154,4 @@ def test_a_folder_that_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
-    assert python_command("fmuid.simulation.smoke")[0] == sys.executable
+    assert python_command("fmuid.simulation.smoke_test")[0] == sys.executable

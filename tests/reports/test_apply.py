@@ -13,15 +13,15 @@ import pytest
 from fmpy.ssp import ssd as fmpy_ssd
 from fmpy.validation import validate_fmu
 
-from fmuid.cli.app import run
-from fmuid.cli.options import DONE, WRONG_INPUT
+from fmuid.apps.cli.app import run
+from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
 from fmuid.estimation.result import Result
-from fmuid.fmi import FMU
-from fmuid.fmi.files.description import Unit
-from fmuid.fmi.files.start_values import with_starts
+from fmuid.models import FMU
+from fmuid.models.description import Unit
 from fmuid.models.ssp.parameter_values import Quantity, read_ssv, write_ssv
+from fmuid.models.start_values import with_starts
 from fmuid.models.system import System
 from fmuid.reports.apply import AppliedValue, apply_result, write_estimates
 from fmuid.simulation.simulator import Simulator

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.batches.statistics import Columns
-from fmuid.batches.summary import summarize
 from fmuid.reports.batch_tables import write_summary
 from fmuid.reports.console.batch import show_batch
-from fmuid.reports.figures import paint
+from fmuid.reports.figures import matplotlib_renderer as paint
 from fmuid.reports.figures import style as plots
 from fmuid.reports.page import batches
+from fmuid.runs.batch.statistics import Columns
+from fmuid.runs.batch.summary import summarize
 from tests.support.drawn_batches import TRUTH, UNITS, batch, fail
 
 # --- files and the console

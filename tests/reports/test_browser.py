@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from fmuid.cli.options import DONE
+from fmuid.apps.cli.options import DONE
 from tests.support.browser import PATIENCE, chromium
 from tests.support.coil_study import STUDY, coil_table, fmuid_
 

@@ -12,16 +12,16 @@ import pytest
 from rich.console import Console
 
 import fmuid
-from fmuid.cli.app import run
-from fmuid.cli.options import DONE, WRONG_INPUT
+from fmuid.apps.cli.app import run
+from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.errors import InputError
-from fmuid.fmi.files.description import Variable
-from fmuid.models.facts import Facts, facts, lines
+from fmuid.formatting import bounded
+from fmuid.models.description import Variable
+from fmuid.models.fmu_summary import Facts, facts, lines
 from fmuid.reports.console import fmu as console_fmu
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of, table_of_rows
-from fmuid.reports.words.models import capability_words, run_words
+from fmuid.reports.messages.solver import capability_words, run_words
 from fmuid.studies import skeleton
-from fmuid.text import bounded
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS
 

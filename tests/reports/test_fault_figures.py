@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from bokeh.models import BoxAnnotation, Span
 
-from fmuid.diagnosis.coordinates import CauseKind
-from fmuid.diagnosis.evidence.remainder import NOTHING_LEFT
-from fmuid.diagnosis.findings import Change, Evidence, Explanation, Suspect
+from fmuid.diagnosis.cause_results import Change, Evidence, Explanation, Suspect
+from fmuid.diagnosis.change_detection.unexplained_residual import NOTHING_LEFT
+from fmuid.diagnosis.change_parameters import CauseKind
 from fmuid.diagnosis.monitoring.alarms import Alarm
 from fmuid.files import as_json
 from tests.support.live_figures import diagnosis

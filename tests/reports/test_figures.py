@@ -11,11 +11,13 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from fmuid.reports.drawn import FORMATS, KINDS, clear_figures
-from fmuid.reports.figures import paint, style
-from fmuid.reports.interactive import comparison, estimates, fit, residuals, search, sketch
+from fmuid.reports.figure_files import FORMATS, KINDS, clear_figures
+from fmuid.reports.figures import matplotlib_renderer as paint
+from fmuid.reports.figures import style
+from fmuid.reports.interactive import bokeh_spec as sketch
+from fmuid.reports.interactive import comparison, estimates, fit, residuals, search
 from fmuid.reports.interactive.style import BLUE, GREY, RED, Panel
-from fmuid.simulation.fit import Fit
+from fmuid.simulation.output_fit import Fit
 from tests.support.records import record
 from tests.support.records import search as searched
 

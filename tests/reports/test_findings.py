@@ -10,14 +10,14 @@ import pytest
 
 from fmuid.data.parameters import Parameter
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.method import Marquardt
+from fmuid.estimation.problem import LeastSquares
 from fmuid.files import file_name
+from fmuid.formatting import rounded, with_std
 from fmuid.reports.console import result as console_result
-from fmuid.reports.findings import at_minimum
-from fmuid.reports.words.result import ending
-from fmuid.text import rounded, with_std
+from fmuid.reports.identification_run import at_minimum
+from fmuid.reports.messages.result import ending
 
 
 @pytest.mark.parametrize(

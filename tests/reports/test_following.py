@@ -19,13 +19,14 @@ import pytest
 
 import fmuid
 from experiments.coil import study as coil
-from fmuid.cli.app import run
+from fmuid.apps.cli.app import run
 from fmuid.files import locked
-from fmuid.reports import following, run_following
+from fmuid.reports import follow as following
+from fmuid.reports import run_following
 from fmuid.reports.console.following import state
 from fmuid.reports.console.layout import console
-from fmuid.reports.following import Watching
-from fmuid.studies.following import follower
+from fmuid.reports.follow import Watching
+from fmuid.runs.log_following import follower
 from tests.support.coil_records import warming
 
 TELL = """

@@ -16,10 +16,11 @@ import pytest
 from experiments.coil import study as coil
 from fmuid.data.npz import read_arrays, write_arrays
 from fmuid.diagnosis.monitoring import monitor as monitoring
-from fmuid.diagnosis.monitoring.state import Journal
-from fmuid.diagnosis.monitoring.sums import summed
-from fmuid.reports import following, run_following, run_monitoring
-from fmuid.studies.following import follower
+from fmuid.diagnosis.monitoring.monitor_store import Journal
+from fmuid.diagnosis.monitoring.window_statistics import summed
+from fmuid.reports import follow as following
+from fmuid.reports import run_following, run_monitoring
+from fmuid.runs.log_following import follower
 from tests.support.coil_records import warming
 
 GOOD, FAULTY = warming(3, to=4.0), warming(3, to=4.0, fails=0.0, size=1.0)

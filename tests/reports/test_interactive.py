@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 from bokeh.models import Axis, BoxAnnotation, Legend, Plot, Span
 
+from fmuid.reports.downsampling import evenly, extremes
 from fmuid.reports.interactive import style
-from fmuid.reports.thinning import evenly, extremes
 from tests.support import records
 from tests.support.live_figures import fit, residuals, search
 from tests.support.plots import bands, drawn, entries, labels, marks, plots

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 from bokeh.models import BoxAnnotation, Span
 
-from fmuid.assessment import CriterionMap
 from fmuid.errors import InputError
 from fmuid.estimation import Result
+from fmuid.identification import CriterionMap
 from tests.support import records
 from tests.support.live_figures import comparison, estimates, search, uncertainty
 from tests.support.plots import bands, drawn, entries, labels, marks, plots

@@ -14,11 +14,11 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.batches.dataset import Dataset
-from fmuid.displays import shown_by
+from fmuid.display_mixins import shown_by
 from fmuid.estimation import Determined, Direction, Outcome
+from fmuid.formatting import with_std
 from fmuid.reports.notebook import Drawing, plots
-from fmuid.text import with_std
+from fmuid.runs.batch.dataset import Dataset
 from tests.support.coil_study import COIL, STUDY, coil_table
 
 # A notebook with five figures is no larger than this, bytes.
@@ -165,7 +165,7 @@ def test_texts_are_short(found: fmuid.Findings, tmp_path: Path) -> None:
 
 def test_without_anybody_who_shows_there_is_the_text(found: fmuid.Findings) -> None:
     shown_by("fmuid.reports.notebook")
-    from fmuid import displays
+    from fmuid import display_mixins as displays
 
     displays._by.clear()
     try:

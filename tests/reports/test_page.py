@@ -17,7 +17,7 @@ import pytest
 from scipy import stats
 
 import fmuid
-from fmuid.cli.options import DONE, WRONG_INPUT
+from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.reports import Findings, write_report
 from fmuid.reports.page.contents import Identification
 from fmuid.reports.page.identification import part

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from fmuid.assessment.comparison import LikelihoodRatio
 from fmuid.estimation import Outcome
-from fmuid.reports.words.prediction import comparison_words, fold_words, prediction_words
+from fmuid.identification.comparison import LikelihoodRatio
+from fmuid.reports.messages.prediction import comparison_words, fold_words, prediction_words
 
 
 def prediction(ratio: float, **more: Any) -> Any:
@@ -24,7 +24,7 @@ def prediction(ratio: float, **more: Any) -> Any:
 
 @pytest.fixture(autouse=True)
 def no_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.reports.words.prediction.residual_words", lambda *_: ())
+    monkeypatch.setattr("fmuid.reports.messages.prediction.residual_words", lambda *_: ())
 
 
 @pytest.mark.parametrize(

@@ -13,15 +13,15 @@ import pytest
 
 import fmuid
 from fmuid.reports import run_following
-from fmuid.reports.fault_runs import MonitoredTables
+from fmuid.reports.diagnosis_runs import MonitoredTables
 from fmuid.reports.interactive.style import MAX_ROWS
 from fmuid.reports.page.contents import Identification
 from fmuid.reports.page.faults import part_of_diagnosis, part_of_monitoring
 from fmuid.reports.page.preparation import preparation_words, sections
-from fmuid.reports.preparations import prepared
-from fmuid.reports.run import run_study
+from fmuid.reports.preprocessing import prepared
+from fmuid.reports.run_identification import run_study
+from fmuid.runs.log_following import follower
 from fmuid.studies import ExperimentSettings, Study
-from fmuid.studies.following import follower
 from tests.support.coil_study import COIL, coil_table
 from tests.support.live_figures import preparation
 

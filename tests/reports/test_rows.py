@@ -7,7 +7,7 @@ import pytest
 from bokeh.models import LabelSet, Legend
 
 from fmuid.reports.interactive import style
-from fmuid.reports.interactive.sketch import live
+from fmuid.reports.interactive.bokeh_spec import live
 from tests.support.live_figures import comparison
 
 LONG = "the sensor of the coil's current has an offset that was not there before"

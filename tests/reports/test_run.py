@@ -12,8 +12,8 @@ import pytest
 
 import fmuid
 from fmuid import files
-from fmuid.cli.options import DONE
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.apps.cli.options import DONE
+from fmuid.estimation.problem import LeastSquares
 from fmuid.progress import DataAloneStep, Event, GlobalStep, ProfileStep, Progress, SearchStep
 from fmuid.reports import Identified, SearchInterruptedError
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
@@ -88,7 +88,7 @@ def test_without_a_folder_nothing_is_written(study: Path) -> None:
 
 
 def test_events_come_in_their_order(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.reports.run.QUICK_SECONDS", 0.0)
+    monkeypatch.setattr("fmuid.reports.run_identification.QUICK_SECONDS", 0.0)
     events: list[Event] = []
     found = fmuid.run_study(study, progress=events.append)
     tasks = list(dict.fromkeys(event.task for event in events))
@@ -154,7 +154,7 @@ def test_a_search_of_the_whole_box_keeps_its_optima(study: Path, tmp_path: Path)
 
 
 def test_no_word_on_the_data_alone_without_a_prior(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fmuid.reports.run.QUICK_SECONDS", 0.0)
+    monkeypatch.setattr("fmuid.reports.run_identification.QUICK_SECONDS", 0.0)
     study.write_text(STUDY)
     events: list[Event] = []
     fmuid.run_study(study, progress=events.append)

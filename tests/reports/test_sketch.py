@@ -13,7 +13,8 @@ from bokeh.core.property.vectorization import Field, Value
 from bokeh.document import Document
 from bokeh.model import Model
 
-from fmuid.reports.interactive import estimates, fit, sketch, style
+from fmuid.reports.interactive import bokeh_spec as sketch
+from fmuid.reports.interactive import estimates, fit, style
 from tests.support import records
 
 

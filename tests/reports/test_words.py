@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import fmuid
-from fmuid.assessment.prior_and_data import Obstacle
 from fmuid.estimation import Accuracy, AccuracyOutcome
 from fmuid.estimation.covariance import Determined, Direction
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.files import as_json
+from fmuid.identification.prior_and_data import Obstacle
 from fmuid.models import HowRun
-from fmuid.reports.words.accuracy import passed_words
-from fmuid.reports.words.directions import direction_words
-from fmuid.reports.words.prior_and_data import obstacle_words
-from fmuid.reports.words.result import ENDS, capitalised, ending, remarks
+from fmuid.reports.messages.accuracy import passed_words
+from fmuid.reports.messages.identifiability import direction_words
+from fmuid.reports.messages.prior_and_data import obstacle_words
+from fmuid.reports.messages.result import ENDS, capitalised, ending, remarks
 
 TIMES = np.linspace(0.0, 1.0, 60)
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from fmuid.arrays import Floats
-from fmuid.reports.words.result import CONSTANT, fit_words
+from fmuid.array_types import Floats
+from fmuid.formatting import fit_text
+from fmuid.reports.messages.result import CONSTANT, fit_words
 from fmuid.simulation import Fit, nrmse_fit
-from fmuid.text import fit_text
 
 TIMES = np.linspace(0.0, 10.0, 500)
 SIGNAL = np.sin(TIMES)

@@ -14,13 +14,13 @@ import psutil
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, InputError, SimulationError
 from fmuid.models.component import Isolation, Numerics
 from fmuid.models.system import System
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.isolation.process import Host
+from fmuid.simulation.isolation.host import Host
 from fmuid.simulation.sensitivities import derivatives_of
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
@@ -152,9 +152,9 @@ def test_a_crash_before_there_is_an_instance_is_one_sentence(folder: Path, how: 
 
 def test_the_default_time_limit_follows_the_simulations_before(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An FMU that hangs after good simulations, of milliseconds, is stopped after seconds: here half of one."""
-    monkeypatch.setattr("fmuid.simulation.isolation.keeper.LEAST_TIME_LIMIT", 0.5)
-    monkeypatch.setattr("fmuid.simulation.isolation.keeper.SLOWER_FACTOR", 1.0)
-    monkeypatch.setattr("fmuid.simulation.isolation.keeper.FIRST_TIME_LIMIT", 1e6)
+    monkeypatch.setattr("fmuid.simulation.isolation.host_manager.LEAST_TIME_LIMIT", 0.5)
+    monkeypatch.setattr("fmuid.simulation.isolation.host_manager.SLOWER_FACTOR", 1.0)
+    monkeypatch.setattr("fmuid.simulation.isolation.host_manager.FIRST_TIME_LIMIT", 1e6)
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation())
     simulator([1.0, 1.0, 0.0])
     with pytest.raises(SimulationError, match=r"did not end within the default time limit .* and was stopped"):

@@ -12,14 +12,14 @@ import numpy as np
 import psutil
 import pytest
 
-from fmuid.fmi import codes
 from fmuid.models.component import Isolation
 from fmuid.processes import HUNG, STOPPED, Condition, End
 from fmuid.processes.family import condition_of, family
 from fmuid.processes.fork_server import SERVER
+from fmuid.simulation import core_constants as codes
 from fmuid.simulation.executor import executor_of
 from fmuid.simulation.isolation import orders
-from fmuid.simulation.isolation.process import AT_REST_SECONDS, HostWatchdog
+from fmuid.simulation.isolation.host import AT_REST_SECONDS, HostWatchdog
 from fmuid.simulation.simulator import Simulator
 from tests.support import spoilt_orders
 from tests.support.isolated import (

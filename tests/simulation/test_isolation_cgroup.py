@@ -16,7 +16,7 @@ from fmuid.models.component import Isolation
 from fmuid.processes import cgroup
 from fmuid.processes.family import Footprint
 from fmuid.processes.fork_server import SERVER
-from fmuid.simulation.isolation.process import Host
+from fmuid.simulation.isolation.host import Host
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import NAMES, RECORD, expected, processes, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu

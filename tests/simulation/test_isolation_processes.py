@@ -19,7 +19,7 @@ import psutil
 import pytest
 
 import fmuid
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.experiment import Experiment
 from fmuid.errors import FmuidError, SimulationError
 from fmuid.models.component import Isolation
@@ -29,7 +29,7 @@ from fmuid.processes.channel import Channel, Look
 from fmuid.processes.ends import KILLED, End
 from fmuid.processes.fork_server import SERVER, ForkServer
 from fmuid.simulation.executor import executor_of
-from fmuid.simulation.isolation.process import Host
+from fmuid.simulation.isolation.host import Host
 from fmuid.simulation.simulator import Simulator
 from tests.support.isolated import (
     NAMES,

@@ -10,11 +10,11 @@ import numpy as np
 import psutil
 import pytest
 
-from fmuid.fmi import codes
 from fmuid.processes.ends import HUNG, End
 from fmuid.processes.family import Condition, condition_of, wants_processor
 from fmuid.processes.watchdog import COMPUTED_SHARE, STANDSTILL_SECONDS
-from fmuid.simulation.isolation.process import HostWatchdog
+from fmuid.simulation import core_constants as codes
+from fmuid.simulation.isolation.host import HostWatchdog
 from tests.support.isolated import wait_until
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")

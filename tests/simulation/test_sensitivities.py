@@ -13,15 +13,15 @@ import pytest
 from numpy.typing import ArrayLike
 
 import fmuid
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.experiment import Experiment
 from fmuid.data.parameters import Parameter
 from fmuid.errors import InputError, RefusedError
 from fmuid.estimation import Sensitivity
-from fmuid.model_problem import Problem
+from fmuid.identification import Problem
 from fmuid.models.component import Numerics
 from fmuid.models.system import System
-from fmuid.reports.words.models import sensitivity_words
+from fmuid.reports.messages.solver import sensitivity_words
 from fmuid.simulation.sensitivities import ForwardSensitivities, derivatives_of
 from fmuid.simulation.simulator import Simulator
 from tests.support.closed_forms import ball, coil_response

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
 from tests.support.paths import FMUS

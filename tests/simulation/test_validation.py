@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 import fmuid
-from fmuid.cli.app import run
-from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
-from fmuid.fmi.native.build import compiler_here
-from fmuid.reports.words.validation import check_words
-from fmuid.simulation import smoke, validation
-from fmuid.simulation.smoke import SmokeReport, Stage
+from fmuid.apps.cli.app import run
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.reports.messages.validation import check_words
+from fmuid.simulation import smoke_test as smoke
+from fmuid.simulation import validation
+from fmuid.simulation.native.build import compiler_here
+from fmuid.simulation.smoke_test import SmokeReport, Stage
 from fmuid.simulation.validation import Check, Trial, Validation, validate
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS, HERE

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 from scipy.linalg import expm
 
-from fmuid.arrays import Floats
-from fmuid.cli.options import DONE
+from fmuid.apps.cli.options import DONE
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.studies import Study
 from tests.support.coil_study import COIL, coil_table, fmuid_

@@ -11,12 +11,12 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.fmi import read_description
+from fmuid.models import read_description
 from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS, Numerics
 from fmuid.reports.console.draft import remarks
-from fmuid.studies.drafting.draft import begin, draft
-from fmuid.studies.drafting.lines import LINE_LENGTH
-from fmuid.studies.drafting.survey import Candidate, Use, bounds
+from fmuid.studies.init.draft import begin, draft
+from fmuid.studies.init.lines import LINE_LENGTH
+from fmuid.studies.init.parameter_survey import Candidate, Use, bounds
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS
 

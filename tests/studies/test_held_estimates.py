@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from fmuid.cli.options import DONE
+from fmuid.apps.cli.options import DONE
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.fmi import FMU
-from fmuid.studies import Study, fits_at
+from fmuid.models import FMU
+from fmuid.runs import fits_at
+from fmuid.studies import Study
 from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_
 from tests.support.paths import FMUS
 from tests.support.results import result

@@ -11,15 +11,14 @@ import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 
-from fmuid.arrays import Floats
-from fmuid.cli.options import DONE, NOT_SUCCEEDED
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
+from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.errors import InputError
-from fmuid.fmi import read_description
-from fmuid.models import System
+from fmuid.models import System, read_description
 from fmuid.studies import Study
-from fmuid.studies.drafting.starts import is_start
-from fmuid.studies.drafting.survey import Survey, Use, _Changes, _proposed, _select, is_solver_setting, survey
+from fmuid.studies.init.parameter_survey import Survey, Use, _Changes, _proposed, _select, is_solver_setting, survey
+from fmuid.studies.init.start_parameters import is_start
 from tests.support.coil_study import COIL, fmuid_, result
 from tests.support.exported import export_text
 from tests.support.fmu_texts import FMI2, write_fmu
@@ -317,7 +316,7 @@ def test_co_simulation_is_surveyed_where_model_exchange_fails(monkeypatch: pytes
             raise InputError("does not run so")
         return Survey()
 
-    monkeypatch.setattr("fmuid.studies.drafting.survey._surveyed", surveyed)
+    monkeypatch.setattr("fmuid.studies.init.parameter_survey._surveyed", surveyed)
     record = experiment(pd.DataFrame({"time": [0.0, 1.0], "u": 1.0, "i": 0.0}))
     assert survey(COIL, [record]) == Survey()
     assert tried == ["model-exchange", "co-simulation"]

@@ -7,12 +7,12 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from fmuid.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import InputError
-from fmuid.fmi import read_description
+from fmuid.models import read_description
 from fmuid.reports.console import draft as console_draft
 from fmuid.studies import Asked, Reason, Study, begin
-from fmuid.studies.drafting.mapping import guess
+from fmuid.studies.init.column_matching import guess
 from tests.support.coil_study import COIL, coil_table, fmuid_
 from tests.support.paths import FMUS
 

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.arrays import Floats
-from fmuid.cli.options import WRONG_INPUT
+from fmuid.apps.cli.options import WRONG_INPUT
+from fmuid.array_types import Floats
 from fmuid.data import Experiment, Parameter, ParameterSet, reduce
 from fmuid.errors import InputError
 from fmuid.simulation import Simulator

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.cli.options import DONE, WRONG_INPUT
+from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.errors import InputError
 from fmuid.studies import Study
 from tests.support.coil_study import COIL, coil_table, fmuid_

@@ -13,7 +13,7 @@ import pytest
 from fmuid.data.parameters import Normal
 from fmuid.errors import InputError
 from fmuid.estimation import Outcome
-from fmuid.reports.words.result import source_words
+from fmuid.reports.messages.result import source_words
 from fmuid.studies import SourceDoubt
 from fmuid.studies.study import Study
 from tests.support.paths import FMUS
@@ -152,7 +152,7 @@ def test_overrides_begin_priors(folder: Path) -> None:
 
 
 def test_result_of_the_same_fmu(folder: Path) -> None:
-    from fmuid.fmi.fmu import FMU
+    from fmuid.models.fmu import FMU
 
     earlier(folder, models={"": {"name": "Coil", "digest": FMU(COIL).digest}})
     assert read(folder, '[prior]\nresult = "healthy.json"').notes == ()

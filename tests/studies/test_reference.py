@@ -10,9 +10,9 @@ from typing import Any
 import jsonschema
 import pytest
 
-from fmuid.cli.app import run
+from fmuid.apps.cli.app import run
 from fmuid.diagnosis import FALSE_ALARM_LEVEL, Rule
-from fmuid.studies.reference import reference, schema
+from fmuid.studies.schema import reference, schema
 from tests.support.paths import ROOT
 
 STUDIES = sorted((ROOT / "experiments").rglob("*.toml"))
@@ -20,7 +20,7 @@ SCHEMA = jsonschema.Draft202012Validator(schema())
 
 
 def test_the_page_is_what_the_models_say() -> None:
-    """Written anew by: python -m fmuid.studies.reference > docs/study-reference.md."""
+    """Written anew by: python -m fmuid.studies.schema > docs/study-reference.md."""
     assert (ROOT / "docs" / "study-reference.md").read_text(encoding="utf-8") == reference()
 
 

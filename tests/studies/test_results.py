@@ -11,7 +11,8 @@ import pytest
 
 from fmuid.errors import InputError
 from fmuid.estimation import Result
-from fmuid.studies import Study, cross_validate, origin_of, predict_with, records_like, study_of
+from fmuid.runs import cross_validate, origin_of, predict_with, records_like, study_of
+from fmuid.studies import Study
 from tests.support.coil_study import STUDY, coil_table
 from tests.support.results import result as written
 

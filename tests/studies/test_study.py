@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 import fmuid
-from fmuid.assessment.sampling.posterior import Sampling
-from fmuid.assessment.uncertainty import UncertaintySettings
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import GlobalSearch
 from fmuid.estimation.method import Marquardt, Method
+from fmuid.identification.sampling.posterior import Sampling
+from fmuid.identification.uncertainty import UncertaintySettings
 from fmuid.models.component import Numerics
 from fmuid.studies.study import Study
 from fmuid.studies.toml import show

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fmuid.cli.options import DONE
+from fmuid.apps.cli.options import DONE
 from tests.support.coil_study import fmuid_, result
 from tests.support.exported import export_text
 from tests.support.paths import ROOT

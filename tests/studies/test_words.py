@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from fmuid.errors import InputError
+from fmuid.studies.section import Place
 from fmuid.studies.study_file import StudyFile
-from fmuid.studies.words import Place
 
 TEXT = """
 title = "Coil"

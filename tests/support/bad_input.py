@@ -10,8 +10,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from fmuid.cli.app import run
-from fmuid.cli.options import WRONG_INPUT
+from fmuid.apps.cli.app import run
+from fmuid.apps.cli.options import WRONG_INPUT
 from tests.support.paths import ROOT
 
 COIL = ROOT / "fmus/Coil/Coil.fmu"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import fmpy
 
-from fmuid.fmi.native.build import compiler_here
+from fmuid.simulation.native.build import compiler_here
 from tests.support.paths import HERE
 
 # Value references as in probe/choices.c.

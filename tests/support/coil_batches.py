@@ -16,11 +16,11 @@ import pandas as pd
 import psutil
 
 from experiments.batches.campaign import family
-from fmuid.batches import cluster
-from fmuid.batches.batch import Batch, BatchResult
-from fmuid.batches.parcel import Parcel
-from fmuid.batches.run_case import VOLATILE, CaseRunner
-from fmuid.batches.worker import run_group
+from fmuid.runs.batch import worker_pool as cluster
+from fmuid.runs.batch.batch import Batch, BatchResult
+from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
+from fmuid.runs.batch.study_package import Parcel
+from fmuid.runs.batch.worker import run_group
 from fmuid.studies.study import Study
 from tests.support.coil_study import STUDY, fmuid_
 

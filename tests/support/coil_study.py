@@ -8,7 +8,7 @@ from typing import Any
 
 from experiments.batches import campaign
 from experiments.batches.campaign import NOISE
-from fmuid.cli.app import run
+from fmuid.apps.cli.app import run
 from tests.support.paths import FMUS
 
 COIL = FMUS / "Coil/Coil.fmu"

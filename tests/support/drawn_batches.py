@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.batches.statistics import EstimateDoubt
-from fmuid.batches.summary import Summary
 from fmuid.reports.batch_tables import noted
+from fmuid.runs.batch.statistics import EstimateDoubt
+from fmuid.runs.batch.summary import Summary
 
 Array = npt.NDArray[np.float64]
 

@@ -20,10 +20,10 @@ from typing import Any
 
 import pytest
 
-from fmuid.batches.cases import Cases
-from fmuid.batches.run_case import VOLATILE, CaseRunner
-from fmuid.cli.app import run
+from fmuid.apps.cli.app import run
 from fmuid.errors import FmuidError
+from fmuid.runs.batch.cases import Cases
+from fmuid.runs.batch.run_case import VOLATILE, CaseRunner
 from fmuid.studies.study import Study
 from tests.support import fuzz_inputs as good
 from tests.support import fuzz_spoil as spoil

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import fmpy
 
-from fmuid.fmi.native.build import compiler_here
+from fmuid.simulation.native.build import compiler_here
 from tests.support.paths import HERE
 
 # As in probe/hybrid.c.

@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from fmuid.fmi.failures import describe
-from fmuid.fmi.integrator import Integrator, function_table
-from fmuid.fmi.layout import Integration
-from fmuid.fmi.native import core
+from fmuid.simulation.failures import describe
+from fmuid.simulation.integrator import Integrator, function_table
+from fmuid.simulation.native import core
+from fmuid.simulation.simulation_plan import Integration
 
 # As in probe/hybrid.c.
 BALL, TRIANGLE, ROBERTSON, VAN_DER_POL, LINEAR, CHATTER, STAIRS, DECAY, SWITCH = range(9)

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from fmuid.cli import main
+from fmuid.apps.cli import main
 
 OTHERS = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
 SIGNALS = [signal.SIGINT, *(pytest.param(each, marks=pytest.mark.slow) for each in OTHERS)]

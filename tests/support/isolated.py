@@ -15,7 +15,7 @@ import pandas as pd
 import psutil
 import pytest
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.experiment import Experiment
 from fmuid.errors import SimulationError
 from fmuid.models.component import Isolation, Numerics

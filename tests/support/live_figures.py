@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from fmuid.reports.interactive import sketch
+from fmuid.reports.interactive import bokeh_spec as sketch
 
 
 class _Live:

@@ -9,7 +9,7 @@ def build(doc: Any, _workbench: object) -> None:
     """Fill a document."""
     from bokeh.models import Div
 
-    from fmuid.workbench.shell import dress
+    from fmuid.apps.workbench.page_layout import dress
 
     doc.add_root(Div(text="plain", name="plain"))
     dress(doc, "plain", [("<p>A page.</p>", "plain")], "bokeh-widgets")

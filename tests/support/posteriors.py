@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fmuid.assessment.sampling.posterior import Posterior, Sampling
-from fmuid.assessment.sampling.sampler import sample
 from fmuid.data.parameters import Parameter
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.identification.sampling.posterior import Posterior, Sampling
+from fmuid.identification.sampling.sampler import sample
 from tests.support.results import identify_white as identify
 
 Array = npt.NDArray[np.float64]

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import SimulationError
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.problem import LeastSquares
 
 TIMES = np.linspace(0.0, 2.0, 50)
 

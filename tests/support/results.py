@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fmuid.estimation.identification import identify
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from fmuid.fmi import native
+from fmuid.simulation import native
 
 
 def pytest_configure() -> None:

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Parameter, ParameterSet
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.progress import Event, GlobalStep, Progress
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import fmpy
 
-from fmuid.fmi.native.build import compiler_here
+from fmuid.simulation.native.build import compiler_here
 from tests.support.paths import HERE
 
 LAG, MOTOR = ("lag", ("x",), ("k",)), ("motor", ("i", "w"), ("R", "L", "K", "J", "F"))

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data.parameters import Parameter
-from fmuid.estimation.least_squares import LeastSquares
+from fmuid.estimation.problem import LeastSquares
 
 TIMES = np.linspace(0.0, 3.0, 100)
 

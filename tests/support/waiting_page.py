@@ -13,7 +13,7 @@ def build(doc: Any, _workbench: object) -> None:
     """Fill a document."""
     from bokeh.models import TextInput
 
-    from fmuid.workbench.shell import dress
+    from fmuid.apps.workbench.page_layout import dress
 
     typed = TextInput(value="", name="typed", title="")
     typed.on_change("value", lambda _attr, _old, _new: _wait(typed))

@@ -12,9 +12,9 @@ import numpy as np
 
 from fmuid.data.formats.columns import Array, FileColumns, array_of_cells
 from fmuid.data.formats.libraries import library
-from fmuid.data.preparation.expressions import evaluate
+from fmuid.data.preprocessing.expressions import evaluate
 from fmuid.errors import InputError
-from fmuid.text import bounded
+from fmuid.formatting import bounded
 
 _UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription", "unit")
 _FORMULA_SHOWN = 60  # characters

@@ -10,7 +10,7 @@ from pathlib import Path
 from fmuid.data.formats.columns import Cell, FileColumns, Head, array_of_cells, find_head, is_missing
 from fmuid.data.formats.libraries import library
 from fmuid.errors import InputError
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 from fmuid.units import SECONDS
 
 _CELL = re.compile(r"<c ([^>]*)><v>([-+.\deE]+)</v>")

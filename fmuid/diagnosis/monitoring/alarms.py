@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from fmuid.arrays import Floats
-from fmuid.diagnosis.decision import FALSE_ALARM_LEVEL
-from fmuid.diagnosis.evidence.onset import Shape
-from fmuid.diagnosis.findings import Explanation
+from fmuid.array_types import Floats
+from fmuid.diagnosis.cause_results import Explanation
+from fmuid.diagnosis.change_detection.onset import Shape
+from fmuid.diagnosis.hypothesis_tests import FALSE_ALARM_LEVEL
 from fmuid.errors import InputError
 from fmuid.estimation import check_level
 

@@ -1,9 +1,9 @@
 """Monitoring: a long record, or one record after the other, window by window, and an alarm where something is new.
 
 The machine is linearised once over many windows, where it was estimated last; each window adds its information and
-score to those of all onsets (`fmuid.diagnosis.evidence.onset`), and nothing is fitted twice. What may drift, as a
-temperature moves a resistance, is another number in each window. There is an alarm where a cause from some window on
-explains more than chance would in any window at the level asked for; then the windows after the onset, with what was
+score to those of all onsets (`fmuid.diagnosis.change_detection.onset`), and nothing is fitted twice. What may drift,
+as a temperature moves a resistance, is another number in each window. There is an alarm where a cause from some window
+on explains more than chance would in any window at the level asked for; then the windows after the onset, with what was
 before as prior, say which cause it is and how large.
 
 Each window is simulated from a little earlier on, longer than a transient, so that its unknown initial state is
@@ -22,27 +22,26 @@ import pandas as pd
 
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
-from fmuid.diagnosis.comparison import Juxtaposition
-from fmuid.diagnosis.coordinates import CauseKind, Causes, Coordinates
-from fmuid.diagnosis.evidence.information import Known
-from fmuid.diagnosis.evidence.naming import MODEL_ERROR
-from fmuid.diagnosis.evidence.watch import Watch
+from fmuid.diagnosis.baseline.baseline import Baseline
+from fmuid.diagnosis.baseline.stored_baseline import Basis
+from fmuid.diagnosis.baseline_comparator import Juxtaposition
+from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR
+from fmuid.diagnosis.change_detection.information_matrix import Known
+from fmuid.diagnosis.change_detection.onset_tracker import Watch
+from fmuid.diagnosis.change_parameters import CauseKind, Causes, Coordinates
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.healthy.baseline import Baseline
-from fmuid.diagnosis.healthy.shown import Basis
 from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.monitoring.alarm_decision import judged
 from fmuid.diagnosis.monitoring.alarms import Alarm, Moment, Rule
-from fmuid.diagnosis.monitoring.judging import judged
-from fmuid.diagnosis.monitoring.seeing import Against, Now, Seen
-from fmuid.diagnosis.monitoring.state import STATE_FILE, Journal, Resumed, restored
-from fmuid.diagnosis.monitoring.sums import WindowSums, summed
+from fmuid.diagnosis.monitoring.monitor_store import STATE_FILE, Journal, Resumed, restored
 from fmuid.diagnosis.monitoring.transient import build_up_of
 from fmuid.diagnosis.monitoring.trends import with_trend
+from fmuid.diagnosis.monitoring.window_evaluation import Against, Now, Seen
+from fmuid.diagnosis.monitoring.window_statistics import WindowSums, summed
 from fmuid.diagnosis.monitoring.windows import Begun, Gap, Window, cut, part_of
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
-from fmuid.fmi import FMU
-from fmuid.models import System
+from fmuid.models import FMU, System
 from fmuid.progress import Progress, WindowStep
 
 # So many samples are linearised at once.

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fmuid.arrays import Flags, Floats
+from fmuid.array_types import Flags, Floats
 from fmuid.data import Experiment
-from fmuid.diagnosis.comparison import Juxtaposition
-from fmuid.diagnosis.evidence.build_up import OVER, BuildUp
+from fmuid.diagnosis.baseline_comparator import Juxtaposition
+from fmuid.diagnosis.change_detection.change_transient import OVER, BuildUp
 from fmuid.diagnosis.monitoring.windows import Window, part_of
 from fmuid.errors import InputError
 

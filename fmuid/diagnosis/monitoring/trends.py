@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.diagnosis.monitoring.alarms import Alarm, Trend
-from fmuid.diagnosis.monitoring.seeing import Now
+from fmuid.diagnosis.monitoring.window_evaluation import Now
 
 
 def with_trend(alarm: Alarm, now: Now, table: pd.DataFrame, limits: Mapping[str, float]) -> Alarm:

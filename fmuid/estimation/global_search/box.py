@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.data import ParameterSet
 from fmuid.errors import InputError
 

@@ -8,12 +8,12 @@ import numpy as np
 from scipy.optimize import Bounds, OptimizeResult, differential_evolution
 from scipy.spatial import KDTree
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
+from fmuid.estimation.cost_components import Misfits, misfits
 from fmuid.estimation.global_search.box import Box
-from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.misfit import Misfits, misfits
-from fmuid.estimation.starts.sobol import sobol_points
+from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.starting_points.sobol import sobol_points
 from fmuid.progress import GlobalStep, Progress
 
 # Points whose simulation fails are replaced by further points of the sequence, until so many times `starts` are tried.

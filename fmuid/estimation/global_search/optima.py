@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from fmuid.arrays import Floats
-from fmuid.estimation.least_squares import LeastSquares
-from fmuid.estimation.misfit import Misfits, fitted, variances
+from fmuid.array_types import Floats
+from fmuid.estimation.cost_components import Misfits, fitted, variances
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Optimum, Result
 
 # Optima are one where no parameter differs by more than this share of its standard deviation, or of its magnitude, and

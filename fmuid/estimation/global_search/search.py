@@ -10,20 +10,20 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.errors import FmuidError, InputError, SimulationError
+from fmuid.estimation.cost_components import fitted, refuse_loss
 from fmuid.estimation.global_search.box import Box
 from fmuid.estimation.global_search.exploration import Exploration
 from fmuid.estimation.global_search.optima import merged
 from fmuid.estimation.identification import identify, point_result
-from fmuid.estimation.least_squares import LeastSquares
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.method import Marquardt
-from fmuid.estimation.misfit import fitted, refuse_loss
+from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
+from fmuid.formatting import nearest
 from fmuid.progress import Progress
-from fmuid.text import nearest
 
 Strategy = Literal["evolution", "multistart"]
 

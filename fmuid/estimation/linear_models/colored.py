@@ -25,7 +25,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import fft
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 
 # Correlations count up to this share of the record, 1/LAGS_SHARE.
 LAGS_SHARE = 2

@@ -18,12 +18,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats, numbers
+from fmuid.array_types import Floats, numbers
 from fmuid.blas import single_threaded
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation.linear_models.estimate import Estimator, LinearEstimate, solve
 from fmuid.estimation.linear_models.filters import StateVariableFilter, Term
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 # Instruments have settled where the estimates move by less than this share of their standard deviations,
 SETTLED = 1e-3

@@ -21,11 +21,11 @@ import scipy
 from numpy.typing import ArrayLike
 from scipy import special
 
-from fmuid.arrays import Floats, numbers
+from fmuid.array_types import Floats, numbers
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation.covariance import check_level
 from fmuid.estimation.linear_models.colored import colored_covariance
-from fmuid.text import listed
+from fmuid.formatting import listed
 
 # Regressors, each of length 1, are dependent where a combination of them is shorter than this.
 DEPENDENT = 1e-10

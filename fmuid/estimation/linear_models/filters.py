@@ -23,9 +23,9 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import special
 
-from fmuid.arrays import Floats, numbers
+from fmuid.array_types import Floats, numbers
 from fmuid.errors import InputError
-from fmuid.text import nearest
+from fmuid.formatting import nearest
 
 INTERPOLATIONS = ("linear", "hold")
 # Higher derivatives than any record knows: an equation that has one is mistyped.

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
 
 

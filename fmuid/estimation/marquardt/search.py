@@ -1,7 +1,7 @@
 """Marquardt's search for the least sum of squares (1.16), with bounds, for functions that are simulations.
 
 Each step is solved as `fmuid.estimation.marquardt.step` says, and its length limited as
-`fmuid.estimation.marquardt.radius` says. What is particular to simulations: derivatives cost simulations, so that
+`fmuid.estimation.marquardt.trust_region` says. What is particular to simulations: derivatives cost simulations, so that
 forward differences serve on the way, and central ones at the end only where forward ones are not accurate enough; a
 point that fails is a point refused; and where parameters run away without any gain for the fit, the search says so
 instead of following them.
@@ -21,16 +21,16 @@ from typing import TypeAlias
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.estimation.finite_differences import SensitivityError
 from fmuid.estimation.marquardt.outcome import Outcome
-from fmuid.estimation.marquardt.radius import NOISE_SURPRISE, Radius
-from fmuid.estimation.marquardt.records import Iteration as Iteration
-from fmuid.estimation.marquardt.records import MarquardtSettings as MarquardtSettings
-from fmuid.estimation.marquardt.records import ResidualFunction
-from fmuid.estimation.marquardt.records import State as State
+from fmuid.estimation.marquardt.settings import Iteration as Iteration
+from fmuid.estimation.marquardt.settings import MarquardtSettings as MarquardtSettings
+from fmuid.estimation.marquardt.settings import ResidualFunction
+from fmuid.estimation.marquardt.settings import State as State
 from fmuid.estimation.marquardt.stagnation import SLOW_SHARE, WORTHLESS_SHARE, Stagnation
 from fmuid.estimation.marquardt.step import Step, best_step, triangle
+from fmuid.estimation.marquardt.trust_region import NOISE_SURPRISE, Radius
 
 # The search ends where, all together, the parameters have no more than this share of their standard deviations to go.
 OFFSET_TOLERANCE = 1e-3

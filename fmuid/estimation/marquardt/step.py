@@ -25,7 +25,7 @@ from typing import TypeAlias
 import numpy as np
 import scipy
 
-from fmuid.arrays import Flags, Floats
+from fmuid.array_types import Flags, Floats
 
 # Steps need not have the length Δ more precisely than this.
 RADIUS_TOLERANCE = 0.1

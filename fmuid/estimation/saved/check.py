@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 from fmuid.files import ContentError
-from fmuid.text import bounded
+from fmuid.formatting import bounded
 
 _PLACE_SHOWN = 100  # characters
 

@@ -77,7 +77,7 @@ class ModelContent(TypedDict, total=False):
 
 
 class SensitivityContent(TypedDict, total=False):
-    """A `fmuid.estimation.model_derivatives.Sensitivity`."""
+    """A `fmuid.estimation.model_sensitivities.Sensitivity`."""
 
     method: str
     by_differences: bool
@@ -85,7 +85,7 @@ class SensitivityContent(TypedDict, total=False):
 
 
 class SwitchContent(TypedDict, total=False):
-    """A `fmuid.estimation.accuracy.outcome.Switch`."""
+    """A `fmuid.estimation.solver_check.outcome.Switch`."""
 
     cause: str
     size: Number
@@ -95,7 +95,7 @@ class SwitchContent(TypedDict, total=False):
 
 
 class AccuracyContent(TypedDict, total=False):
-    """A `fmuid.estimation.accuracy.outcome.Accuracy`."""
+    """A `fmuid.estimation.solver_check.outcome.Accuracy`."""
 
     outcome: str
     used: dict[str, RunContent]
@@ -120,7 +120,7 @@ class SeriesContent(TypedDict, total=False):
 
 
 class AttemptContent(TypedDict, total=False):
-    """A `fmuid.estimation.starts.outcome.Attempt`."""
+    """A `fmuid.estimation.starting_points.outcome.Attempt`."""
 
     remedy: str
     trouble: str
@@ -130,7 +130,7 @@ class AttemptContent(TypedDict, total=False):
 
 
 class ChoiceContent(TypedDict, total=False):
-    """A `fmuid.estimation.starts.outcome.ChoiceTried`."""
+    """A `fmuid.estimation.starting_points.outcome.ChoiceTried`."""
 
     values: dict[str, bool | int | float | str]
     outcome: str | None

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fmuid.errors import InputError
-from fmuid.fmi import Unit, Value, Variable, unit_conversion
+from fmuid.models.description import Unit, Variable, unit_conversion
 from fmuid.models.ssp.links import Package
 from fmuid.models.ssp.parameter_values import (
     Element,
@@ -18,6 +18,7 @@ from fmuid.models.ssp.parameter_values import (
     read_xml,
 )
 from fmuid.models.ssp.structure import Edge, ElementPath, Node
+from fmuid.models.start_values import Value
 
 
 @dataclass(frozen=True)

@@ -10,19 +10,12 @@ from urllib.parse import unquote
 
 from fmuid.errors import InputError
 from fmuid.files import is_file
-from fmuid.fmi import (
-    DESCRIPTION_FILE,
-    Description,
-    Unit,
-    Variable,
-    read_description,
-    read_text,
-    started_elements,
-    unit_conversion,
-)
+from fmuid.formatting import nearest
+from fmuid.models.description import DESCRIPTION_FILE, Description, Unit, Variable, unit_conversion
+from fmuid.models.reading import read_description, read_text
 from fmuid.models.ssp.parameter_values import Element, enumerations_of, units_of
 from fmuid.models.ssp.structure import Edge, ElementPath, Node, Tree, read_tree
-from fmuid.text import nearest
+from fmuid.models.untrusted_xml import started_elements
 
 
 @dataclass(frozen=True)

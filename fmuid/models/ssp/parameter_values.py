@@ -15,7 +15,9 @@ from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 from fmuid.errors import InputError
-from fmuid.fmi import LARGEST_XML, SI_BASE_UNITS, Unit, Value, parse_xml
+from fmuid.models.description import SI_BASE_UNITS, Unit
+from fmuid.models.start_values import Value
+from fmuid.models.untrusted_xml import LARGEST_XML, parse_xml
 from fmuid.version import __version__
 
 Element = ElementTree.Element

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from fmuid.errors import InputError
+from fmuid.formatting import nearest
 from fmuid.models.ssp.parameter_values import Element, children, local, transformation, truth
-from fmuid.text import nearest
 
 ElementPath = tuple[str, ...]
 """The names of nested elements, from the outermost inwards; the top system is ``()``."""

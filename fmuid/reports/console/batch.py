@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 from rich.table import Table
 
+from fmuid.formatting import rounded, unit_text, with_std
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows
-from fmuid.reports.words.batch import failure_words, note, summary_words
-from fmuid.text import rounded, unit_text, with_std
+from fmuid.reports.messages.batch import failure_words, note, summary_words
 
 if TYPE_CHECKING:
-    from fmuid.batches import Summary
+    from fmuid.runs import Summary
 
 Row = Mapping[Hashable, Any]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from fmuid.formatting import fit_text, label
 from fmuid.reports.console.layout import console, show_sentences, table_of
-from fmuid.text import fit_text, label
 
 if TYPE_CHECKING:
     from fmuid.reports.comparisons import ComparisonFindings

@@ -7,14 +7,9 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from fmuid.reports.console.layout import (
-    console,
-    show_remarks,
-    show_sentences,
-    table_of,
-    table_of_rows,
-)
-from fmuid.reports.words.diagnosis import (
+from fmuid.formatting import with_std
+from fmuid.reports.console.layout import console, show_remarks, show_sentences, table_of, table_of_rows
+from fmuid.reports.messages.diagnosis import (
     chance,
     change_name,
     change_size,
@@ -25,7 +20,6 @@ from fmuid.reports.words.diagnosis import (
     strain_words,
     verdict,
 )
-from fmuid.text import with_std
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Diagnosis, Evidence

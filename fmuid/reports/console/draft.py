@@ -10,10 +10,10 @@ from rich.markup import escape
 from rich.prompt import Prompt
 
 from fmuid.errors import InputError
+from fmuid.formatting import two_digits, unit_text
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows
-from fmuid.reports.words.result import dropout_words, size_words, time_words
+from fmuid.reports.messages.result import dropout_words, size_words, time_words
 from fmuid.studies import SHOWN_CHANGE, Candidate, ColumnLink, Draft, Reason, Record, proposal
-from fmuid.text import two_digits, unit_text
 
 REASONS: Mapping[Reason, str] = {
     Reason.GIVEN: "given",

@@ -13,12 +13,11 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fmuid.fmi import Description, Variable
-from fmuid.models import Facts, Line, lines
+from fmuid.formatting import bounded, unit_text
+from fmuid.models import Description, Facts, Line, Variable, lines
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_notes, table_of
-from fmuid.reports.words.models import capability_words, run_words
+from fmuid.reports.messages.solver import capability_words, run_words
 from fmuid.studies import skeleton
-from fmuid.text import bounded, unit_text
 
 if TYPE_CHECKING:
     from fmuid.simulation import Check, Validation
@@ -232,7 +231,7 @@ def _print_titled(out: Console, title: str, table: Table) -> None:
 
 def show_binaries(checks: Sequence[Check]) -> None:
     """Print before a validation which binaries are missing, and what is simulated."""
-    from fmuid.reports.words.validation import check_words
+    from fmuid.reports.messages.validation import check_words
     from fmuid.simulation import TIME_LIMIT
 
     notes = dict.fromkeys(text for check in checks if check.result == "failed" for text in check_words(check))
@@ -243,7 +242,7 @@ def show_binaries(checks: Sequence[Check]) -> None:
 
 def show_validation(found: Validation) -> None:
     """Print the checks of an FMU, and a sentence that sums them up."""
-    from fmuid.reports.words.validation import check_words  # and with it all that simulates
+    from fmuid.reports.messages.validation import check_words  # and with it all that simulates
 
     out = console()
     results, remarked = list[Text](), list[str]()

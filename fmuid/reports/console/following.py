@@ -15,13 +15,13 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from fmuid.formatting import unit_text, with_std
 from fmuid.reports.console.layout import console, show_remarks
-from fmuid.reports.words.monitoring import alarm_words
-from fmuid.text import unit_text, with_std
+from fmuid.reports.messages.monitoring import alarm_words
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Monitor
-    from fmuid.reports import Watching
+    from fmuid.reports.follow import Watching
 
 # Records that were silent for longer than this, s, are said to be.
 SILENT = 5.0

@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fmuid.text import fit_text, label, visible, with_unit
+from fmuid.formatting import fit_text, label, visible, with_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -113,8 +113,8 @@ def warn_unfed(simulators: Iterable[Simulator]) -> None:
 
 def warn_of_time(study: Study, simulators: Sequence[Simulator]) -> None:
     """Say which records last much longer or shorter than what the model does."""
-    from fmuid.model_problem import doubt_of_time
-    from fmuid.reports.words.result import time_words
+    from fmuid.identification import doubt_of_time
+    from fmuid.reports.messages.result import time_words
 
     starts = [parameter.start for parameter in study.parameters.values()]
     doubts = (doubt_of_time(each, starts) for each in simulators[:MOST_TIMED])
@@ -123,7 +123,7 @@ def warn_of_time(study: Study, simulators: Sequence[Simulator]) -> None:
 
 def note_sources(study: Study) -> None:
     """Print what is to be known of the results that a study takes priors from."""
-    from fmuid.reports.words.result import source_words
+    from fmuid.reports.messages.result import source_words
 
     show_notes(map(source_words, study.notes))
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
+from fmuid.formatting import rounded, unit_text, with_std
 from fmuid.reports.console.layout import TERMINAL_ROWS, console, show_remarks, table_of_rows
-from fmuid.reports.words.diagnosis import basis_notes
-from fmuid.reports.words.monitoring import alarm_words, gap_words, monitoring_words
-from fmuid.text import rounded, unit_text, with_std
+from fmuid.reports.messages.diagnosis import basis_notes
+from fmuid.reports.messages.monitoring import alarm_words, gap_words, monitoring_words
 
 if TYPE_CHECKING:
     from fmuid.diagnosis import Monitor

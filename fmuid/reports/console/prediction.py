@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from fmuid.formatting import fit_text, unit_text, with_std
 from fmuid.reports.console.layout import console, show_notes, show_sentences, table_of_rows
-from fmuid.reports.words.prediction import fold_words, prediction_words
-from fmuid.reports.words.result import source_words
-from fmuid.text import fit_text, unit_text, with_std
+from fmuid.reports.messages.prediction import fold_words, prediction_words
+from fmuid.reports.messages.result import source_words
 
 if TYPE_CHECKING:
     from fmuid.reports.predictions import PredictionFindings

@@ -13,30 +13,22 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
-from fmuid.assessment import CONFIDENCE_LEVEL, LEAST_STD_FACTOR, SamplingDoubt
 from fmuid.estimation import Outcome
-from fmuid.model_problem import RIVAL_CRITERION
+from fmuid.formatting import rounded, two_digits, unit_text, with_std
+from fmuid.identification import CONFIDENCE_LEVEL, LEAST_STD_FACTOR, RIVAL_CRITERION, SamplingDoubt
 from fmuid.models import HowRun
-from fmuid.reports.console.layout import (
-    PLAIN_WIDTH,
-    TERMINAL_ROWS,
-    console,
-    show_remarks,
-    show_sentences,
-    table_of,
-)
-from fmuid.reports.words.accuracy import passed_words, shift_text
-from fmuid.reports.words.models import run_words, sensitivity_words
-from fmuid.reports.words.prior_and_data import reading_words
-from fmuid.reports.words.residuals import residual_words
-from fmuid.reports.words.result import capitalised, effort_words, ending, fit_words, result_words
-from fmuid.reports.words.uncertainty import posterior_words, uncertainty_words
-from fmuid.text import rounded, two_digits, unit_text, with_std
+from fmuid.reports.console.layout import PLAIN_WIDTH, TERMINAL_ROWS, console, show_remarks, show_sentences, table_of
+from fmuid.reports.messages.accuracy import passed_words, shift_text
+from fmuid.reports.messages.prior_and_data import reading_words
+from fmuid.reports.messages.residuals import residual_words
+from fmuid.reports.messages.result import capitalised, effort_words, ending, fit_words, result_words
+from fmuid.reports.messages.solver import run_words, sensitivity_words
+from fmuid.reports.messages.uncertainty import posterior_words, uncertainty_words
 
 if TYPE_CHECKING:
-    from fmuid.assessment import Uncertainty
     from fmuid.estimation import Result
-    from fmuid.reports.findings import Findings
+    from fmuid.identification import Uncertainty
+    from fmuid.reports.identification_run import Findings
     from fmuid.simulation import Fit
 
 SHIFT = "numerical shift"

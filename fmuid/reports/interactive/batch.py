@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from fmuid.arrays import Floats
-from fmuid.batches import INTERVAL_STDS, Columns
+from fmuid.array_types import Floats
+from fmuid.reports.downsampling import evenly
+from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, FactorRange, Field
 from fmuid.reports.interactive.rows import rows_of
-from fmuid.reports.interactive.sketch import ColumnDataSource, FactorRange, Field
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,
@@ -29,7 +29,7 @@ from fmuid.reports.interactive.style import (
     named,
     normal,
 )
-from fmuid.reports.thinning import evenly
+from fmuid.runs import INTERVAL_STDS, Columns
 
 # Bars of a histogram, from few cases to many.
 MIN_BINS, MAX_BINS = 8, 60
@@ -172,7 +172,7 @@ def distributions(found: pd.DataFrame, truth: Mapping[str, float], units: Units,
     Parameters
     ----------
     found : DataFrame
-        One case a data set (`fmuid.batches.estimates`).
+        One case a data set (`fmuid.runs.estimates`).
     truth : mapping of str to float
     units : mapping of str to str
     repeated : bool

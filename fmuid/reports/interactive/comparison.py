@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
+from fmuid.formatting import label
+from fmuid.reports.downsampling import extremes
+from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, Range1d
 from fmuid.reports.interactive.rows import rows_of
-from fmuid.reports.interactive.sketch import ColumnDataSource, Range1d
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,
@@ -23,8 +25,6 @@ from fmuid.reports.interactive.style import (
     below_each_other,
     named,
 )
-from fmuid.reports.thinning import extremes
-from fmuid.text import label
 
 # Bars of a figure; more make one that nobody reads.
 MAX_BARS = 24

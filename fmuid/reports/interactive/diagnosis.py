@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
+from fmuid.formatting import label
+from fmuid.reports.downsampling import evenly, extremes
+from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, Range1d
 from fmuid.reports.interactive.rows import rows_of
-from fmuid.reports.interactive.sketch import ColumnDataSource, Range1d
 from fmuid.reports.interactive.style import (
     BLUE,
     GREY,
@@ -24,9 +26,7 @@ from fmuid.reports.interactive.style import (
     Units,
     below_each_other,
 )
-from fmuid.reports.thinning import evenly, extremes
-from fmuid.reports.words.diagnosis import change_name, change_size
-from fmuid.text import label
+from fmuid.reports.messages.diagnosis import change_name, change_size
 
 if TYPE_CHECKING:
     import pandas as pd

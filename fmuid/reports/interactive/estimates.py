@@ -8,18 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.arrays import Floats
-from fmuid.assessment import both_known, region_rise
-from fmuid.assessment import parabolas as parabolas_of
+from fmuid.array_types import Floats
 from fmuid.estimation import SHIFT_LIMIT
+from fmuid.identification import both_known, region_rise
+from fmuid.identification import parabolas as parabolas_of
+from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, FactorRange, Field, HoverTool, LinearColorMapper
 from fmuid.reports.interactive.rows import rows_of
-from fmuid.reports.interactive.sketch import (
-    ColumnDataSource,
-    FactorRange,
-    Field,
-    HoverTool,
-    LinearColorMapper,
-)
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,

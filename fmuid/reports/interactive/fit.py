@@ -9,16 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.arrays import Floats, Indices
-from fmuid.assessment import CONFIDENCE_LEVEL
-from fmuid.reports.interactive.sketch import (
-    BasicTicker,
-    ColumnDataSource,
-    CrosshairTool,
-    Range1d,
-    Sketch,
-    Span,
-)
+from fmuid.array_types import Floats, Indices
+from fmuid.formatting import fit_text, label
+from fmuid.identification import CONFIDENCE_LEVEL
+from fmuid.reports.downsampling import evenly, extremes
+from fmuid.reports.interactive.bokeh_spec import BasicTicker, ColumnDataSource, CrosshairTool, Range1d, Sketch, Span
 from fmuid.reports.interactive.style import (
     BLUE,
     GREY,
@@ -30,8 +25,6 @@ from fmuid.reports.interactive.style import (
     Panel,
     below_each_other,
 )
-from fmuid.reports.thinning import evenly, extremes
-from fmuid.text import fit_text, label
 
 if TYPE_CHECKING:
     from fmuid.simulation import Fit

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
-from fmuid.arrays import Floats, Indices
-from fmuid.assessment import CONFIDENCE_LEVEL
+from fmuid.array_types import Floats, Indices
+from fmuid.formatting import label
+from fmuid.identification import CONFIDENCE_LEVEL
+from fmuid.reports.downsampling import evenly, extremes
+from fmuid.reports.interactive.bokeh_spec import BasicTicker, Sketch, live
 from fmuid.reports.interactive.fit import drawn_outputs, fit, shade_uncounted, sources
-from fmuid.reports.interactive.sketch import BasicTicker, Sketch, live
 from fmuid.reports.interactive.style import AMBER, BLUE, DARK, GREY, MAX_OUTPUTS, RED, Panel, below_each_other
-from fmuid.reports.thinning import evenly, extremes
 from fmuid.simulation import Fit
-from fmuid.text import label
 
 # Rows of lines and dots: so many are painted within a frame on a machine without a graphics card.
 ROWS, DOTS = 1600, 700

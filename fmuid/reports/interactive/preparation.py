@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.reports.interactive.sketch import ColumnDataSource, CrosshairTool, Range1d, Span
+from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, CrosshairTool, Range1d, Span
 from fmuid.reports.interactive.style import BLUE, GREY, MAX_OUTPUTS, Panel, Units, below_each_other, named
 
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.arrays import Floats
-from fmuid.reports.interactive.sketch import ColumnDataSource
+from fmuid.array_types import Floats
+from fmuid.reports.interactive.bokeh_spec import ColumnDataSource
 from fmuid.reports.interactive.style import AMBER, BLUE, GREY, INK, RED, WHITE, Panel, normal
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.reports.interactive.sketch import ColumnDataSource, FactorRange, Field, LabelSet, Value
+from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, FactorRange, Field, LabelSet, Value
 from fmuid.reports.interactive.style import FONT, INK, NAME_SIZE, Panel, wrapped
 
 # Names of more characters leave the bars no room on a telephone.

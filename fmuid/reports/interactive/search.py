@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.arrays import Floats
-from fmuid.reports.interactive.sketch import ColumnDataSource, Field, Range1d, Sketch
+from fmuid.array_types import Floats
+from fmuid.formatting import has_unit, label
+from fmuid.reports.interactive.bokeh_spec import ColumnDataSource, Field, Range1d, Sketch
 from fmuid.reports.interactive.style import AMBER, BLUE, GREY, INK, MAX_PARAMETERS, RED, WHITE, Panel, Units, named
-from fmuid.text import has_unit, label
 
 if TYPE_CHECKING:
     import pandas as pd

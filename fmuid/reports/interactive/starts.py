@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.arrays import Flags, Floats
-from fmuid.batches import INTERVAL_STDS, Columns, data_sets, fit_cost, optimum_numbers
+from fmuid.array_types import Flags, Floats
+from fmuid.reports.downsampling import evenly
 from fmuid.reports.interactive.batch import outside
-from fmuid.reports.interactive.sketch import ColumnDataSource
+from fmuid.reports.interactive.bokeh_spec import ColumnDataSource
 from fmuid.reports.interactive.style import AMBER, BLUE, MAX_DOTS, RED, Panel, Units, named
-from fmuid.reports.thinning import evenly
+from fmuid.runs import INTERVAL_STDS, Columns, data_sets, fit_cost, optimum_numbers
 
 # Optima of which all is inside the picture.
 MAX_OPTIMA = 5
@@ -36,7 +36,7 @@ def over_starts(
     truth : mapping of str to float
     units : mapping of str to str
     given_noise : bool
-        See `fmuid.batches.statistics.fit_cost`.
+        See `fmuid.runs.batch.statistics.fit_cost`.
     """
     columns, number = Columns.of(frame), optimum_numbers(frame, given_noise=given_noise)
     lost = (frame["status"] != "converged").to_numpy(bool)

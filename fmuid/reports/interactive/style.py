@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.arrays import Floats
-from fmuid.reports.interactive.sketch import (
+from fmuid.array_types import Floats
+from fmuid.formatting import label
+from fmuid.reports.interactive.bokeh_spec import (
     BasicTicker,
     BoxAnnotation,
     BoxZoomTool,
@@ -32,7 +33,6 @@ from fmuid.reports.interactive.sketch import (
     Value,
     grid,
 )
-from fmuid.text import label
 
 INK, GREY, FAINT, WHITE = "#24292f", "#6e7781", "#e1e5ea", "#ffffff"
 BLUE, RED, AMBER = "#0b61d0", "#c4432b", "#d99a1c"

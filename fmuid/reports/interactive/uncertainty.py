@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from contourpy import LineType, contour_generator
 
-from fmuid.arrays import Floats
-from fmuid.assessment import CONFIDENCE_LEVEL
-from fmuid.reports.interactive.estimates import ellipse
-from fmuid.reports.interactive.sketch import (
+from fmuid.array_types import Floats
+from fmuid.identification import CONFIDENCE_LEVEL
+from fmuid.reports.downsampling import evenly
+from fmuid.reports.interactive.bokeh_spec import (
     ColorBar,
     ColumnDataSource,
     Field,
@@ -22,6 +22,7 @@ from fmuid.reports.interactive.sketch import (
     Sketch,
     grid,
 )
+from fmuid.reports.interactive.estimates import ellipse
 from fmuid.reports.interactive.style import (
     AMBER,
     BLUE,
@@ -36,13 +37,12 @@ from fmuid.reports.interactive.style import (
     named,
     normal,
 )
-from fmuid.reports.thinning import evenly
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.assessment import CriterionMap
     from fmuid.estimation import Result
+    from fmuid.identification import CriterionMap
 
 # Profiles are drawn up to so many times the rise at which the interval ends.
 HEIGHT = 1.8

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from fmuid.batches import Columns, estimates, is_repetition, read_rows
 from fmuid.errors import InputError
 from fmuid.files import is_file
+from fmuid.formatting import rounded, unit_text
 from fmuid.reports.interactive import batch
 from fmuid.reports.interactive.starts import over_starts
+from fmuid.reports.messages.result import capitalised
 from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.verdict import Said
-from fmuid.reports.words.result import capitalised
-from fmuid.text import rounded, unit_text
+from fmuid.runs import Columns, estimates, is_repetition, read_rows
 
 CASES = (
     "Estimates of the cases that converged, with their intervals where there are few; of very many, the fuller a cell, "

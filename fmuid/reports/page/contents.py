@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from fmuid.assessment import CriterionMap
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.files import with_formulas
+from fmuid.identification import CriterionMap
 from fmuid.reports.page.saved import read_json
 from fmuid.simulation import Fit
 
 if TYPE_CHECKING:
-    from fmuid.reports.findings import Findings
+    from fmuid.reports.identification_run import Findings
 
 # Columns of texts, which pandas would take for numbers or missing values where they look like it.
 _TEXTS = (

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from fmuid.errors import InputError
+from fmuid.formatting import visible
 from fmuid.reports.page.verdict import Said
-from fmuid.text import visible
 
 # More takes longer than it makes smaller.
 PACKED = 4
@@ -169,7 +169,7 @@ def drawn(figures: Sequence[Any]) -> tuple[str, str, Sequence[str]]:
 
 def _document(figures: Sequence[Any]) -> tuple[dict[str, Any], list[Any], list[str]]:
     """Return what Bokeh's library is told of figures and of their places, and the elements for these places."""
-    from fmuid.reports.interactive.sketch import written
+    from fmuid.reports.interactive.bokeh_spec import written
 
     roots, ids = written(figures)
     document = f"d{uuid.uuid4().hex}"

@@ -11,13 +11,13 @@ from fmuid.diagnosis import Diagnosis, Evidence
 from fmuid.errors import InputError
 from fmuid.files import is_file
 from fmuid.reports.interactive import diagnosis
+from fmuid.reports.messages.diagnosis import diagnosis_words, explanation_words, faults_columns
 from fmuid.reports.page import preparation
 from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.verdict import Said
-from fmuid.reports.words.diagnosis import diagnosis_words, explanation_words, faults_columns
 
 PREPARED_FILE, MONITORED_FILE = "diagnosis-preparation.csv", "monitoring-preparation.csv"
 """What was done with the tables of a diagnosis, and of a monitoring, as in ``preparation.csv``."""

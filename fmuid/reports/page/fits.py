@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.reports.interactive import fit, residuals
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS, MAX_OUTPUTS
 from fmuid.reports.page.document import Section

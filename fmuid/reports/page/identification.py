@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from fmuid.assessment import CONFIDENCE_LEVEL, CORRELATIONS
 from fmuid.estimation import Result
+from fmuid.formatting import rounded, unit_text, with_std
+from fmuid.identification import CONFIDENCE_LEVEL, CORRELATIONS
 from fmuid.reports.interactive import estimates, search, uncertainty
 from fmuid.reports.interactive.style import MAX_PARAMETERS, Units, named
+from fmuid.reports.messages.accuracy import shift_text
+from fmuid.reports.messages.result import effort_words
 from fmuid.reports.page import preparation
 from fmuid.reports.page.contents import Identification
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.verdict import identification_words
-from fmuid.reports.words.accuracy import shift_text
-from fmuid.reports.words.result import effort_words
-from fmuid.text import rounded, unit_text, with_std
 
 CAPTIONS = {
     "fit": "Dots were measured, the line is simulated with the estimates, the residual is below. A good residual is "

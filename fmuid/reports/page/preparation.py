@@ -7,10 +7,10 @@ from typing import Any
 
 import pandas as pd
 
+from fmuid.formatting import listed
 from fmuid.reports.interactive.preparation import preparation
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS
 from fmuid.reports.page.document import Section
-from fmuid.text import listed
 
 CAPTION = (
     "Grey is what was recorded, blue what the model is driven by and compared with. Columns that stay as they were "

@@ -15,7 +15,7 @@ def origin(content: Mapping[str, Any], more: Mapping[str, str] | None = None) ->
     Parameters
     ----------
     content : mapping
-        Of the JSON file that a command has written (`fmuid.reports.origin`).
+        Of the JSON file that a command has written (`fmuid.reports.provenance`).
     more : mapping of str to str, optional
         Further rows.
     """

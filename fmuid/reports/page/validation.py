@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.arrays import Floats
+from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.files import is_file
+from fmuid.formatting import fit_text, label, listed, with_unit
 from fmuid.reports.interactive import comparison
 from fmuid.reports.interactive.style import MAX_EXPERIMENTS
+from fmuid.reports.messages.prediction import ALIKE_AIC, LEAST_RATIO
 from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.fits import fit_sections, residual_section
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.saved import read_json
 from fmuid.reports.page.verdict import Said
-from fmuid.reports.words.prediction import ALIKE_AIC, LEAST_RATIO
 from fmuid.simulation import Fit
-from fmuid.text import fit_text, label, listed, with_unit
 
 PREDICTED = (
     "Dots were measured, the line is simulated with the values of the result; the residual is below. "

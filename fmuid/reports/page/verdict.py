@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.assessment import SIGNIFICANCE_LEVEL, Deviation
-from fmuid.reports.words.accuracy import accuracy_words, passed_words
-from fmuid.reports.words.result import (
+from fmuid.formatting import fit_text, listed, with_unit
+from fmuid.identification import SIGNIFICANCE_LEVEL, Deviation
+from fmuid.reports.messages.accuracy import accuracy_words, passed_words
+from fmuid.reports.messages.result import (
     capitalised,
     dependence_words,
     dropout_words,
@@ -20,7 +21,6 @@ from fmuid.reports.words.result import (
     observer_words,
     start_words,
 )
-from fmuid.text import fit_text, listed, with_unit
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder, replacing
-from fmuid.reports.drawn import REPORT_FILE, clear_figures
-from fmuid.text import listed
+from fmuid.formatting import listed
+from fmuid.reports.figure_files import REPORT_FILE, clear_figures
 
 if TYPE_CHECKING:
     from fmuid.reports.page.document import Part, Section
@@ -103,7 +103,7 @@ def draw_simulation(folder: Path, fits: Sequence[Fit], figures: str, *, sensitiv
 
 def _printed(sections: Sequence[Section], folder: Path, kind: str) -> list[Path]:
     """Draw a figure for print of each section."""
-    from fmuid.reports.figures.paint import printed
+    from fmuid.reports.figures.matplotlib_renderer import printed
     from fmuid.reports.figures.style import save
 
     drawn = {}

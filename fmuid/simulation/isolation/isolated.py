@@ -18,16 +18,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fmuid.arrays import Floats, Indices
+from fmuid.array_types import Floats, Indices
 from fmuid.errors import FmuidError, InputError, SimulationError
-from fmuid.fmi import Simulation, codes, new_reports, shares
 from fmuid.models import STIFF_INTEGRATOR, Component, Isolation, Renewal, is_repeated, needs_process, note_process
 from fmuid.processes import FAILED, GREW, HUNG, KILLED, MOST_KILLS, End
+from fmuid.simulation import core_constants as codes
 from fmuid.simulation.isolation import orders
 from fmuid.simulation.isolation.ahead import CODE
-from fmuid.simulation.isolation.ends import end_words
-from fmuid.simulation.isolation.keeper import FIRST_TIME_LIMIT, Keeper, left
-from fmuid.simulation.isolation.process import Host
+from fmuid.simulation.isolation.host import Host
+from fmuid.simulation.isolation.host_exit import end_words
+from fmuid.simulation.isolation.host_manager import FIRST_TIME_LIMIT, Keeper, left
+from fmuid.simulation.simulation_plan import Simulation, new_reports, shares
 
 STEP_LIMIT = 1e-4
 """What is added to `FIRST_TIME_LIMIT` for each communication step, s: far more than one takes, but of a slow model."""
@@ -77,9 +78,10 @@ class IsolatedExecutor:
     def run(self, simulation: Simulation, thetas: Floats, outputs: Floats, reports: Indices) -> None:
         """Simulate all thetas (m, N); those at which the process comes to an end have a report of `codes.PROCESS`.
 
-        Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in (`fmuid.fmi.loop.Loop.run`). Where one of
-        them finds a model stiff, all are run as such, also those that were through before, as in-process: how many go
-        at a time depends on how fast the machine is, and the outputs must not.
+        Outputs (m, K, n_outputs) and reports (m, codes.REPORT) are filled in
+        (`fmuid.simulation.simulation_loop.Loop.run`). Where one of them finds a model stiff, all are run as such, also
+        those that were through before, as in-process: how many go at a time depends on how fast the machine is, and
+        the outputs must not.
         """
         found = -1
         while found != self._found_stiff:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmuid.errors import SimulationError
-from fmuid.fmi import REPORT
 from fmuid.processes import shared_memory
+from fmuid.simulation.core_constants import REPORT
 
 if TYPE_CHECKING:
-    from fmuid.fmi import Simulation
     from fmuid.simulation.in_process import InProcessExecutor
+    from fmuid.simulation.simulation_plan import Simulation
 
 DOING_WORDS = 512
 """Words at the beginning of the shared memory: two for each thread, what it is doing and how often it has begun."""

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import optimize, special
 
-from fmuid.diagnosis.evidence.causes import Cause
-from fmuid.diagnosis.evidence.detection import Chance, detectable, fit, probability
-from fmuid.diagnosis.evidence.information import News
+from fmuid.diagnosis.change_detection.causes import Cause
+from fmuid.diagnosis.change_detection.detection import Chance, detectable, fit, probability
+from fmuid.diagnosis.change_detection.information_matrix import News
 from fmuid.errors import InputError
 
 SIGNED = tuple(Cause(f"c{i}", (i,), 1.0, sign) for i, sign in enumerate((1, -1, 1, 0)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from fmuid.diagnosis.evidence.information import Information, Known, News
+from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News
 from fmuid.errors import InputError
 
 UNITS = np.array([1e3, 1.0, 1e-5, 2.0])

@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from fmuid.diagnosis.evidence.causes import Cause
-from fmuid.diagnosis.evidence.detection import Chance, fit
-from fmuid.diagnosis.evidence.information import News
-from fmuid.diagnosis.evidence.naming import _together, angle, log_bayes_factor, name, sized, told_apart_from
+from fmuid.diagnosis.change_detection.cause_ranking import (
+    _together,
+    angle,
+    log_bayes_factor,
+    name,
+    sized,
+    told_apart_from,
+)
+from fmuid.diagnosis.change_detection.causes import Cause
+from fmuid.diagnosis.change_detection.detection import Chance, fit
+from fmuid.diagnosis.change_detection.information_matrix import News
 
 INFORMATION = np.array([[4.0, 1.2, 0.3], [1.2, 2.0, -0.5], [0.3, -0.5, 3.0]])
 GIVEN = News(INFORMATION, np.array([3.0, -0.4, 1.5]))

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fmuid.diagnosis.evidence import watch as watching
-from fmuid.diagnosis.evidence.build_up import BuildUp
-from fmuid.diagnosis.evidence.causes import Cause
-from fmuid.diagnosis.evidence.chance import log_chance, log_limit
-from fmuid.diagnosis.evidence.information import Known
-from fmuid.diagnosis.evidence.onset import Shape, dated
-from fmuid.diagnosis.evidence.watch import Blocks, Watch
+from fmuid.diagnosis.change_detection import onset_tracker as watching
+from fmuid.diagnosis.change_detection.causes import Cause
+from fmuid.diagnosis.change_detection.change_transient import BuildUp
+from fmuid.diagnosis.change_detection.false_alarms import log_chance, log_limit
+from fmuid.diagnosis.change_detection.information_matrix import Known
+from fmuid.diagnosis.change_detection.onset import Shape, dated
+from fmuid.diagnosis.change_detection.onset_tracker import Blocks, Watch
 
 LENGTH, BLOCKS, WINDOWS = 20, 5, 8
 SAMPLES = LENGTH * BLOCKS * WINDOWS

@@ -15,8 +15,8 @@ import fmpy
 import numpy as np
 from numpy.typing import NDArray
 
-from fmuid.fmi.native.build import compiler_here
 from fmuid.processes.channel import MARK
+from fmuid.simulation.native.build import compiler_here
 
 HERE = Path(__file__).parent
 START_VALUES = {"gain": 1.0, "T": 1.0, "mode": 0.0, "at": 0.0, "bad_from": -1e300, "bad_to": 1e300} | {

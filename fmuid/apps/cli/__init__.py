@@ -1,0 +1,3 @@
+"""The command line."""
+
+from fmuid.apps.cli.app import main as main

@@ -1,0 +1,93 @@
+"""The command ``fmuid batch``: parse, call, print."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, Figures, NoReport, Overrides, StudyFile, telling_files
+from fmuid.apps.cli.signals import answering
+
+if TYPE_CHECKING:
+    from fmuid.runs import Batch, BatchResult
+
+
+def batch(
+    study: StudyFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="The folder of the batch.", show_default=False)
+    ],
+    set_: Overrides = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Dask scheduler, tcp://host:8786; default: workers of this machine."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", help="How many workers of this machine; default: one a core.")
+    ] = None,
+    max_cases: Annotated[int, typer.Option(metavar="N", help="Refuse a study that spans more.")] = 100_000,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume/--no-resume", help="Go on with the finished cases in the folder, or remove them and begin anew."
+        ),
+    ] = True,
+    in_process: Annotated[
+        bool,
+        typer.Option("--in-process", help="Run FMUs in the workers' own processes: an FMU that crashes ends a worker."),
+    ] = False,
+    figures: Figures = None,
+    no_report: NoReport = False,
+) -> int:
+    """Run the many identifications that a study spans, as its table batch says; the same command resumes them."""
+    from fmuid.reports.console import layout as console
+    from fmuid.reports.console.progress import Display
+    from fmuid.runs import Batch
+    from fmuid.studies import Study
+
+    read = Study.read(study, set_ or ())
+    job = Batch(
+        read,
+        output,
+        scheduler=scheduler,
+        workers=workers,
+        max_cases=max_cases,
+        resume=resume,
+        isolated=not in_process,
+    )
+    console.note_sources(read)
+    with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):
+        with Display() as display:
+            found = job.run(display)
+        with telling_files():
+            return _show(job, found, figures, report=not no_report)
+
+
+def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) -> int:
+    """Show and write what a batch has found so far."""
+    from fmuid.reports.console import layout as console
+
+    logs = job.dataset.log_count()
+    said = [f"{path} was damaged and is removed: its cases are run again" for path in found.lost]
+    said += [f"what {logs} cases printed, and warnings, are in {job.dataset.logs}"] if logs else []
+    console.show_notes(said)
+    if found.finished:
+        from fmuid.reports import write_overview, write_summary
+        from fmuid.reports.console.batch import show_batch
+        from fmuid.reports.page.write import show_results
+
+        summary, _ = found.summary()
+        written = [*write_summary(summary, job.folder), write_overview(summary, found, job.study)]
+        show_batch(summary)
+        written += show_results(job.folder, report=report, figures=figures)
+        console.show_files([*job.dataset.files(), *written])
+    if found.interrupted:
+        print(
+            f"interrupted: {found.finished} of {found.total} cases are finished; the same command goes on",
+            file=sys.stderr,
+        )
+        return NOT_SUCCEEDED
+    return DONE

@@ -1,0 +1,332 @@
+"""The commands about one study: parse, call, print."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmuid.apps.cli.options import (
+    DONE,
+    NOT_SUCCEEDED,
+    FigureFormat,
+    Figures,
+    Folder,
+    InProcess,
+    NoReport,
+    Overrides,
+    StudyFile,
+    folder_of,
+    telling_files,
+)
+from fmuid.apps.cli.signals import answering, stopping
+from fmuid.errors import InputError
+from fmuid.files import replacing
+
+if TYPE_CHECKING:
+    from fmuid.progress import Event
+    from fmuid.reports.console.progress import Display
+    from fmuid.simulation import Fit
+    from fmuid.studies import Study
+
+FMU_LOG = "fmu.log"
+"""What FMUs printed, in the output folder."""
+
+
+def simulate(
+    study: StudyFile,
+    output: Folder = None,
+    result: Annotated[
+        Path | None,
+        typer.Option(
+            "--result",
+            metavar="RESULT",
+            help="A result.json, or its folder: simulate at its estimates.",
+        ),
+    ] = None,
+    set_: Overrides = None,
+    in_process: InProcess = False,
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="Also what relative changes of the parameters do to the outputs.")
+    ] = False,
+    figures: Annotated[FigureFormat, typer.Option("--figures", help="How the figures are drawn.")] = FigureFormat.PNG,
+) -> int:
+    """Simulate a study at the parameters' starts, or at a result, and compare with the measurements."""
+    folder = folder_of(output, study)
+    with opened(study, set_, in_process, folder) as read:
+        from fmuid import files
+        from fmuid.reports import identification_run as report
+        from fmuid.reports.console import layout as console
+        from fmuid.reports.page.write import draw_simulation
+
+        files.make_folder(folder)
+        console.note_sources(read)
+        simulators = read.simulators()
+        console.warn_unfed(simulators)
+        console.warn_of_time(read, simulators)
+        fits = read.fits() if result is None else _fits_at(read, result)
+        table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
+        written = [files.write_table(folder / "simulated.csv", table)]
+        console.show_fits(fits)
+        written += _sensitivities(read, folder) if sensitivities else []
+        written += draw_simulation(folder, fits, figures, sensitivities=sensitivities)
+        console.show_files(written)
+        return DONE
+
+
+def _sensitivities(study: Study, folder: Path) -> list[Path]:
+    """Write the sensitivities of a study, and where they come from."""
+    from fmuid.files import write_table
+    from fmuid.reports import identification_run as report
+    from fmuid.reports import write_origin
+    from fmuid.runs import sensitivities_of
+
+    found = sensitivities_of(study)
+    table = report.stacked([each.experiment for each in found], [each.table for each in found])
+    return [write_table(folder / "sensitivities.csv", table), write_origin(folder / "sensitivities.json", study)]
+
+
+def _fits_at(study: Study, result: Path) -> tuple[Fit, ...]:
+    """Simulate a study at a result."""
+    from fmuid.estimation import Result
+    from fmuid.runs import fits_at, notes_of, result_path
+
+    path = result_path(result)
+    estimates = Result.from_json(path)
+    notes_of(study, path, estimates)
+    return fits_at(study, estimates)
+
+
+def identify(
+    study: StudyFile,
+    output: Folder = None,
+    set_: Overrides = None,
+    in_process: InProcess = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume", help="Start from the values in the output folder's result.json, without a global search."
+        ),
+    ] = False,
+    figures: Figures = None,
+    no_report: NoReport = False,
+) -> int:
+    """Identify the parameters of a study and write result, tables and a report."""
+    folder = folder_of(output, study)
+    with opened(study, set_, in_process, folder) as read:
+        from fmuid.reports import SearchInterruptedError, run_study
+        from fmuid.reports.console import layout as console
+        from fmuid.reports.console import result as console_result
+        from fmuid.reports.console.progress import Display
+
+        console.note_sources(read)
+        simulators = read.simulators()
+        console.warn_unfed(simulators)
+        console.warn_of_time(read, simulators)
+        try:
+            with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
+                shown = partial(_show_event, display, read)
+                found = run_study(read, folder, figures=figures, report=not no_report, resume=resume, progress=shown)
+        except SearchInterruptedError as error:
+            if error.result is None:
+                raise
+            console_result.show_point(error.result)
+            console.show_files(error.files)
+            return NOT_SUCCEEDED
+        if found.uncertainty is not None:
+            console_result.show_uncertainty(found)
+        console.show_files(found.files)
+        return DONE if found.succeeded else NOT_SUCCEEDED
+
+
+def _show_event(display: Display, read: Study, event: Event, /) -> None:
+    """Show how far a run is, and the result once it is there.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If SIGTERM or SIGHUP has come, which leaves out what follows too.
+    """
+    from fmuid.progress import DataAloneStep
+    from fmuid.reports import Identified
+    from fmuid.reports import identification_run as report
+    from fmuid.reports.console import layout as console
+    from fmuid.reports.console import result as console_result
+
+    match event:
+        case DataAloneStep():
+            display.pause()
+            console.show_notes(["searching the optimum of the data alone, for comparison; Ctrl-C leaves it out"])
+        case Identified():
+            display.pause()
+            console_result.show_result(event.findings)
+            if read.uncertainty_settings.any and not report.at_minimum(event.findings.result):
+                console.show_notes(["[uncertainty] is left out: it needs a search that has ended at a minimum"])
+        case _ if stopping():
+            raise KeyboardInterrupt
+        case _:
+            display(event)
+
+
+def diagnose(
+    study: StudyFile,
+    output: Folder = None,
+    set_: Overrides = None,
+    in_process: InProcess = False,
+    figures: Figures = None,
+    no_report: NoReport = False,
+) -> int:
+    """Look for the faults that a study names, and write verdict, tables and a report; exit code 1 for a fault."""
+    folder = folder_of(output, study)
+    with opened(study, set_, in_process, folder) as read:
+        from fmuid.reports import run_diagnosis
+        from fmuid.reports.console import layout as console
+        from fmuid.reports.console.progress import Display
+
+        if read.diagnosis is not None:
+            console.note_sources(read)
+            console.warn_unfed(read.simulators())
+        with Display() as display:
+            found = run_diagnosis(
+                read, folder, figures=figures, report=not no_report, progress=partial(_show_judged, display)
+            )
+        console.show_files(found.files)
+        return DONE if found.healthy else NOT_SUCCEEDED
+
+
+def monitor(
+    study: StudyFile,
+    tables: Annotated[
+        list[Path],
+        typer.Argument(metavar="TABLE", help="Records, or folders of records, in their order.", show_default=False),
+    ],
+    output: Folder = None,
+    set_: Overrides = None,
+    in_process: InProcess = False,
+    append: Annotated[
+        bool, typer.Option("--append", help="Go on with the run in the output folder; records of it are left out.")
+    ] = False,
+    follow: Annotated[
+        bool,
+        typer.Option("--follow", help="Wait for what a logger writes into the folder or file; a restart goes on."),
+    ] = False,
+    figures: Figures = None,
+    no_report: NoReport = False,
+) -> int:
+    """Look for the faults that a study names in records, window by window; exit code 1 for an alarm."""
+    folder = folder_of(output, study)
+    with opened(study, set_, in_process, folder) as read:
+        from fmuid.reports import run_monitoring
+        from fmuid.reports.console import layout as console
+        from fmuid.reports.console.progress import Display
+
+        if read.diagnosis is not None:
+            console.note_sources(read)
+        if follow:
+            return _follow(read, tables, folder, append=append, figures=figures, report=not no_report)
+        saving = "saving the records examined so far, with which --append goes on"
+        with answering(saving), Display() as display:
+            shown = partial(_show_judged, display)
+            found = run_monitoring(
+                read, tables, folder, figures=figures, report=not no_report, append=append, progress=shown
+            )
+        console.show_files(found.files)
+        return DONE if found.healthy else NOT_SUCCEEDED
+
+
+def _follow(
+    study: Study, tables: list[Path], folder: Path, *, append: bool, figures: FigureFormat | None, report: bool
+) -> int:
+    """Monitor what a logger writes until it is interrupted."""
+    from fmuid.reports import run_following
+    from fmuid.reports.console.following import FollowingDisplay
+    from fmuid.reports.console.layout import show_files
+
+    for word, given in (("several folders", len(tables) > 1), ("--append", append), ("--figures", bool(figures))):
+        if given:
+            raise InputError(
+                f"--follow and {word} do not go together: it follows one folder or file, and goes on by itself"
+            )
+    with answering("saving where it is; the same command goes on"), FollowingDisplay() as display:
+        found = run_following(study, tables[0], folder, report=report, show=display)
+    show_files(found.files)
+    return DONE if found.healthy else NOT_SUCCEEDED
+
+
+def _show_judged(display: Display, event: Event, /) -> None:
+    """Show how far a search for faults is, and what it has found once it is there."""
+    from fmuid.reports import DiagnosisFindings, Judged
+    from fmuid.reports.console.diagnosis import show_diagnosis
+    from fmuid.reports.console.monitoring import show_monitoring
+
+    if not isinstance(event, Judged):
+        display(event)
+        return
+    display.pause()
+    if isinstance(event.findings, DiagnosisFindings):
+        show_diagnosis(event.findings.diagnosis)
+    else:
+        show_monitoring(event.findings.monitor)
+
+
+def report(
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="The folder that a command has written into.", show_default=False)
+    ],
+) -> int:
+    """Write report.html from what is in a folder of results: all of it on one page that asks no host."""
+    from fmuid.reports.console import layout as console
+    from fmuid.reports.page.write import write_report
+
+    console.show_files([write_report(results)])
+    return DONE
+
+
+@contextmanager
+def opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path) -> Iterator[Study]:
+    """Read a study whose FMUs run in a process of their own; what they print goes into the output folder."""
+    with logged(folder, in_process) as isolated:
+        from fmuid.studies import Study
+
+        yield Study.read(study, set_ or (), isolated=isolated)
+
+
+@contextmanager
+def logged(folder: Path, in_process: bool) -> Iterator[bool]:
+    """Say whether FMUs run in a process of their own, as they do unless asked otherwise; their output goes to a log."""
+    from fmuid.processes import AVAILABLE
+
+    if in_process or not AVAILABLE:
+        with telling_files():
+            yield not in_process
+        return
+    from fmuid.reports.console.layout import show_notes
+    from fmuid.simulation import start_server
+
+    start_server()  # it loads its code while this process loads its own
+    from fmuid.simulation import printed
+
+    printed()
+    try:
+        with telling_files():
+            yield True
+    finally:
+        show_notes(_write_log(folder / FMU_LOG, printed()))
+
+
+def _write_log(log: Path, text: str) -> list[str]:
+    """Write what FMUs printed, and return what is to be said of it; nothing that goes wrong here ends a command."""
+    if not text:
+        with suppress(OSError):  # there is none, mostly
+            log.unlink()  # of an earlier run
+        return []
+    try:
+        with replacing(log) as draft:
+            draft.write_text(text, encoding="utf-8")
+    except InputError as error:
+        return [f"what the FMUs printed is lost: {error}"]
+    return [f"what the FMUs printed is in {log}"]

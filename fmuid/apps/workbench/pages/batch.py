@@ -1,0 +1,309 @@
+"""The page of a batch: how far it is, also one of another process, its cases, and what is known of one of them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import time
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, urlsplit
+
+import pandas as pd
+from bokeh.layouts import column, row
+from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, Select, TableColumn, TextInput
+
+from fmuid.apps.workbench.access_control import SCHEME
+from fmuid.apps.workbench.home import address, escaped
+from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, dress, words
+from fmuid.apps.workbench.pages.results_view import EVERY, side_by_side
+from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, beside
+from fmuid.errors import InputError
+from fmuid.files import is_file
+from fmuid.reports.interactive import batch as figures
+from fmuid.reports.interactive.live import in_scheme
+from fmuid.reports.page.saved import read_json
+from fmuid.runs import Cases, Columns, parts_in, read_part
+from fmuid.studies import Study
+
+# More rows make a table slow; a filter finds the others.
+MOST_ROWS = 5000
+# A batch writes at least so often, s, while cases end; after a longer silence it is said since when.
+SILENT = 10.0
+WIDTHS = {"case": 60, "status": 110, "criterion": 90, "message": 600}
+"""Of columns, pixels."""
+WIDEST = 1430
+"""Of the table: the last column takes what the others leave."""
+ROW, HEAD, HIGHEST = 25, 45, 420
+"""Heights in pixels: of a row, of the head with the bar that scrolls, of a table at most."""
+_GRID = """
+.slick-header-columns,.slick-header-column{background:var(--card)!important;color:var(--soft)!important}
+.slick-row,.slick-cell{background:var(--card)!important;color:var(--ink)!important;border-color:var(--faint)!important}
+.slick-cell.selected{background:var(--faint)!important}.bk-data-table{background:var(--card)!important}
+"""
+
+
+def build(doc: Any, bench: Any) -> None:
+    """Fill a document with the page of the batch in the folder that its address names."""
+    folder: Folder = bench.folder
+    BatchPage(doc, folder, folder.path(argument(doc, "file")), argument(doc, SCHEME))
+
+
+class BatchPage:
+    """What one tab shows of a batch."""
+
+    def __init__(self, doc: Any, folder: Folder, place: Path, scheme: str) -> None:
+        if not is_file(place / "batch.json"):
+            raise InputError(f"{folder.name(place)} has no batch.json: it is no folder of a batch")
+        self.doc, self.folder, self.place, self.scheme = doc, folder, place, scheme
+        self.manifest: Mapping[str, Any] = read_json(place / "batch.json")
+        self._wrong: list[str] = []  # what is said of files that cannot be read
+        self.frame, self._seen, self._counts = pd.DataFrame(), object(), list[tuple[float, int]]()
+        self.state = words("state")
+        self.status = Select(title="cases", options=["all"], value="all", name="status", stylesheets=[SHEET])
+        self.text = TextInput(title="with the text", value="", name="filter", stylesheets=[SHEET])
+        self.number = TextInput(title="show the case", value="", name="number", width=110, stylesheets=[SHEET])
+        self.source = ColumnDataSource({"case": []}, name="cases")
+        self.table = DataTable(source=self.source, height=HIGHEST, index_position=None, reorderable=False, **WIDE)
+        self.table.autosize_mode = "none"  # else all columns are squeezed into a narrow window
+        self.table.stylesheets = [_GRID]
+        self.case = words("case", "<p>Choose a case in the table.</p>")
+        self.drawn = column([words("none", "<p>No case has converged yet.</p>")], name="drawn", **WIDE)
+        for each in (self.status, self.text):
+            each.on_change("value", lambda _attr, _old, _new: self._filter())
+        self.source.selected.on_change("indices", lambda _attr, _old, new: self._choose(new))
+        self.number.on_change("value", lambda _attr, _old, new: self._sought(new))
+        filters = row(self.status, self.text, self.number, stylesheets=[LINE], sizing_mode="stretch_width")
+        self.look()
+        doc.add_periodic_callback(self.look, EVERY)
+        cases = column(filters, self.table, name="table", **WIDE)
+        for root in (self.state, cases, self.case, self.drawn):
+            doc.add_root(root)
+        self._dress(cases)
+
+    def _dress(self, cases: Any) -> None:
+        title, more = self.place.name if self.found is None else self.found.title, ""
+        if urlsplit(dashboard := str(self.manifest.get("dashboard") or "")).scheme in ("http", "https"):
+            more = f'<p><a href="{escaped(dashboard)}" target="_blank" rel="noreferrer">What the workers do</a></p>'
+        pieces = [
+            ("<section>", "state"),
+            (f"{more}</section><section><h3>Estimates</h3>", "drawn"),
+            ("</section><section><h3>Cases</h3>", str(cases.name)),
+            ("</section><section><h3>The case</h3>", "case"),
+            ("</section>", ""),
+        ]
+        dress(self.doc, title, pieces, "bokeh-widgets", "bokeh-tables")
+
+    # --- what the folder has
+
+    @property
+    def total(self) -> int:
+        """How many cases it spans."""
+        return int(self.manifest.get("cases") or 0)
+
+    def look(self) -> None:
+        """Show what has been written since the last look."""
+        parts = parts_in(self.place)
+        seen = tuple((path.name, path.stat().st_size) for path in parts if path.exists())
+        if seen != self._seen:
+            frames, self._wrong = [], []
+            for path in parts:
+                try:
+                    frames.append(_rows(path))
+                except InputError as error:
+                    if path.exists():  # else merged into another one meanwhile
+                        self._wrong.append(str(error))
+            self._seen = seen
+            known = pd.concat(frames, ignore_index=True) if frames else pd.DataFrame({"case": [], "status": []})
+            self.frame = known.drop_duplicates("case").sort_values("case", ignore_index=True)
+            self._counts = [*self._counts, (time.monotonic(), len(self.frame))][-30:]
+            self._filter()
+            self._draw()
+        self._tell(parts)
+
+    def _tell(self, parts: list[Path]) -> None:
+        """Say how far it is, and whether somebody is at it."""
+        done, total = len(self.frame), self.total
+        failed = int((self.frame["status"].astype(str) == "failed").sum()) if done else 0
+        words = [f"{done} of {total} cases" if total else f"{done} cases"] + ([f"{failed} failed"] if failed else [])
+        last = max((path.stat().st_mtime for path in parts if path.exists()), default=math.nan)
+        silent = time.time() - last
+        if done < total:
+            (first, before), (now, count) = self._counts[0], self._counts[-1]
+            rate = (count - before) / (now - first) if now > first else 0.0
+            if rate > 0 and silent < SILENT:
+                words += [f"{rate:.3g} a second", f"about {(total - done) / rate:.0f} s left"]
+            elif silent >= SILENT:
+                words.append(f"nothing written for {silent:.0f} s")
+        bar = f"<progress value={done} max={max(total, 1)}></progress>" if total else ""
+        text = f"{bar}<p>{escaped(', '.join(words))}</p>"
+        text += "".join(f"<p class=error>{escaped(error)}</p>" for error in self._wrong)
+        if is_file(self.place / "summary.json"):  # it has ended
+            text += f'<p><a href="{address("results", self.folder, self.place)}">All figures</a></p>'
+        if text != self.state.text:
+            self.state.text = text
+
+    def _draw(self) -> None:
+        """Draw the estimates so far."""
+        if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
+            truth = self.manifest.get("truth") or {}
+            plots = [in_scheme(plot, self.scheme) for plot in figures.over_cases(self.frame, truth, self._units())]
+            self.drawn.children = [side_by_side(plots)]
+
+    def _units(self) -> Mapping[str, str | None]:
+        """Return the units of the estimates, which are there once the batch has ended."""
+        summary = self.place / "summary.json"
+        try:
+            return read_json(summary).get("units") or {} if is_file(summary) else {}
+        except InputError as error:
+            self._wrong.append(str(error))
+            return {}
+
+    # --- the table
+
+    def _filter(self) -> None:
+        """Show the rows that are asked for."""
+        frame = self.frame
+        if not len(frame):
+            return
+        kinds = sorted(set(frame["status"].astype(str)))
+        self.status.options = ["all", *kinds]
+        if self.status.value in kinds:
+            frame = frame[frame["status"].astype(str) == self.status.value]
+        sought = self.text.value.strip().lower()
+        if sought:
+            found = [any(sought in str(each).lower() for each in row) for row in frame.itertuples(index=False)]
+            frame = frame[found]
+        shown = frame.iloc[:MOST_ROWS]
+        names = [name for name in _columns(frame) if name in shown]
+        if [each.field for each in self.table.columns] != names:
+            *others, last = (_column(name, shown[name]) for name in names)
+            last.width = max(last.width, WIDEST - sum(each.width for each in others))
+            self.table.columns = [*others, last]
+        chosen = [self.source.data["case"][k] for k in self.source.selected.indices]
+        self.source.data = {name: _plain(shown[name]) for name in names}
+        self.table.height = min(HIGHEST, HEAD + ROW * len(shown))
+        self.source.selected.indices = [k for k, case in enumerate(shown["case"]) if case in chosen]
+
+    def _choose(self, indices: list[int]) -> None:
+        """Show the case of a row of the table."""
+        if indices:
+            self._show(int(self.source.data["case"][indices[0]]))
+
+    def _sought(self, text: str) -> None:
+        """Show the case whose number was typed, also one that is not in the table."""
+        if text.strip().isdecimal() and int(text) in set(self.frame["case"]):
+            self._show(int(text))
+        elif text.strip():
+            self.case.text = f"<p class=error role=alert>there is no case {escaped(text)} yet</p>"
+
+    def _show(self, case: int) -> None:
+        """Show one case, and what it printed."""
+        found = self.frame[self.frame["case"] == case].iloc[0]
+        cells = "".join(
+            f"<tr><th scope=row>{escaped(name)}</th><td>{escaped(value)}</td></tr>"
+            for name, value in found.items()
+            if pd.notna(value) and value != ""
+        )
+        log = self.place / "logs" / f"case-{case:06d}.txt"
+        said = ""
+        with contextlib.suppress(OSError):  # it has printed nothing
+            said = f"<h3>What it printed</h3><pre>{escaped(log.read_text(errors='replace'))}</pre>"
+        self.case.text = f"{self._what_if(found)}<div class=scroll><table><tbody>{cells}</tbody></table></div>{said}"
+
+    def _what_if(self, found: pd.Series[Any]) -> str:
+        """Return the link to the study with what a case has been given and has found."""
+        if self.found is None:
+            return ""
+        study = self.found.path
+        try:
+            given = case_settings(study, int(found["case"]), found)
+        except InputError as error:
+            return f"<p class=error>{escaped(error)}</p>"
+        link = address("study", self.folder, study) + "".join(f"&set={quote(each, safe='')}" for each in given)
+        drawn = " (with the table itself: what was drawn for a case is not kept)" if "draw" in found else ""
+        return f'<p><a href="{escaped(link)}">What if, from this case on</a>{drawn}</p>'
+
+    @cached_property
+    def found(self) -> FoundStudy | None:
+        """The study of the folder that the batch is of; None where it was changed since, or is elsewhere."""
+        mine = FoundResult.of(self.place / "batch.json")
+        return next((each for each in self.folder.look()[0] if each.has_run(mine)), None)
+
+
+def case_settings(path: Path, number: int, found: pd.Series[Any]) -> list[str]:
+    """Return what ``--set`` has to say for a study to be a case of its batch, at the estimates of the case.
+
+    Parameters
+    ----------
+    path : Path
+        The study file.
+    number : int
+        Of the case.
+    found : Series
+        Its row.
+
+    Raises
+    ------
+    InputError
+        If there is no such case.
+    """
+    study = Study.read(path)
+    cases = Cases(study)
+    if not 0 <= number < len(cases):
+        raise InputError(f"{path} has no case {number} any more")
+    case = cases[number]
+    table = [] if case.table is None else [f"experiments.0.table={json.dumps(beside(case.table, path))}"]
+    held = [
+        f'{"parameters" if name in study.parameters else "model.values"}."{name}"={json.dumps(value)}'
+        for name, value in case.held.items()
+    ]
+    starts = []
+    for name, parameter in study.parameters.items():
+        if name in case.held:
+            continue
+        value = float(found.get(f"value.{name}", math.nan))
+        value = value if math.isfinite(value) else float(case.starts.get(name, parameter.start))
+        starts += [f'parameters."{name}"' + (f".start={value:.9g}" if name in case.free else f"={value:.9g}")]
+    return [*table, *held, *starts]
+
+
+def _rows(path: Path) -> pd.DataFrame:
+    """Return the rows of a part of a batch.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, not there any more, or no table of cases.
+    """
+    frame: pd.DataFrame = read_part(path).to_pandas(ignore_metadata=True)
+    numbers = [name for name in map(str, frame) if name == "case" or name.startswith(("value.", "std."))]
+    wrong = [name for name in numbers if not _is_numeric(frame[name], "iu" if name == "case" else "iuf")]
+    if missing := {"case", "status"} - set(frame):
+        raise InputError(f"{path.name} has no column {', '.join(sorted(missing))}. Run the same command again.")
+    if wrong:
+        raise InputError(f"{path.name}: {', '.join(wrong)}: the values are no numbers. Run the same command again.")
+    return frame
+
+
+def _is_numeric(values: pd.Series[Any], kinds: str) -> bool:
+    return values.dtype.kind in kinds or bool(values.isna().all())
+
+
+def _columns(frame: pd.DataFrame) -> list[str]:
+    known = Columns.of(frame)
+    values = [f"value.{name}" for name in known.parameters]
+    return ["case", "status", *known.design, *known.repeats, *values, "criterion", "message"]
+
+
+def _column(name: str, values: pd.Series[Any]) -> TableColumn:
+    more = {"formatter": NumberFormatter(format="0.00000")} if values.dtype.kind == "f" else {}
+    width = WIDTHS.get(name, max(70, 9 * len(name.removeprefix("value.")) + 20))
+    return TableColumn(field=name, title=escaped(name.removeprefix("value.")), width=width, **more)
+
+
+def _plain(values: pd.Series[Any]) -> Any:
+    return values.to_numpy() if values.dtype.kind in "fiub" else values.astype(str).to_list()

@@ -1,0 +1,152 @@
+"""A command that a page begins, follows and cancels; its files are where the command puts them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bokeh.layouts import column, row
+
+from fmuid.apps.workbench.home import escaped
+from fmuid.apps.workbench.jobs import Job, Jobs, command_text
+from fmuid.apps.workbench.page_layout import LINE, button, words
+from fmuid.progress import Event, SearchStep
+from fmuid.reports.console.progress import event_words
+
+EVERY = 150
+"""Milliseconds between two looks at a command that runs."""
+
+
+class Run:
+    """The buttons of commands that write into one folder, and how far the one that runs is.
+
+    Parameters
+    ----------
+    doc : Document
+    jobs : Jobs
+    folder : Path
+        At most one command runs for it; one that is running already is followed.
+    acts : mapping of str to callable
+        The buttons; each calls `begin`.
+    told : callable
+        Called with the events since the last look, while it runs and once it has ended.
+    ended : callable
+        Called then.
+
+    Attributes
+    ----------
+    layout : Bokeh model
+    job : Job or None
+        The last command.
+    """
+
+    def __init__(
+        self,
+        doc: Any,
+        jobs: Jobs,
+        folder: Path,
+        acts: Mapping[str, Callable[[], object]],
+        told: Callable[[Sequence[Event]], object] = lambda _events: None,
+        ended: Callable[[Job], object] = lambda _job: None,
+    ) -> None:
+        self._doc, self._jobs, self._folder, self._heard, self._ended = doc, jobs, folder, told, ended
+        self._position, self._callback = 0, None
+        self._event: Event | None = None
+        self._stage = ("", 0.0, 0.0)  # the task that is being done, since when, s, and how much of it was done then
+        self.job = jobs.of(folder)
+        self.buttons = [button(label, act, button_type="primary") for label, act in acts.items()]
+        self.stop = button("Cancel", self.cancel, disabled=True)
+        self.state = words("state")
+        line = row(*self.buttons, self.stop, sizing_mode="stretch_width", stylesheets=[LINE])
+        self.layout = column(line, self.state, sizing_mode="stretch_width")
+
+    def begin(self, study: Path, given: Sequence[str]) -> None:
+        """Begin a command, or follow the one that another tab has begun."""
+        self.job = self._jobs.begin(study, self._folder, given)
+        self.follow()
+
+    def cancel(self) -> None:
+        """Have it end, and save what it has found."""
+        if self.job is not None:
+            self.job.cancel()
+            self.stop.disabled = True
+            self._tell()
+
+    def refuse(self, error: object) -> None:
+        """Say why nothing is begun."""
+        self.state.text = f"<p class=error role=alert>{escaped(error)}</p>"
+
+    def follow(self) -> None:
+        """Look at the command until it has ended."""
+        self._position, self._event = 0, None
+        self._begun(running=True)
+        self._tell()
+        if self._callback is None:
+            self._callback = self._doc.add_periodic_callback(self.look, EVERY)
+
+    def look(self) -> None:
+        """Show what has happened since the last look."""
+        job = self.job
+        if job is None:
+            return
+        job.insist()
+        running = job.running  # before its events are read: none is left out
+        events, self._position = job.events(self._position)
+        self._heard(events)
+        if running:
+            self._event = events[-1] if events else self._event
+            if events and events[-1].task != self._stage[0]:
+                self._stage = (events[-1].task, job.seconds, events[-1].share)
+            self._tell()
+            return
+        if self._callback is not None:
+            self._doc.remove_periodic_callback(self._callback)
+            self._callback = None
+        self._begun(running=False)
+        self._tell_end(job)
+        self._ended(job)
+
+    def _begun(self, *, running: bool) -> None:
+        for each in self.buttons:
+            each.disabled = running
+        self.stop.disabled = not running
+
+    def _tell(self) -> None:
+        job, event = self.job, self._event
+        if job is None:
+            return
+        share = math.nan if event is None else event.share
+        _, since, before = self._stage
+        left = (job.seconds - since) * (1 - share) / (share - before) if share > before else math.nan
+        bar = f"<progress value={share:.3f} max=1></progress>" if math.isfinite(share) else "<progress></progress>"
+        said = [_words(event, job), f"{job.seconds:.0f} s"]
+        said += [f"about {left:.0f} s left"] if math.isfinite(left) else []
+        text = f"{bar}<p class=soft>{escaped(', '.join(said))}</p>"
+        if job.asked:
+            text = "<p role=status>Cancelling; what it has found is being saved …</p>"
+        if text != self.state.text:
+            self.state.text = text
+
+    def _tell_end(self, job: Job) -> None:
+        printed = job.printed()
+        error = next((line for line in reversed(printed.splitlines()) if line.startswith("error: ")), "")
+        error = error.removeprefix("error: ")
+        if error and not job.asked:
+            self.refuse(error)
+        else:
+            how = "Cancelled" if job.asked else "Done" if job.code == 0 else "Ended"
+            more = f": {escaped(error)}" if error else "; what it had found is saved" if job.asked else ""
+            self.state.text = f"<p role=status>{how} after {job.seconds:.1f} s{more}.</p>"
+        log = f"<pre>{escaped(command_text(job.words))}\n{escaped(printed)}</pre>"
+        self.state.text += f"<details><summary>What it printed</summary>{log}</details>"
+
+
+def _words(event: Event | None, job: Job) -> str:
+    """Say where a command stands: by its last event, or by the last line of one that has told none."""
+    if event is None:
+        return next((line.strip(" .") for line in reversed(job.printed().splitlines()) if line.strip()), "beginning")
+    if isinstance(event, SearchStep):
+        return f"iteration {event.number}, criterion {event.criterion:.6g}"
+    return event_words(event)

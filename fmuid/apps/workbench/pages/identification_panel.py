@@ -1,0 +1,182 @@
+"""Identification from the page of a study: what it is to do, its live iterations, its outcome and what would help."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from bokeh.layouts import column
+from bokeh.models import ColumnDataSource, Select, Spinner
+
+from fmuid.apps.workbench.home import address, escaped, file_address
+from fmuid.apps.workbench.jobs import Job
+from fmuid.apps.workbench.page_layout import SHEET, WIDE, several, words
+from fmuid.apps.workbench.pages.command_panel import Run
+from fmuid.apps.workbench.pages.remedy_panel import Page, Remedies
+from fmuid.apps.workbench.pages.results_view import models, side_by_side
+from fmuid.apps.workbench.project_folder import Folder
+from fmuid.errors import InputError
+from fmuid.files import is_file
+from fmuid.formatting import of_parameter
+from fmuid.progress import Event, SearchStep
+from fmuid.reports.interactive.live import in_scheme
+from fmuid.reports.interactive.style import BLUE, MAX_PARAMETERS, RED, Panel
+from fmuid.reports.page import identification
+
+SEARCHES = {
+    "from here": [],
+    "whole bounds, evolution": ["estimator.method=global", "estimator.search=evolution"],
+    "whole bounds, many starts": ["estimator.method=global", "estimator.search=multistart"],
+}
+"""What the search may be, and what a study says for it."""
+PROFILES, POSTERIOR = "profiles", "posterior"
+MAPS = 28
+"""Pairs of parameters that are offered for a map, at most."""
+STARTS = 20
+OTHERS = " What <code>results</code> has is of another study of this folder, and is written over."
+UNCERTAIN = ("profiles", "maps", "posterior")
+"""The sections of a report on more than standard deviations."""
+
+
+class Identifying:
+    """Controls, live iterations and outcome of ``fmuid identify``.
+
+    Parameters
+    ----------
+    page : Page
+
+    Attributes
+    ----------
+    controls, search, found : Bokeh models
+    run : Run
+    """
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.run = Run(page.doc, page.bench.jobs, page.results, {"Identify": self.begin}, self._add, self._end)
+        names = [each.name for each in page.rows]
+        self.how = Select(title="search", options=list(SEARCHES), value="from here", name="how", stylesheets=[SHEET])
+        self.starts = Spinner(title="starts", value=STARTS, low=1, step=1, visible=False, width=80, name="starts")
+        self.starts.stylesheets = [SHEET]
+        maps = [f"map of {first}, {second}" for first, second in combinations(names, 2)][:MAPS]
+        self.pairs = dict(zip(maps, combinations(names, 2), strict=False))
+        self.also = several("then also", [PROFILES, POSTERIOR, *maps], "also")
+        for each in (self.how, self.also, self.starts):
+            each.on_change("value", lambda _attr, _old, _new: self._asked())
+        self.controls = column(self.how, self.starts, self.also, self.run.layout, sizing_mode="stretch_width")
+        self.names = names[: MAX_PARAMETERS - 1]
+        self.trace = ColumnDataSource({"k": [], "c": [], **{f"v{i}": [] for i in range(len(self.names))}}, name="trace")
+        self.refused = ColumnDataSource({"k": [], "c": []})
+        self.hint = words("hint", "<p>Press Identify to see the search go on here.</p>")
+        self.search = column(self.hint, **WIDE)
+        self.text, self.remedies, self.more = words("found"), Remedies(page), column([], **WIDE)
+        self.found = column(self.text, self.remedies.layout, self.more, **WIDE)
+        if self.run.job is not None and self.run.job.running:
+            self._follow()
+        self._tell_result()
+
+    def _figures(self, searched: Mapping[str, float]) -> Any:
+        plots, free = [], [each for each in enumerate(self.names) if math.isfinite(_of(searched, each[1]))]
+        for key, text in [("c", "criterion"), *((f"v{i}", self.page.rows[i].text) for i, _ in free)]:
+            plot = Panel(x="iteration", y=text, height=190, y_axis_type="log" if key == "c" else "linear")
+            plot.line("k", key, source=self.trace, line_color=BLUE, line_width=1.8)
+            plot.scatter("k", key, source=self.trace, size=5, fill_color=BLUE, line_color=None)
+            if key == "c":
+                plot.scatter("k", "c", source=self.refused, marker="x", size=8, line_color=RED)
+            plot.whole()
+            plots.append(in_scheme(plot, self.page.scheme))
+        return side_by_side(plots)
+
+    # --- what is asked for
+
+    def settings(self) -> list[str]:
+        """Return what of the study is replaced for the search, and for what follows it."""
+        found = list(SEARCHES[self.how.value])
+        found += [f"estimator.starts={int(self.starts.value or STARTS)}"] if self.starts.visible else []
+        found += ["uncertainty.profile=true"] if PROFILES in self.also.value else []
+        found += ["uncertainty.posterior={}"] if POSTERIOR in self.also.value else []
+        pairs = [self.pairs[each] for each in self.also.value if each in self.pairs]
+        quoted = ", ".join(f'["{first}", "{second}"]' for first, second in pairs)
+        return found + ([f"uncertainty.map=[{quoted}]"] if pairs else [])
+
+    def _asked(self) -> None:
+        self.starts.visible = "multistart" in "".join(SEARCHES[self.how.value])
+        self.page.note()
+
+    # --- a run
+
+    def begin(self) -> None:
+        """Begin, or follow the run that another tab has begun."""
+        self.run.begin(self.page.path, self.page.words("identify"))
+        self._clear()
+
+    def _follow(self) -> None:
+        self.run.follow()
+        self._clear()
+
+    def _clear(self) -> None:
+        empty: dict[str, list[float]] = {key: [] for key in self.trace.data}
+        self.trace.data, self.refused.data = empty, {"k": [], "c": []}
+        self.hint.text = "<p>The search begins …</p>"
+        self.search.children = [self.hint]
+
+    def _add(self, events: Sequence[Event]) -> None:
+        """Draw the steps of the search, and move the sliders with them."""
+        steps = [each for each in events if isinstance(each, SearchStep)]
+        taken = [each for each in steps if each.accepted]
+        if taken:
+            columns: dict[str, list[float]] = {"k": [each.number for each in taken]}
+            columns["c"] = [each.criterion for each in taken]
+            for i, name in enumerate(self.names):
+                columns[f"v{i}"] = [_of(each.values, name) for each in taken]
+            self.trace.stream(columns)
+            last = taken[-1].values
+            if self.hint in self.search.children:  # empty figures have no ranges
+                self.search.children = [self._figures(last)]
+            self.page.put({name: _of(last, name) for name in self.names if math.isfinite(_of(last, name))}, note=False)
+        away = [each for each in steps if not each.accepted and math.isfinite(each.criterion)]
+        if away:
+            self.refused.stream({"k": [each.number for each in away], "c": [each.criterion for each in away]})
+
+    def _end(self, job: Job) -> None:
+        self.page.show_result(self.page.results, move=job.code == 0)
+        self._tell_result()
+
+    # --- words
+
+    def _tell_result(self) -> None:
+        """Show verdict, table, what would help and the figures of uncertainty of what is in the folder of results."""
+        folder: Path = self.page.results
+        where: Folder = self.page.bench.folder
+        if not self.page.has_result(folder):
+            more = "" if not is_file(folder / "result.json") else OTHERS
+            self.text.text = f"<p>There is no result yet: press Identify.{more}</p>"
+            return
+        try:
+            part = identification.part(folder)
+            self.remedies.tell(folder)
+        except InputError as error:
+            self.text.text = f"<p class=error>{escaped(error)}</p>"
+            return
+        said, *drawn = models(
+            [replace(part, sections=[each for each in part.sections if each.name in UNCERTAIN])],
+            self.page.scheme,
+        )
+        links = ""
+        if where.has(folder):
+            links = f'<p><a href="{address("results", where, folder)}">All figures</a>'
+            if (folder / "report.html").is_file():
+                links += f' · <a href="{file_address(where, folder / "report.html")}">report.html</a>'
+            links += "</p>"
+        self.text.text, self.more.children = said.text + links, drawn
+
+
+def _of(values: Mapping[str, float], name: str) -> float:
+    """Return the value of a parameter, of one per experiment the first."""
+    if name in values:
+        return values[name]
+    return next((value for each, value in values.items() if of_parameter(each, name)), math.nan)

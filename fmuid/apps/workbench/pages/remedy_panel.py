@@ -1,0 +1,252 @@
+"""From "not determined" to what helps: hold the parameter, give it a prior, or find a record that shows it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import quote
+
+from bokeh.layouts import column, row
+
+from fmuid.apps.workbench.home import address, escaped
+from fmuid.apps.workbench.jobs import Job
+from fmuid.apps.workbench.page_layout import LINE, WIDE, button, several, words
+from fmuid.apps.workbench.pages.command_panel import Run
+from fmuid.apps.workbench.pages.sliders import ParameterRow
+from fmuid.apps.workbench.project_folder import Folder, beside, tables
+from fmuid.errors import InputError
+from fmuid.estimation import Result
+from fmuid.files import is_file
+from fmuid.formatting import of_parameter
+from fmuid.runs import study_of
+from fmuid.studies import Study, read_toml
+
+DESIGN = "design"
+"""The folder in that of the results into which excitations are compared."""
+
+
+class Page(Protocol):
+    """What a part of the page of a study needs of the whole."""
+
+    doc: Any
+    path: Path
+    scheme: str
+    rows: list[ParameterRow]
+
+    @property
+    def bench(self) -> Any:
+        """The workbench."""
+
+    @property
+    def results(self) -> Path:
+        """Where the command writes."""
+
+    def has_result(self, folder: Path) -> bool:
+        """Whether a folder has a result of this study."""
+
+    def words(self, command: str) -> list[str]:
+        """Return the command."""
+
+    def put(self, values: dict[str, float], *, note: bool = True) -> None:
+        """Move sliders."""
+
+    def note(self) -> None:
+        """Keep a state to which one can go back, and say the command anew."""
+
+    def show_result(self, folder: Path, *, move: bool = False) -> None:
+        """Show a result as the last optimum."""
+
+
+class Excitations:
+    """What compares excitations for a study, by ``fmuid design``, into the folder of a result.
+
+    Parameters
+    ----------
+    doc : Document
+    bench : Bench
+    study : Path
+    results : Path
+        The folder of the result.
+    settings : callable
+        Returns what ``--set`` has to say, each after the word itself.
+
+    Attributes
+    ----------
+    layout : Bokeh model
+    """
+
+    def __init__(self, doc: Any, bench: Any, study: Path, results: Path, settings: Callable[[], Sequence[str]]) -> None:
+        self.where, self.study, self.folder, self._settings = bench.folder, study, results / DESIGN, settings
+        self.run = Run(doc, bench.jobs, self.folder, {"Compare excitations": self.compare}, ended=self._end)
+        known = [self.where.name(path) for path in tables(self.where)]
+        self.tables = several("excitations, tables of inputs", known, "excitations")
+        self.compared = words("compared")
+        advice = words(
+            "advice",
+            "<p>Or measure what shows it: <code>fmuid design</code> compares excitations before they are measured.</p>",
+        )
+        self.layout = column(advice, self.tables, self.run.layout, self.compared, name="designing", **WIDE)
+
+    def compare(self) -> None:
+        """Begin ``fmuid design`` with the tables that are chosen."""
+        if not self.tables.value:
+            self.run.refuse("choose tables: what the inputs would be, such as of a faster or longer record")
+            return
+        given = [beside(path, self.study) for path in map(self.where.path, self.tables.value)]
+        output = beside(self.folder, self.study)
+        self.run.begin(self.study, ["design", self.study.name, *given, "--output", output, *self._settings()])
+
+    def _end(self, job: Job) -> None:
+        link = address("results", self.where, self.folder)
+        done = job.code == 0 and self.where.has(self.folder)
+        self.compared.text = f'<p><a href="{link}">The excitations compared</a></p>' if done else ""
+
+
+class Remedies:
+    """What stands below a result that does not determine all parameters.
+
+    Parameters
+    ----------
+    page : Page
+
+    Attributes
+    ----------
+    layout : Bokeh model
+    """
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.excitations = Excitations(page.doc, page.bench, page.path, page.results, lambda: page.words("design")[2:])
+        self.layout = column([], name="remedies", **WIDE)
+
+    def tell(self, folder: Path) -> None:
+        """Offer what helps for each parameter that the result in a folder does not determine."""
+        names = undetermined(Result.from_json(folder / "result.json"), [each.name for each in self.page.rows])
+        lines = []
+        for name in names:
+            hold = button(f"Hold {name}", partial(self._hold, name))
+            prior = button(f"Give {name} a prior", partial(self._prior, name))
+            text = words("which", f"<p>{_which(name)}</p>")
+            lines.append(column(text, row(hold, prior, stylesheets=[LINE]), **WIDE))
+        heading = words("remedy", "<h3>What would help</h3>")
+        self.layout.children = [heading, *lines, self.excitations.layout] if names else []
+
+    def _hold(self, name: str) -> None:
+        row = self._row(name)
+        self.page.put({name: row.parameter.start}, note=False)  # the data say nothing against it, nor for its estimate
+        row.hold.active = True
+
+    def _prior(self, name: str) -> None:
+        self._row(name).give_prior()
+
+    def _row(self, name: str) -> Any:
+        return next(each for each in self.page.rows if each.name == name)
+
+
+def undetermined(result: Result, parameters: Sequence[str]) -> list[str]:
+    """Return the parameters of a study that a result does not determine, or hardly."""
+    names = {name for name, std in zip(result.names, result.std, strict=True) if not math.isfinite(std)}
+    names.update(name for each in (*result.undetermined, *result.weak) for name in each.names)
+    return [each for each in parameters if any(of_parameter(name, each) for name in names)]
+
+
+class Remedied:
+    """The study of a result that does not determine all parameters, where the folder has it.
+
+    Parameters
+    ----------
+    folder : Folder
+    place : Path
+        The folder of the result.
+
+    Attributes
+    ----------
+    names : list of str
+        The parameters; none where all are determined, or the study is not there any more.
+    study : Path
+    settings : list of str
+        What ``--set`` has to say for the study to be as it was for this result.
+    designing : list of str
+        The same words for excitations to be compared at what is known since: the other estimates, the noise.
+    """
+
+    def __init__(self, folder: Folder, place: Path) -> None:
+        self.names, self.settings = list[str](), list[str]()
+        try:
+            study, result = study_of(place), Result.from_json(place / "result.json")
+            self.study, now = study.path, read_toml(study.path) if is_file(study.path) else {}
+        except InputError:
+            return
+        if now and folder.has(self.study):
+            self.names = undetermined(result, list(study.parameters))
+            self.settings = list(_settings(now, study.data))
+            known = dict(zip(result.names, result.values.tolist(), strict=True))
+            found = [name for name in study.parameters if name in known and name not in self.names]
+            more = [f"parameters.{_key(name)}.start={known[name]!r}" for name in found]
+            told = last_of(*self.settings, *more, *noise_of(study, result))
+            self.designing = [word for each in told for word in ("--set", each)]
+            self._address = address("study", folder, self.study)
+
+    def links(self) -> str:
+        """Return links to the study's page on which one of the parameters is held, or given a prior, as HTML."""
+        more = "".join(f"&set={quote(each, safe='')}" for each in self.settings)
+        acts = (("hold", "Hold {}"), ("prior", "Give {} a prior"))
+        return "".join(
+            f"<p>{_which(name)} "
+            + "".join(
+                f'<a class=go href="{escaped(f"{self._address}{more}&{act}={quote(name)}")}">'
+                f"{escaped(label.format(name))}</a>"
+                for act, label in acts
+            )
+            + "</p>"
+            for name in self.names
+        )
+
+
+def last_of(*settings: str) -> list[str]:
+    """Return settings without those that a later one replaces."""
+    return list({each.partition("=")[0].replace('"', ""): each for each in settings}.values())
+
+
+def noise_of(study: Study, result: Result | None) -> list[str]:
+    """Return what ``--set`` has to say for the noise to be known: what a study does not say of it, a result does."""
+    known = study.known_variance
+    found = {} if result is None else {name: each for name, each in result.noise_variance.items() if name not in known}
+    return [f"noise.variance={_toml(known | found)}"] if found else []
+
+
+def _which(name: str) -> str:
+    return f"<b>{escaped(name)}</b> is not determined:"
+
+
+def _settings(before: Any, after: Any, where: str = "") -> Iterator[str]:
+    """Yield what ``--set`` has to say for a study's content to become another one."""
+    if isinstance(before, dict) and isinstance(after, dict):
+        if not where:  # held, which moves it from the parameters to the values of the model
+            held = before.get("parameters", {}).keys() - after.get("parameters", {}).keys()
+            yield from (f"parameters.{_key(name)}={after['model']['values'][name]!r}" for name in sorted(held))
+        for key, value in after.items():
+            if before.get(key) != value:
+                yield from _settings(before.get(key), value, f"{where}.{_key(key)}" if where else key)
+    elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        for k, (old, new) in enumerate(zip(before, after, strict=True)):
+            if old != new:
+                yield from _settings(old, new, f"{where}.{k}")
+    else:
+        yield f"{where}={_toml(after)}"
+
+
+def _key(name: str) -> str:
+    return name if name.isidentifier() else f'"{name}"'
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_key(key)} = {_toml(each)}" for key, each in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return repr(value) if isinstance(value, float) else json.dumps(value)

@@ -1,0 +1,341 @@
+"""The page of one study: what-if by sliders, and its identification."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import quote
+
+import numpy as np
+from bokeh.layouts import column, row
+from bokeh.models import Select, TabPanel, Tabs, Toggle
+
+from fmuid.apps.workbench.access_control import SCHEME
+from fmuid.apps.workbench.home import address, escaped
+from fmuid.apps.workbench.jobs import Jobs, command_text
+from fmuid.apps.workbench.page_layout import LINE, SHEET, WIDE, argument, arguments, button, dress, words
+from fmuid.apps.workbench.pages.identification_panel import Identifying
+from fmuid.apps.workbench.pages.latest_only_worker import Newest
+from fmuid.apps.workbench.pages.remedy_panel import last_of, noise_of
+from fmuid.apps.workbench.pages.sliders import ParameterRow, stacked
+from fmuid.apps.workbench.project_folder import Folder, FoundResult
+from fmuid.array_types import Floats
+from fmuid.errors import FmuidError, InputError
+from fmuid.estimation import Result
+from fmuid.files import is_file
+from fmuid.formatting import fit_text, with_unit
+from fmuid.processes import AVAILABLE
+from fmuid.reports.interactive.live import LiveFit, in_scheme
+from fmuid.simulation import Simulator, executor_of, fit_of, parameter_units
+from fmuid.studies import Study
+
+# Of so many states one can go back.
+MOST_UNDONE = 100
+# The arguments of the page's address that name a parameter to hold, and one that is to be given a prior.
+HOLD, PRIOR = "hold", "prior"
+
+
+class Bench(Protocol):
+    """What a page needs of the workbench."""
+
+    folder: Folder
+    jobs: Jobs
+
+
+def build(doc: Any, bench: Bench) -> None:
+    """Fill a document with the page of the study that its address names."""
+    path, given = bench.folder.path(argument(doc, "file")), arguments(doc, "set")
+    page = StudyPage(doc, bench, path, Study.read(path, given, isolated=AVAILABLE), argument(doc, SCHEME), given)
+    held, doubted = arguments(doc, HOLD), arguments(doc, PRIOR)
+    for each in page.rows:
+        each.hold.active = each.name in held
+        if each.name in doubted:
+            each.give_prior()
+
+
+class StudyPage:
+    """What one tab shows of a study."""
+
+    def __init__(
+        self, doc: Any, bench: Bench, path: Path, study: Study, scheme: str, given: Sequence[str] = ()
+    ) -> None:
+        study.check_parameters()
+        self.doc, self.bench, self.path, self.study, self.scheme = doc, bench, path, study, scheme
+        self._given = given  # values in place of the file's
+        self.simulators = study.simulators()
+        self.simulator: Simulator = self.simulators[0]
+        units = parameter_units(study.system, list(study.parameters))
+        self.rows = [
+            ParameterRow(name, unit, parameter, self._changed)
+            for (name, parameter), unit in zip(study.parameters.items(), units, strict=True)
+        ]
+        self.optimum: Result | None = None
+        self.shown = np.full(len(self.rows), np.nan)  # the values whose simulation is shown
+        self._undone = [self._state()]
+        self._newest: Newest[Floats] = Newest(self._simulate, executor_of(study.system).cancel, study.system.close)
+        doc.on_session_destroyed(lambda _context: self._newest.close())
+        self._make()
+        self.identifying = Identifying(self)
+        self.show_result(self.results)
+        self._lay_out()
+
+    @property
+    def results(self) -> Path:
+        """The folder that the command writes into."""
+        return self.path.parent / "results"
+
+    def has_result(self, folder: Path) -> bool:
+        """Whether a folder has a result of this study, and not of another one that writes there too."""
+        path = folder / "result.json"
+        return is_file(path) and FoundResult.of(path).study in (None, self.path.resolve())
+
+    # --- parts of the page
+
+    def _make(self) -> None:
+        self.scores = words("scores", "<p class=soft>simulating …</p>")
+        self.command = words("command")
+        self.undo = button("Undo", self.go_back, disabled=True)
+        self.to_starts = button("Starts", lambda: self.put({r.name: r.parameter.start for r in self.rows}))
+        self.to_optimum = button("Optimum", self._go_to_optimum, disabled=True)
+        self.near = Toggle(label="± 10 σ", name="sliders over ± 10 σ", disabled=True, stylesheets=[SHEET])
+        self.near.on_change("active", lambda _attr, _old, new: self._show_near(new))
+        names = [each.experiment.name for each in self.simulators]
+        self.experiment = Select(title="experiment", options=names, value=names[0], name="experiment")
+        self.experiment.stylesheets = [SHEET]
+        self.experiment.on_change("value", lambda _attr, _old, _new: self._choose(names.index(self.experiment.value)))
+        self.live = self._drawing()
+        self.fit = column(in_scheme(self.live.figure, self.scheme), name="fit", **WIDE)
+
+    def _drawing(self) -> LiveFit:
+        nothing = np.full((len(self.simulator.experiment.times), len(self.simulator.output_names)), np.nan)
+        record = fit_of(self.study.system, self.simulator.experiment, nothing)
+        return LiveFit(record, self.doc.add_next_tick_callback)
+
+    def _lay_out(self) -> None:
+        buttons = row(
+            self.undo, self.to_starts, self.to_optimum, self.near, stylesheets=[LINE], sizing_mode="stretch_width"
+        )
+        chosen = [self.experiment] if len(self.simulators) > 1 else []
+        side = column(
+            *chosen, stacked(self.rows), buttons, self.scores, self.identifying.controls, sizing_mode="stretch_width"
+        )
+        side.name = "side"
+        panels = [
+            TabPanel(child=self.fit, title="Fit"),
+            TabPanel(child=self.identifying.search, title="Search"),
+            TabPanel(child=self.identifying.found, title="Result"),
+        ]
+        self.tabs = Tabs(tabs=panels, name="main", **WIDE)
+        for root in (side, self.tabs, self.command):
+            self.doc.add_root(root)
+        pieces = [
+            ('<div class="bench"><section aria-label="parameters">', "side"),
+            ('</section><div><section aria-label="figures">', "main"),
+            ("</section><section><h3>The same from a terminal</h3>", "command"),
+            ("</section></div></div>", ""),
+        ]
+        if self.study.diagnosis is not None:
+            link = address("faults", self.bench.folder, self.path)
+            pieces.insert(0, (f'<p><a href="{link}">Look for faults</a></p>', ""))
+        dress(self.doc, self.study.title or self.path.stem, pieces, "bokeh-widgets")
+
+    # --- what-if
+
+    @property
+    def theta(self) -> Floats:
+        """The values that the sliders show, (N,)."""
+        return np.array([each.value for each in self.rows])
+
+    def ask(self) -> None:
+        """Have the sliders' values simulated: only the newest of them are, however many there were."""
+        self._newest.ask(self.theta)
+
+    def put(self, values: dict[str, float], *, note: bool = True) -> None:
+        """Move sliders."""
+        for each in self.rows:
+            if each.name in values:
+                each.put(values[each.name])
+        if note:
+            self.note()
+        self.ask()
+
+    def _changed(self, ended: bool) -> None:
+        self.ask()
+        if ended:
+            self.note()
+
+    def _show_near(self, near: bool) -> None:
+        for each in self.rows:
+            each.show_near(near)
+
+    def _state(self) -> tuple[tuple[float, bool], ...]:
+        return tuple((each.value, each.held) for each in self.rows)
+
+    def note(self) -> None:
+        """Keep a state to which one can go back, and say the commands anew."""
+        if self._state() != self._undone[-1]:
+            self._undone = [*self._undone, self._state()][-MOST_UNDONE:]
+        self.undo.disabled = len(self._undone) < 2
+        self._tell_command()
+
+    def go_back(self) -> None:
+        """Take the last change back."""
+        if len(self._undone) > 1:
+            self._undone.pop()
+        before = self._undone[-1]
+        for each, (value, held) in zip(self.rows, before, strict=True):
+            each.put(value)
+            each.hold.active = held
+        self.undo.disabled = len(self._undone) < 2
+        self._tell_command()
+        self.ask()
+
+    def _simulate(self, theta: Floats) -> None:
+        """Simulate in the thread, and have the page show it."""
+        simulator, begun = self.simulator, time.perf_counter()
+        try:
+            found = simulator.many(theta[None])
+            outputs, error = found.outputs[0], found.errors[0]
+            words = "" if error is None else str(error)
+        except FmuidError as wrong:
+            outputs, words = np.full((len(simulator.experiment.times), len(simulator.output_names)), np.nan), str(wrong)
+        seconds = time.perf_counter() - begun
+        # Bokeh tells that a page is dropped only after it has taken its document apart
+        with contextlib.suppress(AttributeError):
+            self.doc.add_next_tick_callback(partial(self._show, simulator, theta, outputs, words, seconds))
+
+    def _show(self, simulator: Simulator, theta: Floats, outputs: Floats, error: str, seconds: float) -> None:
+        if simulator is not self.simulator:
+            return  # another experiment was chosen meanwhile
+        self.shown = theta
+        if error:
+            self.scores.text = f"<p class=error role=status>{escaped(error)}</p>"
+            return
+        self.live.draw(outputs)
+        self.scores.text = self._scores(theta, seconds)
+
+    def _choose(self, number: int) -> None:
+        self.simulator = self.simulators[number]
+        self.live = self._drawing()
+        self.fit.children = [in_scheme(self.live.figure, self.scheme)]
+        self._haunt()
+        self.ask()
+
+    def _scores(self, theta: Floats, seconds: float) -> str:
+        """Say how well simulation and measurement agree: fit, RMSE, and RMSE in standard deviations of the noise."""
+        record, known = self.live.record, self._noise()
+        cells = []
+        for name, fit, rmse, unit in zip(record.outputs, record.fit, record.rmse, record.units, strict=True):
+            std = math.sqrt(known[name]) if known.get(name, 0.0) > 0 else math.nan
+            times = f", {rmse / std:.3g} std of the noise" if math.isfinite(rmse / std) else ""
+            more = f"<small>RMSE {escaped(with_unit(rmse, unit))}{times}</small>" if math.isfinite(rmse) else ""
+            cells.append(_cell(f"fit of {name}", fit_text(fit), more))
+        away = self._distance(theta)
+        cells += [_cell("from the optimum", f"{away:.3g} std")] if math.isfinite(away) else []
+        cells.append(_cell("simulated in", f"{seconds:.3g} s" if seconds >= 1.0 else f"{1000 * seconds:.3g} ms"))
+        return f"<div class=numbers role=status>{''.join(cells)}</div>"
+
+    def _noise(self) -> dict[str, float]:
+        """Return the noise variance of each output, as the last result or the study has it."""
+        return dict(self.optimum.noise_variance) if self.optimum is not None else self.study.known_variance
+
+    def _distance(self, theta: Floats) -> float:
+        """Return how far all parameters together are from the last optimum, in standard deviations."""
+        result = self.optimum
+        if result is None or list(result.names) != [each.name for each in self.rows]:
+            return math.nan
+        if not np.isfinite(result.covariance).all():
+            return math.nan
+        away = theta - result.values
+        try:
+            return math.sqrt(max(0.0, float(away @ np.linalg.solve(result.covariance, away))))
+        except np.linalg.LinAlgError:  # a direction is undetermined: there is no distance along it
+            return math.nan
+
+    # --- the last optimum
+
+    def show_result(self, folder: Path, *, move: bool = False) -> None:
+        """Show a result as the last optimum: its ghost, its intervals, how far one is away from it."""
+        try:
+            self.optimum = Result.from_json(folder / "result.json") if self.has_result(folder) else None
+        except InputError:
+            self.optimum = None
+        self._haunt()
+        if move and self._at_optimum():
+            self._go_to_optimum()
+        else:
+            self._tell_command()
+            self.ask()
+
+    def _at_optimum(self) -> dict[str, tuple[float, float]]:
+        """Return value and standard deviation of the parameters that the result has of the experiment shown."""
+        result, found = self.optimum, dict[str, tuple[float, float]]()
+        if result is None:
+            return found
+        place = {name: i for i, name in enumerate(result.names)}
+        for each in self.rows:
+            name = each.parameter.name_in(self.simulator.experiment.name, each.name)
+            if name in place:
+                found[each.name] = float(result.values[place[name]]), float(result.std[place[name]])
+        return found
+
+    def _haunt(self) -> None:
+        """Show what the result says of the experiment shown: at the sliders, and as a ghost in the figure."""
+        values = self._at_optimum()
+        for each in self.rows:
+            each.know(values.get(each.name))
+        self.to_optimum.disabled = self.near.disabled = not values
+        if not values:
+            self.live.haunt(None)
+            return
+        theta = np.array([values.get(each.name, (each.value, 0.0))[0] for each in self.rows])
+        try:
+            self.live.haunt(self.simulator(theta))
+        except FmuidError:
+            self.live.haunt(None)
+
+    def _go_to_optimum(self) -> None:
+        self.put({name: value for name, (value, _) in self._at_optimum().items()})
+
+    # --- the command
+
+    def settings(self, command: str = "") -> list[str]:
+        """Return what ``--set`` has to say for a command to begin where the sliders are."""
+        found = [word for each in self.rows for word in _said_of(each, hold=each.held)]
+        found += self.identifying.settings() if command == "identify" else []
+        found += noise_of(self.study, self.optimum) if command == "design" else []
+        return [word for setting in last_of(*self._given, *found) for word in ("--set", setting)]
+
+    def words(self, command: str) -> list[str]:
+        """Return a command that does what the page shows, to be given in the study's folder."""
+        return [command, self.path.name, *self.settings(command)]
+
+    def _tell_command(self) -> None:
+        lines = (command_text(self.words("simulate")), command_text(self.words("identify")))
+        self.command.text = f"<pre>{escaped(lines[0])}<br>{escaped(lines[1])}</pre>"
+        # where a page that was cut off goes on
+        said = [word for each in self.rows for word in _said_of(each, hold=False)]
+        shown = [("set", word) for word in last_of(*self._given, *said)]
+        shown += [(HOLD, each.name) for each in self.rows if each.held]
+        tail = "".join(f"&{name}={quote(value, safe='')}" for name, value in shown)
+        self.command.tags = [address("study", self.bench.folder, self.path) + tail]
+
+
+def _said_of(row: ParameterRow, *, hold: bool) -> list[str]:
+    """Return what ``--set`` has to say of a parameter for it to be as its row shows it."""
+    name = f'"{row.name}"' if any(mark in row.name for mark in " '") else row.name
+    if hold:
+        return [f"parameters.{name}={row.value:.9g}"]
+    found = [f"parameters.{name}.start={row.value:.9g}"] if row.value != row.parameter.start else []
+    if row.prior is not row.parameter.prior and row.prior is not None:
+        found.append(f"parameters.{name}.prior={{ mean = {row.prior.mean:.9g}, std = {row.prior.std:.9g} }}")
+    return found
+
+
+def _cell(name: str, value: str, more: str = "") -> str:
+    return f"<div>{escaped(name)}<b>{escaped(value)}</b>{more}</div>"

@@ -1,5 +1,0 @@
-"""How far a result can be trusted: residuals, prior and data, profiles, posterior, maps."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,3 +1,0 @@
-"""The command line."""
-
-from fmuid.cli.app import main as main

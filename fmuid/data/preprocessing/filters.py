@@ -1,0 +1,213 @@
+"""Signals filtered without a shift in time, resampled, and freed of their trend; missing samples stay missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fmuid.array_types import Flags, Floats, Indices
+from fmuid.data.interpolation import HELD
+from fmuid.errors import InputError
+
+ORDER = 2
+"""Of the Butterworth filter, which is run forwards and backwards: twice that in all."""
+EQUAL = 0.01
+"""Steps that differ by no more than this share are equal: clocks of loggers jitter."""
+GAP = 1.5
+"""A step longer than so many usual ones is a gap, in which samples are missing."""
+MOST_FILLED = 20
+"""Usual steps that a gap may last to be filled where nobody says how long: a dropout of a logger, and no pause."""
+RARE = 0.02
+"""Share of the steps up to which long ones are gaps: a record with more of them is sampled so."""
+SHORTEST = 4
+"""Samples in a row that can be filtered."""
+SAME = 1e-6
+"""Share of a step by which times that are the same may differ: they are rounded decimals."""
+
+
+def usual_step(times: Floats) -> float:
+    """Return the median of the steps of time that are none of a jump at one time, s."""
+    steps = np.diff(times)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+def missing_rows(times: Floats, most: float = MOST_FILLED) -> Indices:
+    """Return the rows (from 0) after which rows are missing, by default for longer than a dropout.
+
+    A record that is sampled in equal steps on both sides of one that is longer than `most` of them lacks rows there;
+    where such steps are many, or follow each other, that is how it was sampled.
+    """
+    steps = np.diff(times)
+    usual = usual_step(times)
+    alone = (steps > 0) & (steps <= GAP * usual)
+    found = np.flatnonzero((steps[1:-1] > most * usual * (1 + SAME)) & alone[:-2] & alone[2:]) + 1
+    return found if found.size <= max(1.0, RARE * steps.size) else found[:0]
+
+
+def dropouts(times: Floats) -> tuple[float, ...]:
+    """Return where rows are missing that inputs go on over as between any two samples: the times before, s."""
+    return tuple(times[missing_rows(times, GAP)].tolist())
+
+
+def with_missing_rows(times: Floats, longest: float) -> tuple[Floats, Indices]:
+    """Return times where none are missing, and the rows they are of, -1 for those put in.
+
+    A gap of more than `longest`, s, gets one row in place of all: it will not be filled.
+    """
+    usual, after = usual_step(times), missing_rows(times)
+    lengths = times[after + 1] - times[after]
+    counts = [round(each / usual) - 1 if each <= longest * (1 + SAME) else 1 for each in lengths.tolist()]
+    new = [times[row] + usual * np.arange(1, count + 1) for row, count in zip(after.tolist(), counts, strict=True)]
+    at = np.repeat(after + 1, counts)
+    return np.insert(times, at, np.concatenate([[], *new])), np.insert(np.arange(times.size), at, -1)
+
+
+def check_equal_steps(times: Floats, word: str, source: str) -> None:
+    """Check that the steps of time are equal but for gaps.
+
+    Raises
+    ------
+    InputError
+        If they are not; the sentence names the first that differs.
+    """
+    steps, usual = np.diff(times), usual_step(times)
+    odd = np.flatnonzero((np.abs(steps - usual) > EQUAL * usual) & (steps <= GAP * usual))
+    if usual <= 0 or odd.size:
+        row = int(odd[0]) if odd.size else 0
+        raise InputError(
+            f"{source}: {word} needs equal steps of time, and after row {row + 1} there is one of {steps[row]:.6g} s "
+            f"where most are {usual:.6g} s: filter the signals as they are recorded, or leave {word} out"
+        )
+
+
+def low_passed(times: Floats, values: Floats, frequency: float, source: str) -> Floats:
+    """Return columns (K, n) without what is faster than a frequency, Hz; each by itself, from gap to gap.
+
+    A Butterworth filter of order 2 is run forwards and backwards (`scipy.signal.sosfiltfilt`): nothing is shifted in
+    time, and at the frequency itself half the amplitude is left. A stretch of fewer than four samples between gaps
+    becomes missing.
+
+    Raises
+    ------
+    InputError
+        If the steps of time are not equal, or too long for the frequency.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    check_equal_steps(times, "low_pass", source)
+    rate = 1.0 / usual_step(times)
+    if not 0 < frequency < rate / 2:
+        raise InputError(
+            f"{source}: low_pass = {frequency:g} Hz must lie below half the sample rate, {rate / 2:g} Hz: give a lower "
+            "frequency, or leave it out"
+        )
+    sections = butter(ORDER, frequency, fs=rate, output="sos")
+    reach = 3 * (2 * len(sections) + 1)  # what scipy continues at either end by default
+    found = np.full_like(values, np.nan)
+    breaks = np.diff(times) > GAP / rate
+    for k in range(values.shape[1]):
+        for stretch in _stretches(np.isfinite(values[:, k]), breaks):
+            if stretch.size >= SHORTEST:
+                ends = min(reach, stretch.size - 1)
+                found[stretch, k] = sosfiltfilt(sections, values[stretch, k], padlen=ends)
+    return found
+
+
+def _stretches(there: Flags, breaks: Flags) -> list[Indices]:
+    """Return the rows of each stretch without missing samples and gaps."""
+    rows = np.flatnonzero(there)
+    part = np.concatenate([[0], np.cumsum(breaks)])[rows]
+    cuts = np.flatnonzero((np.diff(rows) > 1) | (np.diff(part) > 0)) + 1
+    return [each for each in np.split(rows, cuts) if each.size]
+
+
+def filled(
+    times: Floats, values: Floats, how: str, longest: float | None, within: tuple[float, float], called: str
+) -> Floats:
+    """Return a column (K,) with its gaps filled, on straight lines ("linear") or by the sample before ("hold").
+
+    A gap is as long as the time from the sample before it to the one after, or to the end of the record. One that
+    cannot be filled stays where it lies outside the times `within`, which are those that are kept.
+
+    Raises
+    ------
+    InputError
+        If a gap is longer than `longest`, s (None: `MOST_FILLED` usual steps), or there is no sample to fill it from;
+        the sentence names its time.
+    """
+    there, gone = np.flatnonzero(np.isfinite(values)), np.flatnonzero(~np.isfinite(values))
+    if not gone.size:
+        return values
+    place = np.searchsorted(there, gone)
+    first, last = place == 0, place == there.size
+    rows = np.append(there, times.size - 1)  # of a column without a sample all are first
+    before, after = rows[np.maximum(place - 1, 0)], rows[place]
+    length = times[after] - times[before]
+    alone = first | (last if how == "linear" else False)
+    needed = (times[gone] >= within[0]) & (times[gone] <= within[1])
+    limit, said_so = (
+        (MOST_FILLED * usual_step(times), f"{MOST_FILLED} usual steps") if longest is None else (longest, "longest_gap")
+    )
+    long = ~alone & (length > limit * (1 + SAME))
+    for bad in np.flatnonzero((alone | long) & needed)[:1]:
+        said = f"{called} has no value at t = {times[gone[bad]]:.9g} s"
+        if alone[bad]:
+            side = "before" if first[bad] else "after"
+            raise InputError(f"{said} and none {side} it to fill it from: cut the table there")
+        raise InputError(
+            f"{said}, in a gap of {length[bad]:.6g} s, more than {said_so} = {limit:g} s: make longest_gap longer, or "
+            "cut the table there"
+        )
+    share = np.where(length > 0, (times[gone] - times[before]) / np.where(length > 0, length, 1.0), 0.0)
+    found, slope = values.copy(), values[after] - values[before] if how == "linear" else 0.0
+    kept = ~(alone | long)
+    found[gone[kept]] = (values[before] + share * slope)[kept]
+    return found
+
+
+def resampled(
+    times: Floats, values: Floats, interpolation: Sequence[str], step: float, source: str
+) -> tuple[Floats, Floats]:
+    """Return times in equal steps, s, and columns (K, n) there: on straight lines, or as they hold.
+
+    Nothing is made up where samples are missing: a time beside a missing sample, or in a gap, has none.
+
+    Raises
+    ------
+    InputError
+        If the step is longer than the record, or a time is there twice.
+    """
+    twice = np.flatnonzero(np.diff(times) == 0)
+    if twice.size:
+        raise InputError(
+            f"{source}: resample cannot tell which of the two samples at t = {times[twice[0]]:.9g} s is meant: "
+            "leave it out, or keep one of them"
+        )
+    count = int((times[-1] - times[0]) / step + SAME) + 1
+    if count < 2:
+        raise InputError(f"{source}: resample = {step:g} s is longer than the record: give a shorter step")
+    at = np.minimum(times[0] + step * np.arange(count), times[-1])
+    before = np.searchsorted(times, at + SAME * step, side="right") - 1
+    same = np.abs(times[before] - at) <= SAME * step
+    after = np.where(same, before, np.minimum(before + 1, times.size - 1))
+    length = times[after] - times[before]
+    share = np.where(same, 0.0, (at - times[before]) / np.where(same, 1.0, length))
+    gap = length > GAP * max(usual_step(times), step)
+    found = values[before] + share[:, None] * (values[after] - values[before])
+    for k, word in enumerate(interpolation):
+        if word in HELD:
+            found[:, k] = values[before if word == "hold" else after, k]
+    found[gap] = np.nan
+    return at, found
+
+
+def detrended(times: Floats, values: Floats, degree: int) -> Floats:
+    """Return columns (K, n) less their mean (degree 0) or straight line (1), by least squares over what is there."""
+    found = values.copy()
+    for k in range(values.shape[1]):
+        there = np.isfinite(values[:, k])
+        if there.sum() > degree:
+            centred = times - times[there].mean()
+            found[:, k] -= np.polyval(np.polyfit(centred[there], values[there, k], degree), centred)
+    return found

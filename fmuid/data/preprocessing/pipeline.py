@@ -1,0 +1,367 @@
+"""What is done with a table before it is an experiment, in one order."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+import pandas as pd
+
+from fmuid.array_types import Floats
+from fmuid.data.experiment import Experiment
+from fmuid.data.interpolation import HELD, interpolation_words
+from fmuid.data.preprocessing.expressions import evaluate
+from fmuid.data.preprocessing.filters import detrended, filled, low_passed, resampled, with_missing_rows
+from fmuid.data.tables import UNITS, numeric_column
+from fmuid.data.times import column_of, missing_column
+from fmuid.data.transforms import inverse_park, park
+from fmuid.errors import InputError
+from fmuid.units import parse_unit, unit_in_name
+
+Table = TypeVar("Table", pd.DataFrame, Experiment)
+TRENDS = {"mean": 0, "linear": 1}
+"""What `detrend` takes away, by the degree of the polynomial."""
+FILLS = ("linear", "hold")
+"""How `fill` goes over a gap: on a straight line, or by the sample before it."""
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Three phases as two axes that turn, or the way back (docs/method.md section 8).
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Three phases, which become two axes, or two axes, which become three phases.
+    names : tuple of str
+        The new columns.
+    angle : str or None
+        The column of the electrical angle (rad, or what the table says); without it `speed` is integrated.
+    speed : str or None
+        The column of the speed (rad/s, or what the table says).
+    pole_pairs : float
+        What angle and speed are multiplied by: 1 where they are electrical.
+    start : float
+        The electrical angle where the integration begins, rad.
+
+    Examples
+    --------
+    >>> phases = {"ia": [3.0, 3.0], "ib": [-1.5, -1.5], "ic": [-1.5, -1.5]}
+    >>> table = pd.DataFrame({"time": [0.0, 0.1], "w": [0.0, 0.0], **phases})
+    >>> axes = fmuid.Axes(("ia", "ib", "ic"), ("id", "iq"), speed="w", pole_pairs=2)
+    >>> fmuid.reduce(table, axes=[axes])["id"].round(3).tolist()
+    [3.674, 3.674]
+    """
+
+    columns: tuple[str, ...]
+    names: tuple[str, ...]
+    angle: str | None = None
+    speed: str | None = None
+    pole_pairs: float = 1.0
+    start: float = 0.0
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What is done with a table, in this order.
+
+    Attributes
+    ----------
+    columns : mapping of str to str
+        New columns, or others in place of what is there, by expressions (`fmuid.data.preprocessing.expressions`), one
+        after the other.
+    axes : sequence of Axes
+    low_pass : float or None
+        Hz: signals without what is faster (`fmuid.data.preprocessing.filters.low_passed`).
+    start, end : float or None
+        Times, s, between which the table is kept.
+    resample : float or None
+        Step of time, s.
+    detrend : "mean", "linear", mapping of str to these, or None
+        What is taken from signals, or from some.
+    fill : mapping of str to "linear" or "hold"
+        Columns whose missing samples are filled, after `columns` and before `axes`; rows that are missing, too
+        (`fmuid.data.preprocessing.filters.missing_rows`).
+    longest_gap : float or None
+        s: a longer one is not filled; None: 20 usual steps (`fmuid.data.preprocessing.filters.filled`).
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    axes: Sequence[Axes] = ()
+    low_pass: float | None = None
+    start: float | None = None
+    end: float | None = None
+    resample: float | None = None
+    detrend: str | Mapping[str, str] | None = None
+    fill: Mapping[str, str] = field(default_factory=dict)
+    longest_gap: float | None = None
+
+    @property
+    def by_rows(self) -> bool:
+        """Whether each row is made of itself alone, so that a table can be prepared piece by piece."""
+        alone = Preparation(self.columns, self.axes)
+        return self == alone and all(each.angle is not None for each in self.axes)
+
+    def applied(
+        self,
+        frame: pd.DataFrame,
+        time: str,
+        source: str,
+        signals: Iterable[str] | None = None,
+        interpolation: Mapping[str, str] | None = None,
+    ) -> pd.DataFrame:
+        """Return a table as it is after all of this.
+
+        Parameters
+        ----------
+        frame : pandas.DataFrame
+        time : str
+            The column of time, s.
+        source : str
+            What the table is called in messages.
+        signals : iterable of str, optional
+            The columns to filter, resample and detrend; default: all with numbers.
+        interpolation : mapping of str to str, optional
+            How columns go between samples; default: linear.
+
+        Raises
+        ------
+        InputError
+            If something is asked for that the table does not allow.
+        """
+        if self == Preparation():
+            return frame
+        work, between = _Work(frame, time, source), interpolation or {}
+        work.derive(self.columns)
+        work.fill(self)
+        for each in self.axes:
+            work.turn(each)
+        names = work.signals(signals)
+        if self.low_pass is not None:
+            for column in names:
+                if between.get(column) in HELD:
+                    raise InputError(
+                        f'{source}: {column!r} holds between samples (interpolation = "hold") and is low-passed: what '
+                        "is filtered does not hold; leave out one of the two"
+                    )
+            work.put(names, low_passed(work.times, work.values(names), self.low_pass, source))
+        work.cut(self.start, self.end)
+        if self.resample is not None:
+            how = [between.get(column, "linear") for column in names]
+            work.set(*resampled(work.times, work.values(names), how, self.resample, source), names)
+        work.detrend(names, self.detrend)
+        return work.frame
+
+
+class _Work:
+    """A table that is worked on."""
+
+    def __init__(self, frame: pd.DataFrame, time: str, source: str) -> None:
+        self.frame, self.time, self.source = frame.copy(), time, source
+        self.units: dict[str, str] = dict(frame.attrs.get(UNITS, {}))
+        if time not in frame.columns:
+            raise InputError(f"{source}: {missing_column('time', time, frame.columns)}")
+        times = self.times
+        if not (np.isfinite(times).all() and (np.diff(times) >= 0).all() and times.size > 1 and times[-1] > times[0]):
+            raise InputError(f"{source}: the times {time!r} must be finite and never decrease: sort the rows")
+
+    @property
+    def times(self) -> Floats:
+        return numeric_column(self.frame, self.time, self.source)
+
+    def column(self, name: str) -> Floats:
+        found = column_of([str(each) for each in self.frame.columns], name)
+        if found is None:
+            raise InputError(f"{self.source}: {missing_column('prepared', name, self.frame.columns)}")
+        return numeric_column(self.frame, found, self.source)
+
+    def unit(self, name: str) -> str | None:
+        column = column_of([str(each) for each in self.frame.columns], name) or ""
+        return self.units.get(column) or unit_in_name(column)
+
+    def values(self, names: Sequence[str]) -> Floats:
+        return np.column_stack([self.column(name) for name in names]) if names else np.empty((len(self.frame), 0))
+
+    def signals(self, asked: Iterable[str] | None) -> list[str]:
+        """Return the columns that are signals."""
+        names = [str(each) for each in self.frame.columns]
+        if asked is not None:
+            found = dict.fromkeys(column_of(names, each) for each in asked)
+            return [each for each in found if each is not None and each != self.time]
+        return [each for each in names if each != self.time and pd.api.types.is_numeric_dtype(self.frame[each].dtype)]
+
+    def put(self, names: Sequence[str], values: Floats) -> None:
+        self.frame = self.frame.assign(**dict(zip(names, values.T, strict=True)))
+        self._keep_units()
+
+    def set(self, times: Floats, values: Floats, names: Sequence[str]) -> None:
+        attributes = self.frame.attrs
+        self.frame = pd.DataFrame({self.time: times} | dict(zip(names, values.T, strict=True)))
+        self.frame.attrs = attributes
+        self._keep_units()
+
+    def _keep_units(self) -> None:
+        self.frame.attrs = {**self.frame.attrs, UNITS: {k: v for k, v in self.units.items() if k in self.frame.columns}}
+
+    def derive(self, columns: Mapping[str, str]) -> None:
+        for name, expression in columns.items():
+            if name == self.time:
+                raise InputError(
+                    f"{self.source}: the time {name!r} cannot be computed anew: give the column another name"
+                )
+            try:
+                values = evaluate(expression, self.column, len(self.frame))
+            except InputError as error:
+                why = str(error).removeprefix(f"{self.source}: ")
+                raise InputError(f"{self.source}: column {name!r}: {why}") from None
+            self.put([name], np.where(np.isfinite(values), values, np.nan)[:, None])
+
+    def fill(self, asked: Preparation) -> None:
+        if asked.fill:
+            times, rows = with_missing_rows(self.times, asked.longest_gap or 0.0)
+            self.frame = self.frame.reset_index(drop=True).reindex(rows).reset_index(drop=True)
+            self.put([self.time], times[:, None])
+        within = _kept(self.times, asked.start, asked.end)
+        for name, how in asked.fill.items():
+            if how not in FILLS:
+                raise InputError(f'{self.source}: fill = {how!r} is not known: write "linear" or "hold"')
+            values, called = self.column(name), f"{self.source}: the column {name!r}"
+            found = column_of([str(column) for column in self.frame.columns], name) or name
+            self.put([found], filled(self.times, values, how, asked.longest_gap, within, called)[:, None])
+
+    def turn(self, axes: Axes) -> None:
+        unit = {self.unit(name) for name in axes.columns}
+        if len(unit) > 1:
+            said = ", ".join(f"{name} in {self.unit(name) or 'no unit'}" for name in axes.columns)
+            raise InputError(f"{self.source}: {said}: phases and axes that are transformed must have one unit")
+        names = [column_of([str(each) for each in self.frame.columns], name) or name for name in axes.columns]
+        angle = "\0"
+        frame = self.frame.assign(**{angle: self._angle(axes)})
+        turned = (park if len(names) == 3 else inverse_park)(frame, names, axes.names, angle)
+        self.frame = turned.drop(columns=angle)
+        if (shared := unit.pop()) is not None:
+            self.units |= dict.fromkeys(axes.names, shared)
+        self._keep_units()
+
+    def _angle(self, axes: Axes) -> Floats:
+        """Return the electrical angle, rad."""
+        if axes.angle is not None:
+            return axes.pole_pairs * self._in("rad", axes.angle)
+        if axes.speed is None:
+            raise InputError(f"{self.source}: the axes {', '.join(axes.names)} need an angle or a speed")
+        speed = axes.pole_pairs * self._in("rad/s", axes.speed)
+        if not np.isfinite(speed).all():
+            row = int(np.flatnonzero(~np.isfinite(speed))[0]) + 1
+            raise InputError(
+                f"{self.source}: the speed {axes.speed!r} has no value in row {row}: fill it, to integrate it"
+            )
+        steps = np.diff(self.times) * (speed[1:] + speed[:-1]) / 2
+        return np.asarray(axes.start + np.concatenate([[0.0], np.cumsum(steps)]))
+
+    def _in(self, unit: str, name: str) -> Floats:
+        """Return a column in a unit, which is what it is in where the table says nothing."""
+        values, said = self.column(name), self.unit(name)
+        given, wanted = parse_unit(said or unit), parse_unit(unit)
+        if given is None or wanted is None or given.exponents != wanted.exponents:
+            raise InputError(f"{self.source}: the column {name!r} is in {said}, which does not convert to {unit}")
+        return np.asarray(given.factor / wanted.factor * values)
+
+    def cut(self, start: float | None, end: float | None) -> None:
+        times = self.times
+        lower, upper = _kept(times, start, end)
+        kept = (times >= lower) & (times <= upper)
+        if kept.sum() < 2:
+            asked = "" if start is None else f"from {start:g}"
+            asked += "" if end is None else f" to {end:g}"
+            raise InputError(
+                f"{self.source}: {asked.strip()} s leaves {kept.sum()} samples: the record goes from {times[0]:.6g} to "
+                f"{times[-1]:.6g} s"
+            )
+        if not kept.all():
+            self.frame = self.frame[kept].reset_index(drop=True)
+            self._keep_units()
+
+    def detrend(self, names: Sequence[str], asked: str | Mapping[str, str] | None) -> None:
+        if asked is None:
+            return
+        each = asked if isinstance(asked, Mapping) else dict.fromkeys(names, asked)
+        for name, how in each.items():
+            if how not in TRENDS:
+                raise InputError(f'{self.source}: detrend = {how!r} is not known: write "mean" or "linear"')
+            found = column_of([str(column) for column in self.frame.columns], name) or name
+            self.put([found], detrended(self.times, self.column(name)[:, None], TRENDS[how]))
+
+
+def _kept(times: Floats, start: float | None, end: float | None) -> tuple[float, float]:
+    """Return the times between which samples are kept; theirs are rounded decimals."""
+    tolerance = 1e-9 * float(times[-1] - times[0])
+    return (-math.inf if start is None else start - tolerance), (math.inf if end is None else end + tolerance)
+
+
+def reduce(
+    given: Table,
+    *,
+    columns: Mapping[str, str] | None = None,
+    axes: Sequence[Axes] = (),
+    low_pass: float | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    resample: float | None = None,
+    detrend: str | Mapping[str, str] | None = None,
+    fill: Mapping[str, str] | None = None,
+    longest_gap: float | None = None,
+    time: str = "time",
+) -> Table:
+    """Do with a table, or with that of an experiment, what ``[experiments.prepare]`` of a study does, in this order.
+
+    Parameters
+    ----------
+    given : DataFrame or Experiment
+        Of an experiment, inputs and outputs are filtered, resampled and detrended; of a frame, all columns of numbers.
+    columns : mapping of str to str
+        Columns to compute, by expressions such as ``"pulses * 35.1 + vir"``.
+    axes : sequence of Axes
+        Phases to transform to turning axes, or back.
+    low_pass : float
+        Hz: what is faster is taken away, without a shift in time.
+    start, end : float
+        Times between which the table is kept, s.
+    resample : float
+        Step of time, s.
+    detrend : "mean", "linear" or mapping of column to these
+    fill : mapping of column to "linear" or "hold"
+        Columns whose missing samples are filled, on straight lines or by the sample before; after `columns`, before
+        all else. Those of outputs do not count and need no filling. Rows that are missing for more than 20 steps are
+        put in first.
+    longest_gap : float
+        s: a longer gap is refused; default: 20 usual steps.
+    time : str
+        The column of time of a frame, s.
+
+    Returns
+    -------
+    DataFrame or Experiment
+        As it was given; new.
+
+    Raises
+    ------
+    InputError
+        If something is asked for that the table does not allow.
+
+    Examples
+    --------
+    >>> import pandas as pd, fmuid
+    >>> frame = pd.DataFrame({"time": [0.0, 0.1, 0.2, 0.3], "pulses": [0.0, 2.0, 4.0, 6.0]})
+    >>> fmuid.reduce(frame, columns={"x": "pulses / 2 + 1"}, start=0.1, resample=0.2)["x"].tolist()
+    [2.0, 4.0]
+    """
+    how = Preparation(columns or {}, axes, low_pass, start, end, resample, detrend, fill or {}, longest_gap)
+    if not isinstance(given, Experiment):
+        return how.applied(given, time, "the frame")
+    driven = {name: given.columns[name] for name in given.input_names}
+    words = interpolation_words(given.source, given.interpolation, driven)
+    between = dict(zip(driven.values(), words, strict=True))
+    return replace(given, frame=how.applied(given.frame, given.time, given.source, given.columns.values(), between))

@@ -1,0 +1,206 @@
+"""What healthy records showed, in a file beside the healthy result: a diagnosis need not examine them again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.data import Experiment, read_arrays_isolated, write_arrays
+from fmuid.diagnosis.baseline.whitening import Whitening
+from fmuid.diagnosis.change_detection.information_matrix import Information
+from fmuid.diagnosis.change_detection.unexplained_residual import SPANS
+from fmuid.diagnosis.change_parameters import Coordinates
+from fmuid.diagnosis.faults import Fault
+from fmuid.errors import InputError
+from fmuid.estimation import Autoregression
+from fmuid.files import as_json, read_content
+from fmuid.models import System
+from fmuid.version import __version__
+
+KIND, REMEDY = "the baseline.npz of fmuid identify", "identify the healthy study again"
+# Healthy values of the file and of the result beside it are the same numbers, but for their last digits.
+SAME_VALUE = 1e-9
+
+
+class Basis(Enum):
+    """Where a diagnosis has the healthy machine from."""
+
+    RECORDS = "records"
+    FILE = "file"
+    """What the identification of the healthy machine wrote."""
+    OTHER_MODELS = "other models"
+    """The records, as the file is of other models or values."""
+    OTHER_CAUSES = "other causes"
+    OTHER_NOISE = "other noise"
+    OTHER_RECORDS = "other records"
+    DAMAGED = "damaged"
+
+
+@dataclass(frozen=True, eq=False)
+class MachineDigest:
+    """What a file of healthy records is of.
+
+    Attributes
+    ----------
+    models : dict of str to str
+        Digest of the healthy machine, as "", and of each fault.
+    coordinates : tuple of str
+    healthy : (N,) array
+    noise : object
+        The variances given, as JSON has them; None where they are estimated.
+    records : tuple of str
+        Digest of each healthy record.
+    """
+
+    models: Mapping[str, str]
+    coordinates: tuple[str, ...]
+    healthy: Floats
+    noise: Any
+    records: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        machine: tuple[System, Mapping[str, Any], Any],
+        faults: Mapping[str, Fault],
+        coordinates: Coordinates,
+        noise: Any,
+        records: Sequence[Experiment],
+    ) -> MachineDigest:
+        """Return that of a machine: its model, the values that it is held at, and how finely it is simulated."""
+        models = {"": _digest(_model(machine[0]), machine[1:], SPANS)}  # `owed` has a coefficient for each span
+        for name, fault in faults.items():
+            said = (list(fault.parameters), fault.names, fault.angles, fault.values, fault.inputs)
+            models[name] = _digest(_model(System.of(fault.model)), said)
+        names = tuple(f"{each.name}{' across' * each.second}" for each in coordinates.each)
+        return cls(models, names, coordinates.healthy, as_json(noise), tuple(map(_of_record, records)))
+
+    def unlike(self, asked: MachineDigest, *, fewer: bool) -> Basis | None:
+        """Return why it does not serve where something is asked, of `fewer` causes or of the same; None if it does."""
+        if any(self.models.get(name) != digest for name, digest in asked.models.items()):
+            return Basis.OTHER_MODELS
+        mine, theirs = set(self.coordinates), set(asked.coordinates)
+        if not theirs <= mine or not (fewer or mine == theirs):
+            return Basis.OTHER_CAUSES
+        if not np.allclose(self.healthy[self._places(asked)], asked.healthy, rtol=SAME_VALUE, atol=0.0):
+            return Basis.OTHER_MODELS
+        if self.noise != asked.noise:
+            return Basis.OTHER_NOISE
+        if asked.records and sorted(asked.records) != sorted(self.records):
+            return Basis.OTHER_RECORDS
+        return None
+
+    def _places(self, asked: MachineDigest) -> list[int]:
+        return [self.coordinates.index(name) for name in asked.coordinates]
+
+    def among(self, shown: HealthyEvidence, asked: MachineDigest) -> HealthyEvidence:
+        """Return what was shown of the coordinates asked for, in their order, without a change of the others."""
+        at = self._places(asked)
+        said = tuple(Information(each.matrix[np.ix_(at, at)], each.score[at]) for each in shown.said)
+        return replace(shown, said=said)
+
+
+@dataclass(frozen=True, eq=False)
+class HealthyEvidence:
+    """What healthy records showed.
+
+    Attributes
+    ----------
+    said : tuple of Information
+        Of each record, on all coordinates and relative to the healthy ones.
+    owed : Information
+        What the residuals owe to the inputs.
+    whitening : Whitening
+        By which all of it is white.
+    subject : MachineDigest or None
+        What a file of it is of.
+    path : Path or None
+        That file.
+    """
+
+    said: tuple[Information, ...]
+    owed: Information
+    whitening: Whitening
+    subject: MachineDigest | None = None
+    path: Path | None = None
+
+    def write(self, path: Path) -> Path:
+        """Write ``baseline.npz`` and return its path."""
+        assert self.subject is not None
+        text = {"version": __version__, "of": self.subject, "noise": self.whitening.models}
+        arrays = {
+            "text": np.frombuffer(json.dumps(as_json(text)).encode(), np.uint8),
+            "matrices": np.array([each.matrix for each in self.said]),
+            "scores": np.array([each.score for each in self.said]),
+            "owed": self.owed.matrix,
+            "owed_score": self.owed.score,
+        }
+        return write_arrays(path, arrays)
+
+    @classmethod
+    def read(cls, path: Path, *, needed: bool = True) -> HealthyEvidence:
+        """Read a ``baseline.npz``.
+
+        Parameters
+        ----------
+        path : Path
+        needed : bool
+            Whether there are no records to examine again; else only the path of a damaged file is returned.
+
+        Raises
+        ------
+        InputError
+            If it is needed and cannot be read, or is something else.
+        """
+        try:
+            return cls._read(path)
+        except InputError:
+            if needed:
+                raise
+            return cls((), Information(np.zeros((0, 0)), np.zeros(0)), Whitening({}), None, path)
+
+    @classmethod
+    def _read(cls, path: Path) -> HealthyEvidence:
+        try:
+            sums = read_arrays_isolated(path)
+            text = sums.pop("text").tobytes()
+            said = tuple(map(Information, sums["matrices"], sums["scores"]))
+            owed = Information(sums["owed"], sums["owed_score"])
+        except (KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{path} is not of fmuid identify, or not whole ({error}): {REMEDY}") from None
+        with read_content(text, path, KIND, REMEDY) as content:
+            own, noise = content["of"], content["noise"]
+            names, records = tuple(own["coordinates"]), tuple(own["records"])
+            subject = MachineDigest(own["models"], names, np.array(own["healthy"], dtype=float), own["noise"], records)
+            models = {
+                name: Autoregression(**each | {"coefficients": np.array(each["coefficients"], dtype=float)})
+                for name, each in noise.items()
+            }
+        return cls(said, owed, Whitening(models), subject, path)
+
+
+def _model(system: System) -> Any:
+    """Return all that a model's outputs depend on beside values and inputs."""
+    components = {name: (each.fmu.digest, each.numerics) for name, each in system.components.items()}
+    return components, system.connections, system.connectors, system.values, system.master
+
+
+def _digest(*content: Any) -> str:
+    return hashlib.sha256(json.dumps(as_json(content), sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _of_record(record: Experiment) -> str:
+    """Return the digest of the numbers that a record is compared by."""
+    names = [record.input_names, record.output_names, record.interpolation]
+    found = hashlib.sha256(_digest(names).encode())
+    for each in (record.times, record.input_values, record.output_values, record.counted):
+        found.update(np.ascontiguousarray(each).tobytes())
+    return found.hexdigest()

@@ -1,0 +1,282 @@
+"""New records beside healthy ones: the baseline of a machine, its sensors and its supply, and what is new."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.blas import single_threaded
+from fmuid.data import Experiment
+from fmuid.diagnosis.baseline.baseline import Baseline
+from fmuid.diagnosis.baseline.stored_baseline import Basis, HealthyEvidence, MachineDigest
+from fmuid.diagnosis.baseline.whitening import Whitening
+from fmuid.diagnosis.cause_analysis import Healthy, error_of, examine, healthy_of, shown_by
+from fmuid.diagnosis.cause_results import Evidence
+from fmuid.diagnosis.change_detection.information_matrix import Known
+from fmuid.diagnosis.change_parameters import OPEN, Causes, Coordinates, coordinates_of
+from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.linearisation import Machine
+from fmuid.errors import InputError
+from fmuid.formatting import nearest
+from fmuid.models import System
+
+NOTHING_BESIDE = Causes(None, None, None, None, None)
+
+
+@dataclass(frozen=True, eq=False)
+class Juxtaposition:
+    """A healthy machine, as records are compared with it.
+
+    Attributes
+    ----------
+    system : System
+        The healthy machine.
+    baseline : Baseline
+    faults : mapping of str to Fault
+    coordinates : Coordinates
+    healthy : Healthy
+    basis : Basis
+        Where the healthy machine is from.
+    shown : HealthyEvidence or None
+        What the healthy records showed.
+    """
+
+    system: System
+    baseline: Baseline
+    faults: Mapping[str, Fault]
+    coordinates: Coordinates
+    healthy: Healthy
+    basis: Basis = Basis.RECORDS
+    shown: HealthyEvidence | None = None
+
+    @classmethod
+    def of(
+        cls,
+        system: System,
+        baseline: Baseline,
+        faults: Mapping[str, Fault],
+        causes: Causes,
+        experiments: Sequence[Experiment],
+        *,
+        planned: bool = False,
+        fewer: bool = False,
+    ) -> Juxtaposition:
+        """Return that of a baseline with its records; without them, of its result alone and with the faults as causes.
+
+        Parameters
+        ----------
+        system : System
+            The healthy machine.
+        baseline : Baseline
+        faults : mapping of str to Fault
+        causes : Causes
+            Beside the faults, where there are healthy records.
+        experiments : sequence of Experiment
+            To be compared.
+        planned : bool
+            Whether there will be a healthy record, and all causes are looked at.
+        fewer : bool
+            Whether what was kept beside more causes serves, too: not for what the residual owes to the inputs.
+
+        Raises
+        ------
+        InputError
+            If the records have other inputs or outputs than the first one, parameters are one per experiment, or there
+            are no healthy records and what others showed is of another machine.
+        SimulationError
+            If the healthy machine cannot be simulated.
+        """
+        first = (*baseline.records, *experiments)[0]
+        _check(first, [*baseline.records[1:], *experiments], baseline)
+        for fault in faults.values():
+            fault.check_beside([fault.names.get(name, name) for name in baseline.common])
+        variance = baseline.variance(first.output_names)
+        noise = {name: math.sqrt(value) for name, value in variance.items()}
+        beside = causes if baseline.beside or planned else NOTHING_BESIDE
+        coordinates = coordinates_of(system, baseline.common, faults, first, noise, beside)
+        drift = _drift(baseline, coordinates)
+        if not baseline.beside:
+            healthy = Healthy(_by_result(baseline, coordinates), Whitening.white(variance), drift)
+            return cls(system, baseline, faults, coordinates, healthy)
+        basis, shown = _shown(system, baseline, faults, coordinates, variance, fewer=fewer)
+        return cls(system, baseline, faults, coordinates, healthy_of(shown, coordinates, drift), basis, shown)
+
+    def model_error(self, stated: float, level: float) -> float:
+        """Return κ: the largest that the trials of the baseline show, or without them what is stated.
+
+        Raises
+        ------
+        InputError
+            If the trials are of no cause that there is, or show nothing new.
+        """
+        if not self.baseline.trials:
+            return stated
+        causes, found = {cause.name: cause for cause in self.coordinates.causes}, []
+        for name, records in self.baseline.trials.items():
+            if name not in causes:
+                raise InputError(f"trials have {name!r}, which is no cause{nearest(name, causes)}")
+            for each in records:
+                shown = error_of(self.machine(each), self.healthy, self.coordinates, causes[name], level)
+                if math.isnan(shown):
+                    raise InputError(
+                        f"the trial {each.source} shows nothing of {name}: take a larger one, or leave it out"
+                    )
+                found.append(shown)
+        return max(found)
+
+    def machine(self, experiment: Experiment) -> Machine:
+        """Return the machine over a record."""
+        return _machine(self.system, self.baseline, self.faults, self.coordinates, experiment)
+
+
+def compare(
+    experiments: Sequence[Experiment],
+    baseline: Baseline,
+    faults: Mapping[str, Fault],
+    system: System,
+    causes: Causes,
+    level: float,
+    model_error: float,
+) -> Evidence:
+    """Say what is new in records beside the healthy ones of the baseline.
+
+    Parameters
+    ----------
+    experiments, baseline, faults, system, causes
+        As for `Juxtaposition.of`.
+    level, model_error : float
+        As for `fmuid.diagnosis.cause_analysis.examine`.
+
+    Raises
+    ------
+    InputError, SimulationError
+        As `Juxtaposition.of`.
+    """
+    made = Juxtaposition.of(system, baseline, faults, causes, experiments)
+    machines = [made.machine(each) for each in experiments]
+    kappa = made.model_error(model_error, level)
+    return Evidence.of(examine(machines, made.healthy, made.coordinates, level, kappa), faults, made.basis)
+
+
+@single_threaded
+def show(baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes) -> HealthyEvidence:
+    """Return what the records of a baseline show of the healthy machine and of all causes.
+
+    Raises
+    ------
+    InputError, SimulationError
+        As `Juxtaposition.of`.
+    """
+    shown = Juxtaposition.of(system, baseline, faults, causes, []).shown
+    assert shown is not None  # there are records
+    return shown
+
+
+def _shown(
+    system: System,
+    baseline: Baseline,
+    faults: Mapping[str, Fault],
+    coordinates: Coordinates,
+    variance: Mapping[str, float],
+    *,
+    fewer: bool,
+) -> tuple[Basis, HealthyEvidence]:
+    """Return what healthy records showed, of the file where that fits, and where it is from."""
+    given, known, basis = baseline.noise_variance, baseline.shown, Basis.RECORDS
+    how = system, baseline.values, baseline.refinement
+    asked = MachineDigest.of(how, faults, coordinates, given, baseline.records)
+    if known is not None and known.subject is not None:
+        unlike = known.subject.unlike(asked, fewer=fewer)
+        if unlike is None:
+            return Basis.FILE, known.subject.among(known, asked)
+        if not baseline.records:
+            raise InputError(
+                f"{known.path} is of {unlike.value} than this study: identify the healthy study again with these, or "
+                "name its tables as records"
+            )
+        basis = unlike
+    elif known is not None and known.path is not None:
+        basis = Basis.DAMAGED
+    records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
+    whitening = whitening_of(records, coordinates, None if given is None else variance)
+    return basis, replace(shown_by(records, whitening, coordinates), subject=asked)
+
+
+def _machine(
+    system: System,
+    baseline: Baseline,
+    faults: Mapping[str, Fault],
+    coordinates: Coordinates,
+    experiment: Experiment,
+) -> Machine:
+    return Machine(system, baseline.values, baseline.common, faults, coordinates, experiment, baseline.refinement)
+
+
+def _by_result(baseline: Baseline, coordinates: Coordinates) -> Known:
+    """Return what the healthy result alone says: its estimates, and no fault."""
+    std = np.zeros(len(coordinates.each))
+    known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
+    for i, name in enumerate(baseline.common):
+        std[i] = known.get(name, 0.0)
+    return Known(np.zeros(std.size), np.diag(std**2))
+
+
+def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) -> None:
+    for each in others:
+        for role in ("input", "output"):
+            own, wanted = set(getattr(each, f"{role}_names")), set(getattr(first, f"{role}_names"))
+            if own != wanted:
+                raise InputError(
+                    f"{each.source} has the {role}s {', '.join(sorted(own)) or 'none'}, and the healthy record "
+                    f"{first.source} {', '.join(sorted(wanted)) or 'none'}: they must be the same"
+                )
+    for name, parameter in baseline.common.items():
+        if parameter.per_experiment:
+            raise InputError(
+                f"the parameter {name!r} is one per experiment, which does not go with healthy records: "
+                "diagnose each experiment by itself"
+            )
+
+
+def whitening_of(
+    records: Sequence[Machine], coordinates: Coordinates, variances: Mapping[str, float] | None = None
+) -> Whitening:
+    """Return the noise of healthy records, by what is left of them beside all coordinates of sound machines.
+
+    Parameters
+    ----------
+    records : sequence of Machine
+        Over the records.
+    coordinates : Coordinates
+    variances : mapping of str to float, optional
+        Of outputs whose noise is given.
+    """
+    residuals = []
+    for record in records:
+        outputs, columns = record.linearise(coordinates.healthy)
+        experiment = record.experiment
+        rest = np.where(experiment.counted, experiment.output_values - outputs, 0.0)
+        flat = columns[experiment.counted] * coordinates.normal
+        # what a sound machine may have, held by springs of its width in units of the residual itself
+        scale = max(float(np.std(rest[experiment.counted])), np.finfo(float).tiny)
+        stacked = np.vstack([flat / scale, np.eye(flat.shape[1])])
+        target = np.concatenate([rest[experiment.counted] / scale, np.zeros(flat.shape[1])])
+        taken = columns @ (np.linalg.lstsq(stacked, target, rcond=None)[0] * coordinates.normal)
+        residuals.append((experiment, np.where(experiment.counted, rest - taken, 0.0)))
+    return Whitening.of(residuals, variances)
+
+
+def _drift(baseline: Baseline, coordinates: Coordinates) -> Floats:
+    """Return what the healthy parameters may have changed by without being a fault (N,): what `inflate` adds."""
+    drift = np.zeros(len(coordinates.each))
+    known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
+    for i, (name, parameter) in enumerate(baseline.common.items()):
+        if parameter.prior is None or name not in known:
+            drift[i] = OPEN * (parameter.nominal or abs(parameter.start) or 1.0)
+        else:
+            drift[i] = math.sqrt(max(0.0, parameter.prior.std**2 - known[name] ** 2))
+    return drift

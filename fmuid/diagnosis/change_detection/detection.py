@@ -1,0 +1,153 @@
+"""Is anything new: what a set of causes explains, and from where on that is too much for chance."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from fmuid.array_types import Floats
+from fmuid.diagnosis.change_detection.causes import Cause
+from fmuid.diagnosis.change_detection.false_alarms import log_tail
+from fmuid.diagnosis.change_detection.information_matrix import News
+
+# The distribution of the smallest probability of all causes is counted over so many seeded draws: a level of 1 % to a
+# fourteenth of itself.
+DRAWS, SEED = 20_000, 0
+# Below so many counted draws, the bound m p is closer than the count.
+COUNTED = 100
+
+
+@dataclass(frozen=True, eq=False)
+class CauseFit:
+    """The sizes of a set of causes that explain what is new best.
+
+    Attributes
+    ----------
+    statistic : float
+        D, what they explain: 2 (log-likelihood with them − without).
+    sizes : (k,) array
+        In the order of the causes' coordinates; zero where a sign keeps it there.
+    covariance : (k, k) array
+        Of the sizes, zero where one is kept at zero.
+    """
+
+    statistic: float
+    sizes: Floats
+    covariance: Floats
+
+
+def fit(news: News, causes: Sequence[Cause]) -> CauseFit:
+    """Return the most likely sizes of some causes together, each with its sign."""
+    columns = [i for cause in causes for i in cause.columns]
+    signs = np.array([cause.sign for cause in causes for _ in cause.columns])
+    information, score = news.part(columns)
+    signed = np.flatnonzero(signs)
+    best = CauseFit(0.0, np.zeros(len(columns)), np.zeros((len(columns), len(columns))))
+    # of a few causes all choices of what stays at zero are tried: the constrained optimum is one of them
+    for count in range(signed.size + 1):
+        for dropped in itertools.combinations(signed.tolist(), count):
+            kept = [i for i in range(len(columns)) if i not in dropped]
+            if not kept:
+                continue
+            try:
+                covariance = np.linalg.inv(information[kept][:, kept])
+            except np.linalg.LinAlgError:  # these causes cannot be told apart; each by itself is tried too
+                continue
+            sizes = covariance @ score[kept]
+            statistic = float(score[kept] @ sizes)
+            if np.all(sizes * signs[kept] >= 0) and statistic > best.statistic:
+                best = _placed(statistic, kept, np.asarray(sizes), np.asarray(covariance), len(columns))
+        if best.statistic > 0 and count == 0:
+            break  # the free optimum has the right signs
+    return best
+
+
+def _placed(statistic: float, kept: Sequence[int], sizes: Floats, covariance: Floats, columns: int) -> CauseFit:
+    """Return a fit with zeros where a size is kept at zero."""
+    if len(kept) == columns:
+        return CauseFit(statistic, sizes, covariance)
+    all_sizes, whole = np.zeros(columns), np.zeros((columns, columns))
+    all_sizes[list(kept)] = sizes
+    whole[np.ix_(kept, kept)] = covariance
+    return CauseFit(statistic, all_sizes, whole)
+
+
+def probability(statistic: float, cause: Cause) -> float:
+    """Return how likely a cause explains so much where it is not there: χ²_k, half of χ²_1 where its sign is known."""
+    if statistic <= 0:
+        return 1.0
+    return float(special.chdtrc(len(cause.columns), statistic)) * (0.5 if cause.sign else 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Chance:
+    """How small the smallest probability of all causes is where nothing is new (min-p of Westfall and Young).
+
+    Attributes
+    ----------
+    smallest : (draws,) array
+        Sorted.
+    causes : int
+    """
+
+    smallest: Floats
+    causes: int
+
+    @classmethod
+    def of(cls, news: News, causes: Sequence[Cause], draws: int = DRAWS) -> Chance:
+        """Return that of scores drawn from N(0, F), whose correlations the causes share."""
+        values, vectors = np.linalg.eigh(news.information)
+        normal = np.random.default_rng(SEED).standard_normal((draws, values.size))
+        scores = (normal * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        largest: dict[tuple[int, bool], Floats] = {}  # D, of causes with the same law
+        for cause in causes:
+            at = list(cause.columns)
+            information, _ = news.part(at)
+            mine = scores[:, at]
+            statistic = np.einsum("di,ij,dj->d", mine, np.linalg.inv(information), mine)
+            if cause.sign:
+                statistic = np.where(mine[:, 0] * cause.sign > 0, statistic, -1.0)
+            kind = (len(at), bool(cause.sign))
+            largest[kind] = np.maximum(largest.get(kind, -1.0), statistic)
+        found = np.ones(draws)
+        for (degrees, signed), statistic in largest.items():
+            tail = np.exp(log_tail(statistic, degrees)) / (2.0 if signed else 1.0)
+            found = np.where(statistic > 0, np.minimum(found, tail), found)
+        return cls(np.sort(found), len(causes))
+
+    def limit(self, level: float) -> float:
+        """Return what the smallest probability falls below by chance with probability `level`."""
+        return float(np.quantile(self.smallest, level))
+
+    def adjusted(self, smallest: float) -> float:
+        """Return the probability that chance makes any cause as unlikely as this; below the draws' reach, at most."""
+        below = int(np.searchsorted(self.smallest, smallest, side="right"))
+        bound = min(1.0, self.causes * smallest)
+        return min(bound, below / self.smallest.size) if below >= COUNTED else bound
+
+
+def detectable(news: News, cause: Cause, limit: float, miss: float) -> float:
+    """Return the size of a cause that is called in all but a share `miss` of records, one coordinate.
+
+    Parameters
+    ----------
+    news : News
+        Of the planned record: its information.
+    cause : Cause
+    limit : float
+        Of the smallest probability (`Chance.limit`).
+    miss : float
+        Below one half.
+    """
+    information, _ = news.part(cause.columns)
+    std = 1.0 / math.sqrt(float(np.linalg.eigvalsh(information)[0]))  # the direction that shows least
+    if len(cause.columns) > 1:
+        threshold = float(special.chdtri(len(cause.columns), limit))
+        return math.sqrt(float(special.chndtrinc(threshold, len(cause.columns), miss))) * std
+    threshold = -float(special.ndtri(limit if cause.sign else limit / 2.0))
+    return (threshold - float(special.ndtri(miss))) * std

@@ -1,0 +1,138 @@
+"""Since when: what each onset of a cause explains, as a step or as a ramp, and the set that holds the true one.
+
+References
+----------
+D. Siegmund, "Confidence sets in change-point problems", Int. Statistical Review 56, 1988.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from scipy import special
+
+from fmuid.array_types import Floats
+from fmuid.diagnosis.change_detection.causes import Cause
+
+# The probability that the true onset lies within the stated set.
+SET = 0.95
+# Information of an onset, against that of the most telling one, below which its size is anything.
+NOTHING = 1e-12
+# Onsets whose log evidence differs by less have the same samples after them: the first one is said.
+ALIKE = 1e-9
+
+
+class Shape(Enum):
+    """How a cause comes."""
+
+    STEP = "step"
+    RAMP = "ramp"
+
+
+@dataclass(frozen=True, eq=False)
+class Onsets:
+    """What the onsets of one cause explain.
+
+    Attributes
+    ----------
+    cause : Cause
+    shape : Shape
+    clock : (T,) array
+        When they begin, s of all that was seen.
+    widths : (T,) array
+        How long after it no other onset is looked at, s.
+    information : (T, c, c) array
+        Of its size (a step), or of its rise in a second (a ramp).
+    score : (T, c) array
+    """
+
+    cause: Cause
+    shape: Shape
+    clock: Floats
+    widths: Floats
+    information: Floats
+    score: Floats
+
+    @property
+    def sizes(self) -> Floats:
+        """The most likely size for each onset (T, c), whatever its sign."""
+        return np.asarray(np.linalg.solve(self._certain, self.score[..., None])[..., 0])
+
+    @property
+    def _certain(self) -> Floats:
+        """The information, kept from being singular where an onset has seen nothing of its cause yet."""
+        floor = NOTHING * float(np.einsum("tii->t", self.information).max()) + np.finfo(float).tiny
+        return np.asarray(self.information + floor * np.eye(self.score.shape[1]))
+
+    @property
+    def statistics(self) -> Floats:
+        """D of each onset (T,), zero where its sign is wrong."""
+        found = np.einsum("tc,tc->t", self.score, self.sizes)
+        return np.where(self.cause.sign * self.score[:, 0] < 0, 0.0, found) if self.cause.sign else found
+
+    def log_evidence(self, rise: float) -> Floats:
+        """Return the log Bayes factor of each onset against nothing new (T,).
+
+        Parameters
+        ----------
+        rise : float
+            The time in which a ramp reaches the cause's size, s.
+        """
+        slab = self.cause.size / (rise if self.shape is Shape.RAMP else 1.0)
+        precision = self.information + np.eye(self.score.shape[1]) / slab**2
+        mean = np.linalg.solve(precision, self.score[..., None])[..., 0]
+        found = 0.5 * np.einsum("tc,tc->t", self.score, mean) - 0.5 * np.linalg.slogdet(precision * slab**2)[1]
+        if self.cause.sign:
+            std = 1.0 / np.sqrt(precision[:, 0, 0])
+            found = found + math.log(2.0) + special.log_ndtr(self.cause.sign * mean[:, 0] / std)
+        return np.asarray(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Dated:
+    """When a cause began and how, by a flat prior over the time.
+
+    Attributes
+    ----------
+    cause : Cause
+    shape : Shape
+        The likelier one.
+    clock : float
+        The most likely onset of this shape, s of all that was seen.
+    between : (float, float)
+        The smallest set that holds the onset with 95 %, whatever its shape, from its first to its last time.
+    log_evidence : float
+        Of the cause, whenever it began, against nothing new.
+    """
+
+    cause: Cause
+    shape: Shape
+    clock: float
+    between: tuple[float, float]
+    log_evidence: float
+
+
+def dated(onsets: Sequence[Onsets], rise: float) -> Dated:
+    """Return when a cause began, by the same onsets in each shape; `rise` as for `Onsets.log_evidence`."""
+    first = onsets[0]
+    evidence = np.array([each.log_evidence(rise) for each in onsets])
+    weights = np.exp(evidence - evidence.max()) * first.widths
+    best = int(np.argmax(weights.sum(axis=1)))
+    total = float(weights.sum())
+    share = weights.sum(axis=0) / total
+    order = np.argsort(-share, kind="stable")
+    within = order[: int(np.searchsorted(np.cumsum(share[order]), SET)) + 1]
+    low, high = within.min(), within.max()
+    # between two onsets lies any time
+    since = first.clock[low] - (first.widths[low - 1] if low else 0.0)
+    return Dated(
+        first.cause,
+        onsets[best].shape,
+        float(first.clock[int(np.argmax(evidence[best] >= evidence[best].max() - ALIKE))]),
+        (float(since), float(first.clock[high] + first.widths[high])),
+        float(evidence.max()) + math.log(total / (len(onsets) * float(first.widths.sum()))),
+    )

@@ -1,5 +1,0 @@
-"""One FMU: its archive, its description, its instances, and the loop that runs them."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,210 @@
+"""The criterion at many points: sums of squares in batches, and its map over two parameters.
+
+A map is a section: the other parameters stay at the estimate. The confidence ellipse on it is that of the two
+parameters together whatever the others are, from their block of the local covariance (1.31); with two parameters in
+all it is the line where the criterion has risen by χ²(2), or 2 F(2, K − N) where noise variances are estimated. With
+more, the section rises faster, and its own line at that level lies inside the ellipse.
+
+References
+----------
+D. M. Bates, D. G. Watts, "Nonlinear Regression Analysis and Its Applications", chapter 6 (contours, sections), 1988;
+G. A. F. Seber, C. J. Wild, "Nonlinear Regression", sections 2.2.3 (concentrated likelihood) and 5.4, 1989.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from fmuid.array_types import Floats
+from fmuid.blas import single_threaded
+from fmuid.errors import InputError
+from fmuid.estimation import LeastSquares, Result, check_level, misfits, refuse_loss, spans_decades, variances
+from fmuid.identification.conditional_optimum import check_result
+
+Ranges = Mapping[str, tuple[float, float]] | Literal["bounds"]
+
+# Points along each side of a map: an odd number puts the estimate on the grid.
+POINTS = 41
+# How far a map reaches from the estimate, in standard deviations.
+SPAN_STDS = 4.0
+# Points of an ellipse, two degrees apart, the last one the first again.
+ELLIPSE_POINTS = 181
+
+
+@dataclass(frozen=True, eq=False)
+class CriterionMap:
+    """The criterion over two parameters, the others held at the estimate.
+
+    Attributes
+    ----------
+    names : tuple of two str
+    table : DataFrame
+        One row a point: the two parameters and ``criterion``, J_C (1.37), NaN where the simulation failed. The second
+        parameter changes first.
+    shape : tuple of two int
+        Points along the first and the second parameter.
+    logarithmic : tuple of two bool
+        Whether the points divide a parameter's range logarithmically.
+    estimate : (2,) array
+    criterion : float
+        At the estimate.
+    covariance : (2, 2) array
+        The two parameters' block of the covariance of white noise, by which the criterion bends.
+    scale, degrees_of_freedom : float
+        Of the region of both: what the colour of the noise multiplies the criterion's rise with, and `freedom` of both
+        (`Result.test_scale`).
+    held : dict of str to float
+        The other parameters.
+    """
+
+    names: tuple[str, str]
+    table: pd.DataFrame
+    shape: tuple[int, int]
+    logarithmic: tuple[bool, bool]
+    estimate: Floats
+    criterion: float
+    covariance: Floats
+    scale: float
+    degrees_of_freedom: float
+    held: Mapping[str, float]
+
+    @property
+    def grid(self) -> tuple[Floats, Floats, Floats]:
+        """The first parameter (n_1,), the second (n_2,), and the criterion (n_1, n_2)."""
+        first, second, values = (self.table[name].to_numpy().reshape(self.shape) for name in (*self.names, "criterion"))
+        return first[:, 0], second[0], values
+
+    def rise(self, level: float = 0.95) -> float:
+        """Return by how much the criterion rises on the border of the two parameters' confidence region.
+
+        χ²(2) where all noise variances are known, 2 F(2, degrees of freedom) where they are estimated, times what the
+        colour of the noise makes of it.
+
+        Raises
+        ------
+        InputError
+            If the level is not between 0 and 1.
+        """
+        check_level(level, "a confidence ellipse")
+        return self.scale * region_rise(level, self.degrees_of_freedom)
+
+    def ellipse(self, level: float = 0.95) -> Floats:
+        """Return the border of the confidence ellipse, closed, (n, 2); (0, 2) where a parameter is not determined.
+
+        The points θ̂ + √rise L (cos φ, sin φ) with L Lᵀ the covariance have all the same (θ − θ̂)ᵀ P⁻¹ (θ − θ̂) = rise.
+        """
+        radius = math.sqrt(self.rise(level))
+        if not np.isfinite(self.covariance).all():
+            return np.empty((0, 2))
+        angles = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
+        circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        values, directions = np.linalg.eigh(self.covariance)  # which may be singular
+        root = directions * np.sqrt(np.maximum(values, 0.0))
+        return np.asarray(self.estimate + radius * circle @ root.T, dtype=np.float64)
+
+
+def region_rise(level: float, freedom: float) -> float:
+    """Return by how much the criterion rises on the border of the confidence region of two parameters, white noise.
+
+    The quantile of χ²(2), or of 2 F(2, ν) where variances were estimated with ν degrees of freedom, in closed form.
+    """
+    beyond = math.log1p(-level)
+    return -2.0 * beyond if math.isinf(freedom) else freedom * math.expm1(-2.0 * beyond / freedom)
+
+
+@single_threaded
+def map_criterion(
+    problem: LeastSquares,
+    result: Result,
+    first: str,
+    second: str,
+    *,
+    points: int = POINTS,
+    ranges: Ranges | None = None,
+) -> CriterionMap:
+    """Compute the criterion on a grid over two parameters around the estimate.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    result : Result
+        Of this problem; where noise variances are estimated, the criterion is that with its estimates.
+    first, second : str
+        The two parameters.
+    points : int
+        Along each of them.
+    ranges : "bounds", or mapping of str to (low, high), optional
+        How far the map reaches. Default: 4 standard deviations to both sides, but not beyond the bounds; for a
+        parameter that is not determined the bounds, or its magnitude to both sides where there are none. Ranges that
+        are positive and span a decade or more are divided logarithmically.
+
+    Raises
+    ------
+    InputError
+        If a parameter is unknown or has no bounds where they are asked for, a range is empty or leaves the bounds, or
+        the result is not of this problem.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> result = fmuid.identify(problem)
+    >>> fmuid.map_criterion(problem, result, "R", "L", points=3).names
+    ('R', 'L')
+    """
+    refuse_loss(problem, "a map of the criterion")
+    parameters = problem.parameters
+    check_result(problem, result)
+    where = [parameters.index(first), parameters.index(second)]
+    if first == second:
+        raise InputError(f"a map needs two different parameters, not {first!r} twice")
+    if isinstance(points, bool) or not isinstance(points, int) or points < 2:
+        raise InputError(f"the points of a map along each parameter must be a whole number from 2 on, not {points!r}")
+    if isinstance(ranges, Mapping):
+        for name in ranges:
+            parameters.index(name)
+    spans = [_span(problem, result, i, ranges) for i in where]
+    sides = [np.geomspace(*s, points) if spans_decades(*s) else np.linspace(*s, points) for s in spans]
+    thetas = np.tile(result.values, (points * points + 1, 1))  # the last one is the estimate
+    thetas[:-1, where] = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
+    values = misfits(problem, thetas).compound(variances(problem, result))
+    return CriterionMap(
+        names=(first, second),
+        table=pd.DataFrame({first: thetas[:-1, where[0]], second: thetas[:-1, where[1]], "criterion": values[:-1]}),
+        shape=(points, points),
+        logarithmic=(spans_decades(*spans[0]), spans_decades(*spans[1])),
+        estimate=result.values[where],
+        criterion=float(values[-1]),
+        covariance=result.white_covariance[np.ix_(where, where)],
+        scale=result.test_scale([first, second]),
+        degrees_of_freedom=result.test_freedom([first, second]),
+        held={name: result[name] for name in parameters.names if name not in (first, second)},
+    )
+
+
+def _span(problem: LeastSquares, result: Result, i: int, ranges: Ranges | None) -> tuple[float, float]:
+    """Return the lowest and the highest value of one parameter on the map."""
+    name = problem.parameters.names[i]
+    low, high = float(problem.parameters.lower[i]), float(problem.parameters.upper[i])
+    if isinstance(ranges, Mapping) and name in ranges:
+        least, most = map(float, ranges[name])
+        if not (low <= least < most <= high and math.isfinite(most - least)):
+            raise InputError(
+                f"the range {least:g} to {most:g} of {name!r} on the map must rise and lie within its bounds, "
+                f"{low:g} to {high:g}"
+            )
+        return least, most
+    bounded = math.isfinite(high - low)
+    if ranges == "bounds" and not bounded:
+        raise InputError(f"a map over the bounds needs min and max of {name!r}; give them, or its range on the map")
+    value, std = float(result.values[i]), float(result.std[i])
+    usable = 0.0 < std < math.inf
+    if ranges == "bounds" or (bounded and not usable):
+        return low, high
+    reach = SPAN_STDS * std if usable else float(problem.parameters.magnitudes(result.values)[i])
+    return max(low, value - reach), min(high, value + reach)

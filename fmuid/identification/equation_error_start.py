@@ -1,0 +1,212 @@
+"""A start from the equations of the model: the weak form of ẋ = f(x, u, θ) at the measured states, without simulation.
+
+It needs a single FMU that offers model exchange; states that the outputs do not tell follow from those that they do
+(`fmuid.identification.measured_states`). Noise in the states biases what it finds, by factors where a time constant is
+shorter than the sampling: a start, and never a result.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmuid.array_types import Flags, Floats, Indices
+from fmuid.data import FunctionPredictions, Noise, Parameter, Table
+from fmuid.errors import FmuidError, InputError
+from fmuid.estimation import LeastSquares, Marquardt, WeakForm, second_difference_noise, sobol_points
+from fmuid.identification.measured_states import MeasuredStates, both_ends, told_states
+from fmuid.identification.problem import Problem
+from fmuid.simulation import RightHandSide
+
+# How far a parameter may move from where the search sets out, as a factor, where its bounds say nothing narrower.
+FARTHEST = 300.0
+MOST_ITERATIONS = 50
+# Where the residual stays larger than so many times the noise, it may be a secondary optimum: shorter searches set out
+# from some points, until it is halved.
+POOR, POINTS, SEED = 15.0, 2, 0
+SECOND = Marquardt(max_iterations=12)
+# Changes by which it is found out what acts on what, as shares of the magnitudes.
+CHANGE = 0.01
+# Samples at the beginning whose median is the first state.
+FIRST_SAMPLES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class EquationStart:
+    """A start by the weak form.
+
+    Attributes
+    ----------
+    theta : (N,) array
+    noise_ratio : float
+        Root mean square of the weak form's residual by its noise.
+    """
+
+    theta: Floats
+    noise_ratio: float
+
+
+def equation_start(problem: Problem, start: Floats) -> EquationStart | None:
+    """Return a start by the weak form, None where it cannot be had.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : (N,) array
+        Where the search for it sets out.
+    """
+    try:
+        records = [_WeakRecord.of(problem, index, start) for index in range(len(problem.experiments))]
+        found = _fitted(problem, [each for each in records if each is not None], start)
+    except FmuidError:  # a start is not worth an error: the search itself says what is wrong with the model
+        return None
+    return None if found is None else replace(found, theta=_with_initial_states(problem, records, found.theta))
+
+
+@dataclass(frozen=True, eq=False)
+class _WeakRecord:
+    """One experiment: its right-hand side, windows and states, and the slopes and noise (n_y,) of its outputs."""
+
+    side: RightHandSide
+    columns: Indices
+    windows: WeakForm
+    states: MeasuredStates
+    slopes: Floats
+    noise: Floats
+
+    @classmethod
+    def of(cls, problem: Problem, index: int, start: Floats) -> _WeakRecord | None:
+        simulator, experiment = problem.simulators[index], problem.experiments[index]
+        side = RightHandSide.of(simulator)
+        if side is None:
+            raise InputError("the model shows no right-hand side")
+        times, values = experiment.times, experiment.output_values
+        there = ~np.isnan(values)
+        if (there.sum(axis=0) < FIRST_SAMPLES).any():
+            return None
+        filled = np.column_stack(
+            [np.interp(times, times[own], column[own]) for own, column in zip(there.T, values.T, strict=True)]
+        )
+        noise = np.array([second_difference_noise(times, column) for column in values.T])
+        _, columns = problem.parameters.for_experiment(index)
+        states, slopes = told_states(side, start[columns], times, filled)
+        own = slopes.any(axis=1)
+        scale = np.maximum(noise, 1e-9 * np.nanstd(values, axis=0))
+        if not scale.all():  # an output that never changes tells no slopes
+            return None
+        return cls(side, columns, WeakForm(times, there[:, own]), states, slopes[own], scale[own])
+
+    def residuals(self, thetas: Floats) -> Floats:
+        """Return the whitened residual of all windows and outputs (m, n), NaN where f cannot be had."""
+        found = []
+        for states, rates in self.states(np.ascontiguousarray(thetas[:, self.columns])):
+            outputs, slopes = states @ self.slopes.T, rates @ self.slopes.T
+            found.append(self.windows.residual(outputs, slopes[::2], slopes[1::2]) / self.noise / self.windows.noise)
+        return np.array(found).reshape(len(thetas), -1)
+
+
+class _Scaled:
+    """The residuals of all records over logarithms, or shares, of the parameters that act on f; a predictor."""
+
+    def __init__(self, records: list[_WeakRecord], start: Floats, acting: Indices, scale: Floats) -> None:
+        self.records, self.start, self.acting = records, start, acting
+        self._scale, self._logs = scale[acting], start[acting] != 0.0
+
+    def thetas(self, given: Floats) -> Floats:
+        """Return the parameters (m, N) of what the search moves (m, n_acting)."""
+        found = np.tile(self.start, (len(given), 1))
+        logs = self._logs
+        with np.errstate(over="ignore"):
+            found[:, self.acting[logs]] *= np.exp(given[:, logs])
+        found[:, self.acting[~logs]] = given[:, ~logs] * self._scale[~logs]
+        return found
+
+    def many(self, thetas: ArrayLike) -> FunctionPredictions:
+        """Return the residuals (m, n, 1)."""
+        given = np.asarray(thetas, dtype=np.float64)
+        found = np.concatenate([record.residuals(self.thetas(given)) for record in self.records], axis=1)
+        failed = ~np.isfinite(found).all(axis=1)
+        found[failed] = np.nan
+        error = ArithmeticError("the right-hand side cannot be had")
+        return FunctionPredictions(found[:, :, None], tuple(error if each else None for each in failed))
+
+    def points(self, lower: Floats, upper: Floats) -> Floats:
+        """Return points (`POINTS`, n_acting) between bounds, in which the shares stay at their start."""
+        units = sobol_points(lower.size, POINTS, SEED)
+        return np.where(self._logs, lower + units * (upper - lower), 0.0)
+
+    def parameters(self, lower: Floats, upper: Floats) -> dict[str, Parameter]:
+        """Return what the search moves, within the bounds (N,) and `FARTHEST`."""
+        found = {}
+        for j, (i, log) in enumerate(zip(self.acting.tolist(), self._logs.tolist(), strict=True)):
+            value, scale = float(self.start[i]), float(self._scale[j])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ends = np.array([lower[i], upper[i]]) / (value if log else scale)
+                ends = np.sort(np.log(np.maximum(ends, 0.0)) if log else ends)
+            farthest = np.log(FARTHEST) if log else FARTHEST
+            found[f"p{i}"] = Parameter(0.0, max(float(ends[0]), -farthest), min(float(ends[1]), farthest), nominal=1.0)
+        return found
+
+
+def _fitted(problem: Problem, records: list[_WeakRecord], start: Floats) -> EquationStart | None:
+    """Return the parameters that act on f as the weak form finds them, None where it finds nothing."""
+    if not records:
+        return None
+    every = np.arange(start.size)
+    moved = np.vstack([start, start + np.diag(CHANGE * problem.parameters.magnitudes(start))])
+    moved = np.clip(moved, problem.parameters.lower, problem.parameters.upper)
+    still = moved[1:] == start  # at the upper bound
+    moved[1:][still.all(axis=1)] -= np.diag(CHANGE * problem.parameters.magnitudes(start))[still.all(axis=1)]
+    values = np.concatenate([record.residuals(moved) for record in records], axis=1)
+    if not np.isfinite(values[0]).all():
+        return None
+    acting = every[(np.abs(values[1:] - values[0]) > 0.0).any(axis=1)]
+    size = values.shape[1]
+    if not acting.size or size <= acting.size:
+        return None
+    scaled = _Scaled(records, start, acting, problem.parameters.scale)
+    table = Table("windows", np.arange(size, dtype=np.float64), ("r",), np.zeros((size, 1)), np.ones((size, 1), bool))
+    given = scaled.parameters(problem.parameters.lower, problem.parameters.upper)
+    search = LeastSquares([scaled], [table], given, noise=Noise(1.0))
+    found = Marquardt(max_iterations=MOST_ITERATIONS).search(search)
+    enough = max(0.5 * size * POOR**2, found.criterion / 4.0)
+    for theta in scaled.points(search.parameters.lower, search.parameters.upper):
+        if found.criterion <= enough:
+            break
+        found = min(found, SECOND.search(search, None, theta), key=lambda each: each.criterion)
+    return EquationStart(scaled.thetas(found.values[None])[0], math.sqrt(2.0 * found.criterion / size))
+
+
+def _with_initial_states(problem: Problem, records: list[_WeakRecord | None], theta: Floats) -> Floats:
+    """Move the parameters that act on initial states alone to where these are the first measured ones."""
+    parameters, found = problem.parameters, theta.copy()
+    for record in records:
+        if record is None:
+            continue
+        columns = record.columns
+        moved = found[columns] + np.vstack([np.zeros(columns.size), np.diag(parameters.scale[columns])])
+        states = record.side.initial(moved)
+        if states is None or not np.isfinite(states).all():
+            continue
+        slopes = (states[1:] - states[0]).T / record.side.nominals[:, None]
+        free = (np.abs(slopes) > 0.0).any(axis=0) & ~_acts(record, moved)
+        if not free.any():
+            continue
+        ((known, _),) = record.states(found[None, columns])
+        first = np.median(known[:FIRST_SAMPLES], axis=0)
+        step = np.linalg.lstsq(slopes[:, free], (first - states[0]) / record.side.nominals, rcond=1e-8)[0]
+        where = columns[free]
+        found[where] = np.clip(
+            found[where] + step * parameters.scale[where], parameters.lower[where], parameters.upper[where]
+        )
+    return found
+
+
+def _acts(record: _WeakRecord, moved: Floats) -> Flags:
+    """Return which of the experiment's parameters act on f, each moved in its row of (1 + n, n)."""
+    slopes, _ = record.side(both_ends(record.states.told), moved)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(~(slopes[1:] == slopes[0]).all(axis=(1, 2)), dtype=np.bool_)

@@ -1,0 +1,120 @@
+"""The states that outputs tell, x = x₀ + C⁺ (y* − y₀), and the others, which follow from them by the model's equations.
+
+With x = x* + N z, where C N = 0, the unmeasured z obey ż = N⁺ f(x* + N z, u, θ): the rotor's fluxes of a machine whose
+currents are measured, for instance. That is integrated by the trapezoidal rule over the samples, all intervals at once
+by Newton's method, so that its cost does not grow with the stiffness of the model as that of a simulation does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from fmuid.array_types import Floats
+from fmuid.errors import InputError
+from fmuid.simulation import RightHandSide
+
+# Directions of the states are told where the singular value of ∂y/∂x, by their scales, is at least this share of the
+# largest.
+INDEPENDENT = 1e-6
+# Unmeasured directions up to which their slopes are worth their price: one evaluation each.
+MOST_UNMEASURED = 8
+# Newton's steps, where they end, and differences for their slopes, all in units of the nominals.
+MOST_STEPS, SETTLED, CHANGE = 5, 1e-6, 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredStates:
+    """The states of one record for any parameters.
+
+    Attributes
+    ----------
+    side : RightHandSide
+    intervals : (K − 1, 1) array
+        Between the samples, s.
+    told : (K, n_x) array
+        What the outputs tell.
+    unseen : (n_x, n_z) array
+        N, the directions that change no output, of the length of the nominals.
+    """
+
+    side: RightHandSide
+    intervals: Floats
+    told: Floats
+    unseen: Floats
+
+    def __call__(self, thetas: Floats) -> Iterator[tuple[Floats, Floats]]:
+        """Return states (K, n_x) and derivatives (2 (K − 1), n_x) at both ends of each interval, for each of thetas."""
+        if not self.unseen.size:
+            yield from ((self.told, rates) for rates in self.side(both_ends(self.told), thetas)[0])
+            return
+        inverse = np.asarray(np.linalg.pinv(self.unseen), dtype=np.float64)
+        first = self.side.initial(thetas)
+        begins = np.zeros((len(thetas), len(inverse))) if first is None else (first - self.told[0]) @ inverse.T
+        for theta, begin in zip(thetas, begins, strict=True):
+            yield self._followed(theta[None], begin, inverse)
+
+    def _followed(self, theta: Floats, begin: Floats, inverse: Floats) -> tuple[Floats, Floats]:
+        """Return states and derivatives for one theta (1, N), from the unmeasured ones at the beginning (n_z,)."""
+        unmeasured = np.tile(begin, (len(self.told), 1))
+        half = 0.5 * self.intervals
+        for step in range(MOST_STEPS + 1):
+            states = self.told + unmeasured @ self.unseen.T
+            ends = both_ends(states)
+            rates = self.side(ends, theta)[0][0]
+            own = rates @ inverse.T
+            defect = half * (own[::2] + own[1::2]) - np.diff(unmeasured, axis=0)
+            size = max(1.0, float(np.abs(unmeasured).max()))
+            if step == MOST_STEPS or not np.isfinite(defect).all() or np.abs(defect).max() <= SETTLED * size:
+                break
+            moved = [self.side(ends + CHANGE * each, theta)[0][0] for each in self.unseen.T]
+            slopes = np.stack([(each - rates) @ inverse.T for each in moved], axis=2) / CHANGE
+            unmeasured[1:] += _marched(half[:, :, None] * slopes[::2], half[:, :, None] * slopes[1::2], defect)
+        return states, rates
+
+
+def _marched(begins: Floats, ends: Floats, defect: Floats) -> Floats:
+    """Return δ (K − 1, n_z) of (I − E_k) δ_k = (I + B_k) δ_{k−1} + d_k, from δ = 0."""
+    size, one = defect.shape[1], np.eye(defect.shape[1])
+    bands = np.zeros((3 * size - 1, defect.size))
+    for i, j in np.ndindex(size, size):
+        bands[size - 1 + i - j, j::size] = one[i, j] - ends[:, i, j]
+        bands[2 * size - 1 + i - j, j:-size:size] = -one[i, j] - begins[1:, i, j]
+    try:
+        found = scipy.linalg.solve_banded((2 * size - 1, size - 1), bands, defect.ravel(), check_finite=False)
+    except np.linalg.LinAlgError:
+        return np.full(defect.shape, np.nan)
+    return np.asarray(found.reshape(defect.shape), dtype=np.float64)
+
+
+def both_ends(states: Floats) -> Floats:
+    """Return the states (2 (K − 1), n_x) at the beginning and the end of each interval."""
+    return np.repeat(states, 2, axis=0)[1:-1]
+
+
+def told_states(side: RightHandSide, theta: Floats, times: Floats, outputs: Floats) -> tuple[MeasuredStates, Floats]:
+    """Return the states that outputs (K, n_y) tell, and C = ∂y/∂x (n_y, n_x).
+
+    C is found at the beginning and taken for constant.
+
+    Raises
+    ------
+    InputError
+        If the outputs tell nothing of the states, or leave too many of them open.
+    """
+    slopes, base, at = side.output_slopes(theta)
+    if not np.isfinite(at).all() or not np.isfinite(slopes).all():
+        raise InputError("the outputs cannot be had")
+    sizes = np.maximum(np.std(outputs, axis=0), 1e-300)
+    _, values, directions = np.linalg.svd(slopes / sizes[:, None])
+    count = int((values > INDEPENDENT * values.max(initial=0.0)).sum())
+    if not count or len(directions) - count > MOST_UNMEASURED:
+        raise InputError("the outputs do not tell the states")
+    seen = directions[:count] / side.nominals
+    gain = side.nominals[:, None] * np.linalg.pinv(slopes / sizes[:, None], rcond=INDEPENDENT) / sizes
+    told = (base @ seen.T) @ (directions[:count] * side.nominals) + (outputs - at) @ gain.T
+    unseen = side.nominals[:, None] * directions[count:].T
+    return MeasuredStates(side, np.diff(times)[:, None], told, unseen), slopes / side.nominals

@@ -1,0 +1,352 @@
+"""What the residuals say of the model and of the stated uncertainty: whiteness, inputs, distribution.
+
+Output errors are unbiased whatever the colour of the noise (1.29), and their covariance allows for it
+(`fmuid.estimation.noise.sandwich`): `Diagnostics.widening` says by how much, parameter by parameter. Where the
+residual is an error of the model that comes back with every cycle of the experiment, that is rather too little.
+
+With thousands of samples the slightest imperfection is significant: findings tell what is unlikely by chance and large
+enough to matter from what is significant but slight. An error of the model that its parameters make up for leaves a
+residual in which no test finds anything.
+
+References
+----------
+L. Ljung, "System Identification: Theory for the User", 2nd ed., 1999, section 16.6 (residual analysis); and
+those of `fmuid.estimation.noise.whiteness_tests`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.array_types import Floats
+from fmuid.blas import single_threaded
+from fmuid.data import Measurements
+from fmuid.errors import InputError
+from fmuid.estimation import ColouredNoise, LeastSquares, Result, Taken
+from fmuid.files import as_json
+from fmuid.identification.residual_series import InputCorrelation, ResidualSeries, examine_outputs
+
+CORRELATIONS = ("experiment", "output", "with", "lag", "time", "correlation", "band")
+# What is found is less likely by chance than this, over all residuals and inputs together ...
+RESIDUAL_LEVEL = 0.01
+# ... and matters: an autocorrelation this large,
+LARGE_AUTOCORRELATION = 0.1
+# standard deviations that are wider or narrower than those of white noise by this factor,
+LEAST_STD_FACTOR = 1.25
+# a correlation with an input: it explains a hundredth of the residual's variance,
+LARGE_CORRELATION = 0.1
+# a mean in standard deviations.
+LARGE_OFFSET_STDS = 0.1
+# ... what returns with each cycle of the excitation is worth a sentence where it is more likely there than not.
+MORE_LIKELY = 0.5
+# ... and has so much of the residual's variance: what returns in one output has a little in others by chance.
+LEAST_RETURNING = 0.01
+
+# Noise is slow for a record of which its time constant is more than this share.
+LONG_MEMORY = 0.2
+
+
+class Trait(Enum):
+    """In what a residual differs from white normal noise."""
+
+    COLOURED = "coloured"
+    """An autocorrelation."""
+    OFFSET = "offset"
+    """A mean."""
+    INPUT = "input"
+    """A correlation with an input."""
+    SHAPE = "shape"
+    """Another distribution than the normal one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """Something in a residual that is unlikely by chance.
+
+    Attributes
+    ----------
+    trait : Trait
+    large : bool
+        Whether it is large enough to matter.
+    series : ResidualSeries
+        Which has the numbers.
+    input : InputCorrelation or None
+        The correlation, where it is one with an input.
+    """
+
+    trait: Trait
+    large: bool
+    series: ResidualSeries
+    input: InputCorrelation | None = None
+
+
+def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[Finding]:
+    """Return what is unlikely by chance in one of so many residuals, which go with so many inputs all together."""
+    level, found = RESIDUAL_LEVEL / outputs, []
+    if series.whiteness_probability <= level:
+        found.append(Finding(Trait.COLOURED, abs(series.strongest_autocorrelation[1]) >= LARGE_AUTOCORRELATION, series))
+    if series.mean_probability < level:
+        found.append(Finding(Trait.OFFSET, abs(series.mean) > LARGE_OFFSET_STDS * series.std, series))
+    for each in series.inputs:
+        if each.probability < RESIDUAL_LEVEL / inputs:
+            found.append(Finding(Trait.INPUT, abs(each.correlation) > LARGE_CORRELATION, series, each))
+    if series.normality_probability < level:
+        found.append(Finding(Trait.SHAPE, series.lopsided or series.tailed, series))
+    return found
+
+
+@dataclass(frozen=True)
+class NoiseFinding:
+    """Noise of an output with a long memory.
+
+    Attributes
+    ----------
+    output : str
+    experiments : tuple of str
+        Which share one model of it.
+    time_constant : float
+        s.
+    """
+
+    output: str
+    experiments: tuple[str, ...]
+    time_constant: float
+
+
+@dataclass(frozen=True)
+class SlowResidual(NoiseFinding):
+    """Low-frequency noise in a residual (`fmuid.estimation.noise.low_frequency`), too weak for other tests.
+
+    Attributes
+    ----------
+    share : float
+        Of the residual's variance.
+    """
+
+    share: float
+
+
+@dataclass(frozen=True)
+class LongMemory(NoiseFinding):
+    """Noise so slow that its record hardly tells how slow.
+
+    Attributes
+    ----------
+    record : float
+        How long the longest of the experiments is, s.
+    """
+
+    record: float
+
+
+def _slow(noise: ColouredNoise) -> tuple[tuple[SlowResidual, ...], tuple[LongMemory, ...]]:
+    """Return the slow noise of each model that has some, and whose memory is long for the record."""
+    pools: dict[int, list[int]] = {}
+    for index, series in enumerate(noise.series):
+        pools.setdefault(series.pool, []).append(index)
+    slow, long = [], []
+    for members in pools.values():
+        series, model = noise.series[members[0]], noise.models[members[0]]
+        names = tuple(dict.fromkeys(noise.series[i].experiment for i in members))
+        constant = series.step * model.time_constant
+        record = series.step * (1 + max(int(noise.series[i].places[-1]) for i in members))
+        if model.pole:
+            slow.append(SlowResidual(series.output, names, -series.step / math.log(model.pole), model.slow_share))
+        if constant > LONG_MEMORY * record:
+            long.append(LongMemory(series.output, names, min(constant, record), record))
+    return tuple(slow), tuple(long)
+
+
+@dataclass(frozen=True)
+class ReturningResidual:
+    """What comes back in a residual with each cycle of the excitation (`fmuid.estimation.noise.periodic_error`).
+
+    Attributes
+    ----------
+    output, experiment : str
+    period : float
+        Of the inputs, s.
+    share : float
+        Of the residual's variance.
+    """
+
+    output: str
+    experiment: str
+    period: float
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnostics:
+    """All residuals of a result.
+
+    Attributes
+    ----------
+    series : tuple of ResidualSeries
+        Experiment by experiment, output by output.
+    widening : dict of str to float
+        For each parameter, by which factor the colour of the residuals widens its standard deviation; NaN where it has
+        none.
+    off_grid : tuple of (str, str)
+        Experiments and outputs whose samples stand on no grid: the colour of their noise is taken as if they were
+        equally spaced.
+    slow : tuple of SlowResidual
+        Where the standard deviations allow for weak slow noise.
+    weighed : bool
+        Whether samples were weighed by the colour of their noise: `widening` is against noise of that colour then.
+    returning : tuple of ReturningResidual
+        Where the standard deviations allow for what comes back with each cycle of the excitation, and it more likely
+        does than not.
+    long_memory : tuple of LongMemory
+        Noise so slow that the record hardly tells how slow.
+    """
+
+    series: tuple[ResidualSeries, ...]
+    widening: dict[str, float]
+    off_grid: tuple[tuple[str, str], ...] = ()
+    slow: tuple[SlowResidual, ...] = ()
+    weighed: bool = False
+    returning: tuple[ReturningResidual, ...] = ()
+    long_memory: tuple[LongMemory, ...] = ()
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """All that is unlikely by chance, residual by residual."""
+        inputs = sum(len(each.inputs) for each in self.series)
+        return tuple(found for each in self.series for found in _findings(each, len(self.series), inputs))
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row a residual; times in s, of the inputs the one whose correlation is least likely by chance."""
+        return pd.DataFrame([each.row() for each in self.series])
+
+    @property
+    def inputs(self) -> pd.DataFrame:
+        """One row for each residual and input: experiment, output, input, lag (s), correlation, band, probability."""
+        names = ["input", "lag", "correlation", "band", "probability"]
+        rows = [
+            {"experiment": each.experiment, "output": each.output, **{name: getattr(one, name) for name in names}}
+            for each in self.series
+            for one in each.inputs
+        ]
+        return pd.DataFrame(rows, columns=["experiment", "output", *names])
+
+    @property
+    def correlations(self) -> pd.DataFrame:
+        """One row for each residual, what it is held against, and lag: what figures show.
+
+        Columns experiment, output, with (the input, or the output itself), lag (samples by which the other comes
+        before), time (s), correlation, and band, the half-width of what 95 % of chance lies in.
+        """
+        parts = []
+        for each in self.series:
+            lags = np.arange(1, each.autocorrelation.size)
+            own = (each.output, lags, lags * each.step, each.autocorrelation[1:], each.band)
+            others = [(one.input, one.lags / each.step, one.lags, one.values, one.band) for one in each.inputs]
+            for name, places, times, values, band in (own, *others) if each.examined else ():
+                columns = (each.experiment, each.output, name, np.rint(places), times, values, band)
+                parts.append(pd.DataFrame(dict(zip(CORRELATIONS, columns, strict=True))))
+        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=CORRELATIONS)
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Return ``diagnostics`` of ``result.json``; what is not a finite number is None."""
+        rows = []
+        for each in self.series:
+            row = {name: value for name, value in each.row().items() if not name.startswith("input")}
+            inputs = self.inputs[
+                (self.inputs["experiment"] == each.experiment) & (self.inputs["output"] == each.output)
+            ]
+            row["inputs"] = inputs.drop(columns=["experiment", "output"]).to_dict("records")
+            rows.append(row)
+        findings = [
+            {
+                "trait": found.trait,
+                "large": found.large,
+                "experiment": found.series.experiment,
+                "output": found.series.output,
+                "input": found.input.input if found.input is not None else None,
+            }
+            for found in self.findings
+        ]
+        off_grid = [list(each) for each in self.off_grid]
+        content = {"findings": findings, "widening": self.widening, "off_grid": off_grid, "slow": self.slow}
+        content |= {"returning": self.returning, "long_memory": self.long_memory}
+        plain: dict[str, Any] = as_json(content | {"weighed": self.weighed, "residuals": rows})
+        return plain
+
+
+@single_threaded
+def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
+    """Examine the residuals of a result; nothing is simulated.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+        That the result was found for.
+    result : Result
+        As `fmuid.identify` returns it.
+
+    Raises
+    ------
+    InputError
+        If the result was read from a file, which has no residuals.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> result = fmuid.identify(problem)
+    >>> fmuid.examine_residuals(problem, result).table["output"].tolist()
+    ['i']
+    """
+    if result.noise is None or result.local is None:
+        raise InputError("a result read from a file has no residuals to examine; identify the study again")
+    series: list[ResidualSeries] = []
+    columns, first = result.local.jacobian @ result.local.root, 0
+    taken = Taken(columns, columns.T @ columns)
+    for experiment, fit in zip(problem.experiments, result.fit, strict=True):
+        simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
+        series += residuals_of(experiment, simulated, first, taken, problem.levels.scale)
+        first += int(experiment.counted.sum())
+    off_grid = tuple((each.experiment, each.output) for each in result.noise.series if not each.regular)
+    widening = dict(zip(result.names, result.widening.tolist(), strict=True))
+    weighed = result.noise.weights is not None
+    shares: dict[tuple[str, str, float], float] = {}
+    for found in result.noise.returning:
+        for own, share in zip(found.series, found.shares.tolist(), strict=True):
+            if found.probability > MORE_LIKELY and share > LEAST_RETURNING:
+                key = (own.output, own.experiment, found.period * own.step)
+                shares[key] = min(shares.get(key, 0.0) + share, 1.0)
+    returning = tuple(ReturningResidual(*key, share) for key, share in shares.items())
+    slow, long = _slow(result.noise)
+    return Diagnostics(tuple(series), widening, off_grid, slow, weighed, returning, long)
+
+
+def residuals_of(
+    experiment: Measurements,
+    simulated: Floats,
+    first: int = 0,
+    taken: Taken | None = None,
+    scale: Floats | None = None,
+) -> list[ResidualSeries]:
+    """Examine measured − simulated of an experiment, output by output.
+
+    Parameters
+    ----------
+    experiment : Measurements
+    simulated : (K, n_outputs) array
+    first : int
+        Which row of a problem's residual the first of its counted samples is.
+    taken : Taken, optional
+        What a fit has taken out of the noise of all rows; default: nothing has been fitted.
+    scale : (n,) array, optional
+        The standard deviation of the noise of each row against that of its output; default 1.
+    """
+    counted, outputs = np.flatnonzero(experiment.counted), len(experiment.output_names)
+    rows = [first + np.flatnonzero(counted % outputs == column) for column in range(outputs)]
+    return examine_outputs(experiment, simulated, rows, taken, scale)

@@ -1,0 +1,394 @@
+"""Sampling of the posterior of the parameters, given data, prior and bounds, without linearisation.
+
+With J_j(θ) the sum of squared residuals of output j and K_j its samples, the log density is, inside the bounds,
+
+    ln p(θ | y*) = −½ [ (θ−θ₀)ᵀ M₀⁻¹ (θ−θ₀) + Σ_given J_j(θ)/σ_j² + Σ_estimated K_j ln J_j(θ) ] + const,
+
+that is −J_C/2 of (1.37) for outputs whose noise variance is given. A variance that is estimated is as unknown as the
+parameters: with the density 1/σ_j², uniform in ln σ_j, it is integrated out, ∫ σ^(−K) exp(−J/(2σ²)) dσ²/σ² ∝ J^(−K/2).
+For one output, a model linear in its parameters and no prior this is Student's t around the estimate with K − N degrees
+of freedom and the local covariance (1.31) as its scale, so that the posterior's intervals are the local ones.
+With a robust loss the variances stay at their estimates, and −J_C/2 takes the place of a log density. Where the noise
+is coloured, or the loss robust, the data's part is scaled to how the estimates really scatter
+(`fmuid.identification.likelihood_scaling`).
+
+Two kinds of moves take turns, drawn at random at each step: differential evolution, which takes its steps from the
+distances of the walkers and adapts to any shape, and independent draws from the local approximation with heavy tails.
+Where that is good, as it usually is, they make the samples nearly independent; where it is not, they are refused. Then,
+and where there are several optima, draws in the shape of the chain's own past take the place of most of them
+(`fmuid.identification.sampling.proposal_archive`).
+
+The walkers set out around the optima at which searches from points all over the box ended, as far as these hold a share
+of the posterior that would show; without a box to search, around the estimate alone.
+
+References
+----------
+D. Foreman-Mackey et al., "emcee: the MCMC hammer", PASP 125, 2013; C. J. F. ter Braak, "A Markov chain Monte Carlo
+version of the genetic algorithm differential evolution", Stat. Comput. 16, 2006; A. Gelman et al.,
+"Bayesian Data Analysis", 3rd edition, section 3.2 (the variance integrated out).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import emcee
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.blas import single_threaded
+from fmuid.errors import InputError, SimulationError
+from fmuid.estimation import GlobalSearch, LeastSquares, Outcome, Result
+from fmuid.identification.conditional_optimum import check_result
+from fmuid.identification.likelihood_scaling import adjustment
+from fmuid.identification.profile import reach
+from fmuid.identification.sampling.chains import effective_size, r_hat
+from fmuid.identification.sampling.posterior import LARGEST_R_HAT, Posterior, Sampling, SamplingDoubt
+from fmuid.identification.sampling.proposal_archive import Archive
+from fmuid.progress import Progress, SamplingStep
+
+# Enough walkers for differences in all directions, and for two halves that keep all cores busy.
+LEAST_WALKERS, WALKERS_PER_PARAMETER = 16, 4
+# Steps before convergence is checked first, and the factor by which the chain grows between checks.
+FIRST_LOOK, LOOK_GROWTH = 100, 1.3
+# Walkers with a smaller share of accepted moves are stuck.
+LEAST_ACCEPTANCE = 0.05
+# Share of proposals from the local approximation, a Student t of so many degrees of freedom, and share of the others
+# that are whole differences, which lead from one optimum to another (ter Braak).
+LOCAL_SHARE, LOCAL_FREEDOM, JUMP_SHARE = 0.5, 5.0, 0.1
+# With a smaller share of accepted moves the chain's own past says better where to go, in so many of the moves.
+POOR_ACCEPTANCE, ARCHIVE_SHARE = 0.3, 0.7
+# Searches from points of the box that tell of other optima, and how much less of the posterior, as a logarithm, may lie
+# around one of these. Optima nearer than so many standard deviations of the estimate are its own.
+SEARCHES, LEAST_LOG_SHARE, OWN_STDS = 12, 7.0, 3.0
+# Spread of the walkers' start in a parameter that the data leave open, relative to its magnitude.
+OPEN_SPREAD = 0.01
+# A walker that would start outside the bounds starts inside, within so many standard deviations.
+INSIDE_STDS = 3.0
+# How many times a walker whose simulation fails is moved half way to the estimate.
+MOST_HALVINGS = 40
+# Simulated samples held at a time, 64 MB.
+BATCH_SAMPLES = 8_000_000
+
+
+@single_threaded
+def sample(
+    problem: LeastSquares, result: Result, settings: Sampling | None = None, progress: Progress | None = None
+) -> Posterior:
+    """Sample the posterior of a problem, starting around its result.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    result : Result
+        Of its identification.
+    settings : Sampling, optional
+    progress : callable, optional
+        Called after every step of all walkers with a `fmuid.progress.SamplingStep`.
+
+    Returns
+    -------
+    Posterior
+        Also where it did not converge or was interrupted from the keyboard, which it says.
+
+    Raises
+    ------
+    InputError
+        If the result is another problem's, there are too few walkers, or a noise variance cannot be estimated because
+        the model fits exactly.
+    SimulationError
+        If the simulation fails at the result.
+
+    Examples
+    --------
+    >>> problem = fmuid.datasets.coil().problem()
+    >>> result = fmuid.identify(problem)
+    >>> posterior = fmuid.sample(problem, result, fmuid.Sampling(steps=40, effective_size=10))
+    >>> posterior.table.shape
+    (480, 2)
+    """
+    check_result(problem, result)
+    return _Sampler(problem, result, settings or Sampling(), progress).run()
+
+
+def log_density(
+    problem: LeastSquares, variance: Floats | None = None, result: Result | None = None
+) -> Callable[[Floats], Floats]:
+    """Return the log density of the posterior, without its constant, as a function of thetas (m, N) that gives (m,).
+
+    It is −∞ outside the bounds and where a simulation fails.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    variance : (n_outputs,) array, optional
+        The noise variances, NaN where they are integrated out; default the problem's own. A robust loss needs them all.
+    result : Result, optional
+        Of the problem: the data's part is scaled to the colour of the noise that it found. Default: white noise.
+    """
+    parameters, known = problem.parameters, problem.variance if variance is None else variance
+    which = (problem.groups[:, None] == np.arange(problem.counts.size)).astype(np.float64)
+    given = ~np.isnan(known)
+    weights = (1.0 / np.sqrt(np.where(given, known, 1.0)))[problem.groups]
+    batch = max(1, BATCH_SAMPLES // problem.measured.size)
+
+    def sums(thetas: Floats) -> Floats:
+        """Return the sum of squares of each output (m, n_outputs), whitened where its variance is known."""
+        with np.errstate(over="ignore", invalid="ignore"):  # simulations may explode without failing
+            rows = (problem.measured - problem.predict(thetas)) * weights
+            rows = (rows if problem.loss is None else problem.loss.root(rows)) ** 2
+        # einsum keeps to this thread: BLAS would start its own beside those of the simulations
+        return np.asarray(np.einsum("mn,ng->mg", rows, which), dtype=np.float64)
+
+    def likelihood(thetas: Floats) -> Floats:
+        squares = sums(thetas)
+        with np.errstate(divide="ignore"):
+            implied = problem.levels.pooled(squares, problem.counts)[:, ~given]
+            terms = squares[:, given].sum(axis=1) + np.log(implied) @ problem.counts[~given]
+        return np.asarray(-0.5 * terms, dtype=np.float64)
+
+    free = math.inf if result is None or given.all() else result.degrees_of_freedom
+    adjust = None if result is None else adjustment(problem, result, free)
+    at_estimate = math.nan if result is None else float(likelihood(result.values[None])[0])
+
+    def density(thetas: Floats) -> Floats:
+        found = np.full(len(thetas), -np.inf)
+        inside = np.flatnonzero(((thetas >= parameters.lower) & (thetas <= parameters.upper)).all(axis=1))
+        for first in range(0, inside.size, batch):
+            rows = inside[first : first + batch]
+            own = likelihood(thetas[rows])
+            if adjust is not None and math.isfinite(at_estimate):
+                with np.errstate(invalid="ignore"):
+                    own = adjust(thetas[rows], own, at_estimate)
+            terms = own - 0.5 * np.sum(parameters.prior_residual(thetas[rows]) ** 2, axis=1)
+            found[rows] = np.where(np.isnan(terms), -np.inf, terms)
+        return found
+
+    return density
+
+
+class _Sampler:
+    """One run of the sampler."""
+
+    def __init__(self, problem: LeastSquares, result: Result, settings: Sampling, progress: Progress | None) -> None:
+        self.problem, self.result, self.settings, self.progress = problem, result, settings, progress
+        self.estimate: Floats = np.array(result.values)
+        self.clock, self.simulations = time.perf_counter(), problem.simulations
+        count = len(problem.parameters)
+        self.walkers = settings.walkers or max(LEAST_WALKERS, WALKERS_PER_PARAMETER * count)
+        if self.walkers < 2 * count:
+            raise InputError(
+                f"{self.walkers} walkers are too few for {count} parameters; the sampler needs at least {2 * count}"
+            )
+        self.random = np.random.default_rng(settings.seed)
+        self.far = reach(problem, result)
+        # a robust loss is no log density, its variances cannot be integrated out: they stay at their estimates
+        robust = np.array([result.variance[name] for name in problem.output_names])
+        self.density = log_density(problem, None if problem.loss is None else robust, result)
+        self._check_start()
+        self.root = _root(result.covariance)
+        self.inverse_root = None if self.root is None else np.linalg.inv(self.root)
+        self.sampler = emcee.EnsembleSampler(self.walkers, count, self._target, moves=self._moves(), vectorize=True)
+        self.sampler.random_state = np.random.RandomState(settings.seed).get_state()
+        self.effective = math.nan
+        self.interrupted = False
+        self.optima = [result]
+        self.archive: Archive | None = None
+
+    def run(self) -> Posterior:
+        """Sample until the chain is good enough, or at its longest."""
+        steps, look = 0, FIRST_LOOK
+        try:
+            self.optima += self._other_optima()
+            state: object = self._start()
+            while steps < self.settings.steps:
+                look = min(look, self.settings.steps)
+                # emcee's check of the start is left out: it takes strongly correlated parameters for dependent walkers
+                for _ in self.sampler.sample(state, iterations=look - steps, skip_initial_state_check=True):
+                    steps += 1
+                    self._tell(steps)
+                    if self.interrupted:
+                        raise KeyboardInterrupt
+                found = self._posterior()
+                self.effective = float(np.min(found.effective_size))
+                if found.converged or self._runaway(found):
+                    break
+                look, state = math.ceil(LOOK_GROWTH * steps), self.sampler.get_last_sample()
+                if found.acceptance < POOR_ACCEPTANCE or len(self.optima) > 1:
+                    self.archive = Archive.of(found.samples)
+        except KeyboardInterrupt:
+            self.interrupted = True
+        return self._posterior()
+
+    def _target(self, thetas: Floats) -> Floats:
+        """Return the log density; interrupted, as if all simulations failed: emcee prints whatever is raised here."""
+        try:
+            return self.density(thetas)
+        except KeyboardInterrupt:
+            self.interrupted = True
+            return np.full(len(thetas), -np.inf)
+
+    def _tell(self, steps: int) -> None:
+        if self.progress is not None:
+            acceptance = float(np.mean(self.sampler.acceptance_fraction))
+            wanted = self.settings.effective_size
+            step = SamplingStep(
+                step=steps,
+                steps=self.settings.steps,
+                effective_size=self.effective,
+                wanted=wanted,
+                acceptance=acceptance,
+            )
+            self.progress(step)
+
+    def _check_start(self) -> None:
+        at = self.density(self.estimate[None])[0]
+        if at == -np.inf:
+            raise self.problem.failure(self.estimate) or InputError(
+                "the result lies outside the problem's bounds; give the result of this problem's identification"
+            )
+        if at == np.inf:
+            raise InputError(
+                "the model fits an output exactly, and its noise variance cannot be estimated; give noise.variance"
+            )
+
+    def _other_optima(self) -> list[Result]:
+        """Return the optima, other than the estimate, that hold a share of the posterior."""
+        search = GlobalSearch("multistart", starts=SEARCHES, seed=self.settings.seed)
+        try:
+            search.check(self.problem)
+            found = search.search(self.problem, self.progress)
+        except (InputError, SimulationError):  # no box, or nothing in it can be simulated
+            return []
+        if found.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        near = OWN_STDS * self.result.std
+        others = [
+            each.fit for each in found.optima if each.converged and (np.abs(each.theta - self.estimate) > near).any()
+        ]
+        share = [self._log_share(each) for each in (self.result, *others)]
+        order = np.argsort([-each for each in share[1:]], kind="stable")[: self.walkers // 4 - 1]
+        return [others[i] for i in order if share[1 + i] > max(share) - LEAST_LOG_SHARE]
+
+    def _log_share(self, optimum: Result) -> float:
+        """Return the logarithm of what an optimum holds of the posterior, by the normal approximation."""
+        root = _root(optimum.covariance)
+        volume = 0.0 if root is None else float(np.log(np.diag(root)).sum())
+        return float(self.density(optimum.values[None])[0]) + volume
+
+    def _start(self) -> Floats:
+        """Return walkers (walkers, N) around all optima."""
+        numbers = np.array_split(np.arange(self.walkers), len(self.optima))
+        return np.vstack([self._around(each, own.size) for each, own in zip(self.optima, numbers, strict=True)])
+
+    def _around(self, optimum: Result, walkers: int) -> Floats:
+        """Return walkers (walkers, N) drawn from the local covariance, inside the bounds, where the model works."""
+        parameters, estimate, root = self.problem.parameters, optimum.values, _root(optimum.covariance)
+        spread = np.where(np.isfinite(optimum.std), optimum.std, OPEN_SPREAD * parameters.magnitudes(estimate))
+        draws = self.random.standard_normal((walkers, estimate.size))
+        thetas = estimate + (draws * spread if root is None else draws @ root.T)
+        low = np.maximum(parameters.lower, estimate - INSIDE_STDS * spread)
+        high = np.minimum(parameters.upper, estimate + INSIDE_STDS * spread)
+        inside = (thetas >= parameters.lower) & (thetas <= parameters.upper)
+        thetas = np.where(inside, thetas, self.random.uniform(low, high, thetas.shape))
+        for _ in range(MOST_HALVINGS):
+            failed = ~np.isfinite(self.density(thetas))
+            if not failed.any():
+                break
+            thetas[failed] = 0.5 * (thetas[failed] + estimate)
+        return thetas
+
+    def _moves(self) -> list[tuple[emcee.moves.Move, float]]:
+        local = LOCAL_SHARE if self.root is not None else 0.0
+        moves = [
+            (emcee.moves.DEMove(), (1.0 - local) * (1.0 - JUMP_SHARE)),
+            (emcee.moves.DEMove(gamma0=1.0), (1.0 - local) * JUMP_SHARE),
+        ]
+        return [*moves, (emcee.moves.MHMove(self._propose), local)] if local else moves
+
+    def _propose(self, thetas: Floats, random: np.random.RandomState) -> tuple[Floats, Floats]:
+        """Draw independently of where the walkers are; with the log of the ratio of the densities there and here."""
+        if self.archive is not None and random.uniform() < ARCHIVE_SHARE:
+            return self.archive.propose(thetas, random)
+        return self._propose_locally(thetas, random)
+
+    def _propose_locally(self, thetas: Floats, random: np.random.RandomState) -> tuple[Floats, Floats]:
+        """Draw from Student's t around the estimate; with the log of the ratio of its densities there and here."""
+        assert self.root is not None
+        assert self.inverse_root is not None
+        draws = random.standard_normal(thetas.shape) / np.sqrt(
+            random.chisquare(LOCAL_FREEDOM, (len(thetas), 1)) / LOCAL_FREEDOM
+        )
+        before = (thetas - self.estimate) @ self.inverse_root.T
+        power = -0.5 * (LOCAL_FREEDOM + thetas.shape[1])
+        here, there = (power * np.log1p(np.sum(z**2, axis=1) / LOCAL_FREEDOM) for z in (before, draws))
+        return self.estimate + draws @ self.root.T, here - there
+
+    def _posterior(self) -> Posterior:
+        if not self.sampler.iteration:
+            raise KeyboardInterrupt
+        chain = self.sampler.get_chain().copy()
+        kept = chain[int(self.settings.burn * len(chain)) :]
+        columns = [kept[:, :, i] for i in range(chain.shape[2])]
+        effective = np.array([effective_size(column) for column in columns])
+        found = Posterior(
+            doubt=None,
+            doubtful="",
+            interrupted=self.interrupted,
+            wanted=self.settings.effective_size,
+            undetermined=self.result.undetermined,
+            optima=np.array([each.values for each in self.optima]),
+            names=self.problem.parameters.names,
+            lower=self.problem.parameters.lower,
+            upper=self.problem.parameters.upper,
+            chain=chain,
+            log_density=self.sampler.get_log_prob().copy(),
+            burn=len(chain) - len(kept),
+            effective_size=effective,
+            autocorrelation_time=len(kept) * self.walkers / effective,
+            r_hat=np.array([r_hat(column) for column in columns]),
+            acceptance=float(np.mean(self.sampler.acceptance_fraction)),
+            simulations=self.problem.simulations - self.simulations,
+            elapsed_s=time.perf_counter() - self.clock,
+        )
+        doubt, doubtful = self._doubt(found)
+        return replace(found, doubt=doubt, doubtful=doubtful)
+
+    def _runaway(self, found: Posterior) -> str:
+        """Return the name of a parameter that runs away on a side without bound, empty if none does."""
+        parameters = self.problem.parameters
+        beyond = found.chain[-1] - self.estimate
+        above = np.isinf(parameters.upper) & (beyond > self.far).any(axis=0)
+        below = np.isinf(parameters.lower) & (beyond < -self.far).any(axis=0)
+        return next((name for name, gone in zip(found.names, above | below, strict=True) if gone), "")
+
+    def _doubt(self, found: Posterior) -> tuple[SamplingDoubt | None, str]:
+        """Return why the samples cannot be trusted yet, and of which parameter; None where they can."""
+        runaway = self._runaway(found)
+        if runaway:
+            return SamplingDoubt.RUNAWAY, runaway
+        if np.isnan(found.r_hat).any() or np.isnan(found.effective_size).any():
+            return SamplingDoubt.TOO_SHORT, ""
+        if found.acceptance < LEAST_ACCEPTANCE:
+            return SamplingDoubt.STUCK, ""
+        worst = int(np.argmax(found.r_hat))
+        if found.r_hat[worst] > LARGEST_R_HAT:
+            return SamplingDoubt.DISAGREEING, found.names[worst]
+        worst = int(np.argmin(found.effective_size))
+        if found.effective_size[worst] < self.settings.effective_size:
+            return SamplingDoubt.TOO_FEW, found.names[worst]
+        return None, ""
+
+
+def _root(covariance: Floats) -> Floats | None:
+    """Return the triangle L with L Lᵀ the covariance, None where that is not finite and positive definite."""
+    std = np.sqrt(np.diag(covariance))
+    if not (np.isfinite(covariance).all() and (std > 0).all()):
+        return None
+    try:  # of the correlations: units must not decide
+        return np.asarray(std[:, None] * np.linalg.cholesky(covariance / np.outer(std, std)), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return None

@@ -1,0 +1,234 @@
+"""Sensitivity functions over time, and the accuracy that an excitation promises before anything is measured.
+
+The normalised sensitivity θ_n ∂ŷ/∂θ_n (1.33) is in the output's unit whatever the parameter's: what a relative change
+of the parameter does to the output. Parameters whose functions are small, or have the same shape, cannot be told. From
+them follows the covariance (1.31) that estimates will have, and so which of several excitations promises most: the one
+with the largest determinant of the information matrix (D-optimal: the smallest ellipsoid), or with the smallest
+relative standard deviation of the parameter that is worst off.
+
+References
+----------
+A. C. Atkinson, A. N. Donev, R. D. Tobias, "Optimum Experimental Designs, with SAS", 2007, chapter 10.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from fmuid.array_types import Floats
+from fmuid.data import Experiment, Parameter, ParameterSet
+from fmuid.errors import InputError
+from fmuid.estimation import parabola_slope
+from fmuid.models import System
+from fmuid.simulation import Simulator, Value
+
+# Differences are central, over this share of a parameter's magnitude: their error is of its square.
+STEP = 1e-3
+# Directions of relative parameters with less information than this share of the largest are not determined: the errors
+# of differences, STEP², leave about as much, squared.
+SINGULAR = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class SensitivityFunctions:
+    """Normalised sensitivities over one experiment.
+
+    Attributes
+    ----------
+    experiment : str
+    times : (K,) array
+        s.
+    outputs, units : tuple of str
+        Outputs, and the units of both them and their sensitivities; "" without.
+    parameters : tuple of str
+    values : (K, n_outputs, N) array
+        Magnitude of the parameter times ∂ŷ/∂θ.
+    magnitudes : (N,) array
+    """
+
+    experiment: str
+    times: Floats
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    parameters: tuple[str, ...]
+    values: Floats
+    magnitudes: Floats
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """Time (s), and a column ``output/parameter`` for each pair."""
+        columns: dict[str, Floats] = {"time": self.times}
+        for j, output in enumerate(self.outputs):
+            columns |= {f"{output}/{name}": self.values[:, j, i] for i, name in enumerate(self.parameters)}
+        return pd.DataFrame(columns)
+
+    @property
+    def sizes(self) -> pd.DataFrame:
+        """Root mean squares, a row for each parameter and a column for each output."""
+        return pd.DataFrame(
+            np.sqrt(np.mean(self.values**2, axis=0)).T, index=list(self.parameters), columns=list(self.outputs)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedAccuracy:
+    """What an excitation promises.
+
+    Attributes
+    ----------
+    excitation : str
+    duration : float
+        s.
+    std : dict of str to float
+        Of each parameter, infinite where the excitation does not determine it.
+    relative : dict of str to float
+        Over the parameter's magnitude.
+    log_determinant : float
+        Natural logarithm of the determinant of the information matrix of the relative parameters; −infinity where a
+        direction is not determined.
+    """
+
+    excitation: str
+    duration: float
+    std: dict[str, float]
+    relative: dict[str, float]
+    log_determinant: float
+
+    @property
+    def worst(self) -> float:
+        """The largest relative standard deviation."""
+        return max(self.relative.values())
+
+
+def sensitivity_functions(
+    model: System,
+    experiment: Experiment,
+    parameters: Mapping[str, Parameter],
+    values: Mapping[str, Value] | None = None,
+) -> SensitivityFunctions:
+    """Return the normalised sensitivities at the parameters' starts, by central differences.
+
+    Raises
+    ------
+    InputError
+        If there are no parameters, or model, experiment and parameters do not fit together.
+    SimulationError
+        If a simulation fails.
+    """
+    flat = ParameterSet(parameters, [experiment.name])
+    simulator = Simulator(model, experiment, tuple(parameters), values=values or {})
+    magnitudes = flat.reach(flat.start)
+    # beside a bound both points lie on the other side of it
+    offsets = np.tile([-1.0, 1.0], (len(flat), 1))
+    offsets[flat.start - STEP * magnitudes < flat.lower] = [1.0, 2.0]
+    offsets[flat.start + STEP * magnitudes > flat.upper] = [-1.0, -2.0]
+    points = np.tile(flat.start, (2 * len(flat) + 1, 1))
+    for i in range(len(flat)):
+        points[[2 * i + 1, 2 * i + 2], i] += offsets[i] * STEP * magnitudes[i]
+    outputs = simulator(points)
+    a, b = STEP * offsets[:, 0, None, None], STEP * offsets[:, 1, None, None]
+    low, high = outputs[1::2] - outputs[0], outputs[2::2] - outputs[0]
+    slopes = parabola_slope(low, high, a, b)
+    units = tuple(experiment.units.get(name) or model.unit(name) or "" for name in experiment.output_names)
+    return SensitivityFunctions(
+        experiment.name,
+        experiment.times,
+        experiment.output_names,
+        units,
+        tuple(parameters),
+        np.moveaxis(slopes, 0, -1),
+        magnitudes,
+    )
+
+
+def expected_accuracy(
+    model: System,
+    excitation: Experiment,
+    parameters: Mapping[str, Parameter],
+    variance: Mapping[str, float],
+    values: Mapping[str, Value] | None = None,
+) -> ExpectedAccuracy:
+    """Return the accuracy that an excitation promises at the parameters' starts, with their priors.
+
+    Parameters
+    ----------
+    model : System
+    excitation : Experiment
+        A record, or an excitation that is still to be applied (`fmuid.trial`).
+    parameters : mapping of str to Parameter
+    variance : mapping of str to float
+        Of each output's noise, in the unit of the excitation's table.
+    values : mapping of str to float, int, bool or str, optional
+        Variables held at a value.
+
+    Raises
+    ------
+    InputError
+        If the noise of an output is not known, or as `sensitivity_functions`.
+    SimulationError
+        If a simulation fails.
+    """
+    for name in excitation.output_names:
+        if name not in variance:
+            raise InputError(
+                f'the noise of {name!r} is not known: give its variance, noise.variance = {{ "{name}" = ... }}'
+            )
+    found = sensitivity_functions(model, excitation, parameters, values)
+    weights = np.array([variance[name] ** -0.5 for name in excitation.output_names])
+    rows = (found.values * weights[:, None])[excitation.counted]
+    flat = ParameterSet(parameters, [excitation.name])
+    rows = np.vstack([rows, flat.prior_whitening * found.magnitudes])
+    _, singular, directions = np.linalg.svd(rows, full_matrices=False)
+    known = singular > math.sqrt(SINGULAR) * singular[0] if singular.size and singular[0] > 0 else singular > 0
+    std = np.sqrt(np.sum((directions[known] / singular[known, None]) ** 2, axis=0))
+    lost = (np.abs(directions[~known]) > STEP).any(axis=0) | (len(singular) < len(flat))
+    relative = np.where(lost, math.inf, std)
+    whole = bool(known.all()) and len(singular) == len(flat)
+    names = found.parameters
+    return ExpectedAccuracy(
+        excitation.name,
+        float(excitation.times[-1] - excitation.times[0]),
+        dict(zip(names, (relative * found.magnitudes).tolist(), strict=True)),
+        dict(zip(names, relative.tolist(), strict=True)),
+        2.0 * float(np.log(singular).sum()) if whole else -math.inf,
+    )
+
+
+def rank_excitations(found: Sequence[ExpectedAccuracy], *, by: str = "determinant") -> pd.DataFrame:
+    """Compare excitations: one row each, the best first.
+
+    Parameters
+    ----------
+    found : sequence of ExpectedAccuracy
+    by : "determinant" or "worst"
+        D-optimal, or by the largest relative standard deviation.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``excitation``, ``duration`` (s), ``log_determinant``, ``worst``, and for each parameter its ``.std``.
+
+    Raises
+    ------
+    InputError
+        If there is no such criterion.
+    """
+    if by not in ("determinant", "worst"):
+        raise InputError(f'excitations are compared by "determinant" or "worst", not by {by!r}')
+    rows = [
+        {
+            "excitation": each.excitation,
+            "duration": each.duration,
+            "log_determinant": each.log_determinant,
+            "worst": each.worst,
+            **{f"{name}.std": std for name, std in each.std.items()},
+        }
+        for each in found
+    ]
+    key, rising = ("log_determinant", False) if by == "determinant" else ("worst", True)
+    return pd.DataFrame(rows).sort_values(key, ascending=rising, kind="stable", ignore_index=True)

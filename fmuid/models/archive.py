@@ -1,0 +1,274 @@
+"""Untrusted zip archives, read under limits: FMUs (FMI 2.0.4, section 2.3), SSPs (SSP 1.0, chapter 3).
+
+An archive can name files outside the folder it is unpacked in, or be made to fill disk and memory (D. Fifield, "A
+better zip bomb", WOOT 2019). The same archives are refused on every system, since FMUs are moved between systems.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import os
+import stat
+import struct
+import sys
+import unicodedata
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Self
+
+from fmuid.errors import InputError
+from fmuid.models.untrusted_xml import LARGEST_XML
+
+LARGEST_TOTAL_GB = 4.0
+"""GB (2³⁰ bytes) that an archive may unpack to: FMUs reach some hundred MB, those with an interpreter in them 2 GB."""
+LARGEST_TOTAL_VARIABLE = "FMUID_LARGEST_ARCHIVE_GB"
+"""The environment variable for another limit; one entry may have half of it."""
+MOST_ENTRIES = 100_000
+"""Entries of an archive: an FMU that carries an interpreter has some ten thousand."""
+LARGEST_DIRECTORY = 16 * 2**20
+"""Bytes of the archive's directory, which is read at once: `MOST_ENTRIES` with names of 120 characters."""
+HIGHEST_RATIO, RATIO_FROM = 200, 64 * 2**20
+"""How many times larger than itself an archive may unpack to, if to more bytes than these: text shrinks to a tenth or a
+thirtieth, a bomb to a thousandth."""
+LONGEST_NAME, LONGEST_PATH = 255, 1000
+"""Bytes in the name of an entry's file or folder, and in all of it: what file systems take, less the cache's path."""
+CHUNK = 2**20
+
+_REMEDY = f"; if you trust it, set the environment variable {LARGEST_TOTAL_VARIABLE} to the GB that it may have"
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+STRICT_NAMES = sys.platform in ("win32", "darwin")  # letter case does not count, or device names are reserved
+_RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
+_LOCAL_HEADER = 30
+_SHOWN = 80
+# Errors of zipfile for damaged archives.
+_DAMAGES = (
+    *(zipfile.BadZipFile, zlib.error, struct.error),
+    *(EOFError, NotImplementedError, OSError, OverflowError, ValueError),
+)
+
+
+class Zipped:
+    """An archive whose entries have been checked; a context manager that closes it.
+
+    Parameters
+    ----------
+    file : Path
+    path : Path, optional
+        What messages call it; default: the same.
+
+    Attributes
+    ----------
+    entries : tuple of ZipInfo
+        In the order of the archive, folders included; backslashes in their names are separators, like slashes.
+    names : tuple of str
+        Of the files among them.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read as a zip archive, or one of its entries is refused.
+    """
+
+    def __init__(self, file: Path, path: Path | None = None) -> None:
+        self.path, self.limit, self._written = path or file, _largest_total(), 0
+        try:
+            self._file = _Bounded(io.FileIO(file))
+        except OSError as error:
+            raise InputError(f"{self.path} cannot be read: {error.strerror or error}") from None
+        try:
+            self._archive = zipfile.ZipFile(self._file)
+            self.entries = tuple(self._archive.infolist())
+            for entry in self.entries:  # some tools on Windows write them, against the format's specification
+                entry.filename = entry.filename.replace("\\", "/")
+            self._size = file.stat().st_size
+            self._check()
+        except _DAMAGES as error:
+            self._file.close()
+            raise self._damaged(error) from None
+        except InputError as error:
+            self._file.close()
+            raise self._refused(str(error)) from None
+        self._files = {entry.filename: entry for entry in self.entries if not entry.is_dir()}
+        self.names = tuple(self._files)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._archive.close()
+        self._file.close()
+
+    @property
+    def comment(self) -> bytes:
+        """The archive's own comment."""
+        return self._archive.comment
+
+    def read(self, name: str, largest: int = LARGEST_XML) -> bytes:
+        """Return the content of a file of `names`.
+
+        Raises
+        ------
+        InputError
+            If it is damaged, or larger than `largest`.
+        """
+        content = io.BytesIO()
+        for chunk in self.chunks(self._files[name], largest):
+            content.write(chunk)
+        return content.getvalue()
+
+    def chunks(self, entry: zipfile.ZipInfo, largest: int | None = None) -> Iterator[bytes]:
+        """Yield the content of an entry, counting its bytes: the sizes in the archive may be wrong.
+
+        Raises
+        ------
+        InputError
+            If it is damaged, or larger than `largest`, or all that was read so far is more than the archive may have.
+        """
+        largest, written = self.limit // 2 if largest is None else largest, 0
+        try:
+            with self._archive.open(entry) as file:
+                while chunk := file.read(CHUNK):
+                    written += len(chunk)
+                    self._written += len(chunk)
+                    if written > largest:
+                        raise InputError(f"its entry {_shown(entry)} is larger than {_size(largest)}{_REMEDY}")
+                    self._check_total(self._written)
+                    yield chunk
+        except InputError as error:
+            raise self._refused(str(error)) from None
+        except _DAMAGES as error:
+            raise self._damaged(error) from None
+
+    # --- checks
+
+    def _refused(self, why: str) -> InputError:
+        return InputError(f"{self.path} is refused: {why}")
+
+    def _damaged(self, error: BaseException) -> InputError:
+        return InputError(
+            f"{self.path} is damaged and cannot be unpacked: {error or type(error).__name__}; export it again"
+        )
+
+    def _check(self) -> None:
+        if len(self.entries) > MOST_ENTRIES:
+            raise InputError(f"it has {len(self.entries)} entries, and at most {MOST_ENTRIES} are unpacked")
+        there: dict[str, zipfile.ZipInfo] = {}
+        folders: dict[str, zipfile.ZipInfo] = {}
+        for entry in self.entries:
+            _check_entry(entry)
+            name = _folded(entry)
+            if entry.is_dir():
+                folders.setdefault(name, entry)
+            elif _content(there.setdefault(name, entry)) != _content(entry):  # tools do pack a file twice
+                raise InputError(
+                    f"its entries {_shown(there[name])} and {_shown(entry)} would be the same file, here or on other "
+                    "systems; keep one of the two"
+                )
+            while (name := name.rpartition("/")[0]) and name not in folders:
+                folders[name] = entry
+        for name in there.keys() & folders.keys():
+            raise InputError(f"its entry {_shown(there[name])} is both a file and a folder")
+        self._check_overlaps()
+        self._check_total(sum(entry.file_size for entry in self.entries))
+
+    def _check_overlaps(self) -> None:
+        """Refuse entries that overlap in the archive: bombs made of them have no suspicious ratio."""
+        placed = sorted(self.entries, key=lambda entry: entry.header_offset)
+        for entry, following in itertools.pairwise(placed):
+            end = entry.header_offset + _LOCAL_HEADER + len(entry.filename) + entry.compress_size
+            if end > following.header_offset:
+                raise InputError(f"its entries {_shown(entry)} and {_shown(following)} overlap in the archive")
+
+    def _check_total(self, total: int) -> None:
+        if total > self.limit:
+            raise InputError(f"it unpacks to more than {_size(self.limit)}{_REMEDY}")
+        if total > max(RATIO_FROM, HIGHEST_RATIO * self._size):
+            raise InputError(f"it unpacks to more than {HIGHEST_RATIO} times its own size, as zip bombs do")
+
+
+def archive_of(texts: Mapping[str, bytes]) -> io.BytesIO:
+    """Return an archive of some checked texts, for a reader that must see nothing else."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, text in texts.items():
+            archive.writestr(name, text)
+    buffer.seek(0)
+    return buffer
+
+
+class _Bounded(io.BufferedReader):
+    """A file that refuses large reads: `zipfile` reads an archive's directory at once, however large."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > LARGEST_DIRECTORY:
+            raise InputError(f"its directory is larger than {_size(LARGEST_DIRECTORY)}")
+        return super().read(size)
+
+
+def parts_of(entry: zipfile.ZipInfo) -> tuple[str, ...]:
+    """Return the folders and the file that an entry names."""
+    return tuple(part for part in entry.filename.split("/") if part not in ("", "."))
+
+
+def _check_entry(entry: zipfile.ZipInfo) -> None:
+    """Refuse an entry that no FMU needs or that would not become a file in the folder."""
+    name, shown = entry.orig_filename.replace("\\", "/"), _shown(entry)
+    parts = parts_of(entry)
+    mode = entry.external_attr >> 16
+    outside = name.startswith("/") or ":" in name or any(not part.rstrip(". ") for part in parts)
+    if outside or stat.S_ISLNK(mode):
+        raise InputError(f"its entry {shown} would be written outside the archive's folder")
+    if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
+        raise InputError(f"its entry {shown} is neither a file nor a folder")
+    if not name.isprintable() and any(unicodedata.category(letter) == "Cc" for letter in name):
+        raise InputError(f"its entry {shown} has a control character in its name")
+    if not parts and not name.endswith("/"):
+        raise InputError("one of its entries has no name")
+    if STRICT_NAMES and any(part.partition(".")[0].rstrip().upper() in _RESERVED for part in parts):
+        raise InputError(f"its entry {shown} has a name that Windows keeps for a device; rename it")
+    sizes = [len(part.encode("utf-8", "surrogatepass")) for part in parts]
+    if max(sizes, default=0) > LONGEST_NAME or sum(sizes) + len(sizes) > LONGEST_PATH:
+        raise InputError(
+            f"its entry {shown} has too long a name: {LONGEST_NAME} bytes for a file or folder and {LONGEST_PATH} in "
+            "all are possible"
+        )
+    if entry.flag_bits & 0x41:  # encrypted, by the old or the strong method
+        raise InputError(f"its entry {shown} is encrypted; pack it without a password")
+    if entry.compress_type not in _METHODS:
+        raise InputError(f"its entry {shown} is neither stored nor deflated, as FMI and SSP want it; pack it again")
+
+
+def _folded(entry: zipfile.ZipInfo) -> str:
+    """Return the key of a file's name here: letter case, composed accents and final dots may not count."""
+    parts = parts_of(entry)
+    if not STRICT_NAMES:
+        return "/".join(parts)
+    name = "/".join(part.rstrip(". ") for part in parts)
+    return name.lower() if name.isascii() else unicodedata.normalize("NFC", name).casefold()
+
+
+def _content(entry: zipfile.ZipInfo) -> tuple[str, int, int]:
+    return entry.orig_filename, entry.file_size, entry.CRC
+
+
+def _shown(entry: zipfile.ZipInfo) -> str:
+    name = entry.orig_filename
+    return repr(name if len(name) <= _SHOWN else f"{name[:_SHOWN]}…")
+
+
+def _size(count: int) -> str:
+    return f"{count / 2**30:.3g} GB" if count >= 2**30 else f"{count / 2**20:.3g} MB"
+
+
+def _largest_total() -> int:
+    text = os.environ.get(LARGEST_TOTAL_VARIABLE, "")
+    try:
+        found = float(text) if text else LARGEST_TOTAL_GB
+        return int(found * 2**30)
+    except (ValueError, OverflowError):
+        raise InputError(
+            f"the environment variable {LARGEST_TOTAL_VARIABLE} must be a number of GB, such as 8, not {text!r}"
+        ) from None

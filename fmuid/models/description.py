@@ -1,0 +1,165 @@
+"""What an FMU declares: variables, units, capabilities (FMI 2.0.4, section 2.2; FMI 3.0.2, section 2.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+from fmuid.errors import InputError
+from fmuid.units import BaseUnit, parse_unit
+
+DESCRIPTION_FILE = "modelDescription.xml"
+KINDS = ("co-simulation", "model-exchange")
+SI_BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+_NEVER_SET = ("calculatedParameter", "independent", "structuralParameter")
+
+
+class Variable(NamedTuple):
+    """One scalar variable of an FMU (FMI 2.0.4, section 2.2.7; FMI 3.0.2, section 2.4.7), or one element of an array.
+
+    `start`, `min`, `max` and `nominal` are in `unit`; `type` is Real, Integer, Boolean, String, Binary or Clock
+    (an enumeration is an Integer), `wire` the FMI 3.0 type that the binary's functions take. The elements of an array
+    (FMI 3.0) are variables ``x[1,1]``, ``x[1,2]`` of one `reference`; `array` has all their names, row by row. `items`
+    are the values that an enumeration has.
+    """
+
+    name: str
+    reference: int
+    type: str
+    wire: str
+    causality: str
+    variability: str
+    initial: str | None = None
+    unit: str | None = None
+    start: float | int | bool | str | None = None
+    min: float | None = None
+    max: float | None = None
+    nominal: float | None = None
+    description: str = ""
+    is_state: bool = False
+    array: tuple[str, ...] = ()
+    items: tuple[int, ...] = ()
+
+    @property
+    def settable(self) -> bool:
+        """Whether a value set before initialisation has an effect that the standard promises."""
+        if self.variability == "constant" or self.causality in _NEVER_SET:
+            return False
+        return self.causality in ("parameter", "input") or self.initial in ("exact", "approx")
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the variable may change continuously, so that interpolation makes sense."""
+        return self.type == "Real" and self.variability == "continuous"
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit that the FMU defines: SI exponents, ``base = factor * value + offset``, and its display units.
+
+    ``display = factor * value + offset`` for each of `display_units` (FMI 2.0.4, section 2.2.2).
+    """
+
+    name: str
+    exponents: tuple[int, ...] | None
+    factor: float
+    offset: float
+    display_units: Mapping[str, tuple[float, float]]
+
+
+def unit_conversion(source: Unit | BaseUnit | None, target: Unit | BaseUnit | None) -> tuple[float, float] | None:
+    """Return (factor, offset) with ``target = factor * source + offset``; None where the units do not convert."""
+    if source is None or target is None or source.exponents is None or source.exponents != target.exponents:
+        return None
+    return source.factor / target.factor, (source.offset - target.offset) / target.factor
+
+
+@dataclass(frozen=True)
+class Interface:
+    """One of the two FMI interfaces and its capabilities (FMI 2.0.4, sections 3.3.1, 4.3.1; FMI 3.0.2, 2.4.8)."""
+
+    kind: str
+    identifier: str
+    needs_execution_tool: bool
+    once_per_process: bool
+    directional_derivatives: bool
+    variable_step: bool = False
+    interpolates_inputs: bool = False
+    event_mode: bool = False
+    completed_step: bool = True
+    declared_repeatable: bool = False  # explicitly declared not `once_per_process`
+
+
+@dataclass(frozen=True)
+class Description:
+    """The parts of a modelDescription.xml that fmuid works with."""
+
+    model_name: str
+    fmi_version: str
+    guid: str
+    description: str
+    generation_tool: str
+    variables: Mapping[str, Variable]
+    units: Mapping[str, Unit]
+    interfaces: Mapping[str, Interface]
+    default_experiment: Mapping[str, float]
+    dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    """For each output: the variables that it depends on directly; None where the FMU does not say."""
+    derivatives: tuple[str, ...] = ()
+    """The derivatives of the continuous states, in the order of the states."""
+    states: tuple[str, ...] = ()
+    """The continuous states, in their order."""
+    indicators: int = 0
+    """Number of event indicators."""
+    applied: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+    """Start values written by `fmuid apply`: the importer must set them (`fmuid.models.start_values`)."""
+
+    @property
+    def major_version(self) -> int:
+        """2 or 3."""
+        return int(self.fmi_version[0])
+
+    def with_causality(self, causality: str) -> list[Variable]:
+        """Return the variables of one causality, in the FMU's order."""
+        return [variable for variable in self.variables.values() if variable.causality == causality]
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of all inputs."""
+        return tuple(variable.name for variable in self.with_causality("input"))
+
+    def conversion(self, variable: Variable, unit: str) -> tuple[float, float]:
+        """Return (factor, offset) such that ``value in variable.unit = factor * value in unit + offset``.
+
+        The FMU's own definitions go before what units generally mean (`fmuid.units`).
+
+        Raises
+        ------
+        InputError
+            If the two units do not convert, or are not known.
+        """
+        if unit == (variable.unit or ""):
+            return 1.0, 0.0
+        own = self.units.get(variable.unit or "")
+        if own is not None and unit in own.display_units:
+            factor, offset = own.display_units[unit]
+            return 1.0 / factor, -offset / factor
+        meant, expected = parse_unit(unit), parse_unit(variable.unit or "")
+        for pair in ((self.units.get(unit), own), (meant, own), (meant, expected)):
+            conversion = unit_conversion(*pair)
+            if conversion is not None and (variable.unit or conversion == (1.0, 0.0)):
+                return conversion
+        if variable.unit:
+            raise InputError(
+                f"{unit!r}, the unit of the column of {variable.name!r}, does not convert to {variable.unit!r}, that "
+                f'of {self.model_name}: convert the column, or say its unit by units = {{ {variable.name} = "..." }}'
+            )
+        if meant is not None and (meant.factor, meant.offset) == (1.0, 0.0):
+            return 1.0, 0.0  # coherent SI, as Modelica computes in
+        raise InputError(
+            f"{self.model_name} declares no unit of {variable.name!r}, whose column is in {unit!r}: convert it to the "
+            f'unit that the model computes in, or take it as it is by units = {{ {variable.name} = "1" }}'
+        )

@@ -1,0 +1,111 @@
+"""An FMU file: safe unpacking, cached by content (FMI 2.0.4, section 2.3)."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from functools import cached_property
+from os import PathLike
+from pathlib import Path, PurePosixPath
+
+from fmuid.display_mixins import Displayed
+from fmuid.errors import InputError, check_kind
+from fmuid.files import is_file
+from fmuid.models.archive import Zipped
+from fmuid.models.description import Description
+from fmuid.models.reading import read_description
+from fmuid.models.unpacking import file_digest, unpacked
+
+_MACHINE = "aarch64" if platform.machine().lower() in ("arm64", "aarch64") else "x86_64"
+_SYSTEM, BINARY_ENDING = {"win32": ("win", ".dll"), "darwin": ("darwin", ".dylib")}.get(sys.platform, ("linux", ".so"))
+PLATFORMS = {2: _SYSTEM + "64", 3: f"{_MACHINE}-{'windows' if _SYSTEM == 'win' else _SYSTEM}"}
+"""What the versions of FMI call the folder with binaries of this machine (FMI 2.0.4, 2.3; FMI 3.0.2, 2.5.1.4.1)."""
+
+
+class FMU(Displayed):
+    """An FMU file; nothing is unpacked or loaded before it is needed.
+
+    Parameters
+    ----------
+    path : path-like
+        The ``.fmu`` file.
+
+    Attributes
+    ----------
+    file : Path
+        Where it is read.
+    path : Path
+        What messages call it: the same, unless who reads a copy of somebody's file puts that file's name here.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no zip archive, refused, without a readable model description, or not
+        FMI 2.0 or 3.0.
+
+    Examples
+    --------
+    >>> fmu = fmuid.FMU(fmuid.datasets.coil().fmu)
+    >>> fmu.name, fmu.description.variables["R"].unit
+    ('Coil', 'Ohm')
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        check_kind(path, (str, PathLike), "a model must be a fmuid.System, a fmuid.FMU or the path of one")
+        self.file = self.path = Path(path)
+        self.description: Description = read_description(self.file)
+
+    def __repr__(self) -> str:
+        return f"FMU({str(self.path)!r})"
+
+    @property
+    def name(self) -> str:
+        """The model's name."""
+        return self.description.model_name
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the file, the key of the unpacking cache and what identifies the model in results."""
+        return file_digest(self.file)
+
+    @cached_property
+    def _binaries(self) -> tuple[PurePosixPath, ...]:
+        """The files below ``binaries/``, in folders of platforms."""
+        with Zipped(self.file, self.path) as archive:
+            paths = [PurePosixPath(name) for name in archive.names if name.startswith("binaries/")]
+        return tuple(path for path in paths if len(path.parts) > 2)
+
+    @cached_property
+    def platforms(self) -> tuple[str, ...]:
+        """The platform folders below ``binaries/``."""
+        return tuple(sorted({path.parts[1] for path in self._binaries}))
+
+    @cached_property
+    def directory(self) -> Path:
+        """The folder of the unpacked FMU, in the user's cache, where it is put if it is not there yet.
+
+        Raises
+        ------
+        InputError
+            If the archive is refused, or nothing can be written there.
+        """
+        return unpacked(self.file, self.digest, self.path)
+
+    def library(self, identifier: str) -> Path:
+        """Return the shared library of one interface for this platform.
+
+        Raises
+        ------
+        InputError
+            If the FMU has no binary for this platform; the sentence says which it has.
+        """
+        name = identifier + BINARY_ENDING
+        packed = {str(path).lower() for path in self._binaries}  # some file systems do not tell the cases of letters
+        for place in (f"binaries/{folder}/{name}" for folder in PLATFORMS.values()):
+            if place.lower() in packed and is_file(path := self.directory / place):  # unpacked only where it has one
+                return path
+        here = PLATFORMS[2]
+        there = f"it has binaries for {', '.join(self.platforms)}" if self.platforms else "it has no binaries at all"
+        if here in self.platforms:
+            there = f"its folder binaries/{here} has no {name if len(name) < 200 else name[:200] + '…'}"
+        raise InputError(f"{self.path} has no binary for this platform ({here}): {there}; export it for this platform")

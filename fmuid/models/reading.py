@@ -1,0 +1,393 @@
+"""Reads a modelDescription.xml, with the defaults of the standard (FMI 2.0.4, section 2.2; FMI 3.0.2, section 2.4)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import zipfile
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from fmuid.errors import InputError
+from fmuid.files import is_file
+from fmuid.models.archive import Zipped
+from fmuid.models.description import DESCRIPTION_FILE, KINDS, SI_BASE_UNITS, Description, Interface, Unit, Variable
+from fmuid.models.start_values import ANNOTATION, TOOL, Value
+from fmuid.models.untrusted_xml import parse_xml, uncollected
+
+MOST_ELEMENTS = 1_000_000
+"""Variables, with every element of an array: a few words of XML can declare any number."""
+
+# For each version: type of a variable -> (type in fmuid, FMI 3.0 type that the binary's functions take)
+_TYPES = {
+    2: {
+        "Real": ("Real", "Float64"),
+        "Integer": ("Integer", "Int32"),
+        "Enumeration": ("Integer", "Int32"),
+        **{name: (name, name) for name in ("Boolean", "String")},
+    },
+    3: {
+        "Float64": ("Real", "Float64"),
+        "Float32": ("Real", "Float32"),
+        **{f"{sign}Int{bits}": ("Integer", f"{sign}Int{bits}") for sign in ("", "U") for bits in (8, 16, 32, 64)},
+        "Enumeration": ("Integer", "Int64"),
+        **{name: (name, name) for name in ("Boolean", "String", "Binary", "Clock")},
+    },
+}
+_TRUE = ("true", "1")
+_STARTS: Mapping[str, Callable[[str], Value]] = {
+    "Real": float,
+    "Integer": int,
+    "Boolean": lambda text: text.lower() in _TRUE,
+}
+_PARAMETERS = ("parameter", "calculatedParameter", "structuralParameter")
+# variability -> causality -> initial; what is missing is not allowed (FMI 2.0.4, section 2.2.7; FMI 3.0.2, 2.4.7.4)
+_KEPT = {
+    "structuralParameter": "exact",
+    "parameter": "exact",
+    "calculatedParameter": "calculated",
+    "local": "calculated",
+}
+_CHANGING = {"input": "exact", "output": "calculated", "local": "calculated"}
+_INITIAL: Mapping[str, Mapping[str, str | None]] = {
+    "constant": {"output": "exact", "local": "exact"},
+    "fixed": _KEPT,
+    "tunable": _KEPT,
+    "discrete": _CHANGING,
+    "continuous": {**_CHANGING, "independent": None},
+}
+_EXPERIMENT = {"start": "startTime", "stop": "stopTime", "tolerance": "tolerance", "step_size": "stepSize"}
+_NO_TYPE = Element("none")
+
+
+def read_text(path: Path) -> bytes:
+    """Return the modelDescription.xml of an FMU.
+
+    Raises
+    ------
+    InputError
+        If the archive is refused, or has none.
+    """
+    with Zipped(path) as archive:
+        if DESCRIPTION_FILE not in archive.names:
+            raise InputError(f"{path} is not an FMU: it has no {DESCRIPTION_FILE} at its top level")
+        return archive.read(DESCRIPTION_FILE)
+
+
+@uncollected()
+def read_description(path: Path) -> Description:
+    """Read the model description inside an FMU.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is no zip archive, has no readable model description, or is of another FMI version.
+    """
+    if not is_file(path):
+        raise InputError(f"{path}: there is no such FMU file; check the path")
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"{path} is not an FMU: it is not a zip archive; export the model again")
+    root = parse_xml(read_text(path), f"{path}: its {DESCRIPTION_FILE}")
+    version = root.get("fmiVersion") or "of unknown version"
+    if not re.fullmatch(r"2\.0|3\.0(\..*)?", version):
+        raise InputError(
+            f"{path} is an FMU of FMI {version}, and only FMI 2.0 and 3.0 are read; export the model as one of these"
+        )
+    try:
+        described = _described(root, int(version[0]))
+    except InputError as error:
+        raise InputError(f"{path}: its {DESCRIPTION_FILE} {error}") from None
+    if not described.interfaces:
+        raise InputError(f"{path} offers neither co-simulation nor model exchange; export it as one of these")
+    return described
+
+
+def _described(root: Element, version: int) -> Description:
+    """Return what the root says; sentences of refusal continue one that begins with the file."""
+    token = root.get("guid" if version == 2 else "instantiationToken")
+    if token is None:
+        raise InputError("has no guid or instantiationToken, which the binary asks for")
+    declared = _Variables(root, version)
+    derivatives = [variable for _, variable in declared.unknowns("Derivatives", "ContinuousStateDerivative")]
+    states = [state for each in derivatives if (state := declared.state(each)) is not None]
+    variables = _by_name(declared.variables({_name(each) for each in states}))
+    return Description(
+        model_name=_name(root),
+        fmi_version=root.get("fmiVersion", ""),
+        guid=token,
+        description=root.get("description", ""),
+        generation_tool=root.get("generationTool", ""),
+        variables=variables,
+        units={_name(each): _unit(each) for each in root.iterfind("UnitDefinitions/Unit")},
+        interfaces={
+            kind: _interface(kind, each, version)
+            for kind, tag in zip(KINDS, ("CoSimulation", "ModelExchange"), strict=True)
+            for each in root.iterfind(tag)
+        },
+        default_experiment={
+            word: _finite(text, attribute)
+            for each in root.iterfind("DefaultExperiment")
+            for word, attribute in _EXPERIMENT.items()
+            if (text := each.get(attribute)) is not None
+        },
+        dependencies={
+            name: depends
+            for each, output in declared.unknowns("Outputs", "Output")
+            for depends in [declared.dependencies(each)]
+            for name in declared.names(output)
+        },
+        derivatives=tuple(name for each in derivatives for name in declared.names(each)),
+        states=tuple(name for each in states for name in declared.names(each)),
+        indicators=declared.indicators,
+        applied=_applied(root, version, variables),
+    )
+
+
+class _Variables:
+    """The variables as elements of the file, which calls them by place from 1 (FMI 2.0) or value reference (3.0)."""
+
+    def __init__(self, root: Element, version: int) -> None:
+        self.root, self.version, self.kinds = root, version, _TYPES[version]
+        self.elements = [each for each in root.iterfind("ModelVariables/*") if each.get("name") is not None]
+        self.types: dict[str | None, Element] = {None: _NO_TYPE}
+        self.aliases: list[tuple[Element, Element]] = []
+        if version == 2:
+            self.known = dict(enumerate(self.elements, 1))
+            self.types |= {each.get("name"): next(iter(each), _NO_TYPE) for each in root.iterfind("TypeDefinitions/*")}
+            self.indicators = _integer(root.get("numberOfEventIndicators", "0"), "numberOfEventIndicators")
+            count = len(self.elements)
+        else:
+            self.known = {_reference(each): each for each in self.elements}
+            self.types |= {each.get("name"): each for each in root.iterfind("TypeDefinitions/*")}
+            self.aliases = [(each, alias) for each in self.elements for alias in each.iterfind("Alias")]
+            indicators = [variable for _, variable in self.unknowns("", "EventIndicator")]
+            self.indicators = sum(math.prod(self.shape(each)) for each in indicators)
+            count = sum(math.prod(self.shape(each)) for each in (*self.elements, *(each for each, _ in self.aliases)))
+        for what, number in (("variables and elements of arrays", count), ("event indicators", self.indicators)):
+            if number > MOST_ELEMENTS:  # before they are built
+                raise InputError(f"declares {number} {what}, and at most {MOST_ELEMENTS} are read")
+
+    def called(self, key: str | None) -> Element:
+        """Return the variable that the file calls so."""
+        found = self.known.get(_integer(key, "what refers to a variable"))
+        if found is None:
+            raise InputError(f"refers to {key}, which it does not declare")
+        return found
+
+    def unknowns(self, tag_2: str, tag_3: str) -> list[tuple[Element, Element]]:
+        """Return the entries of a list of the ModelStructure, each with its variable."""
+        path, key = (f"{tag_2}/Unknown", "index") if self.version == 2 else (tag_3, "valueReference")
+        return [(each, self.called(each.get(key))) for each in self.root.iterfind(f"ModelStructure/{path}")]
+
+    def dependencies(self, unknown: Element) -> tuple[str, ...] | None:
+        """Return the variables that an unknown depends on; None where it does not say."""
+        given = unknown.get("dependencies")
+        return None if given is None else tuple(name for key in given.split() for name in self.names(self.called(key)))
+
+    def state(self, derivative: Element) -> Element | None:
+        """Return the variable that one is declared to be the derivative of."""
+        key = self._value(derivative).get("derivative")
+        return None if key is None else self.called(key)
+
+    def shape(self, element: Element) -> list[int]:
+        """Return the sizes of an array's dimensions: given, or the start of another variable; none for a scalar."""
+        return [
+            _integer(each.get("start") or self.called(each.get("valueReference")).get("start"), "the size of an array")
+            for each in element.iterfind("Dimension")
+        ]
+
+    def names(self, element: Element, name: str | None = None) -> list[str]:
+        """Return the name of a variable, or those of an array's elements: row by row, counted from 1."""
+        name = name or _name(element)
+        if not len(element) or not (shape := self.shape(element)):
+            return [name]
+        return [f"{name}[{','.join(map(str, at))}]" for at in itertools.product(*(range(1, n + 1) for n in shape))]
+
+    def variables(self, states: Collection[str]) -> Iterator[Variable]:
+        """Yield the variables, aliases last; those with the given names are states."""
+        for element in self.elements:
+            name, description = _name(element), element.get("description", "")
+            yield from self._read(element, name, description, name in states)
+        for element, alias in self.aliases:
+            name, description = _name(alias), alias.get("description", "") or element.get("description", "")
+            yield from self._read(element, name, description, name in states)
+
+    def _value(self, element: Element) -> Element:
+        """Return the element that is called like the type of a variable: in FMI 3.0 its own."""
+        if element.tag in self.kinds:
+            return element
+        for each in element:
+            if self.version == 2 and each.tag in self.kinds:
+                return each
+        raise InputError(f"declares {_name(element)!r} as {element.tag}, which is no type of FMI {self.version}.0")
+
+    def _read(self, element: Element, name: str, description: str, is_state: bool) -> list[Variable]:
+        """Return a variable, or all elements of an array."""
+        value = self._value(element)
+        kind, wire = self.kinds[value.tag]
+        declared = self.types.get(value.get("declaredType"))
+        if declared is None:
+            raise InputError(f"declares {name!r} of type {value.get('declaredType')!r}, which it does not define")
+        causality, variability, initial = self._roles(element, name, kind)
+        start, unit = value.get("start"), value.get("unit") or declared.get("unit") or None
+        names, starts = [name], [start]
+        array: tuple[str, ...] = ()
+        if len(element) and self.version == 3:
+            names = self.names(element, name)
+            array = () if names == [name] else tuple(names)
+            texts = (each.get("value", "") for each in element.iterfind("Start"))
+            listed = list(texts) if kind in ("String", "Binary") else (start or "").split()
+            one = listed[0] if listed else None
+            starts = [*listed] if len(listed) == len(names) else [one] * len(names)
+        reference, convert = _reference(element), _STARTS.get(kind, str)
+        try:
+            low, high, nominal = [
+                float(text) if (text := value.get(word) or declared.get(word)) else None
+                for word in ("min", "max", "nominal")
+            ]
+            items = tuple(int(item.get("value", "")) for item in declared.iterfind("Item"))
+            return [
+                Variable(
+                    each,
+                    reference,
+                    kind,
+                    wire,
+                    causality,
+                    variability,
+                    initial,
+                    unit,
+                    None if text is None else convert(text),
+                    low,
+                    high,
+                    nominal,
+                    description,
+                    is_state,
+                    array,
+                    items,
+                )
+                for each, text in zip(names, starts, strict=True)
+            ]
+        except ValueError as error:
+            raise InputError(f"gives {name!r} a value that is none: {error}") from None
+
+    def _roles(self, element: Element, name: str, kind: str) -> tuple[str, str, str | None]:
+        """Return causality, variability and initial of a variable."""
+        causality, variability = element.get("causality", "local"), element.get("variability")
+        if variability is None:
+            if self.version == 2:
+                variability = "continuous"
+            elif causality in _PARAMETERS:
+                variability = "fixed"
+            else:
+                variability = "continuous" if kind == "Real" else "discrete"
+        initial = element.get("initial")
+        if initial is None:
+            try:
+                initial = _INITIAL[variability][causality]
+            except KeyError:
+                raise InputError(
+                    f"declares {name!r} with causality {causality!r} and variability {variability!r}, which FMI does "
+                    "not allow together"
+                ) from None
+        return causality, variability, initial
+
+
+def _by_name(variables: Iterator[Variable]) -> dict[str, Variable]:
+    """Return the variables under their names, which the standard has unique (FMI 2.0.4, 2.2.7; FMI 3.0.2, 2.4.7)."""
+    found: dict[str, Variable] = {}
+    for variable in variables:
+        if found.setdefault(variable.name, variable) is not variable:
+            raise InputError(
+                f"declares {variable.name!r} more than once, and setting one would set another; export the model again "
+                "with distinct names"
+            )
+    return found
+
+
+def _applied(root: Element, version: int, variables: Mapping[str, Variable]) -> dict[str, Value]:
+    """Return the start values that `with_starts` wrote, to be set before the initialisation."""
+    note = (
+        f"VendorAnnotations/Tool[@name='{TOOL}']" if version == 2 else f"Annotations/Annotation[@type='{ANNOTATION}']"
+    )
+    named = [v for each in root.iterfind(f"{note}//Start") if (v := variables.get(each.get("name", ""))) is not None]
+    if not named:
+        return {}
+    # of variables that share a reference one has the start (FMI 2.0.4, 2.2.7)
+    starts = {(v.type, v.reference): v.start for v in variables.values() if v.start is not None and not v.array}
+    found = {v.name: starts.get((v.type, v.reference)) if v.start is None else v.start for v in named}
+    return {name: start for name, start in found.items() if start is not None}
+
+
+def _name(element: Element) -> str:
+    found = element.get("modelName" if element.tag == "fmiModelDescription" else "name")
+    if found is None:
+        raise InputError(f"has a {element.tag} without its name")
+    return found
+
+
+def _integer(text: str | None, what: str) -> int:
+    """Return a value reference, an index or a size."""
+    with suppress(ValueError):  # refused below, as a number out of range is
+        if 0 <= (number := int(text or "")) < 2**32:
+            return number
+    raise InputError(f"has {what} = {text}, which is no unsigned 32-bit integer")
+
+
+def _reference(element: Element) -> int:
+    return _integer(element.get("valueReference"), f"the value reference of {element.get('name')!r}")
+
+
+def _finite(text: str, what: str, *, zero: bool = True) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number) or (number == 0 and not zero):
+        raise InputError(f"has {what} = {text}, which no calculation can use")
+    return number
+
+
+def _linear(element: Element) -> tuple[float, float]:
+    """Return the factor and the offset of a unit."""
+    what = repr(element.get("name", "a unit"))
+    factor = _finite(element.get("factor", "1"), f"the factor of {what}", zero=False)
+    return factor, _finite(element.get("offset", "0"), f"the offset of {what}")
+
+
+def _unit(element: Element) -> Unit:
+    base = element.find("BaseUnit")
+    factor, offset = (1.0, 0.0) if base is None else _linear(base)
+    exponents = None
+    if base is not None:
+        try:
+            exponents = tuple(int(base.get(si, "0")) for si in SI_BASE_UNITS)
+        except ValueError as error:
+            raise InputError(f"has a unit {element.get('name')!r} with an exponent that is none: {error}") from None
+    display_units = {_name(each): _linear(each) for each in element.iterfind("DisplayUnit")}
+    return Unit(_name(element), exponents, factor, offset, display_units)
+
+
+def _interface(kind: str, element: Element, version: int) -> Interface:
+    def true(attribute: str) -> bool:
+        return element.get(attribute) in _TRUE
+
+    identifier = element.get("modelIdentifier")
+    if not identifier or set("/\\:\0") & set(identifier):  # it names the binary: a path would lead to another file
+        raise InputError(f"has the modelIdentifier {identifier!r}, which is no name of a binary in it; export it again")
+    of_steps = kind == "co-simulation"
+    told = not true("completedIntegratorStepNotNeeded") if version == 2 else true("needsCompletedIntegratorStep")
+    return Interface(
+        kind=kind,
+        identifier=identifier,
+        needs_execution_tool=true("needsExecutionTool"),
+        once_per_process=true("canBeInstantiatedOnlyOncePerProcess"),
+        declared_repeatable=element.get("canBeInstantiatedOnlyOncePerProcess") in ("false", "0"),
+        directional_derivatives=true("providesDirectionalDerivative" + "s" * (version == 3)),
+        variable_step=of_steps and true("canHandleVariableCommunicationStepSize"),
+        interpolates_inputs=of_steps and true("canInterpolateInputs"),
+        event_mode=of_steps and version == 3 and true("hasEventMode"),
+        completed_step=of_steps or told,
+    )

@@ -1,0 +1,118 @@
+"""What profiles, maps and samples of the posterior say, in words."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmuid.identification import LARGEST_R_HAT, EndKind, SamplingDoubt, better_point
+from fmuid.reports.messages.identifiability import direction_words
+from fmuid.reports.messages.result import ENDS
+
+if TYPE_CHECKING:
+    from fmuid.identification import CriterionMap, Posterior, Profile, Remark, Uncertainty
+
+# A chain that is advised is longer than what is foreseen to suffice by this factor.
+STEPS_MARGIN = 1.2
+
+
+def uncertainty_words(found: Uncertainty) -> tuple[str, ...]:
+    """Return what is to be known of intervals, maps and samples."""
+    said = [line for each in found.profiles for line in profile_words(each)]
+    said += [line for chart in (*found.maps, *found.box_maps) for line in _map_words(chart)]
+    if found.posterior is not None and not found.posterior.converged:
+        said.append(f"posterior: {posterior_words(found.posterior)}")
+    return tuple(said)
+
+
+def profile_words(profile: Profile) -> tuple[str, ...]:
+    """Return what is to be known about the ends of a profile; nothing where all is ordinary."""
+    said = [_remark_words(profile, remark) for remark in profile.remarks]
+    return *said, *([f"interrupted: the profile of {profile.name} is not complete"] if profile.interrupted else [])
+
+
+def _remark_words(profile: Profile, remark: Remark) -> str:
+    name, value, end = profile.name, f"{remark.value:.6g}", "upper" if remark.upper else "lower"
+    risen = (
+        f"the criterion has risen by only {max(remark.rise, 0.0):.2g} of the {profile.threshold:.3g} "
+        f"that {100.0 * profile.level:.4g} % need"
+    )
+    if remark.kind is EndKind.BOUND:
+        return f"the {end} end of {name} is its bound {remark.value:g}, where {risen}"
+    if remark.kind is EndKind.FLAT:
+        return f"{name} has no {end} end: even at {value} {risen}"
+    if remark.kind is EndKind.FAILING:
+        return (
+            f"the {end} end of {name} is not known: beyond {value}, where {risen}, the simulations fail; "
+            "give a bound within which the model is sound"
+        )
+    if remark.outcome is not None:
+        return (
+            f"at {name} = {value} the search for the other parameters did not converge ({ENDS[remark.outcome]}): "
+            "the criterion there may be lower than found"
+        )
+    if remark.other is not None:
+        return f"at the {end} end of {name}, {remark.other.name} is at its bound {remark.other.value:g}"
+    if remark.kind is EndKind.LOWER:
+        return (
+            f"no interval of {name}: at {value} the criterion is lower than at the estimate, by {-remark.rise:.3g}; "
+            "identify again from the table's row of that value"
+        )
+    return f"the end of {name} near {value} could not be found more precisely"
+
+
+def _map_words(chart: CriterionMap) -> list[str]:
+    """Say where a map shows a lower criterion than the estimate has."""
+    better = better_point(chart)
+    if better is None:
+        return []
+    (first, second), (x, y, by) = chart.names, better
+    return [
+        f"the criterion over {first} and {second} is lower at {first} = {x:.6g}, {second} = {y:.6g} than at the "
+        f'estimate, by {by:.3g}: there is a better optimum; start there, or search with method = "global"'
+    ]
+
+
+def posterior_words(found: Posterior) -> str:
+    """Say whether samples can be trusted and, where not, what to do."""
+    words = [f"interrupted after {len(found.chain)} steps"] if found.interrupted else []
+    words.append(_doubt_words(found))
+    if len(found.optima) > 1:
+        others = (", ".join(f"{n} = {v:.4g}" for n, v in zip(found.names, at, strict=True)) for at in found.optima[1:])
+        words.append(f"beside the estimate there are other optima of like probability: {'; '.join(others)}")
+    words += [
+        f"{direction_words(each)}: along this the samples show priors and bounds, not data"
+        for each in found.undetermined
+    ]
+    return "; ".join(words)
+
+
+def _doubt_words(found: Posterior) -> str:
+    length, name = len(found.chain), found.doubtful
+    i = found.names.index(name) if name else int(np.argmin(found.effective_size))
+    if found.doubt is SamplingDoubt.RUNAWAY:
+        return f"nothing holds {name}, the samples run away: give a prior or bounds, or measure more"
+    if found.doubt is SamplingDoubt.TOO_SHORT:
+        return f"{length} steps are too few to judge: raise steps, or let it go on"
+    if found.doubt is SamplingDoubt.STUCK:
+        return (
+            f"the walkers hardly move, {found.acceptance:.1%} of the proposals are accepted: look for several "
+            "optima and for simulations that fail, and narrow the bounds around what is meant"
+        )
+    if found.doubt is SamplingDoubt.DISAGREEING:
+        return (
+            f"not converged: the walkers do not agree on {name} (R-hat {found.r_hat[i]:.3f}, {LARGEST_R_HAT} is the "
+            f"most) after {length} steps: raise steps; if that does not help, the data leave it open or there are "
+            "several optima, so give a prior or narrower bounds"
+        )
+    worth = float(found.effective_size[i])
+    if found.doubt is SamplingDoubt.TOO_FEW:
+        return (
+            f"not enough: the samples of {name} are worth {worth:.0f} independent ones instead of {found.wanted}: "
+            f"raise steps to about {math.ceil(STEPS_MARGIN * found.wanted / worth * length)}"
+        )
+    return (
+        f"converged: at least {worth:.0f} independent samples of each parameter, R-hat at most {found.r_hat.max():.3f}"
+    )

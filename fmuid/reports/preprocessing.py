@@ -1,0 +1,146 @@
+"""What ``[experiments.prepare]`` made of each table: its columns before and after, thinned as figures are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.array_types import Floats
+from fmuid.data import UNITS, column_of, numeric_column, time_name
+from fmuid.files import write_table
+from fmuid.reports.downsampling import extremes
+from fmuid.reports.interactive.style import MAX_ROWS
+
+if TYPE_CHECKING:
+    from fmuid.data import Experiment
+    from fmuid.studies import ExperimentSettings, Study
+
+BEFORE, AFTER = "before", "after"
+_READ_BY = ("table", "time", "time_unit", "sample_rate", "sheet")
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What was done with the table of an experiment.
+
+    Attributes
+    ----------
+    experiment : str
+    words : mapping
+        Those of ``[experiments.prepare]`` that are not its defaults.
+    units : dict of str to str
+        Of its columns, where the table says them.
+    table : DataFrame
+        The columns that it changed or made: ``experiment``, ``column``, ``stage`` (before or after), ``time`` (s) and
+        ``value``, about `MAX_ROWS` rows of each at most; a column that it made has nothing before.
+    """
+
+    experiment: str
+    words: Mapping[str, Any]
+    units: Mapping[str, str]
+    table: pd.DataFrame
+
+
+def prepared(study: Study) -> tuple[Prepared, ...]:
+    """Return what each experiment's preparation did; tables are read again for it, one after the other.
+
+    Raises
+    ------
+    InputError
+        If a table cannot be read.
+    """
+    found: list[Prepared] = []
+    read: tuple[list[Any], pd.DataFrame] | None = None
+    for given, experiment in zip(study.experiments, study.tables, strict=True):
+        if not words_of(given):
+            continue
+        key = [getattr(given, name) for name in _READ_BY]
+        if read is None or read[0] != key:  # pieces of a record follow each other
+            read = None  # two records at once may be more than there is room for
+            read = key, given.read_frame(given.table)
+        found.append(prepared_table(given, experiment, read[1]))
+    return tuple(found)
+
+
+def said_of(done: Iterable[Prepared]) -> list[dict[str, Any]]:
+    """Return what a JSON file says of what was done with tables."""
+    return [{"name": each.experiment, "preparation": each.words, "columns": each.units} for each in done]
+
+
+def write_prepared(path: Path, tables: Iterable[pd.DataFrame]) -> list[Path]:
+    """Write the columns of tables before and after; one of an earlier run goes."""
+    some = [each for each in tables if len(each)]
+    path.unlink(missing_ok=True)
+    return [write_table(path, pd.concat(some, ignore_index=True))] if some else []
+
+
+def words_of(given: ExperimentSettings) -> dict[str, Any]:
+    """Return the words of ``[experiments.prepare]`` that are not its defaults."""
+    return given.prepare.model_dump(exclude_defaults=True, by_alias=True)
+
+
+def prepared_table(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame) -> Prepared:
+    """Return what was done with a table, as it was read, for an experiment."""
+    units = dict(experiment.frame.attrs.get(UNITS, {}))
+    return Prepared(given.name, words_of(given), units, prepared_columns(given, experiment, raw))
+
+
+def thinned_again(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the columns of a record that grows, each as thin as it may be drawn."""
+    parts = []
+    for _, rows in table.groupby(["column", "stage"], sort=False):
+        much = len(rows) > 2 * MAX_ROWS
+        parts.append(rows.iloc[extremes(rows[["value"]].to_numpy(np.float64), MAX_ROWS)] if much else rows)
+    return pd.concat(parts, ignore_index=True)
+
+
+def prepared_columns(
+    given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame, *, whole: bool = False
+) -> pd.DataFrame:
+    """Return the columns of a table before and after, where the one is not the other; all of them, if it is `whole`."""
+    parts = list(_changes(given, experiment, raw, whole=whole))
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+
+def _changes(
+    given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame, *, whole: bool
+) -> Iterator[pd.DataFrame]:
+    time = time_name(given.time)
+    words, after = given.prepare, experiment.frame
+    names = [
+        *experiment.columns.values(),
+        *words.columns,
+        *words.fill,
+        *(name for each in words.axes for name in each.target),
+    ]
+    names += list(words.detrend) if isinstance(words.detrend, dict) else []
+    there = [[str(each) for each in frame.columns] for frame in (raw, after)]
+    for name in dict.fromkeys(names):
+        old, new = (column_of(known, name) for known in there)
+        if new is None:  # of a column that resampling has left out
+            continue
+        later = _line(after, time, new, experiment.source)
+        known = old is not None and pd.api.types.is_numeric_dtype(raw[old].dtype)
+        earlier = _line(raw, time, str(old), experiment.source) if known else None
+        if earlier is not None and np.array_equal(earlier, later, equal_nan=True) and not whole:
+            continue
+        for stage, line in ((BEFORE, earlier), (AFTER, later)):
+            if line is not None:
+                yield _thinned(line).assign(experiment=given.name, column=new, stage=stage)[
+                    ["experiment", "column", "stage", "time", "value"]
+                ]
+
+
+def _line(frame: pd.DataFrame, time: str, column: str, source: str) -> Floats:
+    """Return times and values (2, K)."""
+    return np.stack([numeric_column(frame, time, source), numeric_column(frame, column, source)])
+
+
+def _thinned(line: Floats) -> pd.DataFrame:
+    rows = extremes(line[1][:, None], MAX_ROWS)
+    return pd.DataFrame({"time": line[0][rows], "value": line[1][rows]})

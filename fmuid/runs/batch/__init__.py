@@ -1,0 +1,1 @@
+"""Batches: many cases of one study."""

@@ -1,0 +1,343 @@
+"""Batches: the many identifications that a study's ``[batch]`` spans, on all cores or a cluster, resumed at will."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.array_types import Indices
+from fmuid.display_mixins import Displayed, Plotted
+from fmuid.errors import InputError
+from fmuid.progress import BatchStep, Progress
+from fmuid.runs.batch.cases import Cases, truth_of
+from fmuid.runs.batch.dataset import MANIFEST, Dataset
+from fmuid.runs.batch.run_case import CaseRunner
+from fmuid.runs.batch.study_package import Bundle, changes
+from fmuid.runs.batch.summary import Summary, condensed, summarize
+from fmuid.runs.batch.worker import GroupResult, versions
+from fmuid.runs.batch.worker_pool import crew
+from fmuid.simulation import parameter_units
+from fmuid.studies import Study
+
+# A batch of more is more often a slip in an axis than meant.
+MAX_CASES = 100_000
+# Rows wait so long for the disk, s, or so many times what the last writing took; what a kill costs at most.
+WRITE_SECONDS, WRITE_SHARE = 3.0, 20.0
+# The rate is that of the last so many seconds.
+RATE_SECONDS = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult(Plotted):
+    """What a batch has found so far.
+
+    Attributes
+    ----------
+    dataset : Dataset
+        The rows in the folder.
+    finished : int
+        How many there are.
+    total : int
+        Cases of the batch; more than the rows where it was interrupted.
+    truth : mapping of str to float
+        The parameter values that noise was drawn around; empty where measurements were identified.
+    units : mapping of str to str
+        Of the parameters, and of what the batch holds at values; "" for those without.
+    folder : Path
+        Where the rows are.
+    given_noise : bool
+        Whether the study gives all noise variances.
+    interrupted : bool
+        Whether Ctrl-C ended it; the same batch in the same folder goes on.
+    lost : tuple of Path
+        The parts of an earlier run that were damaged and are removed; their cases are run again.
+
+    Examples
+    --------
+    >>> words = fmuid.datasets.coil().study | {"batch": {"noise": {"draws": 3, "std": 0.01}}}
+    >>> found = fmuid.Batch(fmuid.Study.of(words, "coil.toml"), "out", workers=1).run()
+    >>> found.frame["status"].tolist()
+    ['converged', 'converged', 'converged']
+    """
+
+    dataset: Dataset
+    finished: int
+    total: int
+    truth: Mapping[str, float]
+    units: Mapping[str, str]
+    folder: Path
+    given_noise: bool
+    interrupted: bool = False
+    lost: tuple[Path, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"BatchResult({self.finished} of {self.total} cases, {str(self.folder)!r})"
+
+    @cached_property
+    def frame(self) -> pd.DataFrame:
+        """One row a finished case, sorted by case, with the columns of `CaseRunner.columns`; read when asked for."""
+        return self.dataset.read()
+
+    def summary(self) -> tuple[Summary, pd.DataFrame]:
+        """Return the summary, and of each case what figures need, made of a part of the rows after the other."""
+        frame, failures = condensed(self.dataset)
+        found = summarize(frame, self.truth, self.units, given_noise=self.given_noise, failures=failures)
+        return found, frame
+
+
+class Batch(Displayed):
+    """The identifications that a study's ``[batch]`` spans, and the folder that their rows go to.
+
+    Parameters
+    ----------
+    study : Study or path-like
+        With ``[batch]``.
+    folder : path-like
+        Made where needed. Where it has finished cases of the same batch, these are not run again.
+    scheduler : str, optional
+        Address of a Dask scheduler, as in ``tcp://host:8786``; default: workers of this machine, for the time of the
+        batch.
+    workers : int, optional
+        How many workers of this machine; default: one a core.
+    max_cases : int
+        More are refused.
+    resume : bool
+        Whether to go on with the finished cases in the folder; else they are removed.
+    isolated : bool
+        Whether FMUs run in processes of their own, so that one that crashes or hangs costs one simulation.
+
+    Raises
+    ------
+    InputError
+        If the study has no ``[batch]``, something in it is wrong, or it spans more cases than `max_cases`.
+
+    Examples
+    --------
+    >>> words = fmuid.datasets.coil().study | {"batch": {"noise": {"draws": 3, "std": 0.01}}}
+    >>> fmuid.Batch(fmuid.Study.of(words, "coil.toml"), "out", workers=1).run()
+    BatchResult(3 of 3 cases, 'out')
+    """
+
+    def __init__(
+        self,
+        study: Study | str | Path,
+        folder: str | Path,
+        *,
+        scheduler: str | None = None,
+        workers: int | None = None,
+        max_cases: int = MAX_CASES,
+        resume: bool = True,
+        isolated: bool = True,
+    ) -> None:
+        self.study = study if isinstance(study, Study) else Study.read(study)
+        self.folder = Path(folder)
+        self.cases = Cases.of(self.study)
+        if len(self.cases) > max_cases:
+            raise InputError(
+                f"{self.study.path} spans {len(self.cases)} cases, and --max-cases allows {max_cases}: see whether "
+                f"[batch] is as meant, and allow as many with --max-cases {len(self.cases)}"
+            )
+        if workers is not None and workers < 1:
+            raise InputError(f"--workers must be a whole number above 0, not {workers}")
+        if workers is not None and scheduler is not None:
+            raise InputError("--workers says how many there are of this machine, and --scheduler has its own: keep one")
+        self._scheduler, self._workers, self._resume, self._isolated = scheduler, workers, resume, isolated
+        self._columns: Mapping[str, str] = CaseRunner(self.study).columns
+        self.dataset = Dataset(self.folder, self._columns, len(self.cases))
+
+    def __repr__(self) -> str:
+        return f"Batch({len(self.cases)} cases over {', '.join(self.cases.columns)}, {str(self.folder)!r})"
+
+    @property
+    def pending(self) -> Indices:
+        """The cases that are not finished in the folder, in their order; whose cases these are is seen by `run`."""
+        return np.flatnonzero(~self.dataset.finished())
+
+    def run(self, progress: Progress | None = None) -> BatchResult:
+        """Run the cases that are not finished yet.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with a `fmuid.progress.BatchStep` some times a second.
+
+        Raises
+        ------
+        InputError
+            If the folder has another batch, is in use or cannot be written to, or the scheduler cannot be reached or
+            its workers are not like this process.
+        FmuidError
+            If the disk is full or the scheduler lost; what is finished is kept.
+        """
+        bundle = Bundle(self.study, isolated=self._isolated, versions=versions())
+        with self.dataset.locked():
+            lost = self._begin(bundle)
+            pending, interrupted = self.pending, False
+            if pending.size:
+                interrupted = self._work(bundle, pending, progress)
+            if not interrupted:
+                self.dataset.compact()
+            return BatchResult(
+                self.dataset,
+                int(self.dataset.finished().sum()),
+                len(self.cases),
+                truth_of(self.study),
+                self._units(),
+                self.folder,
+                self._given_noise(),
+                interrupted,
+                lost,
+            )
+
+    def _units(self) -> dict[str, str]:
+        names = tuple(dict.fromkeys([*self.cases.names, *self.cases.settings.swept]))
+        units = parameter_units(self.study.system, names)
+        return {name: unit or "" for name, unit in zip(names, units, strict=True)}
+
+    def _given_noise(self) -> bool:
+        outputs = tuple(dict.fromkeys(name for given in self.study.experiments for name in given.outputs))
+        return bool(np.isfinite(self.study.noise.known(outputs)).all())
+
+    def _begin(self, bundle: Bundle) -> tuple[Path, ...]:
+        """See whose cases the folder has, and say whose they are now; return the damaged parts of the earlier run."""
+        path = self.folder / MANIFEST
+        if self._resume and self.dataset.parts():
+            if not path.exists():
+                raise InputError(
+                    f"{self.folder} has cases and no {MANIFEST} that says of which batch: choose another folder with "
+                    "--output, or have them removed with --no-resume"
+                )
+            found = changes(_read_manifest(path), bundle.manifest())
+            if found:
+                raise InputError(
+                    f"{self.folder} has the cases of another batch ({'; '.join(found)}): choose another folder with "
+                    "--output, or have the earlier cases removed with --no-resume"
+                )
+            return self.dataset.repair()
+        self.dataset.clear()
+        told = {"cases": len(self.cases), "begun": datetime.now(UTC).isoformat(timespec="seconds")}
+        told |= {"truth": truth_of(self.study)}
+        self._write_manifest(bundle.manifest() | told)
+        return ()
+
+    def _write_manifest(self, content: Mapping[str, Any]) -> None:
+        self.dataset.write_manifest(json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n")
+
+    def _work(self, bundle: Bundle, pending: Indices, progress: Progress | None) -> bool:
+        """Run cases; return whether Ctrl-C ended it."""
+        record = _remembering(bundle)
+        writer = _Writer(self.dataset)
+        known = (status for part in self.dataset.stream(["status"]) for status in part["status"])
+        counter = _Counter(len(self.cases), known)
+        try:
+            with crew(self._scheduler, self._workers) as there, contextlib.closing(writer):
+                if there.dashboard:
+                    self._write_manifest(_read_manifest(self.folder / MANIFEST) | {"dashboard": there.dashboard})
+                results = there.run(bundle.parcel, pending, lambda case: record(self.cases.table_of(case)))
+                with contextlib.closing(results):
+                    for result in results:
+                        if result is not None:
+                            rows = [*result.rows, *(self._given_up(case) for case in result.given_up)]
+                            writer.add(rows, result)
+                            counter.add([row["status"] for row in rows])
+                        writer.write_if_due()
+                        if progress is not None:
+                            progress(counter.step(there.threads))
+        except KeyboardInterrupt:  # what is done so far is written below, and said to be interrupted
+            return True
+        return False
+
+    def _given_up(self, case: int) -> dict[str, Any]:
+        """Return the row of a case that ended its worker again and again."""
+        empty: dict[str, Any] = {"int64": 0, "float64": math.nan, "bool": False}
+        row = {name: empty.get(kind, "") for name, kind in self._columns.items()}
+        row |= {"case": case, **self.cases[case].settings, "status": "failed", "finished": datetime.now(UTC)}
+        return row | {"message": "it ended the process of its worker again and again, as where memory runs out"}
+
+
+class _Writer:
+    """Collects rows and writes them a part at a time: seldom enough to cost little, often enough to lose little."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        self._dataset = dataset
+        self._rows: list[Mapping[str, Any]] = []
+        self._due = time.monotonic() + WRITE_SECONDS
+
+    def add(self, rows: Sequence[Mapping[str, Any]], result: GroupResult) -> None:
+        for case, text in result.logs.items():
+            self._dataset.log(case, text)
+        self._rows += rows
+
+    def write_if_due(self) -> None:
+        if time.monotonic() >= self._due:
+            self.close()
+
+    def close(self) -> None:
+        """Write what there is."""
+        began = time.monotonic()
+        if self._rows:
+            self._dataset.append(self._rows)
+            self._rows = []
+        now = time.monotonic()
+        self._due = now + max(WRITE_SECONDS, WRITE_SHARE * (now - began))
+
+
+class _Counter:
+    """Counts finished cases, and how fast they come."""
+
+    def __init__(self, total: int, statuses: Iterable[str]) -> None:
+        self._total, self._done, self._failed = total, 0, 0
+        self.add(statuses)
+        self._times: deque[tuple[float, int]] = deque([(time.monotonic(), self._done)])
+
+    def add(self, statuses: Iterable[str]) -> None:
+        counted = Counter(statuses)
+        self._done += counted.total()
+        self._failed += counted["failed"]
+
+    def step(self, threads: int) -> BatchStep:
+        now = time.monotonic()
+        self._times.append((now, self._done))
+        while len(self._times) > 2 and self._times[1][0] < now - RATE_SECONDS:
+            self._times.popleft()
+        since, then = self._times[0]
+        rate = (self._done - then) / max(now - since, 1e-9)
+        left = (self._total - self._done) / rate if rate else math.inf
+        return BatchStep(done=self._done, total=self._total, failed=self._failed, rate=rate, left=left, threads=threads)
+
+
+def _remembering(bundle: Bundle) -> Callable[[Path | None], dict[str, bytes]]:
+    """Return `Bundle.record`, which does not read again what was asked for last."""
+    last: list[tuple[Path | None, dict[str, bytes]]] = [(None, {})]
+
+    def record(path: Path | None) -> dict[str, bytes]:
+        if last[0][0] != path:
+            last[0] = path, bundle.record(path)
+        return last[0][1]
+
+    return record
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(found, dict):
+            return found
+        said = "no table"
+    except (OSError, ValueError, RecursionError) as error:
+        said = str(error)
+    raise InputError(
+        f"{path} cannot be read ({said}): choose another folder with --output, or begin anew with --no-resume"
+    )

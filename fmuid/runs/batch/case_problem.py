@@ -1,0 +1,175 @@
+"""The least-squares problem of one case of a batch, and the truth that its measurements may be simulated at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from fmuid.data import Experiment, JointPrior, time_name
+from fmuid.errors import InputError
+from fmuid.identification import Problem
+from fmuid.simulation import Simulator
+from fmuid.studies import BatchSettings, ExperimentSettings, Study, Value
+
+Values = Mapping[str, Value]
+
+
+def flat_names(study: Study) -> dict[str, str]:
+    """Return all parameters of a study, those per experiment one by one, and the variable that each is of."""
+    return {
+        each.name_in(given.name, name): name for name, each in study.parameters.items() for given in study.experiments
+    }
+
+
+def problem_of(
+    study: Study,
+    experiments: Sequence[Experiment],
+    free: Sequence[str],
+    held: Values,
+    starts: Mapping[str, float],
+    like: Problem | None = None,
+) -> Problem:
+    """Return the problem of a case with the study's own model, whose instances all cases share.
+
+    Parameters
+    ----------
+    study : Study
+    experiments : sequence of Experiment
+    free : sequence of str
+        The parameters to identify; the others are held at the study's starts.
+    held : mapping of str to value
+        Variables held at other values than the study's.
+    starts : mapping of str to float
+        Starts in place of the study's.
+    like : Problem, optional
+        Of another case with the same inputs, free parameters and held values.
+
+    Raises
+    ------
+    InputError
+        If model, experiments and parameters do not fit together.
+    """
+    known: dict[str, Value] = {name: each.start for name, each in study.parameters.items() if name not in free}
+    known |= held
+    parameters = {
+        name: replace(study.parameters[name], start=starts[name]) if name in starts else study.parameters[name]
+        for name in free
+    }
+    joint = study.joint_prior
+    if joint is not None:
+        joint = _given(joint, {flat: float(known[name]) for flat, name in flat_names(study).items() if name in known})
+    return Problem(
+        study.system,
+        experiments,
+        parameters,
+        noise=study.noise,
+        values={**study.model.values, **known},
+        joint_prior=joint,
+        loss=study.loss,
+        sensitivity=study.sensitivity,
+        choices={name: few for name, few in study.model.choices.items() if name not in known},
+        like=like,
+    )
+
+
+def _given(prior: JointPrior, known: Mapping[str, float]) -> JointPrior | None:
+    """Return a joint prior of what is left where some parameters are known: the conditional normal distribution.
+
+    That is what the prior's part of the compound criterion (1.37) is as a function of the others.
+    """
+    there = np.array([name in known for name in prior.names])
+    if not there.any():
+        return prior
+    if there.all():
+        return None
+    left = ~there
+    std = np.sqrt(np.diag(prior.covariance))
+    correlation = prior.covariance / np.outer(std, std)
+    gain = np.linalg.solve(correlation[np.ix_(there, there)], correlation[np.ix_(there, left)]).T
+    away = (np.array([known[name] for name in prior.names if name in known]) - prior.mean[there]) / std[there]
+    matrix = correlation[np.ix_(left, left)] - gain @ correlation[np.ix_(there, left)]
+    return JointPrior(
+        [name for name in prior.names if name not in known],
+        prior.mean[left] + std[left] * (gain @ away),
+        (matrix + matrix.T) / 2.0 * np.outer(std[left], std[left]),
+    )
+
+
+# --- the truth ---------------------------------------------------------------------------
+
+
+def truth_values(study: Study, held: Values) -> dict[str, Value]:
+    """Return what noise is drawn around: every parameter, one by one, and what else is not as the study says.
+
+    A value is the one that ``noise.truth`` gives, else the one held, else the parameter's start.
+    """
+    drawn = study.batch.noise if study.batch is not None else None
+    given = {} if drawn is None else drawn.truth
+    flat = flat_names(study)
+    found: dict[str, Value] = {
+        full: given.get(full, given.get(name, held.get(name, study.parameters[name].start)))
+        for full, name in flat.items()
+    }
+    rest = {**held, **given}
+    return found | {name: value for name, value in rest.items() if name not in flat and name not in study.parameters}
+
+
+def truth_simulators(
+    study: Study, experiments: Sequence[Experiment], truth: Values
+) -> list[tuple[Simulator, list[float]]]:
+    """Return for each experiment what simulates the truth, and the parameters to do so at.
+
+    Raises
+    ------
+    InputError
+        If the truth names what the model does not have.
+    """
+    flat, names = flat_names(study), tuple(study.parameters)
+    values = {**study.model.values, **{name: value for name, value in truth.items() if name not in flat}}
+    found = []
+    for given, experiment in zip(study.experiments, experiments, strict=True):
+        theta = [float(truth[name if name in flat else f"{name}[{given.name}]"]) for name in names]
+        found.append((Simulator(study.system, experiment, names, values=values), theta))
+    return found
+
+
+# --- checks ------------------------------------------------------------------------------
+
+
+def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequence[str]], held: Values) -> None:
+    """Check that model, study and batch fit together, without any table.
+
+    Parameters
+    ----------
+    study : Study
+    settings : BatchSettings
+    subsets : sequence of sequence of str
+        What is free in one case or another.
+    held : mapping of str to value
+        What a case holds.
+
+    Raises
+    ------
+    InputError
+        One sentence that names what does not fit.
+    """
+    experiments = [_unmeasured(given, 2 + len(flat_names(study))) for given in study.experiments]
+    problem_of(study, experiments, tuple(study.parameters), {}, {})  # what is wrong without the batch, as the study's
+    try:
+        for free in subsets:
+            problem = problem_of(study, experiments, free, held, {})
+            study.estimator.check(problem)
+        if settings.noise is not None:
+            truth_simulators(study, experiments, truth_values(study, held))
+    except InputError as error:
+        raise settings.error(f"does not fit: {error}") from None
+
+
+def _unmeasured(given: ExperimentSettings, rows: int) -> Experiment:
+    """Return an experiment that is still to be made: inputs at rest, and the names of the outputs."""
+    columns = dict.fromkeys(given.inputs.values(), 0.0)
+    frame = pd.DataFrame({time_name(given.time): np.arange(rows, dtype=np.float64)} | columns)
+    return given.model_copy(update={"discard": 0.0}).experiment(frame, str(given.table), measured=False)

@@ -1,0 +1,339 @@
+"""The rows of a batch on disk: Parquet files that are each complete or not there, whatever ends the run.
+
+A row counts as finished once the part that has it carries its final name, which it gets after its content has reached
+the disk. Parts are merged now and then, new ones complete before old ones go; rows that are there twice meanwhile are
+the same.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from fmuid.array_types import Flags
+from fmuid.errors import FmuidError, InputError
+from fmuid.files import locked
+
+CASES, LOGS, MANIFEST = "cases", "logs", "batch.json"
+"""What a batch's folder has: folders of parts and of logs, what the batch is, and the lock of who writes."""
+# Rows of a full part: some 10 MB in memory, read at once by whatever reads Parquet.
+PART_ROWS = 100_000
+# So many parts are merged, so that days of work leave no folder that takes minutes to list.
+LOOSE_PARTS = 64
+# Of what a case printed; an FMU that prints in every step would fill the disk.
+LOG_BYTES = 64 * 1024
+_TYPES = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_(), "str": pa.string()}
+_TYPES |= {"string": pa.string(), "datetime64[us, UTC]": pa.timestamp("us", "UTC")}
+_PART_NAME = re.compile(r"part-(\d{9,})-[0-9a-f]{12}\.parquet")
+_DAMAGED = (pa.ArrowException, OSError, ValueError, KeyError)
+
+
+class Dataset:
+    """The rows of a batch in a folder, as parts in its folder ``cases``.
+
+    Parameters
+    ----------
+    folder : Path
+        The batch's folder.
+    columns : mapping of str to str
+        All columns and their types, those of pandas; ``case`` is the first.
+    count : int
+        Cases of the batch. A part with a case of another number is damaged.
+    """
+
+    def __init__(self, folder: Path, columns: Mapping[str, str], count: int) -> None:
+        self.folder, self.cases, self.logs, self.count = folder, folder / CASES, folder / LOGS, count
+        self.schema = pa.schema([pa.field(name, _TYPES[kind]) for name, kind in columns.items()])
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other processes from writing to the folder; it is made where needed (`fmuid.files.locked`)."""
+        with locked(self.folder, "batch"):
+            self.cases.mkdir(exist_ok=True)
+            yield
+
+    # --- reading
+
+    def parts(self) -> list[Path]:
+        """Return the parts, in the order of their names; files that others have put there are none."""
+        return parts_in(self.folder)
+
+    def read(self) -> pd.DataFrame:
+        """Return all rows, sorted by case, each case once.
+
+        Raises
+        ------
+        InputError
+            If a part is damaged.
+        """
+        frame: pd.DataFrame = self._together([self._load(path) for path in self.parts()]).to_pandas()
+        return frame
+
+    def finished(self) -> Flags:
+        """Return which cases are finished, (count,)."""
+        found = np.zeros(self.count, np.bool_)
+        for path in self.parts():
+            found[self._load(path, ["case"])["case"].to_numpy()] = True
+        return found
+
+    def stream(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+        """Give some columns of all rows, part by part, each case once; only one part is in memory.
+
+        Raises
+        ------
+        InputError
+            If a part is damaged.
+        """
+        seen = np.zeros(self.count, np.bool_)
+        for path in self.parts():
+            table = self._load(path, list(dict.fromkeys(["case", *columns])))
+            cases = table["case"].to_numpy()
+            yield table.filter(pa.array(~seen[cases])).select(list(columns)).to_pandas()
+            seen[cases] = True
+
+    def _load(self, path: Path, columns: list[str] | None = None) -> pa.Table:
+        """Return the rows of a part, sorted by case; all columns or some."""
+        with _whole(path):
+            table = _opened(path).read(columns)
+            table = table.cast(self.schema if columns is None else pa.schema([self.schema.field(n) for n in columns]))
+            cases = table["case"].to_numpy()
+            if not ((cases >= 0) & (cases < self.count)).all():
+                raise ValueError(f"it has a case that is none of the {self.count} of the batch")
+            return table
+
+    def _together(self, tables: Sequence[pa.Table]) -> pa.Table:
+        """Return the rows of tables sorted by case; of rows of one case the first."""
+        table = pa.concat_tables([self.schema.empty_table(), *tables])
+        _, first = np.unique(table["case"].to_numpy(), return_index=True)
+        return table.take(pa.array(first))
+
+    # --- writing
+
+    def append(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Add rows as a part; when this returns they are on the disk.
+
+        Raises
+        ------
+        FmuidError
+            If they cannot be written.
+        """
+        with self._writing():
+            self._write(self._together([pa.Table.from_pylist([dict(row) for row in rows], self.schema)]))
+            if len(self.parts()) > LOOSE_PARTS:
+                self._merge([path for path in self.parts() if self._load(path, ["case"]).num_rows < PART_ROWS])
+
+    def compact(self) -> None:
+        """Merge all parts into as few as there can be, sorted by case; only a few are in memory at a time.
+
+        Raises
+        ------
+        FmuidError
+            If they cannot be written.
+        """
+        with self._writing():
+            self._merge(self.parts())
+
+    def log(self, case: int, text: str) -> None:
+        """Keep what a case printed.
+
+        Raises
+        ------
+        FmuidError
+            If it cannot be written.
+        """
+        with self._writing():
+            self.logs.mkdir(exist_ok=True)
+            self.log_path(case).write_text(text, encoding="utf-8", errors="replace")
+
+    def log_path(self, case: int) -> Path:
+        """Return the file of what a case printed."""
+        return self.logs / f"case-{case:06d}.txt"
+
+    def log_count(self) -> int:
+        """Return how many cases printed something."""
+        return sum(1 for _ in self.logs.glob("case-*.txt"))
+
+    def repair(self) -> tuple[Path, ...]:
+        """Remove what an ended run left half written; return the damaged parts that are lost."""
+        lost = []
+        for path in self._drafts():
+            path.unlink(missing_ok=True)
+        for path in self.parts():
+            try:
+                self._load(path)
+            except InputError:
+                path.unlink()
+                lost.append(path)
+        return tuple(lost)
+
+    def clear(self) -> None:
+        """Remove the rows and logs of an earlier batch."""
+        (self.folder / MANIFEST).unlink(missing_ok=True)  # first: rows without it are nobody's
+        shutil.rmtree(self.logs, ignore_errors=True)
+        for path in [*self.parts(), *self._drafts()]:
+            path.unlink(missing_ok=True)
+
+    def _drafts(self) -> list[Path]:
+        return [*self.cases.glob(".part-*"), *self.folder.glob(f".{MANIFEST}.*")]
+
+    def files(self) -> list[Path]:
+        """Return what a run leaves, each case's log aside."""
+        return [self.folder / MANIFEST, *self.parts()]
+
+    def write_manifest(self, text: str) -> None:
+        """Write ``batch.json``.
+
+        Raises
+        ------
+        FmuidError
+            If it cannot be written.
+        """
+        with self._writing():
+            self._put(self.folder / MANIFEST, text.encode())
+
+    def _merge(self, paths: Sequence[Path]) -> None:
+        """Merge parts into full ones; in memory are only those whose cases interleave."""
+        paths = sorted(paths, key=_first_case)
+        kept, table = set[Path](), self.schema.empty_table()
+        for path, following in zip(paths, [*paths[1:], None], strict=True):
+            table = self._together([table, self._load(path)])
+            cases = table["case"].to_numpy()
+            # what comes before all that is still to be loaded is settled
+            settled = len(cases) if following is None else int(np.searchsorted(cases, _first_case(following)))
+            full = settled if following is None else settled - settled % PART_ROWS
+            kept |= {self._write(table.slice(at, min(PART_ROWS, full - at))) for at in range(0, full, PART_ROWS)}
+            table = table.slice(full)
+        for path in paths:
+            if path not in kept:
+                path.unlink()
+
+    def _write(self, table: pa.Table) -> Path:
+        """Write a part and return its path; the name has a digest, so that no two parts differ under one name."""
+        sink = pa.BufferOutputStream()
+        pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
+        content = sink.getvalue().to_pybytes()
+        # which `_first_case` and `_opened` read
+        path = self.cases / f"part-{table['case'][0].as_py():09d}-{_digest(content)}.parquet"
+        self._put(path, content)
+        return path
+
+    def _put(self, path: Path, content: bytes) -> None:
+        """Write a file so that it is complete under its name, or not there."""
+        draft = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            with draft.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            draft.replace(path)
+        except BaseException:
+            with contextlib.suppress(OSError):  # the first error is the one to be told
+                draft.unlink(missing_ok=True)
+            raise
+        _sync_folder(path.parent)
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise FmuidError(
+                f"{self.folder} cannot be written to: {error.strerror or error}; the cases finished so far are kept, "
+                "make room and give the same command to go on"
+            ) from None
+
+
+def parts_in(folder: Path) -> list[Path]:
+    """Return the parts of a batch's folder, in the order of their names; files that others have put there are none."""
+    return sorted(path for path in (folder / CASES).glob("part-*.parquet") if _PART_NAME.fullmatch(path.name))
+
+
+def read_rows(folder: Path, wanted: Callable[[str], bool]) -> pd.DataFrame:
+    """Return some columns of all rows of a batch's folder, sorted by case, each case once.
+
+    Parameters
+    ----------
+    folder : Path
+    wanted : callable
+        Whether a column is to be there; ``case`` is.
+
+    Raises
+    ------
+    InputError
+        If a part is damaged.
+    """
+    tables = [read_part(path, wanted) for path in parts_in(folder)]
+    frame: pd.DataFrame = pa.concat_tables(tables).to_pandas() if tables else pd.DataFrame({"case": []})
+    return frame.drop_duplicates("case").sort_values("case", ignore_index=True)
+
+
+def read_part(path: Path, wanted: Callable[[str], bool] = lambda _: True) -> pa.Table:
+    """Return some columns of a part, after a check of all its bytes; ``case`` is among them.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or not there any more.
+    """
+    with _whole(path):
+        part = _opened(path)
+        return part.read([name for name in part.schema_arrow.names if name == "case" or wanted(name)])
+
+
+def _opened(path: Path) -> pq.ParquetFile:
+    """Return a part to read from, after a check of all its bytes: its name has their digest."""
+    content = path.read_bytes()
+    if path.stem.rpartition("-")[2] != _digest(content):
+        raise ValueError("its content is not what was written")
+    return pq.ParquetFile(pa.BufferReader(content))
+
+
+@contextlib.contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    """Have what shows that a part is damaged be one sentence."""
+    try:
+        yield
+    except _DAMAGED as error:
+        raise InputError(
+            f"{path} is damaged ({str(error).splitlines()[0]}): give the batch again, which runs its cases anew"
+        ) from None
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+def _first_case(part: Path) -> int:
+    return int(part.name.split("-")[1])
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have a new name reach the disk (POSIX; elsewhere the system sees to it)."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def bounded(text: str) -> str:
+    """Return a log cut to `LOG_BYTES`: its beginning and its end."""
+    content = text.encode(errors="replace")
+    if len(content) <= LOG_BYTES:
+        return text
+    half = LOG_BYTES // 2 - 40
+    ends = content[:half].decode(errors="ignore"), content[-half:].decode(errors="ignore")
+    return f"{ends[0]}\n... {len(content) - 2 * half} bytes left out ...\n{ends[1]}"

@@ -1,0 +1,376 @@
+"""One case of a batch after the other, each to a row of the batch's table."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+import platform
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.blas import single_threaded
+from fmuid.data import Experiment
+from fmuid.errors import FmuidError
+from fmuid.estimation import Accuracy, Direction, Outcome, Result, Waypoints, waypoints
+from fmuid.files import as_json
+from fmuid.identification import CheckedRegion, Problem, identify
+from fmuid.runs.batch.case_problem import flat_names, problem_of, truth_simulators, truth_values
+from fmuid.runs.batch.cases import Case, Cases
+from fmuid.runs.batch.random_draws import noise
+from fmuid.runs.batch.study_package import Copies
+from fmuid.simulation import executor_of, nrmse_fit, root_mean_square
+from fmuid.studies import ExperimentSettings, NoiseDraws, Study, Value
+
+Key = TypeVar("Key")
+Item = TypeVar("Item")
+
+VOLATILE = ("checked", "elapsed_s", "finished", "worker")
+"""The columns that differ from run to run; all others are the same bit for bit."""
+
+SYSTEMS_KEPT = 4
+"""Tables, and simulations of the truth, that are kept for the cases that follow."""
+
+AT_START = 3
+"""Calls of a simulator that hardly ever depend on what was measured: the start, the noise of its simulation, and the
+differences of its first derivatives."""
+
+MANY_DRAWS = 10
+"""So many draws of the noise borrow derivatives from the first one's search, which a worker makes beforehand."""
+
+CASE_ERRORS = MemoryError, ArithmeticError, np.linalg.LinAlgError
+"""What fails a case, beside errors of this package."""
+
+WHOLE, NUMBER, TEXT, FLAG, TIMESTAMP = "int64", "float64", "string", "bool", "datetime64[us, UTC]"
+
+
+@dataclass(frozen=True)
+class CaseOutcome:
+    """What became of a case.
+
+    Attributes
+    ----------
+    row : dict
+        The columns `CaseRunner.columns`.
+    log : str
+        What the FMU printed and the warnings that were given meanwhile; empty where there was nothing.
+    """
+
+    row: dict[str, object]
+    log: str
+
+
+class CaseRunner:
+    """Runs the cases of a study, in any order: ``runner(i)``.
+
+    The instances of the FMUs are kept from case to case. What a case gives depends on nothing but the case; what
+    ``[uncertainty]`` asks for is left out. For one thread.
+
+    Parameters
+    ----------
+    study : Study
+        With a ``[batch]``. Its tables may be missing, for which their cases fail.
+    copies : Copies, optional
+        Files of the study that are copies and go by the names of the originals in messages.
+    no_way : iterable, optional
+        What another runner's `no_way` has.
+
+    Attributes
+    ----------
+    study : Study
+    cases : Cases
+    no_way : set
+        Of what the draws borrow no derivatives, because simulations fail on the way.
+    columns : dict of str to str
+        All columns of a row in order, and their types as pandas calls them.
+
+    Raises
+    ------
+    InputError
+        As `Cases`, or if an FMU cannot be read.
+    """
+
+    def __init__(self, study: Study, copies: Copies | None = None, no_way: Iterable[Hashable] = ()) -> None:
+        self.study, self.cases = study, Cases(study)
+        self._copies = copies or Copies(Path(), {})
+        self._drawn, self._seed = self.cases.settings.noise, self.cases.settings.seed
+        self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.outputs))
+        self._tables: _Recent[Path | None, tuple[Experiment, ...]] = _Recent()
+        self._before: tuple[object, Problem] | None = None  # what the case before had to be simulated, and its problem
+        self._truths: _Recent[object, tuple[Floats, ...]] = _Recent()
+        self._ways: _Recent[object, Waypoints | None] = _Recent()
+        self.no_way = set(no_way)
+        self._regions: _Recent[object, CheckedRegion] = _Recent()
+        self._worker = f"{platform.node()}:{os.getpid()}"
+        self._system = study.system
+        for model in self._system.components.values():
+            model.fmu.path = self._copies.original(model.fmu.file)
+        self.columns = self._all_columns()
+
+    @single_threaded
+    def __call__(self, index: int) -> CaseOutcome:
+        """Run a case; one that fails has a row that says why.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If that ends the case.
+        """
+        case, began = self.cases[index], time.perf_counter()
+        if self._before and any(each.stiff for each in self._before[1].laid_out):
+            self._before = None  # they would go on as such, and what a case gives depend on the one before it
+        with _warnings_of_this_thread() as warnings:
+            found = self._found(case)
+        elapsed, printed = time.perf_counter() - began, executor_of(self._system).printed()
+        volatile = {"elapsed_s": elapsed, "finished": datetime.now(UTC), "worker": self._worker}
+        row = dict.fromkeys(self.columns, math.nan) | {"case": case.index, **case.settings, **found, **volatile}
+        return CaseOutcome(row, "\n".join([*warnings, *([printed] if printed else [])]))
+
+    def _found(self, case: Case) -> dict[str, object]:
+        """Return the columns that a case finds out, those of values that there are not left out."""
+        problem: Problem | None = None
+        try:
+            problem = self.problem(case)
+            words = self._identify(case, problem)
+        except FmuidError as error:
+            words = _failure(str(error))
+        except CASE_ERRORS as error:
+            words = _failure(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
+        counted = {"simulations": problem.simulations, "rejected": problem.failures} if problem is not None else {}
+        none = dict.fromkeys(("iterations", "simulations", "rejected", "finer", "checked"), 0)
+        return {**none, "accuracy": "", **counted, **words}
+
+    def problem(self, case: Case) -> Problem:
+        """Return the problem of a case: its measurements, read or simulated and disturbed, and what is identified.
+
+        Raises
+        ------
+        InputError
+            If a table cannot be read or does not fit.
+        SimulationError
+            If the truth cannot be simulated.
+        """
+        read = experiments = self._tables.get(case.table, lambda: self._read(case.table))
+        drawn = self._drawn
+        if case.draw is not None and drawn is not None:
+            experiments = self._disturbed(case, case.draw, drawn, read)
+        key = case.table, case.free, tuple(case.held.items())
+        like = self._before[1] if self._before and self._before[0] == key else None
+        problem = problem_of(self.study, experiments, case.free, case.held, case.starts, like)
+        problem.one_of_many = case.draw is not None and self.cases.settings.starts is None
+        self._before = key, problem
+        way = case.record, *key
+        if problem.one_of_many and drawn is not None and self._often(drawn) and way not in self.no_way:
+            problem.waypoints = self._ways.get(way, lambda: self._way(way, case, drawn, read))
+        if problem.one_of_many and like is None:
+            for each in problem.simulators:
+                each.remember(AT_START)
+        return problem
+
+    def _often(self, drawn: NoiseDraws) -> bool:
+        """Whether so many cases differ in their noise alone that a search beforehand pays."""
+        study, product = self.study, self.cases.settings.combine == "product"
+        return product and drawn.draws >= MANY_DRAWS and not (study.estimator.whole_box or study.model.choices)
+
+    def _way(
+        self, way: Hashable, case: Case, drawn: NoiseDraws, experiments: tuple[Experiment, ...]
+    ) -> Waypoints | None:
+        """Return the derivatives along the way that the first draw takes, whichever draw asks.
+
+        None where a simulation fails on it: in a process of the case's own it might have taken that with it.
+        """
+        try:
+            first = self._disturbed(case, 0, drawn, experiments)
+            problem = problem_of(self.study, first, case.free, case.held, case.starts)
+            found = waypoints(problem, self.study.estimator.marquardt)
+            if not problem.failures:
+                return found
+        except (FmuidError, *CASE_ERRORS):
+            pass  # what it is the cases themselves say
+        self.no_way.add(way)
+        return None
+
+    def _identify(self, case: Case, problem: Problem) -> dict[str, object]:
+        """Identify the parameters of a case and return the columns that this fills."""
+        key = case.table, tuple(case.held.items()), tuple(case.free)
+        region = self._regions.get(key, lambda: self._region(problem))
+        before, accuracy = region.checks, self.study.accuracy
+        result = identify(problem, self.study.estimator, accuracy=accuracy, remedies=False, region=region)
+        if result.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        found = result.accuracy
+        own = found is not None and found.simulations > 0
+        return _words_of(result) | _scores(problem, result) | {"checked": int(own or region.checks > before)}
+
+    def _region(self, problem: Problem) -> CheckedRegion:
+        """Return what is to be known of the simulation over the tables of a case and at what it holds."""
+        flat = flat_names(self.study)
+        given = [self.study.parameters[flat.get(name, name)] for name in problem.parameters.names]
+        scale = np.array([each.nominal or abs(each.start) or 1.0 for each in given])
+        return CheckedRegion(scale, one_start=self.cases.settings.starts is None)
+
+    # --- tables and noise
+
+    def _read(self, table: Path | None) -> tuple[Experiment, ...]:
+        return tuple(self._experiment(given, table or given.table) for given in self.study.experiments)
+
+    def _experiment(self, given: ExperimentSettings, table: Path) -> Experiment:
+        """Read a table; the outputs need not be in it where they are simulated."""
+        return given.read_experiment(table, str(self._copies.original(table)), measured=self._drawn is None)
+
+    def _disturbed(
+        self, case: Case, draw: int, drawn: NoiseDraws, experiments: tuple[Experiment, ...]
+    ) -> tuple[Experiment, ...]:
+        """Return the experiments with the simulated truth and a draw of noise as measurements, where there were any."""
+        truth = truth_values(self.study, case.held)
+        key = case.table, tuple(truth.items())
+        clean = self._truths.get(key, lambda: self._simulate(experiments, truth))
+        found = []
+        for number, (experiment, outputs) in enumerate(zip(experiments, clean, strict=True)):
+            std = np.array([drawn.std_of(name) for name in experiment.output_names])
+            values = outputs + std * noise(self._seed, case.record, draw, number, outputs.shape)
+            there = experiment.counted | ~np.isnan(experiment.output_values)
+            found.append(experiment.with_outputs(np.where(there, values, np.nan)))
+        return tuple(found)
+
+    def _simulate(self, experiments: tuple[Experiment, ...], truth: Mapping[str, Value]) -> tuple[Floats, ...]:
+        return tuple(simulator(theta) for simulator, theta in truth_simulators(self.study, experiments, truth))
+
+    # --- rows
+
+    def _all_columns(self) -> dict[str, str]:
+        types = {name: _type_of(value) for name, value in self.cases[0].settings.items()}
+        names, outputs = self.cases.names, self._outputs
+        return {
+            "case": WHOLE,
+            **{name: types[name] for name in self.cases.columns},
+            "status": TEXT,
+            "message": TEXT,
+            "undetermined": TEXT,
+            **{f"chosen.{name}": TEXT for name in self.study.model.choices},
+            **{f"{word}.{name}": NUMBER for word in ("value", "std") for name in names},
+            **{f"{word}.{name}": NUMBER for word in ("noise", "fit", "rmse") for name in outputs},
+            "criterion": NUMBER,
+            "iterations": WHOLE,
+            "simulations": WHOLE,
+            "rejected": WHOLE,
+            "accuracy": TEXT,
+            "shift": NUMBER,
+            "finer": WHOLE,
+            "checked": WHOLE,
+            "elapsed_s": NUMBER,
+            "finished": TIMESTAMP,
+            "worker": TEXT,
+        }
+
+
+def _words_of(result: Result) -> dict[str, object]:
+    """Return the columns that a result fills."""
+    std = np.where(np.isfinite(result.std), result.std, np.nan)
+    return {
+        "status": "converged" if result.converged else "not converged",
+        "message": result.outcome.value,
+        "undetermined": directions_text(result.undetermined),
+        **{f"chosen.{name}": str(value) for name, value in result.chosen.items()},
+        **{f"value.{name}": value for name, value in zip(result.names, result.values.tolist(), strict=True)},
+        **{f"std.{name}": value for name, value in zip(result.names, std.tolist(), strict=True)},
+        **{f"noise.{name}": value for name, value in result.noise_variance.items()},
+        "criterion": result.criterion,
+        "iterations": result.iterations,
+        **_accuracy_of(result.accuracy),
+    }
+
+
+def _scores(problem: Problem, result: Result) -> dict[str, object]:
+    """Return the fit, %, and the RMSE of each output over the counted samples of all experiments of a case."""
+    assert result.history is not None, "of a search that has just ended"
+    pairs: dict[str, list[tuple[Floats, Floats]]] = {name: [] for name in problem.output_names}
+    for experiment, simulated in zip(problem.experiments, result.history.simulated, strict=True):
+        for j, name in enumerate(experiment.output_names):
+            counted = experiment.counted[:, j]
+            pairs[name].append((experiment.output_values[counted, j], simulated[counted, j]))
+    errors = {name: [np.concatenate(each) for each in zip(*own, strict=True)] for name, own in pairs.items()}
+    found: dict[str, object] = {f"fit.{name}": nrmse_fit(own) for name, own in pairs.items()}
+    return found | {f"rmse.{name}": root_mean_square(*both) for name, both in errors.items()}
+
+
+def directions_text(directions: Sequence[Direction]) -> str:
+    """Return directions as the JSON that ``result.json`` has of them; nothing where there are none."""
+    return json.dumps(as_json(directions)) if directions else ""
+
+
+def directions_of(text: str) -> tuple[Direction, ...]:
+    """Return the directions of a row's ``undetermined``."""
+    return tuple(Direction.of_json(each) for each in json.loads(text)) if text else ()
+
+
+def _accuracy_of(found: Accuracy | None) -> dict[str, object]:
+    if found is None:
+        return {}
+    return {"accuracy": found.outcome.value, "shift": found.largest, "finer": len(found.switches)}
+
+
+def _failure(message: str) -> dict[str, object]:
+    return {"status": "failed", "message": message, "undetermined": ""}
+
+
+def _type_of(value: object) -> str:
+    return {bool: FLAG, int: WHOLE, float: NUMBER, str: TEXT}[type(value)]
+
+
+class _Recent(Generic[Key, Item]):
+    """The last few things that were made, by what they were made of; an error that came of it comes again."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Key, Item | FmuidError] = OrderedDict()
+
+    def get(self, key: Key, make: Callable[[], Item]) -> Item:
+        """Return what was made of a key, made now if need be."""
+        if key not in self._kept:
+            try:
+                self._kept[key] = make()
+            except FmuidError as error:
+                self._kept[key] = error.with_traceback(None)  # which holds on to what was being made
+            while len(self._kept) > SYSTEMS_KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        item = self._kept[key]
+        if isinstance(item, FmuidError):
+            raise item.with_traceback(None)
+        return item
+
+
+class _ThreadWarnings(logging.Handler):
+    """Keeps the warnings that one thread gives."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self._thread = threading.get_ident()
+        self.said: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a warning if it is of the thread."""
+        if record.thread == self._thread:
+            self.said.append(record.getMessage())
+
+
+@contextmanager
+def _warnings_of_this_thread() -> Iterator[list[str]]:
+    """Collect the warnings that fmuid gives meanwhile."""
+    listener, log = _ThreadWarnings(), logging.getLogger("fmuid")
+    log.addHandler(listener)
+    try:
+        yield listener.said
+    finally:
+        log.removeHandler(listener)

@@ -1,0 +1,235 @@
+"""A study with its files by content, so that it can be run where its files are not, and be told from every other."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fmuid.errors import InputError
+from fmuid.models import file_digest
+from fmuid.studies import Study
+from fmuid.version import __version__
+
+# Keys of a study file that name a file.
+FILE_KEYS = ("fmu", "table", "result")
+# What a study says beside that no row of a batch depends on.
+NOT_IN_ROWS = ("title", "uncertainty", "diagnosis")
+CHANGES_TOLD = 4
+_MISSING = object()
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Files below a folder that are copies of the user's, by whose names they go in messages.
+
+    Attributes
+    ----------
+    folder : Path
+    originals : mapping of str to str
+        The user's names of the files, by theirs below the folder.
+    """
+
+    folder: Path
+    originals: Mapping[str, str]
+
+    def original(self, path: Path) -> Path:
+        """Return the user's file that a file is a copy of; the file itself where it is none."""
+        name = path.relative_to(self.folder).as_posix() if path.is_relative_to(self.folder) else ""
+        return Path(self.originals.get(name, path))
+
+
+@dataclass(eq=False)
+class Parcel:
+    """A study as it travels to workers: its words, and the content of all its files but the records.
+
+    Attributes
+    ----------
+    token : str
+        Tells it from all others.
+    path : str
+        The user's study file.
+    data : dict
+        The study with names of files in the parcel's folder.
+    files : dict of str to bytes
+        Their content, by these names.
+    originals : dict of str to str
+        The user's names of all files and records, by those in the parcel's folder.
+    isolated : bool
+        Whether FMUs run in processes of their own.
+    versions : dict of str to str
+        What the sender runs, which the receiver must run too.
+    unpacked : object
+        What a worker keeps with it, and drops with it; it does not travel.
+    """
+
+    token: str
+    path: str
+    data: dict[str, Any]
+    files: dict[str, bytes]
+    originals: dict[str, str]
+    isolated: bool
+    versions: dict[str, str | None]
+    unpacked: Any = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"unpacked": None}
+
+    def __sizeof__(self) -> int:  # what a scheduler weighs the way of an object by
+        return sum(map(len, self.files.values()))
+
+    def unpack(self, folder: Path) -> Study:
+        """Write the files below a folder and return the study there; records come with the cases that need them."""
+        for name, content in self.files.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        data = _renamed(self.data, lambda name: str(folder / name) if name in self.originals else name)
+        return Study.of(data, self.path, isolated=self.isolated)
+
+    def copies(self, folder: Path) -> Copies:
+        """Return whose copies the files below the folder are."""
+        return Copies(folder, self.originals)
+
+
+class Bundle:
+    """A study of a batch, with the digests of its files.
+
+    Parameters
+    ----------
+    study : Study
+        With ``[batch]``.
+    isolated : bool
+        Whether FMUs run in processes of their own.
+    versions : mapping of str to str
+        What runs here.
+
+    Raises
+    ------
+    InputError
+        If a pattern of tables matches no file.
+    """
+
+    def __init__(self, study: Study, *, isolated: bool, versions: Mapping[str, str | None]) -> None:
+        self.study, self._base = study, study.path.parent
+        found = study.batch.records() if study.batch is not None else {}
+        self._records = {path: f"records/{k:06d}/{path.name}" for k, path in enumerate(found.values())}
+        self._names: dict[Path, str] = {}
+        self._known = set(study.files())
+        data = _renamed({key: value for key, value in study.data.items() if key not in NOT_IN_ROWS}, self._name_of)
+        if found:
+            data["batch"]["tables"] = {name: self._records[path] for name, path in found.items()}
+        self.digests = {path: _digest(path) for path in (*self._names, *self._records)}
+        files = {name: content for path, name in self._names.items() if (content := self._content(path)) is not None}
+        originals = {name: str(path) for path, name in (*self._names.items(), *self._records.items())}
+        self.parcel = Parcel(
+            uuid.uuid4().hex,
+            str(study.path),
+            data,
+            files,
+            originals,
+            isolated,
+            dict(versions),
+        )
+
+    def record(self, path: Path | None) -> dict[str, bytes]:
+        """Return name and content of a record; nothing where there is none, which is for its cases to say.
+
+        Raises
+        ------
+        InputError
+            If it is not what it was when the batch began.
+        """
+        content = self._content(path) if path is not None and path in self._records else None
+        return {} if path is None or content is None else {self._records[path]: content}
+
+    def manifest(self) -> dict[str, Any]:
+        """Return what the rows of the batch depend on, as it can be written as JSON."""
+        told = {key: value for key, value in self.study.data.items() if key not in NOT_IN_ROWS}
+        files = {_relative(path, self._base): digest for path, digest in self.digests.items()}
+        return {"fmuid": __version__, "study": told, "files": files}
+
+    def _name_of(self, name: str) -> str:
+        """Return the parcel's name of a file that the study names."""
+        path = self._base / name
+        if path not in self._known:
+            return name
+        return self._names.setdefault(path, f"files/{len(self._names):03d}/{path.name}")
+
+    def _content(self, path: Path) -> bytes | None:
+        try:
+            content = path.read_bytes()
+        except OSError:
+            content = None
+        if (hashlib.sha256(content).hexdigest() if content is not None else None) != self.digests[path]:
+            raise InputError(
+                f"{path} has changed while the batch ran: put its former content back, or begin anew with --no-resume"
+            )
+        return content
+
+
+def changes(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return in words what differs between the manifests of two batches; nothing where they are the same."""
+    found = []
+    if earlier.get("fmuid") != now["fmuid"]:
+        found.append(f"it was run by fmuid {earlier.get('fmuid')}, this is {now['fmuid']}")
+    old, new = dict(_leaves(earlier.get("study"))), dict(_leaves(json.loads(json.dumps(now["study"]))))
+    for key in dict.fromkeys([*new, *old]):
+        was, is_ = old.get(key, _MISSING), new.get(key, _MISSING)
+        if was != is_:
+            found.append(
+                f"{key} was not given" if was is _MISSING else f"{key} was {json.dumps(was, ensure_ascii=False)}"
+            )
+    written = earlier.get("files")
+    files: Mapping[str, str | None] = written if isinstance(written, dict) else {}
+    for name in dict.fromkeys([*now["files"], *files]):
+        if name not in files:
+            found.append(f"{name} is new")
+        elif name not in now["files"]:
+            found.append(f"{name} is no longer part of it")
+        elif files[name] != now["files"][name]:
+            found.append(f"{name} has another content")
+    if len(found) > CHANGES_TOLD:
+        found[CHANGES_TOLD:] = [f"and {len(found) - CHANGES_TOLD} more differences"]
+    return found
+
+
+def _renamed(node: Any, rename: Callable[[str], str], key: str = "") -> Any:
+    """Return a part of a study with other names of files."""
+    if isinstance(node, Mapping):
+        # [batch.tables] has files by the names of their records
+        return {str(name): _renamed(each, rename, "table" if key == "tables" else name) for name, each in node.items()}
+    if isinstance(node, list):
+        return [_renamed(value, rename, key) for value in node]
+    return rename(node) if isinstance(node, str) and key in FILE_KEYS else node
+
+
+def _leaves(node: Any, above: str = "") -> Iterator[tuple[str, Any]]:
+    """Give the values of nested tables by their dotted names."""
+    if isinstance(node, Mapping) and node:
+        for key, value in node.items():
+            yield from _leaves(value, f"{above}.{key}" if above else str(key))
+    elif isinstance(node, list) and any(isinstance(item, Mapping) for item in node):
+        for k, value in enumerate(node):
+            yield from _leaves(value, f"{above}.{k}")
+    else:
+        yield above, node
+
+
+def _digest(path: Path) -> str | None:
+    try:
+        return file_digest(path)
+    except OSError:  # gone: it differs from any that is there
+        return None
+
+
+def _relative(path: Path, base: Path) -> str:
+    try:
+        return Path(os.path.relpath(path, base)).as_posix()
+    except ValueError:  # on another drive
+        return path.as_posix()

@@ -1,0 +1,366 @@
+"""What a batch found, in tables: estimates over the cases, failures, groups, optima of several starts."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.estimation import AccuracyOutcome, Determined
+from fmuid.runs.batch.dataset import Dataset
+from fmuid.runs.batch.run_case import VOLATILE, directions_of
+from fmuid.runs.batch.statistics import (
+    Columns,
+    converged,
+    doubted,
+    estimates,
+    fit_cost,
+    is_repetition,
+    optimum_numbers,
+    statistics,
+)
+
+# A setting with more levels than this is no heading of a group; nor are there more groups than that.
+MAX_LEVELS, MAX_GROUPS = 20, 100
+# The spread of fewer cases is uncertain by more than 13 %, which is said.
+FEW_CASES = 30
+# Optima whose residuals differ by less than this share fit equally well: 1000 samples cannot tell them apart.
+EQUAL_FIT_SHARE = 5e-4
+
+STATUSES = ["converged", "not converged", "failed"]
+# Columns that no statistics are made of.
+NOT_SUMMARIZED = {"message", "undetermined", "iterations", "simulations", "rejected", "shift", *VOLATILE} - {"checked"}
+
+_KIND = ["status", "message", "undetermined"]
+_NO_FAILURES = pd.DataFrame([("", "", (), 0, 0)], columns=[*_KIND, "cases", "first"]).iloc[:0]
+_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:0x[0-9a-fA-F]++|\d++(?:\.\d++)?+(?:[eE][-+]?\d++)?+)(?!\w)")
+_TRUTH_COLUMNS = (
+    "truth",
+    "bias",
+    "bias_std",
+    "bias_p",
+    "rms_error",
+    "coverage",
+    "coverage_lower",
+    "coverage_upper",
+    "coverage_p",
+)
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """How far the mean of a parameter moves with what is set.
+
+    Attributes
+    ----------
+    parameter, unit : str
+    low, high : float
+        The least and the largest mean of a group.
+    at_low, at_high : mapping
+        What is set in these groups, by setting.
+    stated_std : float
+        Root mean square over the groups.
+    """
+
+    parameter: str
+    unit: str
+    low: float
+    high: float
+    at_low: Mapping[str, Any]
+    at_high: Mapping[str, Any]
+    stated_std: float
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """What a batch found.
+
+    Attributes
+    ----------
+    columns : Columns
+        What the batch varied.
+    cases, data_sets : int
+        Finished cases, and data sets with an estimate; fewer where several starts share one.
+    statuses : DataFrame
+        ``status``, ``cases`` and ``share``, a row each of converged, not converged and failed.
+    failures : DataFrame
+        ``status``, ``message`` with ``#`` in place of numbers, ``undetermined`` (pairs of a `Determined` and the names
+        along a direction, a tuple of them), ``cases``, and ``first``, the number of the first of them; the most
+        frequent first.
+    parameters : DataFrame
+        A row a parameter: its name, ``unit``, and `fmuid.runs.batch.statistics.statistics` over all data sets (what
+        has to do with the truth only where one is known), and ``doubts``, a tuple of
+        `fmuid.runs.batch.statistics.EstimateDoubt`.
+    groups : DataFrame
+        The same for every combination of those settings that have few levels, after columns of the settings and, in
+        ``failed``, how many cases of the group have no estimate; empty where no setting varies.
+    settings : tuple of str
+        The first columns of `groups`.
+    optima : DataFrame
+        Where starts vary, a row an optimum, numbered in each data set by how well it fits: ``optimum``, ``cases``,
+        ``data_sets``, ``criterion`` (median), ``residual`` (root mean square of the residual against the best's,
+        geometric mean over outputs, median), and where no setting varies the median of each parameter. Empty where
+        starts do not vary.
+    dependences : tuple of Dependence
+        Of the parameters whose mean moves with the settings by more than their stated std.
+    wide : mapping of str to float
+        Where settings have too many levels for groups: how many times their stated std parameters spread, those that
+        do so by more than it.
+    accuracy : mapping of str to int
+        How many cases have which outcome of the check of their simulation (`fmuid.estimation.AccuracyOutcome`),
+        were ``checked`` by simulations of their own, and searched by ``finer`` ones; empty where none was looked at.
+    fits : DataFrame
+        ``output``, ``median`` and ``least`` of its fit over the converged cases, %, and the ``case`` of the least; of
+        outputs whose fit has a meaning.
+    """
+
+    columns: Columns
+    cases: int
+    data_sets: int
+    statuses: pd.DataFrame
+    failures: pd.DataFrame
+    parameters: pd.DataFrame
+    groups: pd.DataFrame
+    settings: tuple[str, ...]
+    optima: pd.DataFrame
+    dependences: tuple[Dependence, ...]
+    wide: Mapping[str, float]
+    accuracy: Mapping[str, int] = field(default_factory=dict)
+    fits: pd.DataFrame = field(default_factory=pd.DataFrame)
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the truth of any parameter is known."""
+        return "truth" in self.parameters
+
+    @property
+    def most(self) -> int:
+        """The largest number of estimates of a parameter."""
+        return int(self.parameters["cases"].max()) if len(self.parameters) else 0
+
+    @property
+    def few(self) -> bool:
+        """Whether there are so few estimates that their spread says little of their stated std."""
+        return self.most == 1 or (1 < self.most < FEW_CASES and bool(self.parameters["ratio"].notna().any()))
+
+    @property
+    def rivals(self) -> bool:
+        """Whether optima with other values than the best fit equally well."""
+        return len(self.optima) > 1 and bool((self.optima["residual"].iloc[1:] < 1.0 + EQUAL_FIT_SHARE).any())
+
+
+def summarize(
+    frame: pd.DataFrame,
+    truth: Mapping[str, float] | None = None,
+    units: Mapping[str, str | None] | None = None,
+    *,
+    given_noise: bool = False,
+    failures: pd.DataFrame | None = None,
+) -> Summary:
+    """Summarize the cases of a batch.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        A row a case, as a batch's dataset has them.
+    truth : mapping of str to float, optional
+        Of the parameters, where the measurements were simulated.
+    units : mapping of str to str, optional
+        Of the parameters.
+    given_noise : bool
+        Whether the study gives all noise variances, so that criteria of several starts compare; see
+        `fmuid.runs.batch.statistics.fit_cost`.
+    failures : DataFrame, optional
+        Those of `condensed`, whose frame has no messages.
+    """
+    columns = Columns.of(frame)
+    found = estimates(frame, given_noise=given_noise)
+    truth = {name: value for name, value in (truth or {}).items() if name in columns.parameters}
+    settings = _settings(frame, columns)
+    parameters = doubted(_table(found, columns, truth, units or {}))
+    groups = _groups(frame, found, columns, settings, truth, units or {})
+    optima = _optima(frame, columns, given_noise=given_noise) if columns.starts else pd.DataFrame()
+    moving = [name for name in settings if name != "table"]
+    return Summary(
+        columns,
+        len(frame),
+        len(found),
+        _statuses(frame),
+        _counted([_failures(frame)]) if failures is None else failures,
+        parameters,
+        groups,
+        settings,
+        optima,
+        _dependences(groups, moving) if moving else (),
+        {} if moving else _wide(parameters),
+        _accuracy(frame),
+        _fits(found, columns),
+    )
+
+
+# --- tables
+
+
+def _table(
+    found: pd.DataFrame, columns: Columns, truth: Mapping[str, float], units: Mapping[str, str | None]
+) -> pd.DataFrame:
+    """Return the statistics of every parameter, a row each."""
+    repeated = is_repetition(found, columns)
+    rows: list[dict[str, Any]] = []
+    for name in columns.parameters:
+        values, stds = (found[f"{kind}.{name}"].to_numpy(np.float64) for kind in ("value", "std"))
+        told = statistics(values, stds, truth.get(name, math.nan), repeated=repeated)
+        rows.append({"parameter": name, "unit": units.get(name) or "", **told})
+    table = pd.DataFrame(rows)
+    return table if truth else table.drop(columns=list(_TRUTH_COLUMNS))
+
+
+def _settings(frame: pd.DataFrame, columns: Columns) -> tuple[str, ...]:
+    """Return the settings with few levels, by which the cases are grouped; those of fewest levels come first."""
+    names = [*columns.design, *(name for name in columns.repeats if name == "table")]
+    levels = {name: len(frame[name].unique()) for name in names}
+    chosen: list[str] = []
+    for name in sorted(names, key=lambda name: levels[name]):
+        if 2 <= levels[name] <= MAX_LEVELS and len(frame[[*chosen, name]].drop_duplicates()) <= MAX_GROUPS:
+            chosen.append(name)
+    return tuple(name for name in names if name in chosen)
+
+
+def _groups(
+    frame: pd.DataFrame,
+    found: pd.DataFrame,
+    columns: Columns,
+    settings: tuple[str, ...],
+    truth: Mapping[str, float],
+    units: Mapping[str, str | None],
+) -> pd.DataFrame:
+    if not settings:
+        return pd.DataFrame()
+    names = list(settings)
+    parts = dict(iter(found.groupby(names, dropna=False)))
+    tables = []
+    for key, cases in frame.groupby(names, dropna=False):
+        table = _table(parts.get(key, found.iloc[:0]), columns, truth, units)
+        table.insert(0, "failed", len(cases) - len(converged(cases)))
+        levels: Any = key
+        tables.append(pd.concat([pd.DataFrame([levels] * len(table), columns=names), table], axis=1))
+    return doubted(pd.concat(tables, ignore_index=True))
+
+
+def _dependences(groups: pd.DataFrame, moving: list[str]) -> tuple[Dependence, ...]:
+    found = []
+    for name, rows in groups[groups["cases"] > 0].groupby("parameter", sort=False):
+        stated = math.sqrt(float((rows["stated_std"] ** 2).mean()))
+        low, high = (rows.iloc[i] for i in (rows["mean"].argmin(), rows["mean"].argmax()))
+        if len(rows) > 1 and high["mean"] - low["mean"] > stated:
+            ends = [dict(row[moving]) for row in (low, high)]
+            found.append(Dependence(str(name), low["unit"], low["mean"], high["mean"], ends[0], ends[1], stated))
+    return tuple(found)
+
+
+def _wide(parameters: pd.DataFrame) -> dict[str, float]:
+    rows = parameters[
+        parameters["ratio"].isna() & (parameters["spread"] > parameters["stated_std"]) & (parameters["stated_std"] > 0)
+    ]
+    return dict(zip(rows["parameter"], rows["spread"] / rows["stated_std"], strict=True))
+
+
+def _fits(found: pd.DataFrame, columns: Columns) -> pd.DataFrame:
+    rows = []
+    for output in columns.outputs:
+        known = found.dropna(subset=f"fit.{output}") if f"fit.{output}" in found else found.iloc[:0]
+        if len(known):
+            fits = known[f"fit.{output}"].to_numpy(np.float64)
+            least = int(np.argmin(fits))
+            case = int(known["case"].iloc[least])
+            rows.append({"output": output, "median": float(np.median(fits)), "least": fits[least], "case": case})
+    return pd.DataFrame(rows)
+
+
+def _accuracy(frame: pd.DataFrame) -> dict[str, int]:
+    if "accuracy" not in frame or not (frame["accuracy"] != "").any():
+        return {}
+    outcomes = frame["accuracy"].astype(str).value_counts()
+    counts = {str(outcome): int(count) for outcome, count in outcomes.items() if outcome}
+    return counts | {"checked": int((frame["checked"] > 0).sum()), "finer": int((frame["finer"] > 0).sum())}
+
+
+def _statuses(frame: pd.DataFrame) -> pd.DataFrame:
+    counts = [int((frame["status"] == kind).sum()) for kind in STATUSES]
+    return pd.DataFrame({"status": STATUSES, "cases": counts, "share": np.divide(counts, max(1, len(frame)))})
+
+
+def condensed(dataset: Dataset) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return of each case what a summary and figures need, and `Summary.failures`, with one part in memory at a time.
+
+    Some 10 bytes a number; texts that differ from case to case, but for names of tables, are counted on the way.
+    """
+    parts, failures = [], []
+    for part in dataset.stream([name for name in dataset.schema.names if name in _KIND or name not in NOT_SUMMARIZED]):
+        failures.append(_failures(part))
+        part["status"] = pd.Categorical(part["status"], STATUSES)
+        if "accuracy" in part:
+            part["accuracy"] = pd.Categorical(part["accuracy"], ["", *(each.value for each in AccuracyOutcome)])
+        parts.append(part.drop(columns=[name for name in NOT_SUMMARIZED if name in part]))
+    frame = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=dataset.schema.names)
+    if not frame["case"].is_monotonic_increasing:
+        frame = frame.sort_values("case", ignore_index=True)
+    return frame, _counted(failures)
+
+
+def _failures(frame: pd.DataFrame) -> pd.DataFrame:
+    """Group the messages of cases without an estimate, their numbers left out."""
+    failed = frame[frame["status"] != "converged"]
+    tables = failed["table"] if "table" in failed else [""] * len(failed)
+    told = pd.DataFrame(
+        {
+            "status": failed["status"].astype(str),
+            "message": [_pattern(*pair) for pair in zip(failed["message"].astype(str), tables, strict=True)],
+            "undetermined": [_open(text) for text in failed.get("undetermined", pd.Series("", failed.index))],
+            "case": failed["case"],
+        }
+    )
+    return told.groupby(_KIND, sort=False)["case"].agg(cases="size", first="min").reset_index()
+
+
+def _counted(failures: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return the failures of several parts together, the most frequent first."""
+    told = pd.concat([_NO_FAILURES, *failures], ignore_index=True)
+    grouped = told.groupby(_KIND, sort=False).agg({"cases": "sum", "first": "min"}).reset_index()
+    return grouped.sort_values(["cases", "first"], ascending=[False, True], ignore_index=True)
+
+
+def _open(text: str) -> tuple[tuple[Determined, tuple[str, ...]], ...]:
+    """Return what is not determined by a row, its numbers left out."""
+    return tuple((each.determined, each.names) for each in directions_of(text))
+
+
+def _pattern(message: str, table: str) -> str:
+    """Return a message with ``#`` for numbers and for the name of the case's own table."""
+    if table and table in message:
+        message = re.sub(rf"(?<!\w){re.escape(str(table))}(?!\w)", "#", message)
+    return _NUMBER.sub("#", message)
+
+
+def _optima(frame: pd.DataFrame, columns: Columns, *, given_noise: bool) -> pd.DataFrame:
+    numbers = optimum_numbers(frame, given_noise=given_noise)
+    there = frame[numbers > 0]
+    if there.empty:
+        return pd.DataFrame()
+    # of each case against the best of its data set: ln of the root of the geometric mean of the variances
+    size = 0.5 * fit_cost(there, given_noise=False) / max(1, len(columns.outputs))
+    keys = there[columns.data].assign(optimum=numbers[numbers > 0], size=size)
+    best = keys["size"].where(keys["optimum"] == 1)
+    best = best.groupby([keys[name] for name in columns.data], dropna=False).transform("min") if columns.data else best
+    shown = columns.parameters if is_repetition(frame, columns) else ()  # elsewhere optima lie for other reasons too
+    values = {name: there[f"value.{name}"] for name in shown}
+    told = there[["criterion"]].assign(residual=np.exp(keys["size"] - (best if columns.data else best.min())), **values)
+    grouped = told.groupby(keys["optimum"])
+    sets = keys.drop_duplicates([*columns.data, "optimum"]).groupby("optimum").size()
+    counts = pd.DataFrame({"cases": grouped.size(), "data_sets": sets})
+    return pd.concat([counts, grouped.median()], axis=1).reset_index()

@@ -1,0 +1,352 @@
+"""Where the cases of a batch run: workers of this machine, or of a Dask scheduler that is there already."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import queue
+import subprocess
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import CancelledError
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import dask
+import distributed
+from dask.system import CPU_COUNT
+
+from fmuid.array_types import Indices
+from fmuid.errors import FmuidError, InputError
+from fmuid.processes import MEMORY_KEPT, Child
+from fmuid.runs.batch.local_workers import CALM
+from fmuid.runs.batch.study_package import Parcel
+from fmuid.runs.batch.temporary_folder import scratch_folder
+from fmuid.runs.batch.worker import GroupResult, difference, forget, run_group, versions
+
+# How long a scheduler may take to answer, and to name its first worker, s: Dask's own limit for connecting is 30 s, and
+# who gave a wrong address should not wait so long.
+ANSWER_SECONDS = 10.0
+# So many groups wait or run for each thread of a worker: it goes on while results and the next group travel.
+GROUPS_PER_THREAD = 3
+# A group takes about so long, s: what scheduling it costs, some ms, is nothing beside; what its loss costs, little.
+GROUP_SECONDS = 3.0
+# Cases of a group, however short each is: their rows are small beside `GROUP_MB`.
+MOST_GROUP_CASES = 5000
+# Records of a group, MB: it waits in the memory of the scheduler.
+GROUP_MB = 16.0
+# A group whose worker ended more often than the first is taken apart: five times by chance is a machine that fails; and
+# a case alone that does so again, so many times after the group, is given up.
+MOST_WORKER_ENDS = 5
+MOST_LOSSES = 1
+# The workers of this machine that end within `ANSWER_SECONDS` are started so often again in a row: what takes memory
+# from them for a moment ends no batch.
+MOST_RESTARTS = 12
+# How often the state of the cluster is looked at, and what waits for results told that there are none, s.
+# Both cost a message at most, and are soon enough for a person who watches.
+LOOK_SECONDS, TICK_SECONDS = 1.0, 0.25
+
+DASK: Any = distributed
+"""Dask, parts of which have no types."""
+Client: TypeAlias = Any
+Future: TypeAlias = Any
+RecordOf = Callable[[int], dict[str, bytes]]
+Results = Generator[GroupResult | None, None, None]
+
+
+class GroupSizes:
+    """How many cases a group has: one at first, then as many as take `GROUP_SECONDS`, fewer towards the end."""
+
+    def __init__(self) -> None:
+        self._size, self._seconds = 1, float("inf")
+
+    def learn(self, count: int, seconds: float) -> None:
+        """Take note of how long a group of `count` cases took, s."""
+        each = seconds / count
+        self._seconds = min(each, 0.5 * (each + self._seconds))  # the first of a worker are slow
+        fitting = int(GROUP_SECONDS / max(self._seconds, 1e-9))
+        self._size = max(1, min(fitting, MOST_GROUP_CASES, max(self._size, 2 * count)))
+
+    def next(self, left: int, threads: int) -> int:
+        """Return the size of the next group where so many cases are left for so many threads."""
+        return max(1, min(self._size, left // (2 * threads)))
+
+
+class Crew:
+    """The workers that a batch has.
+
+    Parameters
+    ----------
+    client : Client
+        Connected to their scheduler.
+    address : str
+        Of the scheduler, for messages.
+    local : _LocalWorkers or None
+        What keeps workers of this machine; None where the scheduler has its own.
+
+    Attributes
+    ----------
+    dashboard : str
+        Address of the page on which Dask shows what a scheduler's workers do; "" where there is none.
+    """
+
+    def __init__(self, client: Client, address: str, local: _LocalWorkers | None) -> None:
+        self._client, self._local, self._address = client, local, address
+        self.dashboard = "" if local is not None else str(client.dashboard_link or "")
+        self._looked, self.threads = 0.0, 0
+        self._flying: dict[Future, list[int]] = {}
+        self._done: queue.SimpleQueue[Future] = queue.SimpleQueue()
+        self._killed: dict[int, int] = {}
+
+    def run(self, parcel: Parcel, cases: Indices, record_of: RecordOf) -> Results:
+        """Run cases in groups, and give what comes back in the order in which it does; None now and then in between.
+
+        Parameters
+        ----------
+        parcel : Parcel
+        cases : (M,) array
+        record_of : callable
+            Returns name and content of the record that a case needs.
+
+        Raises
+        ------
+        InputError
+            If a worker is not like this process, or a record has changed.
+        FmuidError
+            If the scheduler is lost.
+        """
+        try:
+            yield from self._run(parcel, cases, record_of)
+        finally:
+            with contextlib.suppress(Exception):  # a scheduler that is lost has its workers forget by itself
+                if self._local is None and self._client.status == "running":
+                    self._client.run(forget, parcel.token)
+
+    def _run(self, parcel: Parcel, cases: Indices, record_of: RecordOf) -> Results:
+        with self._watched():
+            shipped = self._client.submit(_as_it_is, parcel, pure=False)
+        left, sizes, position = deque[list[int]](), GroupSizes(), 0
+        while position < len(cases) or left or self._flying:
+            self._look()
+            threads = max(self.threads, 1)
+            while (position < len(cases) or left) and len(self._flying) < GROUPS_PER_THREAD * threads:
+                if left:
+                    self._submit(shipped, *_gather(left.popleft(), record_of))
+                    continue
+                most = sizes.next(len(cases) - position, threads)
+                group, records = _gather(cases[position : position + most].tolist(), record_of)
+                self._submit(shipped, group, records)
+                position += len(group)
+            try:
+                future = self._done.get(timeout=TICK_SECONDS)
+            except queue.Empty:
+                yield None
+                continue
+            group = self._flying.pop(future)
+            found = self._result(future, group)
+            if found is None:
+                left.extend([case] for case in group)
+                continue
+            if found.seconds > 0:
+                sizes.learn(len(group), found.seconds)
+            yield found
+
+    def _submit(self, shipped: Future, group: list[int], records: dict[str, bytes]) -> None:
+        with self._watched():
+            future = self._client.submit(run_group, shipped, group, records, pure=False)
+        self._flying[future] = group
+        future.add_done_callback(self._done.put)
+
+    def _result(self, future: Future, group: list[int]) -> GroupResult | None:
+        """Return what a group gave; None where it is to be run again, case by case."""
+        with self._watched():
+            error = future.exception()
+        if error is None:
+            with self._watched():
+                found: GroupResult = future.result()
+            return found
+        if not isinstance(error, DASK.KilledWorker):
+            raise error
+        for case in group:
+            self._killed[case] = self._killed.get(case, 0) + 1
+        if len(group) > 1 or self._killed[group[0]] <= MOST_LOSSES:
+            return None
+        return GroupResult(given_up=(group[0],))
+
+    def _look(self) -> None:
+        """See how many threads there are, and that there is still a scheduler."""
+        if self._local is not None:
+            self._local.look()
+        if time.monotonic() - self._looked < LOOK_SECONDS:
+            return
+        with self._watched():
+            self.threads = int(self._client.scheduler_info(n_workers=0)["total_threads"])
+        self._looked = time.monotonic()
+
+    @contextlib.contextmanager
+    def _watched(self) -> Iterator[None]:
+        """Have whatever a lost scheduler leads to be one sentence."""
+        lost = FmuidError(
+            f"the scheduler at {self._address} was lost: the cases finished so far are kept, give the same command to "
+            "go on once there is a scheduler again"
+        )
+        try:
+            yield
+        except (OSError, TimeoutError, CancelledError):
+            raise lost from None
+        if self._client.status != "running":
+            raise lost
+
+
+class _LocalWorkers:
+    """Keeps the process that keeps workers of this machine."""
+
+    def __init__(self, address: str, count: int, folder: Path, locks: Sequence[int] = ()) -> None:
+        self._address, self._count, self._folder, self._locks = address, count, folder, locks
+        self._log = folder / "log.txt"
+        self._starts = 0
+        self._start()
+
+    def _start(self) -> None:
+        self._folder.mkdir(mode=0o700, exist_ok=True)
+        self._starts, self._started = self._starts + 1, time.monotonic()
+        with self._log.open("ab") as log:
+            self._process = Child(
+                "fmuid.runs.batch.local_workers",
+                *(self._address, str(self._count), str(self._folder)),
+                environment={"OMP_NUM_THREADS": "1", **MEMORY_KEPT},
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                pass_fds=self._locks,  # the folder is in use as long as this process or that one lives
+            )
+
+    def look(self) -> None:
+        """Start the process again where something has ended it."""
+        if self._process.running:
+            return
+        if time.monotonic() - self._started > ANSWER_SECONDS:
+            self._starts = 0
+        if self._starts > MOST_RESTARTS:
+            said = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
+            reason = next((line.strip() for line in reversed(said) if "Error: " in line), "they do not say why")
+            raise FmuidError(f"the workers end as soon as they begin: {reason}")
+        self.close()
+        self._start()
+
+    def close(self) -> None:
+        """End the process, and with it the workers and all that they have started."""
+        self._process.end(ANSWER_SECONDS)
+
+
+@contextlib.contextmanager
+def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[Crew]:
+    """Give the workers of a scheduler, or of this machine, for the time of a batch.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address, as in ``tcp://host:8786``; default: workers of this machine.
+    workers : int, optional
+        How many there are of this machine; default: one a core.
+
+    Raises
+    ------
+    InputError
+        If the scheduler cannot be reached, has no workers, or they are not like this process.
+    """
+    with _quiet(), contextlib.ExitStack() as stack:
+        if scheduler is not None:
+            client = stack.enter_context(_client(scheduler))
+            _check(client, scheduler)
+            yield Crew(client, scheduler, None)
+            return
+        folder, locks = stack.enter_context(scratch_folder())
+        stack.enter_context(dask.config.set({"temporary-directory": str(folder)} | CALM))
+        options = {"host": "127.0.0.1", "port": 0, "dashboard": False, "dashboard_address": "127.0.0.1:0"}
+        options["allowed_failures"] = MOST_WORKER_ENDS
+        cluster = stack.enter_context(
+            DASK.SpecCluster(workers={}, scheduler={"cls": DASK.Scheduler, "options": options})
+        )
+        _quieten(cluster)
+        client = stack.enter_context(_client(cluster.scheduler_address))
+        local = _LocalWorkers(cluster.scheduler_address, workers or CPU_COUNT, folder, locks)
+        stack.callback(local.close)
+        yield Crew(client, cluster.scheduler_address, local)
+
+
+@contextlib.contextmanager
+def _client(address: str) -> Iterator[Client]:
+    try:
+        client = DASK.Client(address, timeout=ANSWER_SECONDS, set_as_default=False)
+    except (OSError, TimeoutError, ValueError, RuntimeError) as error:
+        raise InputError(
+            f"there is no Dask scheduler at {address} ({(str(error).splitlines() or ['no answer'])[0]}): check the "
+            "address, as in tcp://host:8786, and that it runs"
+        ) from None
+    _quieten(client)
+    try:
+        yield client
+    finally:
+        client.close(timeout=2)
+
+
+def _check(client: Client, address: str) -> None:
+    """Check that a scheduler has workers, and that they and it run what this process runs."""
+    until = time.monotonic() + ANSWER_SECONDS
+    while not client.scheduler_info(n_workers=0)["n_workers"]:
+        if time.monotonic() > until:
+            raise InputError(f"the scheduler at {address} has no workers: start some, as in dask worker {address}")
+        time.sleep(TICK_SECONDS)
+    found: dict[str, Any] = client.get_versions(packages=["fmuid"])
+    here = versions()
+    sides = {f"the scheduler at {address}": found["scheduler"]}  # which reads what it passes on
+    sides |= {f"the worker {name}": each for name, each in found["workers"].items()}
+    for name, theirs in sides.items():
+        said = difference(here, (theirs or {}).get("packages", {}))
+        if said:
+            raise InputError(f"{name} {said}")
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask's own log lines and warnings, which are about its inside, off the terminal."""
+    # Its loop speaks through tornado: a call that is interrupted before the loop has taken it up is cancelled by a name
+    # that does not exist yet (`distributed.utils.sync`).
+    # Dask gives some of its loggers levels and handlers of their own, which their parents' do not change.
+    names = ["distributed", *(name for name in logging.root.manager.loggerDict if name.startswith("distributed."))]
+    loggers = [logging.getLogger(name) for name in (*names, "tornado.application")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings(), dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+def _quieten(part: Any) -> None:
+    """Keep off the terminal what asyncio says of tasks of Dask's loop, now or when they are collected at the end."""
+    part.loop.asyncio_loop.set_exception_handler(lambda _loop, _context: None)
+
+
+def _gather(cases: Sequence[int], record_of: RecordOf) -> tuple[list[int], dict[str, bytes]]:
+    """Return the first of some cases, and the records that they need: as many as may wait in memory."""
+    group: list[int] = []
+    records: dict[str, bytes] = {}
+    for case in cases:
+        new = record_of(case)
+        if group and sum(map(len, (records | new).values())) > GROUP_MB * 1e6:
+            break
+        records |= new
+        group.append(case)
+    return group, records
+
+
+def _as_it_is(parcel: Parcel) -> Parcel:
+    """Return a parcel: what a scheduler can have done anew, unlike data laid down, is not lost with a worker."""
+    return parcel

@@ -1,0 +1,105 @@
+"""Measured against simulated outputs of an experiment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from fmuid.array_types import Flags, Floats
+
+if TYPE_CHECKING:
+    from fmuid.data import Experiment
+    from fmuid.models import System
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Measured against simulated outputs of one experiment.
+
+    Attributes
+    ----------
+    experiment : str
+        Its name.
+    times : ndarray (K,)
+        Time, s.
+    outputs, units : tuple of str
+        Output variables and the units of what is compared, those of the table.
+    measured, simulated : ndarray (K, n_outputs)
+        NaN where an output was not measured.
+    counted : ndarray of bool (K, n_outputs)
+        The samples that take part in the criterion.
+    """
+
+    experiment: str
+    times: Floats
+    outputs: tuple[str, ...]
+    units: tuple[str | None, ...]
+    measured: Floats
+    simulated: Floats
+    counted: Flags
+
+    @property
+    def fit(self) -> tuple[float, ...]:
+        """The fit of each output, % (`nrmse_fit`), over the counted samples."""
+        return tuple(nrmse_fit([pair]) for pair in self._counted_pairs)
+
+    @property
+    def rmse(self) -> tuple[float, ...]:
+        """Root mean square of measured − simulated of each output, in `units`, over the counted samples."""
+        return tuple(root_mean_square(*pair) for pair in self._counted_pairs)
+
+    @property
+    def _counted_pairs(self) -> list[tuple[Floats, Floats]]:
+        columns = zip(self.measured.T, self.simulated.T, self.counted.T, strict=True)
+        return [(measured[counted], simulated[counted]) for measured, simulated, counted in columns]
+
+    def simulated_frame(self) -> pd.DataFrame:
+        """Return the columns ``time`` and each output."""
+        return pd.DataFrame({"time": self.times, **dict(zip(self.outputs, self.simulated.T, strict=True))})
+
+
+def nrmse_fit(pairs: Sequence[tuple[Floats, Floats]]) -> float:
+    """Return the NRMSE fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖) of one output, %, as `compare` of MATLAB has it.
+
+    100 is a perfect simulation, 0 one that is no better than the mean.
+
+    Parameters
+    ----------
+    pairs : sequence of ((n,) array, (n,) array)
+        Counted samples, measured y and simulated ŷ, of each experiment with its own mean ȳ.
+
+    Returns
+    -------
+    float
+        NaN where the measured output is constant: a fit has no meaning there.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable simulation: −infinite
+        error = math.hypot(*(float(np.linalg.norm(y - simulated)) for y, simulated in pairs))
+        moving = [y - y.mean() for y, _ in pairs if y.size and np.ptp(y) > 0.0]
+        spread = math.hypot(*(float(np.linalg.norm(each)) for each in moving))
+    return 100.0 * (1.0 - error / spread) if spread > 0.0 else math.nan
+
+
+def root_mean_square(measured: Floats, simulated: Floats) -> float:
+    """Return the root mean square of measured − simulated (n,), NaN without any."""
+    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable simulation: infinite
+        size = float(np.linalg.norm(measured - simulated))
+    return size / math.sqrt(measured.size) if measured.size else math.nan
+
+
+def fit_of(system: System, experiment: Experiment, simulated: Floats) -> Fit:
+    """Set the outputs (K, n_outputs) that a system gives in an experiment beside the measured ones."""
+    names = experiment.output_names
+    units = tuple(experiment.units.get(name, system.unit(name)) for name in names)
+    return Fit(experiment.name, experiment.times, names, units, experiment.output_values, simulated, experiment.counted)
+
+
+def parameter_units(system: System, names: Sequence[str]) -> tuple[str | None, ...]:
+    """Return the unit of each parameter; one per experiment is named ``variable[experiment]``."""
+    variables = system.variables
+    return tuple(variables[name if name in variables else name.rpartition("[")[0]].unit for name in names)

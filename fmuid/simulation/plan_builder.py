@@ -1,0 +1,190 @@
+"""The calls that the core makes, gathered one after the other, with the signals and references that they need."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from fmuid.models import Connection, System
+from fmuid.simulation import core_constants as codes
+from fmuid.simulation.core_constants import BOOLEAN, FLOAT64, INT32, UINT8, WIRES
+from fmuid.simulation.simulation_plan import FeedThrough, Operation
+from fmuid.simulation.task import Task
+
+Outputs = tuple[list[int], list[int]]
+"""The signals that are summed to outputs, and where among them those of each output begin, and the end."""
+
+
+@dataclass
+class Operations:
+    """What is gathered for a `Plan`; its methods append to it and return signals."""
+
+    task: Task
+    signals: list[float] = field(default_factory=list)
+    references: list[int] = field(default_factory=list)
+    calls: list[Operation] = field(default_factory=list)
+    texts: list[bytes] = field(default_factory=list)
+    conversions: list[tuple[float, float]] = field(default_factory=list)
+    loops: list[FeedThrough] = field(default_factory=list)
+
+    def number(self, component: str) -> int:
+        """Return the number of a component."""
+        return list(self.task.system.components).index(component)
+
+    def transfer(self, names: Sequence[str], *, setting: bool, when: Mapping[str, int] | None = None) -> list[int]:
+        """Append one call for each component, type and time of setting; return the signal of each name, in order."""
+        slots: dict[str, int] = {}
+        for (component, wire, moment), group in self._grouped(names, setting, when).items():
+            first, references = len(self.signals), []
+            for name in group:
+                if name not in slots:
+                    references.append(self.task.system.variables[name].reference)
+                    slots |= self._allot(name)
+            self.call(component, wire, setting, references, first, moment)
+        return [slots[name] for name in names]
+
+    def _allot(self, name: str) -> dict[str, int]:
+        """Return the signals of a variable, for one element of an array those of all, holding their start values."""
+        elements, first = self.task.elements(name), len(self.signals)
+        self.signals += [self.task.start(element) for element in elements]
+        return {element: first + i for i, element in enumerate(elements)}
+
+    def call(self, component: str, wire: str, setting: bool, references: Sequence[int], first: int, when: int) -> None:
+        """Append a call that sets or gets the signals from `first` on."""
+        place = WIRES.index(wire)
+        version = self.task.system.components[component].fmu.description.major_version
+        passed = place if place != BOOLEAN else INT32 if version == 2 else UINT8
+        self.calls.append(
+            Operation(
+                place if setting else codes.N_WIRES + place,
+                self.number(component),
+                len(self.references),
+                len(references),
+                first,
+                len(self.signals) - first if wire != "String" else len(references),
+                passed,
+                when,
+            )
+        )
+        self.references.extend(references)
+
+    def _grouped(
+        self, names: Sequence[str], setting: bool, when: Mapping[str, int] | None
+    ) -> dict[tuple[str, str, int], list[str]]:
+        groups: dict[tuple[str, str, int], list[str]] = defaultdict(list)
+        if when is None:
+            when = {name: self.task.when(name, connected=False) for name in names if setting}
+        for name in names:
+            wire = self.task.system.variables[name].wire
+            groups[self.task.system.split(name)[0], wire, when.get(name, codes.ALWAYS)].append(name)
+        return groups
+
+    def pass_on(self, connections: Iterable[Connection]) -> tuple[int, list[int]]:
+        """Append gets, copies and sets; return where the sets begin, and the signals of the inputs."""
+        group, name = list(connections), self.task.system.full_name
+        pairs = [(name(*c.source), name(*c.target)) for c in group]
+        sources = list(dict.fromkeys(source for source, _ in pairs))
+        got = dict(zip(sources, self.transfer(sources, setting=False), strict=True))
+        at = len(self.calls)
+        targets = [target for _, target in pairs]
+        when = {each: self.task.when(each, connected=True) for each in targets}
+        slots = self.transfer(targets, setting=True, when=when)
+        copies = []
+        for connection, (source, _), slot in zip(group, pairs, slots, strict=True):
+            copies.append(Operation(codes.COPY, 0, got[source], len(self.conversions), slot, 1, 0))
+            self.conversions.append((connection.factor, connection.offset))
+        self.calls[at:at] = copies
+        return at + len(copies), slots
+
+
+def start_values(to: Operations) -> list[int]:
+    """Append what sets the values before the initialisation; return the signals of the parameters."""
+    task, variables = to.task, to.task.system.variables
+    numbers = [name for name in task.values if variables[name].type != "String"]
+    slots = to.transfer([*numbers, *task.parameters], setting=True, when={})
+    for name, slot in zip(numbers, slots, strict=False):
+        to.signals[slot] = float(task.values[name])
+    for name, value in task.values.items():
+        if variables[name].type == "String":
+            to.texts.append(str(value).encode())
+            component, _ = task.system.split(name)
+            to.call(component, "String", True, [variables[name].reference], len(to.texts) - 1, codes.ALWAYS)
+    return slots[len(numbers) :]
+
+
+def exchange(to: Operations) -> list[tuple[int, int]]:
+    """Append what passes outputs on; return the groups of `Plan`."""
+    groups = []
+    for group, is_loop in to.task.system.exchange_order:
+        first = len(to.calls)
+        setting, slots = to.pass_on(group)
+        if is_loop:
+            groups.append((-1, len(to.loops)))
+            words = " -> ".join(to.task.system.full_name(*connection.target) for connection in group)
+            nominals = tuple(_nominal(to.task.system, connection) for connection in group)
+            to.loops.append(FeedThrough(first, setting, len(to.calls), tuple(slots), nominals, words))
+        else:
+            groups.append((first, len(to.calls)))
+    return groups
+
+
+def _nominal(system: System, connection: Connection) -> float:
+    """Return the nominal value of an input: as stated there, or at the output that feeds it; else 0."""
+    of_input, of_output = (
+        system.variables[system.full_name(*end)].nominal for end in (connection.target, connection.source)
+    )
+    stated = abs(of_input or connection.factor * (of_output or 0.0))
+    return stated if math.isfinite(stated) else 0.0
+
+
+def exchange_after(to: Operations, component: str) -> None:
+    """Append what passes the outputs of a component on to those that step after it (Gauss–Seidel)."""
+    later = list(to.task.system.components)[to.number(component) + 1 :]
+    to.pass_on([c for c in to.task.system.connections if c.source[0] == component and c.target[0] in later])
+
+
+def outputs(to: Operations) -> Outputs:
+    """Append what gets the outputs of the experiment."""
+    terms, found = _terms(to.task)
+    slots = dict(zip(found, to.transfer(found, setting=False), strict=True))
+    return [slots[term] for some in terms for term in some], [0, *itertools.accumulate(map(len, terms))]
+
+
+def outputs_with_sensitivities(to: Operations, count: int) -> Outputs:
+    """Append what gets the outputs, and after them their sensitivities to a number of parameters, by parameters."""
+    slots, bounds = outputs(to)
+    terms, found = _terms(to.task)
+    first, size = len(to.signals), count * len(found)
+    to.signals += [0.0] * size
+    to.calls.append(Operation(codes.SENSITIVITIES, 0, len(to.references), len(found), first, size, FLOAT64))
+    to.references += [to.task.system.variables[term].reference for term in found]
+    for j in range(count):
+        for some in terms:
+            slots += [first + j * len(found) + found.index(term) for term in some]
+            bounds.append(len(slots))
+    return slots, bounds
+
+
+def _terms(task: Task) -> tuple[list[list[str]], list[str]]:
+    """Return the variables whose sum each output is, and all of them once."""
+    terms = [task.system.terms(name) for name in task.experiment.output_names]
+    return terms, list(dict.fromkeys(term for some in terms for term in some))
+
+
+def input_slopes(to: Operations) -> list[int]:
+    """Append what sets derivatives of inputs; return the signals of the slopes of all inputs."""
+    unused = len(to.signals)  # where the slopes of the inputs go that are given none
+    to.signals.append(0.0)
+    slots = dict.fromkeys(to.task.targets, unused)
+    linear = [name for name, mode in to.task.modes.items() if mode == codes.BY_DERIVATIVE]
+    first = len(to.calls)
+    found = to.transfer(linear, setting=True, when={})
+    for i in range(first, len(to.calls)):
+        to.calls[i] = to.calls[i]._replace(function=codes.SET_DERIVATIVES)
+    slots.update(zip(linear, found, strict=True))
+    for slot in found:
+        to.signals[slot] = 0.0
+    return list(slots.values())

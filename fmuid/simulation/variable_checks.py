@@ -1,0 +1,113 @@
+"""Checks that a system's variables suit their roles: inputs and outputs of an experiment, parameters, values."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fmuid.data import Experiment
+from fmuid.errors import InputError
+from fmuid.formatting import nearest
+from fmuid.models import System, Variable
+from fmuid.models import Value as Value
+
+
+def column_conversion(system: System, name: str, unit: str) -> tuple[float, float]:
+    """Return (factor, offset) such that value in the variable's unit = factor * value in `unit` + offset."""
+    component, inner = system.split(system.terms(name)[0])
+    description = system.components[component].fmu.description
+    return description.conversion(description.variables[inner], unit)
+
+
+def check_roles(system: System, experiment: Experiment, parameters: Sequence[str], values: Mapping[str, Value]) -> None:
+    """Check that every name exists and suits its role.
+
+    Raises
+    ------
+    InputError
+        One sentence that names the variable, what is wrong with it, and the nearest names or the remedy.
+    """
+    for name in experiment.input_names:
+        variable = _with_causality(system, name, "input", ("input",), experiment.source)
+        if name in system.connected_inputs:
+            raise InputError(f"input {name!r} is fed by a connection; take it out of the inputs of {experiment.source}")
+        if name in parameters or name in values:
+            raise InputError(f"{name!r} is an input from {experiment.source}; it cannot also be given a value")
+        if variable.type not in _NUMBERS:
+            raise InputError(f"input {name!r} is a {variable.type}; only numbers can come from a table")
+    for name in experiment.output_names:
+        _check_output(system, name, experiment.source)
+    for name in parameters:
+        variable = system.variable(name, "parameter")
+        if variable.type != "Real":
+            raise InputError(f"{name!r} is of type {variable.type}; only Real parameters can be estimated")
+        _check_settable(system, variable)
+        if name in values:
+            raise InputError(f"{name!r} is both a parameter and held at a value; keep one of the two")
+    for name, value in values.items():
+        _check_value(system, system.variable(name, "variable"), value)
+
+
+_NUMBERS = ("Real", "Integer", "Boolean")
+
+
+def _check_output(system: System, name: str, source: str) -> None:
+    terms = [_with_causality(system, term, "output", ("output", "local"), source) for term in system.terms(name)]
+    for variable in terms:
+        if variable.type not in _NUMBERS:
+            raise InputError(f"output {variable.name!r} is a {variable.type} and cannot be compared with measurements")
+        if variable.unit != terms[0].unit:
+            raise InputError(
+                f"output {name!r} sums different units: {terms[0].name!r} is in {terms[0].unit or 'no unit'} and "
+                f"{variable.name!r} in {variable.unit or 'no unit'}; sum variables of one unit"
+            )
+
+
+def _with_causality(system: System, name: str, role: str, wanted: tuple[str, ...], source: str) -> Variable:
+    variable = system.variable(name, role)
+    if variable.causality not in wanted:
+        same = [v.name for v in system.variables.values() if v.causality == role]
+        raise InputError(
+            f"{name!r} cannot be an {role} of {source}: {system.label} declares it as {variable.causality!r}; "
+            f"its {role}s are {', '.join(same[:12]) or 'none'}{', ...' if len(same) > 12 else ''}"
+        )
+    return variable
+
+
+def _check_settable(system: System, variable: Variable) -> None:
+    if variable.name in system.connected_inputs:
+        raise InputError(f"{variable.name!r} is fed by a connection and cannot be set")
+    if not variable.settable:
+        parameters = [v.name for v in system.variables.values() if v.causality == "parameter" and v.settable]
+        raise InputError(
+            f"{variable.name!r} cannot be set: {system.label} fixes it (causality {variable.causality!r}, variability "
+            f"{variable.variability!r}); set one of its parameters{nearest(variable.name, parameters)}"
+        )
+
+
+def _check_value(system: System, variable: Variable, value: Value) -> None:
+    _check_settable(system, variable)
+    fits = {
+        "Binary": False,
+        "Clock": False,
+        "Real": isinstance(value, int | float) and not isinstance(value, bool),
+        "Integer": isinstance(value, int) and not isinstance(value, bool),
+        "Boolean": isinstance(value, bool),
+        "String": isinstance(value, str),
+    }[variable.type]
+    if not fits:
+        raise InputError(f"{variable.name!r} is of type {variable.type} and cannot be held at {value!r}")
+    if variable.type in ("Real", "Integer") and not _in_range(value, variable.wire):
+        raise InputError(
+            f"{variable.name!r} cannot be held at {value!r}; give a finite number that fits its type {variable.wire}"
+        )
+
+
+def _in_range(value: Value, wire: str) -> bool:
+    """Return whether a number fits an FMI 3.0 type."""
+    if wire.startswith("Float"):
+        return -sys.float_info.max <= value <= sys.float_info.max  # type: ignore[operator]  # no text gets here
+    limits = np.iinfo(wire.lower())
+    return limits.min <= value <= limits.max  # type: ignore[operator]

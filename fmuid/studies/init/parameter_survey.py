@@ -1,0 +1,391 @@
+"""Which parameters are worth to be freed: what each changes at the FMU's own values, and which can be told apart.
+
+The columns of one Jacobian, for relative changes of the parameters and in the spread of each measured output, are
+taken one by one, the one first of which the most is left once those before it are projected out: QR with column
+pivoting (G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed., section 5.4.2, and subset selection, 5.5.7). A
+column of which next to nothing is left acts as others do. Each is judged against the noise of the records: one of which
+less is left than their noise would be estimated with a standard deviation of more than its magnitude.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.errors import InputError, SimulationError
+from fmuid.studies.init.start_parameters import direct_effects, started, starts_of
+
+if TYPE_CHECKING:
+    from fmuid.data import Experiment
+    from fmuid.identification import TimeScaleDoubt
+    from fmuid.models import Description, System, Variable
+
+STEP = 1e-3
+"""Relative change of a parameter: short against the curvature, long against the tolerance of integrators."""
+SHOWN_CHANGE = 0.1
+"""The relative change whose effect is shown."""
+APART = 0.01
+"""A parameter of whose effect less than this share is its own is not proposed."""
+STARTS_OFF = 4.0
+"""Standard deviations of the noise by which a first sample must differ before start values are freed ..."""
+STARTS_FLOOR = 1e-3
+"""... and the share of an output's spread, where there is hardly noise."""
+FAR_OFF = 300.0
+"""So many times as far, or as little, as was measured: a thousand is milli, and models are rarely that far off."""
+LEAST_NOISE = 1e-4
+"""Share of an output's spread that counts as noise at least: the solver's error may be as large."""
+MOST_FREED, MOST_LOOKED_AT = 12, 200
+# Settings of solvers that tools put among the parameters.
+_SOLVER = re.compile(r"^_|(^|[._])(nle|solver|tol|tolerance|[ar]tol|eps|max_?iter\w*|step_?size|log\w*)([._]|$)", re.I)
+# Quantities with a sign or an origin that are chosen by whoever measures.
+_SIGNED = ("degC", "°C", "degF", "rad", "deg")
+_PLACE = re.compile(r"position|offset|bias|(^|[._])flange|\[\d+, ?\d", re.I)  # or of a matrix, which is no quantity
+
+
+class Use(Enum):
+    """What is proposed for a parameter."""
+
+    FREED = "freed"
+    START_FREED = "start_freed"
+    """A start value, freed because the records begin elsewhere."""
+    START_OPEN = "start_open"
+    """A start value, freed because the model has no input, or nothing else acts: it does what it begins with."""
+    START = "start"
+    """A start value, which the records do not contradict."""
+    NO_EFFECT = "no_effect"
+    ALIKE = "alike"
+    """It acts as others do."""
+    NOISE = "noise"
+    """What it does, or of that what others do not, is less than the noise of the records."""
+    ZERO = "zero"
+    """It is 0 in the FMU: most often something that is not there."""
+    FAILS = "fails"
+    """The simulation fails when it is changed."""
+    ENOUGH = "enough"
+    """There are as many free ones as can be looked over."""
+
+
+FREE = (Use.FREED, Use.START_FREED, Use.START_OPEN)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A parameter, and what is proposed for it.
+
+    Attributes
+    ----------
+    variable : Variable
+    use : Use
+    start : float
+        Where the search is to begin.
+    effect : float
+        Root mean square of what a change by `SHOWN_CHANGE` changes, in spreads of the outputs.
+    like : tuple of str
+        The parameters that act as it does.
+    """
+
+    variable: Variable
+    use: Use
+    start: float
+    effect: float = 0.0
+    like: tuple[str, ...] = ()
+
+
+_PROPOSALS = {
+    Use.FREED: "free",
+    Use.START_FREED: "free: the records begin elsewhere",
+    Use.START_OPEN: "free: all begins with it",
+    Use.NOISE: "lost in the noise",
+    Use.START: "a start value that the records do not contradict",
+    Use.NO_EFFECT: "no effect",
+    Use.ZERO: "0 in the FMU: free it by hand where it is something",
+    Use.FAILS: "the simulation fails when it is changed",
+    Use.ENOUGH: "others change more",
+}
+
+
+def proposal(given: Candidate) -> str:
+    """Return what is proposed for a parameter in words, for the study file and the terminal."""
+    return f"acts like {' and '.join(given.like)}" if given.use is Use.ALIKE else _PROPOSALS[given.use]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What the parameters change, the strongest first.
+
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+    doubts : tuple of TimeScaleDoubt
+        The records that last much longer or shorter than what the model does.
+    sizes : tuple of (str, str, float)
+        The measured columns, each with its table, than which the model moves `FAR_OFF` times as far, or as little.
+    failure : str
+        Why there are none: the simulation that failed, empty where none did.
+    """
+
+    candidates: tuple[Candidate, ...] = ()
+    doubts: tuple[TimeScaleDoubt, ...] = ()
+    sizes: tuple[tuple[str, str, float], ...] = ()
+    failure: str = ""
+    names: frozenset[str] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", frozenset(each.variable.name for each in self.candidates))
+
+    @property
+    def freed(self) -> tuple[Candidate, ...]:
+        """Those that are proposed."""
+        return tuple(each for each in self.candidates if each.use in FREE)
+
+
+def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
+    """Simulate experiments at the FMU's own values, change one parameter after the other, and propose what to free.
+
+    The FMU runs in a process of its own. A simulation that fails ends nothing, and neither does an FMU or a table that
+    do not go together: `Survey.failure` says it.
+    """
+    from fmuid.models import KINDS, Isolation, Numerics, System, read_description
+
+    failure, description = "", read_description(fmu)
+    # solvers inside FMUs are often too coarse for differences, so model exchange goes first
+    for interface in sorted(set(KINDS) & set(description.interfaces), reverse=True):
+        try:
+            with System(fmu, numerics=Numerics(interface), isolation=Isolation()) as system:
+                return _surveyed(system, description, experiments)
+        except (InputError, SimulationError) as error:
+            failure = str(error)
+    return Survey(failure=failure)
+
+
+def _surveyed(system: System, description: Description, experiments: Sequence[Experiment]) -> Survey:
+    from fmuid.identification import doubt_of_time
+    from fmuid.simulation import Simulator
+
+    names = [v.name for v in candidates_of(description)][:MOST_LOOKED_AT]
+    changes = _changes(system, experiments, description, names, {})
+    begun = starts_of(system, experiments[0], description, names, _moved(changes.variables, changes.starts))
+    freed = _freed_starts(changes, begun)
+    if freed:  # what a parameter changes may depend on where the record begins
+        changes = _changes(system, experiments, description, names, freed)
+    doubts = (doubt_of_time(Simulator(system, each), ()) for each in experiments)
+    driven = any(each.input_names for each in experiments)
+    proposed, doubtful = _proposed(changes, begun, freed, driven=driven), tuple(filter(None, doubts))
+    return Survey(proposed, doubtful, changes.sizes if driven else ())
+
+
+def candidates_of(description: Description) -> list[Variable]:
+    """Return the parameters that may be proposed, and the states whose start no parameter fixes."""
+    variables = description.variables.values()
+    parameters = [v for v in variables if v.type == "Real" and v.causality == "parameter" and v.settable]
+    parameters = [v for v in parameters if not is_solver_setting(v) and _number(v.start) is not None]
+    fixed = {started(v, description) for v in parameters}
+    states = [description.variables[name] for name in description.states]
+    return parameters + [v for v in states if v.settable and v.type == "Real" and v.name not in fixed]
+
+
+def is_solver_setting(variable: Variable) -> bool:
+    """Return whether a parameter is one of a tool's solver, and not of what is modelled."""
+    return _SOLVER.search(variable.name) is not None
+
+
+@dataclass(frozen=True, eq=False)
+class _Changes:
+    """Samples (n,) at the FMU's values and how they change (n, N) with each relative change, in spreads of the outputs.
+
+    `weights` (n,) has the spreads in standard deviations of the noise. `first`, `first_changes`: of the outputs that
+    have a first sample, how far the measured ones are from the simulated, (m,), (m, N), and what counts as a
+    difference (m,). `sizes` has the columns of `Survey.sizes`.
+    """
+
+    variables: tuple[Variable, ...]
+    starts: Floats
+    jacobian: Floats
+    weights: Floats
+    first: Floats
+    first_changes: Floats
+    first_limits: Floats
+    sizes: tuple[tuple[str, str, float], ...]
+
+
+def _changes(
+    system: System,
+    experiments: Sequence[Experiment],
+    description: Description,
+    names: Sequence[str],
+    moved_starts: Mapping[int, float],
+) -> _Changes:
+    from fmuid.simulation import Simulator
+
+    variables = tuple(description.variables[name] for name in names)
+    starts = np.array([moved_starts.get(k, _number(v.start) or 0.0) for k, v in enumerate(variables)])
+    thetas = _moved(variables, starts)
+    relative = STEP * np.sign(np.diag(thetas[1:] - starts))
+    rows, weights, first, changed, limits, sizes = [], [], [], [], [], []
+    for experiment in experiments:
+        found = Simulator(system, experiment, names).many(thetas)
+        if found.errors[0] is not None:
+            raise found.errors[0]
+        base, moved = found.outputs[0], found.outputs[1:]
+        direct = direct_effects(system, experiment)
+        for j in range(base.shape[1]):
+            spread = _spread(experiment, j)
+            counted = experiment.counted[:, j]
+            rows.append((moved[:, counted, j] - base[counted, j]).T / (relative * spread))
+            size = float(np.std(base[counted, j])) / spread
+            if size > FAR_OFF or 0.0 < size < 1 / FAR_OFF:
+                sizes.append((experiment.source, experiment.columns[experiment.output_names[j]], size))
+            noise = max(_noise(experiment, j) / spread, LEAST_NOISE)
+            weights.append(np.full(int(counted.sum()), 1.0 / noise))
+            measured = experiment.output_values[0, j]
+            if np.isfinite(measured):
+                first.append((measured - base[0, j]) / spread)
+                changed.append((moved[:, 0, j] - base[0, j]) / (relative * spread))
+                limits.append(max(STARTS_OFF * noise, STARTS_FLOOR) + direct[j] / spread)
+    shape = (len(first), len(names))
+    jacobian, weight = np.vstack(rows), np.concatenate(weights)
+    told = np.array(first), np.array(changed).reshape(shape), np.array(limits)
+    return _Changes(variables, starts, jacobian, weight, *told, tuple(sizes))
+
+
+def _moved(variables: Sequence[Variable], starts: Floats) -> Floats:
+    """Return starts (1 + N, N), and with each of them moved by its step."""
+    return np.vstack([starts, starts + np.diag([_step(v, start) for v, start in zip(variables, starts, strict=True)])])
+
+
+def _proposed(
+    changes: _Changes, begun: Sequence[int], freed: Mapping[int, float], *, driven: bool
+) -> tuple[Candidate, ...]:
+    """Return what is proposed for each variable, the strongest first."""
+    variables, jacobian = changes.variables, changes.jacobian
+    finite = [bool(np.isfinite(column).all()) for column in jacobian.T]
+    columns = np.where(finite, jacobian, 0.0) / math.sqrt(max(len(jacobian), 1))
+    effects = np.sqrt(np.sum(columns**2, axis=0))
+    starts = changes.starts.tolist()
+    uses: list[Use | None] = [
+        Use.FAILS if not finite[k] else Use.NO_EFFECT if effects[k] == 0 else Use.ZERO if starts[k] == 0 else None
+        for k in range(len(variables))
+    ]
+    for k in begun:
+        if uses[k] in (None, Use.ZERO):
+            uses[k] = Use.START_FREED if k in freed else Use.START if driven else None
+    weighted = np.where(finite, jacobian, 0.0) * changes.weights[:, None]
+    likes = _select(columns, effects, uses, list(freed), weighted)
+    for last in (Use.ZERO, Use.START):  # a study without free parameters cannot be identified
+        if not any(use in FREE for use in uses):
+            uses = [None if use is last else use for use in uses]
+            likes = _select(columns, effects, uses, [], weighted)
+    for k in begun:
+        uses[k] = Use.START_OPEN if uses[k] is Use.FREED else uses[k]
+    alike = [tuple(variables[i].name for i in like) for like in likes]
+    found = [
+        Candidate(v, uses[k] or Use.ENOUGH, starts[k], SHOWN_CHANGE * float(effects[k]), alike[k])
+        for k, v in enumerate(variables)
+    ]
+    return tuple(sorted(found, key=lambda each: (each.use not in FREE, -each.effect)))
+
+
+def _freed_starts(changes: _Changes, which: Sequence[int]) -> dict[int, float]:
+    """Return the start values that the first samples contradict, and what they would have to be."""
+    if not which or not (np.abs(changes.first) > changes.first_limits).any():
+        return {}
+    effects = changes.first_changes[:, which]
+    moves: Floats = np.asarray(np.linalg.lstsq(np.nan_to_num(effects), changes.first)[0])
+    acts = [
+        bool((np.abs(effect * move) > changes.first_limits).any())
+        for effect, move in zip(effects.T, moves, strict=True)
+    ]
+    found = {}
+    for k, move in ((k, move) for k, move, act in zip(which, moves.tolist(), acts, strict=True) if act):
+        start = float(changes.starts[k])
+        found[k] = float(f"{start + move * abs(_step(changes.variables[k], start)) / STEP:.4g}")
+    return found
+
+
+def _select(
+    columns: Floats, effects: Floats, uses: list[Use | None], first: Sequence[int], weighted: Floats
+) -> list[list[int]]:
+    """Decide on the parameters on which nothing is decided yet, and return which of the freed ones each acts like.
+
+    `weighted` has the columns in standard deviations of the noise, not divided by the number of samples.
+    """
+    likes: list[list[int]] = [[] for _ in uses]
+    r: Floats = np.asarray(np.linalg.qr(columns, mode="r"))
+    own: Floats = np.asarray(np.linalg.qr(weighted, mode="r"))
+    rest, chosen = r.copy(), list(first)
+    for k in chosen:
+        _project_out(rest, k)
+    while (open_ := [k for k, use in enumerate(uses) if use is None]) and len(chosen) < MOST_FREED:
+        left = np.sqrt(np.sum(rest[:, open_] ** 2, axis=0))
+        k = open_[int(np.argmax(left))]
+        if np.linalg.norm(own[:, k]) < 1.0:
+            uses[k] = Use.NOISE  # its standard deviation would be more than its magnitude
+        elif left.max() < APART * effects[k]:
+            uses[k] = Use.ALIKE
+            shares = np.abs(np.linalg.lstsq(r[:, chosen], r[:, k])[0]) * effects[chosen]
+            likes[k] = [i for i, share in zip(chosen, shares, strict=True) if share > 0.1 * shares.max()]
+        elif np.linalg.norm(_left(own, chosen, k)) < 1.0:
+            uses[k] = Use.NOISE
+        else:
+            uses[k] = Use.FREED
+            chosen.append(k)
+            _project_out(rest, k)
+    return likes
+
+
+def _left(columns: Floats, chosen: Sequence[int], k: int) -> Floats:
+    """Return what of a column others do not explain."""
+    if not chosen:
+        return columns[:, k]
+    return np.asarray(columns[:, k] - columns[:, chosen] @ np.linalg.lstsq(columns[:, chosen], columns[:, k])[0])
+
+
+def _project_out(rest: Floats, k: int) -> None:
+    """Take from all columns what is along one of them."""
+    size = float(np.linalg.norm(rest[:, k]))
+    if size > 0:
+        along = rest[:, k] / size
+        rest -= np.outer(along, along @ rest)
+
+
+def _number(start: object) -> float | None:
+    return float(start) if isinstance(start, int | float) and not isinstance(start, bool) else None
+
+
+def _step(variable: Variable, start: float) -> float:
+    """Return the change of a parameter, to the side that its bounds leave open."""
+    size = STEP * (abs(start) or abs(variable.nominal or 1.0))
+    return -size if variable.max is not None and start + size > variable.max else size
+
+
+def _spread(experiment: Experiment, j: int) -> float:
+    """Return the standard deviation of a measured output, its size where it never changes."""
+    values = experiment.output_values[experiment.counted[:, j], j]
+    return float(np.std(values) or np.abs(values).max() or 1.0)
+
+
+def _noise(experiment: Experiment, j: int) -> float:
+    """Return the standard deviation of a measured output's noise, from the median of its second differences."""
+    values = experiment.output_values[:, j]
+    second = np.diff(values[np.isfinite(values)], 2)
+    return float(np.median(np.abs(second)) / (0.6745 * math.sqrt(6.0))) if second.size else 0.0
+
+
+def bounds(given: Candidate) -> dict[str, float]:
+    """Return min and max of a parameter: the FMU's, else the sign that it has there, where the sign has a meaning."""
+    from fmuid.studies.init.lines import declared_bounds
+
+    variable, start = given.variable, given.start
+    found = declared_bounds(variable, start)
+    signed = (variable.unit or "") in _SIGNED or _PLACE.search(f"{variable.name} {variable.description}")
+    if found or signed or given.use in (Use.START, Use.START_FREED, Use.START_OPEN) or not start:
+        return found
+    return {"min": 0.0} if start > 0 else {"max": 0.0}

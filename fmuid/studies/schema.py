@@ -1,0 +1,124 @@
+"""What the models of a study file say of it: its JSON schema and its reference page.
+
+``python -m fmuid.studies.schema > docs/study-reference.md`` writes the page.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from typing import Annotated, Any, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+from fmuid.studies.section import Kind, Words, entries_of, table_of
+from fmuid.studies.study_file import StudyFile
+from fmuid.studies.toml import show
+
+HEAD = """# The words of the study file
+
+Every table with its keys, as `fmuid` checks them; `fmuid schema` prints the same for editors.
+[The study file](study-file.md) shows how they go together. Paths are relative to the file.
+"""
+
+
+class _Schema(GenerateJsonSchema):
+    """A schema without null, which TOML lacks."""
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON schema of study files, for editors that complete and check TOML by it."""
+    found = StudyFile.model_json_schema(schema_generator=_Schema)
+    return {"$schema": GenerateJsonSchema.schema_dialect, "title": "fmuid study file", **_plain(found)}
+
+
+def _plain(value: Any) -> Any:
+    """Return a part of a schema without what says nothing: made-up titles, and defaults that JSON has no word for."""
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    said = {key: _plain(item) for key, item in value.items() if not (key == "title" and isinstance(item, str))}
+    default = said.get("default", 0)
+    if default is None or default == "" or (isinstance(default, float) and not math.isfinite(default)):
+        del said["default"]
+    return said
+
+
+def reference() -> str:
+    """Return the reference page, in Markdown."""
+    parts = [HEAD]
+    for name, table in _tables(StudyFile, ""):
+        rows = [
+            f"| `{field.alias or key}` | {_cell(_kind(field, name))} | {_cell(_default(field))} | "
+            f"{_cell(field.description or '')} |"
+            for key, field in _own_first(table)
+        ]
+        head = f"## `{name}`\n\n{table.__doc__}\n" if name else "## The file\n"
+        parts.append("\n".join([head, "| key | value | default | meaning |", "| --- | --- | --- | --- |", *rows, ""]))
+    return "\n".join(parts)
+
+
+def _tables(table: type[Words], name: str) -> Iterator[tuple[str, type[Words]]]:
+    yield name, table
+    for key, type_ in table.types().items():
+        below = _below(key, type_, name)
+        if below is not None:
+            yield from _tables(below[1], below[0])
+
+
+def _below(key: str, type_: Any, above: str) -> tuple[str, type[Words]] | None:
+    """Return the table that a key leads to, and its name as it stands in a file."""
+    path = f"{above.strip('[]')}.{key}".lstrip(".")
+    table = table_of(type_)
+    if table is not None:
+        return (f"[[{path}]]" if get_origin(type_) is list else f"[{path}]"), table
+    table = table_of(entries_of(type_)) if entries_of(type_) is not None else None
+    return None if table is None else (f"[{path}.<name>]", table)
+
+
+def _own_first(table: type[Words]) -> list[tuple[str, FieldInfo]]:
+    own = table.__annotations__
+    return sorted(table.model_fields.items(), key=lambda item: item[0] not in own)
+
+
+def _kind(field: FieldInfo, above: str) -> str:
+    below = _below(field.alias or "", field.annotation, above)
+    if below is not None:
+        return "a table"
+    return " or ".join(
+        [each.name for each in field.metadata if isinstance(each, Kind)][-1:] or _kinds(field.annotation)
+    )
+
+
+def _kinds(type_: Any) -> list[str]:
+    """Return the names of the kinds that a type may be of."""
+    if get_origin(type_) is Annotated:
+        own = [each.name for each in type_.__metadata__ if isinstance(each, Kind)]
+        return own[-1:] or _kinds(get_args(type_)[0])
+    return [] if get_origin(type_) in (list, dict) else [name for part in get_args(type_) for name in _kinds(part)]
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "must be given"
+    return "" if field.default in (None, "", [], {}) else f"`{show(field.default)}`"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def schema_text() -> str:
+    """Return the JSON schema as text."""
+    return json.dumps(schema(), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+if __name__ == "__main__":
+    print(reference(), end="")

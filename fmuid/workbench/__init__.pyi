@@ -1,6 +1,0 @@
-from .folder import Folder as Folder
-from .opening import entry_file as entry_file
-from .opening import start_browser as start_browser
-from .server import LOCAL as LOCAL
-from .server import Certificate as Certificate
-from .server import Workbench as Workbench

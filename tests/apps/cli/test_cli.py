@@ -1,0 +1,208 @@
+"""The command line from end to end, on coil and machine FMUs with tables of known truth."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from experiments.batches.campaign import R, coil_current
+from fmuid.apps.cli import app as cli
+from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from fmuid.errors import ModelicaWarning
+from fmuid.studies import begin, draft
+from fmuid.studies.study import Study
+from tests.support.coil_study import COIL, STUDY, fmuid_, result
+from tests.support.commands import SECOND
+from tests.support.paths import FMUS
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+# --- simulate ----------------------------------------------------------------------------
+
+
+def test_simulate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("--set", "parameters.R.start=4.0", "--set", "parameters.L.start=0.1")
+    assert fmuid_("simulate", folder / "study.toml", *arguments) == DONE
+    table = pd.read_csv(folder / "first.csv")
+    simulated = pd.read_csv(folder / "results/simulated.csv")
+    assert list(simulated.columns) == ["time", "i"]
+    exact = coil_current(table["u"].to_numpy(), 0.0)
+    np.testing.assert_allclose(simulated["i"], exact, atol=1e-9)
+    error = np.linalg.norm(table["i"] - exact)
+    fit = 100.0 * (1.0 - error / np.linalg.norm(table["i"] - table["i"].mean()))
+    out = capsys.readouterr().out
+    assert f"{fit:.4g} %" in out
+    assert f"{error / np.sqrt(len(table)):.4g} A" in out
+    assert [path.name for path in (folder / "results/figures").iterdir()] == ["fit.png"]
+
+
+def test_simulate_several_experiments_and_api(folder: Path) -> None:
+    study = folder / "study.toml"
+    study.write_text(STUDY + SECOND)
+    assert fmuid_("simulate", study, "-o", folder / "out") == DONE
+    written = pd.read_csv(folder / "out/simulated.csv")
+    frames = Study.read(study).simulate()
+    assert len(frames) == 2
+    for name, frame in zip(("first", "second"), frames, strict=True):
+        part = written[written["experiment"] == name].drop(columns="experiment").reset_index(drop=True)
+        pd.testing.assert_frame_equal(part, frame)
+
+
+def test_simulate_without_parameters(folder: Path) -> None:
+    (folder / "study.toml").write_text(STUDY.partition("[parameters]")[0])
+    assert fmuid_("simulate", folder / "study.toml") == DONE
+
+
+def test_input_that_nothing_feeds_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("simulate", folder / "study.toml", "--set", "experiments.0.inputs=[]") == DONE
+    assert "feeds no u: kept at the start value" in capsys.readouterr().err
+
+
+# --- info, init, export, help ------------------------------------------------------------
+
+
+def test_info(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("info", FMUS / "InductionMachine/InductionMachine.fmu") == DONE
+    out = capsys.readouterr().out
+    for text in (
+        "InductionMachine",
+        "FMI version",
+        "2.0",
+        "co-simulation",
+        "model-exchange",
+        "variable communication steps, interpolates inputs",
+        "directional derivatives",
+        "linux64",
+        "step 0.0007 s",
+        "Parameters (8)",
+        "Inputs (3)",
+        "Outputs (2)",
+        "States (4)",
+        "magnetising inductance",
+        "rad/s",
+        "4 other variables",
+    ):
+        assert text in out
+    (line,) = [line for line in out.splitlines() if line.startswith("Rs ")]
+    assert line.split()[:4] == ["Rs", "9.81", "Ohm", "0"]
+
+
+def test_init_gives_a_study_that_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frame = pd.read_csv(folder / "first.csv").assign(temperature=20.0).rename(columns={"time": "t"})
+    frame.to_csv(folder / "first.csv", index=False)
+    study = folder / "new.toml"
+    assert fmuid_("init", COIL, folder / "first.csv", "--output", study) == DONE
+    out = capsys.readouterr().out
+    assert out.count("same name") == 2
+    assert "temperature" in out
+    text = study.read_text()
+    content = tomllib.loads(text)
+    assert content["experiments"] == [
+        {
+            "table": "first.csv",
+            "time": "time",  # which t is too
+            "inputs": ["u"],
+            "outputs": ["i"],
+            "interpolation": "hold",  # as the voltage shows
+            "discard": 0.0,
+        }
+    ]
+    assert content["parameters"] == {"R": {"start": 4.0, "min": 0.0}, "L": {"start": 0.1, "min": 1e-9}}
+    assert re.search(r"^R = {.*}  # Ohm: resistance; [\d.]+ %$", text, re.MULTILINE)
+    assert "# i_start = { start = 0.0, nominal = 1.0 }  # A: initial current; " in text
+    assert "temperature" in text
+    assert "Next: fmuid identify " in out
+
+    assert fmuid_("identify", study) == DONE
+    assert result(folder / "results")["parameters"]["R"]["value"] == pytest.approx(R, rel=0.05)
+
+
+def test_every_line_of_a_draft_is_valid(folder: Path) -> None:
+    """All parameters, taken out of their comments, are a valid study."""
+    machine = FMUS / "InductionMachine/InductionMachine.fmu"
+    pd.DataFrame({"time": [0.0, 1.0], "uds": 1.0, "w": 0.0, "ids": 0.1}).to_csv(folder / "run.csv", index=False)
+    made = draft(machine, begin(machine, [folder / "run.csv"]), folder / "sub/study.toml")
+    assert made.records[0].lacking("input") == ("uqs",)
+    assert made.records[0].lacking("output") == ("iqs",)
+    lines = [
+        line.removeprefix("# ") if line.startswith("# ") and " = { start" in line else line
+        for line in made.text.splitlines()
+    ]
+    (folder / "sub").mkdir()
+    study = folder / "sub/study.toml"
+    study.write_text("\n".join(lines))
+    read = Study.read(study)
+    assert list(read.parameters)[:4] == ["Rs", "Rr", "Lm", "Lf"]
+    assert read.experiments[0].table.resolve() == (folder / "run.csv").resolve()
+
+
+def test_every_word_that_init_comments_on_is_one(folder: Path) -> None:
+    """With all its comments uncommented, what `fmuid init` writes is a study still."""
+    assert fmuid_("identify", folder / "study.toml", "--output", folder / "healthy") == DONE
+    made = draft(COIL, begin(COIL, [folder / "first.csv"]), folder / "study.toml")
+    text = made.text.replace('"a", "b"', '"R", "L"').replace('"marquardt"', '"global"').replace('"soft_l1"', '"linear"')
+    words = re.compile(r"^# (?=\[?(?!prior |per_experiment )[a-zA-Z_]+\]?( = |  #))")
+    (folder / "study.toml").write_text("\n".join(words.sub("", line) for line in text.splitlines()))
+    read = Study.read(folder / "study.toml")
+    assert read.joint_prior is not None
+    assert read.noise.start == 0.01
+    assert read.uncertainty_settings.maps == (("R", "L"),)
+
+
+def test_export(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command passes paths and options on and says where the FMU is; the export has its own tests."""
+    import fmuid.export
+
+    calls = []
+
+    def fake(source: Path, output: Path | None = None, **options: object) -> Path:
+        calls.append((source, output, options))
+        warnings.warn(ModelicaWarning("Coil.mo", 7, "parameter 'a' is used nowhere"), stacklevel=2)
+        return folder / "Coil.fmu"
+
+    monkeypatch.setattr(fmuid.export, "export_fmu", fake)
+    assert fmuid_("export", "Coil.mo") == DONE
+    assert fmuid_("export", "Coil.mo", "--output", "x/Y.fmu") == DONE
+    assert fmuid_("export", "Coil.mo", "--fmi", "3.0", "--sensitivities", "R, L") == DONE
+    assert fmuid_("export", "Coil.mo", "--sensitivities", "all") == DONE
+    assert calls == [
+        (Path("Coil.mo"), None, {"fmi": "2.0", "sensitivities": []}),
+        (Path("Coil.mo"), Path("x/Y.fmu"), {"fmi": "2.0", "sensitivities": []}),
+        (Path("Coil.mo"), None, {"fmi": "3.0", "sensitivities": ["R", "L"]}),
+        (Path("Coil.mo"), None, {"fmi": "2.0", "sensitivities": "all"}),
+    ]
+    out = capsys.readouterr().out
+    assert "Coil.fmu" in out
+    assert out.count("note: Coil.mo:7: parameter 'a' is used nowhere\n") == 4
+
+
+def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("--version") == DONE
+    assert capsys.readouterr().out == f"fmuid {fmuid.__version__}\n"
+    assert fmuid_("--help") == DONE
+    out = capsys.readouterr().out
+    assert all(command in out for command in ("info", "init", "simulate", "identify", "export"))
+    assert fmuid_() == DONE
+    assert capsys.readouterr().out == out
+
+
+def test_exit_code_of_the_process(folder: Path) -> None:
+    """The installed entry point is `main`; ``python -m fmuid`` is the same."""
+    run_ = subprocess.run(
+        [sys.executable, "-m", "fmuid", "info", str(folder / "none.fmu")], capture_output=True, text=True, check=False
+    )
+    assert run_.returncode == WRONG_INPUT
+    assert run_.stderr.startswith("error: ")
+    with pytest.raises(SystemExit) as end:
+        cli.main(["--version"])
+    assert end.value.code == DONE

@@ -1,0 +1,119 @@
+"""`fmuid compare` from end to end: likelihoods on the same data, errors on a common table."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from tests.support.coil_study import STUDY, coil_table, fmuid_
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of a coil with both parameters free, with L held right and wrong, and one of another record."""
+    folder = tmp_path_factory.mktemp("coil")
+    for k, name in enumerate(("first", "second", "third")):
+        coil_table(folder / f"{name}.csv", 0.0, seed=k)
+    text = STUDY.replace("[[experiments]]", "[model.values]\n[[experiments]]")
+    free_l = next(line for line in text.splitlines() if line.startswith("L ="))
+    for name, held in {"both": "", "right": "L = 0.1", "wrong": "L = 0.15"}.items():
+        study = text.replace(free_l, "") if held else text
+        (folder / f"{name}.toml").write_text(study.replace("[model.values]", f"[model.values]\n{held}"))
+        assert fmuid_("identify", folder / f"{name}.toml", "-o", folder / name, "--in-process") == DONE
+    other = ("--set", "experiments.0.table=second.csv", "-o", folder / "other")
+    assert fmuid_("identify", folder / "both.toml", *other, "--in-process") == DONE
+    return folder
+
+
+def rows(folder: Path) -> dict[str, dict[str, float]]:
+    """Return the rows of the table by the name of the result."""
+    frame = pd.read_csv(folder / "comparison.csv")
+    return {str(row.pop("name")): row for row in frame.to_dict("records")}  # type: ignore[misc]
+
+
+@pytest.mark.usefixtures("drawn_figures")
+def test_on_the_same_data(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = [made / name for name in ("both", "right", "wrong")]
+    assert fmuid_("compare", *paths, "-o", tmp_path, "--in-process") == DONE
+    out = " ".join(capsys.readouterr().out.split())
+    assert "wrong is rejected against both" in out
+    assert "right is not rejected against both" in out
+    assert "The data do not tell" in out or "is the best, not clearly, by Akaike's criterion" in out
+    content = json.loads((tmp_path / "comparison.json").read_text())
+    likelihoods = {
+        name: json.loads((made / name / "result.json").read_text())["log_likelihood"] for name in ("both", "right")
+    }
+    tests = {test["smaller"]: test for test in content["tests"]}
+    assert tests["right"]["freed"] == ["L"]
+    twice = 2 * (likelihoods["both"] - likelihoods["right"]) / content["dependence"]
+    assert tests["right"]["statistic"] == pytest.approx(twice)
+    table = rows(tmp_path)
+    assert table["both"]["parameters"] == table["right"]["parameters"] + 1 == 3
+    assert list(table)[-1] == "wrong"
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for words in ("wrong is rejected against both", "By likelihood", "Estimates beside each other"):
+        assert words in page
+    told = pd.DataFrame(content["estimates"]).set_index(["result", "parameter"])
+    assert told.index.to_list() == [("both", "R"), ("both", "L"), ("right", "R"), ("wrong", "R")]
+    assert (told["lower"] < told["value"]).all() and (told["value"] < told["upper"]).all()
+
+
+def test_on_a_common_table(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = (made / "both", made / "other", made / "wrong", "--table", made / "third.csv", "-o", tmp_path)
+    assert fmuid_("compare", *words, "--in-process") == DONE
+    out = " ".join(capsys.readouterr().out.split())
+    assert "both and other were made from different measurements" in out
+    assert "On the common tables" in out
+    assert "do as well as each other" in out
+    table = rows(tmp_path)
+    (alone,) = fmuid.run_prediction(made / "both", [made / "third.csv"]).predictions
+    assert table["both"]["rmse.i"] == pytest.approx(alone.scores[0].rmse)
+    assert 100.0 - table["wrong"]["fit"] > 1.5 * (100.0 - table["both"]["fit"])
+    assert "RMSE i (A)" in out
+
+
+@pytest.mark.usefixtures("drawn_figures")
+def test_compare_on_constant_output_gives_rmse(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where the measured output never changes there is no fit to draw or to rank by."""
+    pd.read_csv(made / "third.csv").assign(i=0.1).to_csv(tmp_path / "still.csv", index=False)
+    words = (made / "both", made / "other", "--table", tmp_path / "still.csv", "-o", tmp_path / "out")
+    assert fmuid_("compare", *words, "--in-process") == DONE
+    assert "On the common tables no fit has a meaning: compare the RMSE" in " ".join(capsys.readouterr().out.split())
+    table = rows(tmp_path / "out")
+    assert np.isnan([each["fit"] for each in table.values()]).all()
+    assert np.isfinite([each["rmse.i"] for each in table.values()]).all()
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "RMSE i (A)" in page
+    assert "best:" not in page
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ("both", "other"),
+            "were made from different measurements, so that their likelihoods say nothing of each other",
+        ),
+        (("both",), "give at least two results"),
+        (("both", "both"), "is given twice"),
+        (("both", "nothing"), "there is no such result"),
+        (("both", "other", "--table", "missing.csv"), "missing.csv"),
+    ],
+)
+def test_wrong_input_is_one_sentence(
+    made: Path, words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [word if word.startswith("--") else made / word for word in words]
+    assert fmuid_("compare", *paths, "--in-process") == WRONG_INPUT
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert len(error.splitlines()) == 1
+    assert said in error

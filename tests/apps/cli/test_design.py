@@ -1,0 +1,81 @@
+"""`fmuid design` and `fmuid simulate --sensitivities` from end to end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from experiments.coil import study as coil
+from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from fmuid.reports import healthy_record_words
+from fmuid.runs.monitoring import design_of
+from tests.support.coil_study import STUDY, coil_table, fmuid_
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    (tmp_path / "study.toml").write_text(STUDY + "[noise]\nvariance = 4e-4\n")
+    times = 1e-3 * np.arange(300)
+    for name, voltage in {"constant": 1.0 + 0.0 * times, "square": np.sign(np.sin(120.0 * times + 1e-6))}.items():
+        pd.DataFrame({"time": times, "u": voltage}).to_csv(tmp_path / f"{name}.csv", index=False)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("drawn_figures")
+def test_design(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = (folder / "study.toml", folder / "constant.csv", folder / "square.csv", "--in-process")
+    assert fmuid_("design", *words, "-o", folder / "out", "--by", "worst") == DONE
+    found = pd.read_csv(folder / "out" / "design.csv")
+    assert list(found["excitation"]) == ["square", "constant"]
+    assert found["worst"].is_monotonic_increasing
+    assert "square" in capsys.readouterr().out
+    assert "square is the best of 2 excitations" in (folder / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_what_healthy_records_cost_the_best_excitation(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, tables = coil.HERE / "test.toml", [folder / "constant.csv", folder / "square.csv"]
+    words = ("--fault", "turns", "-o", folder / "out", "--in-process", "--no-report")
+    assert fmuid_("design", study, *tables, *words) == DONE
+    said = " ".join(capsys.readouterr().out.split())
+    square = fmuid.trial(pd.read_csv(folder / "square.csv"), ["u"], ["i"])
+    cost = design_of(fmuid.Study.read(study), "turns").cost(square, [1.0])
+    (size,), (times,) = cost["turns.dR"], cost["turns.dR.times"]
+    assert "in lengths of square" in said
+    assert f"as long as the test the smallest size found is {times:.3g} times that with an endless one" in said
+    assert f"{size:.4g}" in said and f"{times:.4g}" in said
+
+
+def test_the_length_of_a_healthy_record_that_is_enough_is_said() -> None:
+    cost = pd.DataFrame({"healthy": [1.0, 3.0, 10.0], "a": 1.0, "a.times": [1.4, 1.2, 1.05], "b": np.inf})
+    found = healthy_record_words(cost.assign(**{"b.times": np.nan}))
+    assert found[0].endswith("is 1.4 times that with an endless one; with one 10 times as long, 1.05 times")
+    assert found[1] == "b: this excitation does not show it, however long the healthy record is"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--by", "size"), '"determinant" or "worst"'),
+        (("--fault", "x"), "has no [diagnosis]"),
+        (("--set", "noise.variance=estimate"), "does not say how large the noise of 'i' is"),
+    ],
+)
+def test_wrong_words(folder: Path, words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code = fmuid_("design", folder / "study.toml", folder / "square.csv", *words, "--in-process")
+    assert code == WRONG_INPUT
+    assert said in capsys.readouterr().err
+
+
+def test_sensitivities(folder: Path) -> None:
+    words = (folder / "study.toml", "--sensitivities", "-o", folder / "out", "--in-process")
+    assert fmuid_("simulate", *words) == DONE
+    table = pd.read_csv(folder / "out" / "sensitivities.csv")
+    assert list(table.columns) == ["time", "i/R", "i/L"]
+    assert (folder / "out" / "figures" / "sensitivities.png").is_file()

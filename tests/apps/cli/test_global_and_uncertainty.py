@@ -1,0 +1,128 @@
+"""fmuid identify with a global search, profiles, posterior and losses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from experiments.batches.campaign import R
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.progress import Event
+from fmuid.reports.console import progress
+from fmuid.studies.study import Study
+from tests.support.coil_study import STUDY, fmuid_, result
+from tests.support.commands import HASTY
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+BOUNDED = STUDY.replace("min = 0.0", "min = 0.5, max = 50.0").replace("min = 1e-3", "min = 1e-3, max = 1.0")
+
+
+def test_global_search(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = folder / "study.toml"
+    study.write_text(BOUNDED + '[estimator]\nmethod = "global"\nstarts = 6\nseed = 3\n')
+    assert fmuid_("identify", study) == DONE
+    found = result(folder / "results")
+    best = found["optima"][0]
+    assert sum(optimum["hits"] for optimum in found["optima"]) == 6
+    assert best["parameters"]["R"] == pytest.approx(R, rel=0.05)
+    assert found["parameters"]["R"]["value"] == best["parameters"]["R"]
+    table = pd.read_csv(folder / "results/optima.csv")
+    assert list(table.columns) == ["criterion", "hits", "converged", "R", "L"]
+    assert len(table) == len(found["optima"])
+    out = capsys.readouterr().out
+    assert "Optima found by 6 searches" in out
+    assert "fits" in out
+    api = Study.read(study)
+    assert api.identify()["R"] == found["parameters"]["R"]["value"]
+    assert len(api.identify().optima) == len(table)
+
+    capsys.readouterr()
+    assert fmuid_("identify", study, "--resume") == DONE
+    again = result(folder / "results")
+    assert again["parameters"]["R"]["start"] == found["parameters"]["R"]["value"]
+    assert "optima" not in again
+    assert not (folder / "results/optima.csv").exists()
+
+
+def test_global_search_needs_bounds(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("identify", folder / "study.toml", "--set", "estimator.method=global") == WRONG_INPUT
+    assert "parameter 'R' has no max" in capsys.readouterr().err
+
+
+ASKED = """
+[uncertainty]
+level = 0.9
+profile = true
+posterior = { steps = 400, seed = 5 }
+map = [["R", "L"]]
+"""
+
+
+@pytest.mark.slow
+def test_uncertainty(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "study.toml").write_text(STUDY + ASKED)
+    code = fmuid_("identify", folder / "study.toml", "--figures", "svg")
+    out, results = capsys.readouterr().out, folder / "results"
+    found = result(results)
+    assert code == (DONE if found["posterior"]["converged"] else NOT_SUCCEEDED)
+    assert {"profiles.csv", "posterior.csv", "map-R-L.csv"} <= {path.name for path in results.iterdir()}
+    figures = {path.name for path in (results / "figures").iterdir()}
+    assert {"parameters.svg", "profiles.svg", "posterior.svg", "walkers.svg", "maps.svg"} <= figures
+    estimates = pd.read_csv(results / "estimates.csv").set_index("parameter")
+    for name in ("R", "L"):
+        assert found["profiles"][name]["lower"] == pytest.approx(estimates["lower"][name], rel=0.01)
+        assert found["posterior"]["parameters"][name]["upper"] == pytest.approx(estimates["upper"][name], rel=0.01)
+    samples = pd.read_csv(results / "posterior.csv")
+    assert samples["R"].mean() == pytest.approx(found["posterior"]["parameters"]["R"]["mean"])
+    assert len(pd.read_csv(results / "map-R-L.csv")) == 41**2
+    assert {"profile", "posterior", "map"} <= {line.split()[0] for line in out.splitlines() if line.strip()}
+    assert "Intervals at 90 %" in out
+    assert "90 % interval" in out
+
+    # the next run without them leaves none behind
+    assert fmuid_("identify", folder / "study.toml", "--set", "uncertainty={}") == DONE
+    assert not list((results / "figures").iterdir())
+    assert not {path.name for path in results.iterdir()} & {"profiles.csv", "posterior.csv", "map-R-L.csv"}
+
+
+def test_uncertainty_interrupted(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was found before is written, and so is what there is of the rest."""
+
+    def interrupt(_: progress.Display, event: Event) -> None:
+        if event.task == "posterior":
+            assert "profiles" not in result(folder / "results")  # the result was written before the long work
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(progress.Display, "__call__", interrupt)
+    (folder / "study.toml").write_text(STUDY + ASKED)
+    assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
+    found = result(folder / "results")
+    assert found["converged"] is True
+    assert list(found["profiles"]) == ["R", "L"]
+    assert (folder / "results/profiles.csv").is_file()
+    assert "Interrupted: this is what there is" in capsys.readouterr().out
+
+
+def test_uncertainty_needs_a_minimum(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "study.toml").write_text(STUDY + ASKED)
+    assert fmuid_("identify", folder / "study.toml", *HASTY) == NOT_SUCCEEDED
+    assert "[uncertainty] is left out" in capsys.readouterr().err
+    assert "profiles" not in result(folder / "results")
+
+
+def test_loss(folder: Path) -> None:
+    """Gross outliers pull the plain sum of squares away, and hardly a robust one."""
+    table = pd.read_csv(folder / "first.csv")
+    table.loc[::20, "i"] += 1.0
+    table.to_csv(folder / "first.csv", index=False)
+    away = {}
+    for loss in ("linear", "cauchy"):
+        fmuid_("identify", folder / "study.toml", "--set", f"estimator.loss={loss}")
+        away[loss] = abs(result(folder / "results")["parameters"]["R"]["value"] - R)
+    assert away["cauchy"] < 0.1 * away["linear"]

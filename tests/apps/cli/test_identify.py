@@ -1,0 +1,277 @@
+"""fmuid identify: what it writes, says and returns."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+import fmuid
+from experiments.batches.campaign import NOISE, L, R, coil_current
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
+from fmuid.progress import Event, SearchStep
+from fmuid.reports.console import progress
+from fmuid.studies.study import Study
+from tests.support.coil_study import STUDY, fmuid_, result
+from tests.support.commands import HASTY, SECOND
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+# --- identify ----------------------------------------------------------------------------
+
+
+def test_identify(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    found = result(folder / "results")
+    assert found["outcome"] == "converged"
+    assert found["converged"] is True
+    for name, truth, start in (("R", R, 6.0), ("L", L, 0.05)):
+        estimate = found["parameters"][name]
+        assert abs(estimate["value"] - truth) < 4 * estimate["std"]
+        assert 0 < estimate["std"] < 0.03 * truth
+        assert estimate["start"] == start
+        assert "pull" not in estimate
+    assert found["covariance"]["names"] == ["R", "L"]
+    diagonal = np.sqrt(np.diag(found["covariance"]["matrix"]))
+    np.testing.assert_allclose(diagonal, [found["parameters"][name]["std"] for name in ("R", "L")])
+    assert found["noise_variance"]["i"] == pytest.approx(NOISE**2, rel=0.2)
+    assert found["version"] == fmuid.__version__
+    assert {"criterion", "iterations", "simulations", "elapsed_s"} <= set(found)
+
+    out, error = capsys.readouterr()
+    assert error == ""
+    assert "iteration 0 " in out
+    assert f"iteration {found['iterations']} " in out
+    for word in ("parameter", "rel. std", "95 % interval", "Ohm", "Converged", "Residual: i std 0.0", "result.json"):
+        assert word in out
+
+
+@pytest.mark.usefixtures("drawn_figures")
+def test_identify_writes_tables_and_figures(folder: Path) -> None:
+    assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out", "--figures", "png") == DONE
+    out = folder / "deep/out"
+    assert {path.name for path in out.iterdir()} == {
+        "result.json", "estimates.csv", "trace.csv", "rounds.csv", "fit.csv", "diagnostics.csv", "correlations.csv",
+        "parameters.ssv", "report.html", "figures",
+    }  # fmt: skip
+    figures = {path.name for path in (out / "figures").iterdir()}
+    drawn = ("fit", "residuals", "parameters", "criterion", "correlation", "accuracy")
+    assert figures == {f"{name}.png" for name in drawn}
+    found = result(out)
+
+    estimates = pd.read_csv(out / "estimates.csv")
+    assert estimates["parameter"].tolist() == ["R", "L"]
+    assert estimates["unit"].tolist() == ["Ohm", "H"]
+    assert estimates["value"].tolist() == [found["parameters"][name]["value"] for name in ("R", "L")]
+    freedom = [each["degrees_of_freedom"] for each in found["parameters"].values()]
+    half = stats.t.ppf(0.975, freedom) * estimates["std"]
+    np.testing.assert_allclose(estimates["lower"], estimates["value"] - half, rtol=1e-6)
+    np.testing.assert_allclose(estimates["upper"], estimates["value"] + half, rtol=1e-6)
+
+    trace = pd.read_csv(out / "trace.csv")
+    assert {"iteration", "criterion", "lambda", "accepted", "R", "L"} <= set(trace.columns)
+    assert trace["iteration"].iloc[-1] == found["iterations"]
+    assert trace["criterion"].iloc[-1] == pytest.approx(found["criterion"])
+    assert (trace["R"].iloc[0], trace["L"].iloc[0]) == (6.0, 0.05)
+
+    fit, table = pd.read_csv(out / "fit.csv"), pd.read_csv(folder / "first.csv")
+    assert list(fit.columns) == ["time", "measured.i", "simulated.i"]
+    np.testing.assert_array_equal(fit["measured.i"], table["i"])
+    exact = coil_current(table["u"].to_numpy(), 0.0)
+    assert np.abs(fit["simulated.i"] - exact).max() < NOISE / 5
+
+
+def test_identify_several_experiments(folder: Path) -> None:
+    study = folder / "study.toml"
+    study.write_text(STUDY + SECOND)
+    assert fmuid_("identify", study) == DONE
+    found = result(folder / "results")["parameters"]
+    assert list(found) == ["R", "L", "i_start[first]", "i_start[second]"]
+    assert found["i_start[first]"]["value"] == pytest.approx(0.0, abs=0.03)
+    assert found["i_start[second]"]["value"] == pytest.approx(0.2, abs=0.03)
+    fit = pd.read_csv(folder / "results/fit.csv")
+    assert list(fit.columns) == ["experiment", "time", "measured.i", "simulated.i"]
+    assert fit["experiment"].value_counts().to_dict() == {"first": 600, "second": 600}
+    units = pd.read_csv(folder / "results/estimates.csv")["unit"]
+    assert units.tolist() == ["Ohm", "H", "A", "A"]
+
+
+def test_identify_with_prior(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    prior = "parameters.R.prior={mean = 5.0, std = 0.01}"
+    assert fmuid_("identify", folder / "study.toml", "--set", prior, "--set", "noise.variance=4e-4") == DONE
+    found = result(folder / "results")["parameters"]["R"]
+    assert (found["prior_mean"], found["prior_std"]) == (5.0, 0.01)
+    assert found["pull"] == pytest.approx((found["value"] - 5.0) / 0.01)
+    assert found["pull"] < -1
+    out = capsys.readouterr().out
+    assert "5.000 ± 0.010" in out
+    assert f"{found['pull']:+.2f} std" in out
+
+
+def test_api_gives_what_the_command_writes(folder: Path) -> None:
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    study = fmuid.Study.read(folder / "study.toml")
+    seen: list[Any] = []
+    found = study.identify(seen.append)
+    written = result(folder / "results")
+    assert {name: found[name] for name in found.names} == {
+        name: values["value"] for name, values in written["parameters"].items()
+    }
+    assert seen[-1].number == found.iterations
+
+
+def test_not_converged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("identify", folder / "study.toml", *HASTY) == NOT_SUCCEEDED
+    assert result(folder / "results")["converged"] is False
+    assert "raise max_iterations" in capsys.readouterr().out
+
+
+def test_bound_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fmuid_("identify", folder / "study.toml", "--set", "parameters.R.max=3.5", "--set", "parameters.R.start=3")
+    assert result(folder / "results")["parameters"]["R"]["value"] == 3.5
+    assert "R is at its bound 3.5" in capsys.readouterr().out
+
+
+def test_undetermined(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """At rest from start to end the inductance has no effect, and with the initial current free it has still none."""
+    times = np.linspace(0.0, 0.1, 101)
+    current = 0.25 + 0.01 * np.random.default_rng(8).normal(size=101)
+    pd.DataFrame({"time": times, "u": 1.0, "i": current}).to_csv(folder / "first.csv", index=False)
+    start = ["--set", "model.values.i_start=0.25", "--set", "parameters.R.start=4"]
+    code = fmuid_("identify", folder / "study.toml", *start)
+    assert code in (NOT_SUCCEEDED, WRONG_INPUT)
+    assert "L" in "".join(capsys.readouterr())
+
+
+def test_interrupted_keeps_the_best_so_far(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = progress.Display.__call__
+
+    def interrupt(self: progress.Display, event: Event) -> None:
+        shown(self, event)
+        if isinstance(event, SearchStep) and event.number == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(progress.Display, "__call__", interrupt)
+    assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
+    first = result(folder / "results")
+    assert first["outcome"] == "interrupted"
+    assert first["converged"] is False
+    assert first["parameters"]["R"]["value"] != 6.0
+    assert "Interrupted" in capsys.readouterr().out
+
+    monkeypatch.undo()
+    assert fmuid_("identify", folder / "study.toml", "--resume") == DONE
+    second = result(folder / "results")
+    assert second["parameters"]["R"]["start"] == first["parameters"]["R"]["value"]
+    assert second["parameters"]["R"]["value"] == pytest.approx(R, rel=0.05)
+
+
+def test_interrupted_before_the_search(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Study, "read", interrupt)
+    assert fmuid_("identify", folder / "study.toml") == NOT_SUCCEEDED
+    assert capsys.readouterr().err == "error: interrupted\n"
+
+
+def test_failing_simulation(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What the model cannot simulate at the start ends with one sentence and code 1."""
+    assert fmuid_("identify", folder / "study.toml", "--set", "model.values.i_start=1e308") == NOT_SUCCEEDED
+    sentence = capsys.readouterr().err
+    assert sentence.startswith("error: simulation of ")
+    assert "Coil.fmu failed at t = 0 s with R = 6, L = 0.05" in sentence
+    assert sentence.count("\n") == 1
+
+
+def test_resume_of_another_study(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    other = STUDY.replace("R = ", "i_start = ").replace("L = ", "# ")
+    (folder / "study.toml").write_text(other)
+    capsys.readouterr()
+    assert fmuid_("identify", folder / "study.toml", "--resume") == WRONG_INPUT
+    assert "of another study: its parameters are R, L, not i_start" in capsys.readouterr().err
+
+
+def test_a_failed_write_leaves_the_earlier_result(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    before = (folder / "results/result.json").read_bytes()
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", fail)
+    assert fmuid_("identify", folder / "study.toml", "--set", "parameters.R.start=5") == WRONG_INPUT
+    assert (folder / "results/result.json").read_bytes() == before
+    assert not list((folder / "results").glob(".*"))
+
+
+# --- priors, global search, uncertainty -------------------------------------------------
+
+
+def test_prior_from_an_earlier_result(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The second machine is another one: its estimate lies between the first one's and what its own data say."""
+    study = folder / "study.toml"
+    assert fmuid_("identify", study, "--output", folder / "healthy") == DONE
+    healthy = result(folder / "healthy")
+    assert healthy["models"][""]["name"] == "Coil"
+    capsys.readouterr()
+    study.write_text(STUDY.replace("first", "second") + '[prior]\nresult = "healthy/result.json"\ninflate = 2\n')
+    assert fmuid_("identify", study, "--set", "model.values.i_start=0.2") == DONE
+    found = result(folder / "results")
+    for name in ("R", "L"):
+        prior, estimate = healthy["parameters"][name], found["parameters"][name]
+        assert estimate["prior_mean"] == prior["value"]
+        # the standard deviation whose normal interval is that of the first estimate
+        std = 2 * prior["std"] * stats.t.ppf(0.975, prior["degrees_of_freedom"]) / stats.norm.ppf(0.975)
+        assert estimate["prior_std"] == pytest.approx(std)
+        assert estimate["pull"] == pytest.approx((estimate["value"] - prior["value"]) / std)
+    reading = pd.read_csv(folder / "results/reading.csv")
+    inside = (reading["combined"] - reading["prior"]) * (reading["data"] - reading["combined"])
+    assert reading["parameter"].tolist() == ["R", "L"]
+    assert (inside >= -1e-12).any()
+    assert (reading["combined_std"] < reading["data_std"]).all()
+    assert "consistency" in found
+    out, error = capsys.readouterr()
+    assert error == ""
+    heads = next(line for line in out.splitlines() if "data alone" in line)
+    columns = ["parameter", "prior", "data alone", "both", "pull", "moved by prior", "unit"]
+    assert re.split(r"\s{2,}", heads.strip()) == columns
+
+
+def test_what_takes_long_says_what_it_does(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fmuid.reports.run_identification.QUICK_SECONDS", 0.0)
+    assert fmuid_("identify", folder / "study.toml") == DONE
+    assert capsys.readouterr().err == ""
+    prior = "parameters.R.prior={mean = 4.0, std = 0.1}"
+    assert fmuid_("identify", folder / "study.toml", "--set", prior) == DONE
+    assert "searching the optimum of the data alone" in capsys.readouterr().err
+
+
+def test_prior_from_the_result_of_another_model(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = folder / "study.toml"
+    assert fmuid_("identify", study, "--output", folder / "healthy") == DONE
+    content = result(folder / "healthy")
+    content["models"][""]["name"] = "Spool"
+    (folder / "healthy/result.json").write_text(json.dumps(content))
+    capsys.readouterr()
+    study.write_text(STUDY + '[prior]\nresult = "healthy/result.json"\n')
+    assert fmuid_("identify", study) == WRONG_INPUT
+    assert "is a result of another model, Spool, and this study has Coil" in capsys.readouterr().err
+    content["models"][""] = {"name": "Coil", "digest": "of an earlier build"}
+    (folder / "healthy/result.json").write_text(json.dumps(content))
+    assert fmuid_("identify", study) == DONE
+    assert "was made with another build of Coil" in capsys.readouterr().err

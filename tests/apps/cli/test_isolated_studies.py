@@ -1,0 +1,195 @@
+"""Studies whose FMU misbehaves: the search goes round the bad points, and commands end with one sentence."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from experiments.batches import misbehaviour
+from experiments.batches.campaign import rows
+from fmuid.apps.cli.app import run
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
+from fmuid.data.experiment import Experiment
+from fmuid.data.parameters import Parameter
+from fmuid.estimation import GlobalSearch
+from fmuid.estimation.identification import identify
+from fmuid.estimation.problem import LeastSquares
+from fmuid.identification import Problem
+from fmuid.models.component import Isolation
+from fmuid.models.system import System
+from fmuid.runs.batch.batch import Batch
+from fmuid.studies.study import Study
+from tests.support.isolated import RECORD_FRAME, TIMES, U, computing, wait_until
+from tests.support.misbehaving import Mode, lag, misbehaving_fmu
+
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
+    pytest.mark.usefixtures("blank_figures"),
+]
+
+TRUTH = {"gain": 2.5, "T": 0.6}
+FRAME = RECORD_FRAME.assign(x=lag(TIMES, U, **TRUTH) + 0.01 * np.random.default_rng(5).normal(size=TIMES.size))
+BAND = {"bad_from": 3.0, "bad_to": 4.2}
+STUDY = """
+[model]
+fmu = "{fmu}"
+[model.values]
+mode = {mode}
+bad_from = {bad_from}
+bad_to = {bad_to}
+[[experiments]]
+table = "table.csv"
+inputs = ["u"]
+outputs = ["x"]
+interpolation = "hold"
+[parameters]
+gain = {{ start = 8.0 }}
+T = {{ start = 10.0, min = 1e-3 }}
+[isolation]
+time_limit = {limit}
+memory = 400
+"""
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return misbehaving_fmu(tmp_path_factory.mktemp("misbehaving"))
+
+
+def write_study(
+    folder: Path, fmu: Path, mode: Mode, bad_from: float = -1e300, bad_to: float = 1e300, limit: float = 600.0
+) -> Path:
+    FRAME.to_csv(folder / "table.csv", index=False)
+    text = STUDY.format(fmu=fmu.as_posix(), mode=float(mode), bad_from=bad_from, bad_to=bad_to, limit=limit)
+    (folder / "study.toml").write_text(text)
+    return folder / "study.toml"
+
+
+def problem(fmu: Path, mode: Mode, isolation: Isolation | None, gain: float = 8.0, T: float = 10.0) -> LeastSquares:
+    return Problem(
+        System(fmu, isolation=isolation),
+        Experiment(FRAME, ["u"], ["x"], interpolation="hold"),
+        {"gain": Parameter(gain, min=0.1, max=20.0), "T": Parameter(T, min=0.05, max=20.0)},
+        values={"mode": float(mode), **BAND},
+    )
+
+
+@pytest.mark.parametrize("mode", [Mode.SEGFAULT, Mode.EXIT_0, Mode.GARBLE, Mode.STUBBORN])
+def test_a_search_goes_round_a_band_where_the_fmu_crashes(fmu: Path, mode: Mode) -> None:
+    """By the same way, bit for bit, as round a band where it returns fmi2Error in-process."""
+    plain = problem(fmu, Mode.RETURN_ERROR, None)
+    isolated = problem(fmu, mode, Isolation(time_limit=1.0 if mode == Mode.STUBBORN else 600.0))
+    right, found = identify(plain), identify(isolated)
+    assert found.converged
+    assert np.array_equal(found.values, right.values)
+    assert np.array_equal(found.std, right.std)
+    assert (isolated.simulations, isolated.failures) == (plain.simulations, plain.failures)
+    assert isolated.failures > 0
+    assert (np.abs(found.values - [TRUTH["gain"], TRUTH["T"]]) < 4 * found.std).all()
+
+
+@pytest.mark.slow
+def test_a_global_search_goes_round_it_too(fmu: Path) -> None:
+    settings = GlobalSearch("multistart", 6, 1)
+    plain, isolated = problem(fmu, Mode.RETURN_ERROR, None), problem(fmu, Mode.ABORT, Isolation())
+    right, found = (settings.search(each) for each in (plain, isolated))
+    assert found.converged
+    assert np.array_equal(found.values, right.values)
+    assert (isolated.simulations, isolated.failures) == (plain.simulations, plain.failures)
+    assert isolated.failures > 5
+
+
+def test_the_command_identifies_round_a_band(tmp_path: Path, fmu: Path) -> None:
+    study = write_study(tmp_path, fmu, Mode.SEGFAULT, **BAND)
+    assert run(["identify", str(study)]) == DONE
+    said = json.loads((tmp_path / "results" / "result.json").read_text())
+    assert said["converged"]
+    right = identify(problem(fmu, Mode.RETURN_ERROR, None))
+    for name, value, std in zip(right.names, right.values, right.std, strict=True):
+        assert abs(said["parameters"][name]["value"] - value) < 1e-3 * std
+
+
+@pytest.mark.parametrize(
+    ("command", "mode", "words"),
+    [
+        ("simulate", Mode.SEGFAULT, "its process crashed with SIGSEGV"),
+        pytest.param("identify", Mode.SEGFAULT, "its process crashed with SIGSEGV", marks=pytest.mark.slow),
+        pytest.param("identify", Mode.EXIT_0, "ended its process with exit code 0", marks=pytest.mark.slow),
+        pytest.param("simulate", Mode.LOOP, "did not end within 1 s and was stopped", marks=pytest.mark.slow),
+        pytest.param("simulate", Mode.RUNAWAY, "its process took more than 400 MB", marks=pytest.mark.slow),
+    ],
+)
+def test_a_command_that_cannot_succeed_ends_with_one_sentence(
+    tmp_path: Path, fmu: Path, command: str, mode: Mode, words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    limit = 1.0 if mode == Mode.LOOP else 600.0
+    assert run([command, str(write_study(tmp_path, fmu, mode, limit=limit))]) == NOT_SUCCEEDED
+    said = capfd.readouterr()
+    assert words in said.err.replace("\n", " ")
+    assert "Traceback" not in said.out + said.err
+    assert str(fmu) in said.err.replace("\n", "")
+
+
+def test_what_the_fmu_prints_does_not_come_out_of_a_command(
+    tmp_path: Path, fmu: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["identify", str(write_study(tmp_path, fmu, Mode.SPEAK))]) == DONE
+    said = capfd.readouterr()
+    assert "the FMU says on" not in said.out + said.err
+
+
+def test_a_command_can_run_the_fmu_in_its_own_process(tmp_path: Path, fmu: Path) -> None:
+    """Which then has the fate of the FMU's: that it does crash is what makes the tests of isolation show something."""
+    study = write_study(tmp_path, fmu, Mode.ABORT)
+    command = [sys.executable, "-m", "fmuid", "simulate", str(study), "--in-process"]
+    assert subprocess.run(command, capture_output=True, timeout=600).returncode == -signal.SIGABRT
+
+
+def test_a_study_is_isolated_where_it_is_asked_to_be(tmp_path: Path, fmu: Path) -> None:
+    path = write_study(tmp_path, fmu, Mode.SEGFAULT, **BAND)
+    assert Study.read(path).system.isolation is None
+    assert Study.read(path, isolated=True).system.isolation == Isolation(time_limit=600.0, memory=400.0)
+    right = identify(problem(fmu, Mode.RETURN_ERROR, None))
+    assert Study.read(path, isolated=True).identify().values == pytest.approx(right.values, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_a_terminal_ends_a_command_whose_fmu_loops(tmp_path: Path, fmu: Path) -> None:
+    """A terminal sends it to all processes of the group; one sentence comes of it, and nothing stays."""
+    study = write_study(tmp_path, fmu, Mode.STUBBORN)
+    command = [sys.executable, "-m", "fmuid", "simulate", str(study)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        try:
+            wait_until(lambda: computing(process.pid) or process.poll() is not None)
+            below = psutil.Process(process.pid).children(recursive=True)
+            os.killpg(process.pid, signal.SIGINT)
+            _, said = process.communicate(timeout=600)
+            assert not psutil.wait_procs(below, timeout=600)[1]
+        finally:
+            process.kill()
+    assert process.returncode == NOT_SUCCEEDED
+    assert "interrupted" in said
+    assert "Traceback" not in said
+
+
+@pytest.mark.slow
+def test_a_batch_in_which_every_fifth_case_misbehaves(tmp_path: Path) -> None:
+    """The campaign of experiments/batches in small: all rows are those of a run in-process, bit for bit."""
+    ways = (Mode.SEGFAULT, Mode.EXIT_0, Mode.MUTTER, Mode.STUBBORN, Mode.RUNAWAY)
+    held = misbehaviour.plan(60, 5, ways)
+    held.loc[held["mode"] == Mode.STUBBORN, ["bad_from", "bad_to"]] = misbehaviour.BAND  # else it takes its time
+    right = misbehaviour.in_peace(tmp_path, held)
+    Batch(misbehaviour.write_study(tmp_path, "war.toml", held, 1.0), tmp_path / "war", workers=2).run()
+    found = rows(tmp_path / "war")
+    assert misbehaviour.differences(found, right, held) == ""
+    # of the twelve that misbehave two only print, five go round a band, and the others fail
+    assert found["status"].value_counts().to_dict() == {"converged": 55, "failed": 5}
+    assert (found["rejected"] > 0).sum() == 10

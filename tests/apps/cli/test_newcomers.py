@@ -1,0 +1,133 @@
+"""What a newcomer gives `fmuid init` by mistake: each ends in one clear sentence, with no study that looks ready."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
+from tests.support.coil_study import COIL, fmuid_
+
+ROWS = "".join(f"{k / 100},{k % 20 // 10},{np.sin(k)}\n" for k in range(50))
+TABLES: dict[str, tuple[str | bytes, str]] = {
+    "empty": ("", "the table is empty: give a header with the names and rows of samples"),
+    "blank lines": ("\n\n\n", "the table is empty"),
+    "a letter": ("hello there\nthis is a letter\n", "the time column 'time' is missing (there is hello there)"),
+    "a page": ("<html><body>Log in</body></html>\n", "the table has a header but no rows"),
+    "a PDF": (b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n1 0 obj\n", "the time column 'time' is missing (there is %PDF-1.4)"),
+    "a spreadsheet by another name": (b"PK\x03\x04" + bytes(200), "the file is a spreadsheet or packed"),
+    "binary": (bytes(range(1, 256)) * 9, "the file is no text in UTF-8, UTF-16 or cp1252"),
+    "times alone": ("time\n0\n1\n2\n", "no column is the input u: say which is by --map u=COLUMN"),
+    "no sample": ("time,u,i\n0,1,nan\n1,1,nan\n", "the output column 'i' has no sample: remove it from the outputs"),
+    "no time": ("time,u,i\n,1,2\n,1,3\n", "the time column 'time' has nan in row 1: give every row a time"),
+    "one time": ("time,u,i\n1,1,2\n1,1,3\n", "the time column 'time' has fewer than two different times"),
+    "header": ("time,u,i\n", "the table has a header but no rows: give measured samples"),
+    "separators": (",,,\n,,,\n", "the table is empty"),
+    "a name twice": ("time,u,i,i\n0,1,2,3\n1,2,3,4\n", "the column 'i' is there twice: rename or remove one"),
+    "other letters": (f"时间,напряжение,電流\n{ROWS}", "(there is 时间, напряжение, 電流): name the column"),
+    "infinite": ("time,u,i\n0,1,1\n0.1,inf,2\n0.2,1,3\n", "the input column 'u' is inf in row 2 (t = 0.1 s)"),
+}
+
+
+def said_of(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    """Return what `fmuid init` prints when it does not succeed: one error, or remarks beside what was found."""
+    assert fmuid_("init", *arguments) != DONE
+    out, error = capsys.readouterr()
+    assert "Traceback" not in out + error
+    assert error.count("\n") == (1 if error else 0)
+    return str(error or out)
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_tables_that_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str], table: str) -> None:
+    content, sentence = TABLES[table]
+    path = tmp_path / "bench.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    said = said_of(capsys, COIL, path, "-o", tmp_path / "study.toml")
+    assert "bench.csv: " in said
+    assert sentence in said
+
+
+def started(tmp_path: Path, capsys: pytest.CaptureFixture[str], frame: pd.DataFrame, *more: str) -> str:
+    """Return what `fmuid init` says of a table of the coil."""
+    frame.to_csv(tmp_path / "bench.csv", index=False)
+    assert fmuid_("init", COIL, tmp_path / "bench.csv", "-o", tmp_path / "study.toml", *more) in (DONE, NOT_SUCCEEDED)
+    (tmp_path / "study.toml").unlink()
+    return str(capsys.readouterr().out)
+
+
+def test_channels_that_measured_nothing_or_in_another_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frame = fmuid.datasets.coil().table[["time", "u", "i"]]
+    said = started(tmp_path, capsys, frame)
+    assert "throughout" not in said and "times as far as measured" not in said
+    said = started(tmp_path, capsys, frame.assign(i=0.25))
+    assert (
+        "bench.csv: the output 'i' is 0.25 throughout: if its channel measured nothing, remove it from the out" in said
+    )
+    said = started(tmp_path, capsys, frame.assign(u=1000 * frame["u"]))
+    (ratio,) = re.findall(r"bench.csv: at the FMU's own values what 'i' measures moves (\S+) times as far", said)
+    assert float(ratio) == pytest.approx(1000, rel=0.3)
+
+
+def test_an_input_that_is_no_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frame = fmuid.datasets.coil().table[["time", "i"]]
+    assert "by --map u=COLUMN, or --map u= to leave it at its start" in started(tmp_path, capsys, frame)
+    assert "no column is the input" not in started(tmp_path, capsys, frame, "--map", "u=")
+
+
+def test_a_header_of_2000_names(tmp_path: Path) -> None:
+    names = ",".join(f"c{k}" for k in range(2000))
+    rows = "".join(f"{k / 100},{k % 3},{np.sin(k)},{'1,' * 1999}1\n" for k in range(8))
+    (tmp_path / "bench.csv").write_text(f"time,u,i,{names}\n{rows}")
+    assert fmuid_("init", COIL, tmp_path / "bench.csv", "-o", tmp_path / "study.toml") == DONE
+
+
+def archive(path: Path, kind: str) -> None:
+    """Write an FMU of the coil that is spoilt in one way."""
+    with zipfile.ZipFile(COIL) as source:
+        files = {name: source.read(name) for name in source.namelist()}
+    inside = [name for name in files if name.startswith("binaries")]
+    if kind == "another platform":
+        files = {name.replace("linux64", "win64"): text for name, text in files.items() if "darwin" not in name}
+        inside = [name for name in files if name.startswith("binaries") and "win64" not in name]
+    elif kind == "in a folder":
+        files = {f"Coil/{name}": text for name, text in files.items()}
+    elif kind == "no description":
+        del files["modelDescription.xml"]
+    with zipfile.ZipFile(path, "w") as made:
+        for name, text in files.items():
+            if name not in inside or kind not in ("sources alone", "another platform"):
+                made.writestr(name, text)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sentence"),
+    [
+        ("no description", "is not an FMU: it has no modelDescription.xml at its top level"),
+        ("in a folder", "is not an FMU: it has no modelDescription.xml at its top level"),
+        ("another platform", "has no binary for this platform (linux64): it has binaries for win64; export it for"),
+        ("sources alone", "has no binary for this platform (linux64): it has no binaries at all; export it for"),
+        ("cut", "is not an FMU: it is not a zip archive; export the model again"),
+        ("empty", "is not an FMU: it is not a zip archive; export the model again"),
+        ("a model", "is not an FMU: it is not a zip archive; export the model again"),
+    ],
+)
+def test_fmus_that_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, sentence: str) -> None:
+    (tmp_path / "bench.csv").write_text(f"time,u,i\n{ROWS}")
+    path = tmp_path / "Coil.fmu"
+    texts = {"cut": COIL.read_bytes()[:20_000], "empty": b"", "a model": b"model Coil end Coil;"}
+    if kind in texts:
+        path.write_bytes(texts[kind])
+    else:
+        archive(path, kind)
+    if "platform" in sentence:
+        import fmpy
+
+        sentence = sentence.replace("linux64", fmpy.platform)
+    assert sentence in said_of(capsys, path, tmp_path / "bench.csv", "-o", tmp_path / "study.toml")

@@ -1,0 +1,145 @@
+"""`fmuid predict` from end to end, and what it says of wrong input."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from tests.support.coil_study import STUDY, coil_table, fmuid_
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a study, its result and three records."""
+    folder = tmp_path_factory.mktemp("coil")
+    for k, name in enumerate(("first", "second", "third")):
+        coil_table(folder / f"{name}.csv", 0.1 * k, seed=k)
+    (folder / "study.toml").write_text(STUDY)
+    assert fmuid_("identify", folder / "study.toml", "--in-process") == DONE
+    return folder
+
+
+def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tables = (made / "second.csv", made / "third.csv")
+    words = ("--free", "i_start", "-o", tmp_path, "--in-process")
+    assert fmuid_("predict", made / "results", *tables, *words, "--figures", "png") == DONE
+    out, error = capsys.readouterr()
+    assert error == ""
+    for word in ("second", "third", "RMSE", "in the band", "Estimated again on third: i_start = 0.2", "prediction.csv"):
+        assert word in out
+    content = json.loads((tmp_path / "prediction.json").read_text())
+    names = ("results/result.json", "second.csv", "third.csv")
+    assert {name: hashlib.sha256((made / name).read_bytes()).hexdigest() for name in names}.items() <= content[
+        "files"
+    ].items()
+    assert any(name.endswith("Coil.fmu") for name in content["files"])
+    assert content["study"]["digest"] == hashlib.sha256((made / "study.toml").read_bytes()).hexdigest()
+    assert [record["experiment"] for record in content["records"]] == ["second", "third"]
+    assert content["records"][1]["estimated"]["parameters"]["i_start"]["value"] == pytest.approx(0.2, abs=0.05)
+    scores = pd.read_csv(tmp_path / "scores.csv")
+    assert list(scores["record"]) == ["second", "third"]
+    assert scores["rmse"].tolist() == [record["outputs"][0]["rmse"] for record in content["records"]]
+    assert len(pd.read_csv(tmp_path / "prediction.csv")) == 1200
+    figures = {path.stem for path in (tmp_path / "figures").iterdir()}
+    assert {"prediction", "prediction-2", "residuals"} <= figures
+    assert fmuid_("predict", made / "results", *tables, *words, "--no-report") == DONE
+    assert list((tmp_path / "figures").iterdir()) == []  # those of an earlier run
+    assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.usefixtures("drawn_figures")
+def test_predict_constant_output_gives_rmse(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A fit in % has no meaning there, in no file and on no page."""
+    table = pd.read_csv(made / "second.csv")
+    table.assign(i=0.1).to_csv(tmp_path / "still.csv", index=False)
+    words = ("-o", tmp_path / "out", "--in-process")
+    assert fmuid_("predict", made / "results", tmp_path / "still.csv", *words) == DONE
+    out = " ".join(capsys.readouterr().out.split())
+    assert "i in still is predicted with an RMSE of " in out
+    assert "(constant as measured: no fit)" in out
+    content = json.loads((tmp_path / "out" / "prediction.json").read_text())
+    assert content["records"][0]["outputs"][0]["fit"] is None
+    assert pd.read_csv(tmp_path / "out" / "scores.csv")["fit"].isna().all()
+    assert "no fit" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.usefixtures("drawn_figures")
+def test_the_record_of_the_result_is_no_prediction(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fmuid_("predict", made / "results", made / "first.csv", "-o", tmp_path, "--in-process") == DONE
+    out, error = capsys.readouterr()
+    assert "the result was made from first: this is no prediction" in error
+    content = json.loads((tmp_path / "prediction.json").read_text())
+    page = (tmp_path / "report.html").read_text()
+    told = [content["study"]["digest"], *content["files"].values(), content["date"]]
+    assert [each for each in told if each not in page] == []
+    identified = json.loads((made / "results" / "result.json").read_text())
+    rmse = json.loads((tmp_path / "prediction.json").read_text())["records"][0]["outputs"][0]["rmse"]
+    assert rmse**2 == pytest.approx(identified["noise_variance"]["i"] * 598 / 600, rel=1e-3)
+    assert "as noise and estimates let expect" in out
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "The result was made from first: this is no prediction" in page
+    assert "carries over</span>" not in page
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("drawn_figures")
+def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    several = [
+        f'{{table="{name}.csv", inputs=["u"], outputs=["i"], interpolation="hold"}}' for name in ("first", "second")
+    ]
+    with_both = ("--set", f"experiments=[{', '.join(several)}]", "--free", "i_start")
+    code = fmuid_("predict", made / "results", "--folds", "2", *with_both, "-o", tmp_path, "--in-process")
+    assert code == DONE
+    out = capsys.readouterr().out
+    assert "Left out in turn" in " ".join(out.split())
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for part in ("Predicted: first", "Predicted: second", "Left out in turn", "i in second is predicted with a fit of"):
+        assert part in page
+    folds = json.loads((tmp_path / "prediction.json").read_text())["folds"]
+    assert [fold["left_out"] for fold in folds] == [["first"], ["second"]]
+
+
+def test_from_python(made: Path) -> None:
+    found = fmuid.run_prediction(made / "results", [made / "second.csv"], free=["i_start"])
+    assert found.predictions[0].scores[0].ratio == pytest.approx(1.0, abs=0.1)
+    assert any("is predicted with a fit of" in words for words in found.words)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("results",), "name the tables to predict, or give --folds"),
+        (("results", "second.csv", "--folds", "2"), "leave the tables out"),
+        (("results", "--folds", "2"), "nothing to leave out"),
+        (("nothing", "second.csv"), "there is no such result"),
+        (("results", "missing.csv"), "missing.csv"),
+        (("results", "study.toml"), "study.toml"),
+        (("results", "second.csv", "--free", "Rr"), "'Rr'"),
+        (("results", "second.csv", "--level", "2"), "the level of a band must lie between 0 and 1"),
+        (("results", "second.csv", "--like", "x"), "has no experiment 'x'"),
+        (("results", "other.csv"), "'u'"),
+        (("results", "volts.csv"), "V"),
+    ],
+)
+def test_wrong_input_is_one_sentence(
+    made: Path, words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (made / "second.csv").read_text()
+    (made / "other.csv").write_text(text.replace("time,u,i", "time,v,i"))
+    (made / "volts.csv").write_text(text.replace("time,u,i", "time,u,i [V]"))
+    paths = [made / word if word in ("results", "nothing") or "." in word else word for word in words]
+    assert fmuid_("predict", *paths, "--in-process") == WRONG_INPUT
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert len(error.splitlines()) == 1
+    assert said in error

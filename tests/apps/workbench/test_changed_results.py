@@ -1,0 +1,152 @@
+"""Results in whose files a value has another type: a line says so on each page, and other results are shown."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from bokeh.document import Document
+
+from fmuid.apps.workbench import Folder
+from fmuid.apps.workbench.home import _results, _studies
+from fmuid.apps.workbench.jobs import Jobs
+from fmuid.apps.workbench.pages import results as results_page
+from fmuid.apps.workbench.pages.batch import BatchPage
+from fmuid.apps.workbench.pages.study import StudyPage
+from fmuid.errors import FmuidError
+from fmuid.reports import run_study
+from fmuid.studies import Study
+from tests.support.begun_batch import batch, write_part
+from tests.support.changed_types import with_changed_type
+from tests.support.coil_study import STUDY, coil_table
+from tests.support.results import result
+
+SEEDS = 65
+FILES = ("results/result.json", "out/batch.json")
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("identified")
+    coil_table(folder / "first.csv", 0.0, seed=1)
+    (folder / "study.toml").write_text(STUDY.replace("R = {", "R = { prior = { mean = 4.5, std = 1.0 },"))
+    run_study(folder / "study.toml", folder / "results")
+    (folder / "sound").mkdir()
+    result(folder / "sound", {"R": (4.25, 0.1)})
+    batch(folder / "out", 4)
+    return folder
+
+
+def bench_of(folder: Path) -> Any:
+    return SimpleNamespace(folder=Folder(folder), jobs=Jobs())
+
+
+def first_page(folder: Path) -> str:
+    studies, results = Folder(folder).look()
+    return _studies(Folder(folder), studies, results, set()) + _results(Folder(folder), results)
+
+
+def page_of_results(folder: Path, *names: str) -> str:
+    doc: Any = Document()
+    request = SimpleNamespace(arguments={"file": [name.encode() for name in names]})
+    doc._session_context = lambda: SimpleNamespace(request=request)
+    results_page.build(doc, bench_of(folder))
+    return "".join(text for text, _ in doc.template_variables["pieces"])
+
+
+def page_of_the_study(folder: Path) -> str:
+    path = folder / "study.toml"
+    page = StudyPage(Document(), bench_of(folder), path, Study.read(path), "light")
+    page._newest.close()
+    return str(page.identifying.text.text)
+
+
+def page_of_the_batch(folder: Path) -> str:
+    page = BatchPage(Document(), Folder(folder), folder / "out", "light")
+    page.number.value = "3"
+    return str(page.state.text)
+
+
+PAGES: Mapping[str, Callable[[Path], str]] = {
+    "first": first_page,
+    "result": lambda folder: page_of_results(folder, "results"),
+    "side by side": lambda folder: page_of_results(folder, "sound", "results"),
+    "study": page_of_the_study,
+    "batch": page_of_the_batch,
+}
+
+
+def check_pages(folder: Path, file: str, pages: Mapping[str, Callable[[Path], str]]) -> None:
+    """Change the type of a value in a file again and again; a page may refuse it, in a sentence."""
+    whole = json.loads((folder / file).read_text())
+    for seed in range(SEEDS):
+        content, what = with_changed_type(whole, np.random.default_rng(seed))
+        (folder / file).write_text(json.dumps(content))
+        for name, page in pages.items():
+            try:
+                text = page(folder)
+            except FmuidError as error:
+                assert file.split("/")[-1] in str(error), (name, what)
+                assert name in ("result", "batch"), (name, what)  # other results stay visible
+            else:
+                assert "4.25 ± 0.10" in text or name != "side by side", what
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_first_page_shows_a_folder_with_changed_types(identified: Path, tmp_path: Path, file: str) -> None:
+    shutil.copytree(identified, tmp_path / "work")
+    check_pages(tmp_path / "work", file, {"first": first_page})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", FILES)
+def test_all_pages_show_changed_types(identified: Path, tmp_path: Path, file: str) -> None:
+    shutil.copytree(identified, tmp_path / "work")
+    read = {"first", "batch"} if file.startswith("out") else PAGES.keys() - {"batch"}
+    check_pages(tmp_path / "work", file, {name: page for name, page in PAGES.items() if name in read})
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("parameters", [1]), ("experiments", {"name": 1}), ("study", {"file": 1, "digest": []}), ("diagnostics", "good")],
+)
+def test_pages_name_the_value(identified: Path, tmp_path: Path, key: str, value: object) -> None:
+    shutil.copytree(identified, tmp_path / "work")
+    path = tmp_path / "work/results/result.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
+    shown = first_page(tmp_path / "work")
+    assert f"result.json: {key}" in shown
+    assert "sound" in shown
+    with pytest.raises(FmuidError, match=key):
+        page_of_results(tmp_path / "work", "results")
+    assert "4.25 ± 0.10" in page_of_results(tmp_path / "work", "sound", "results")
+    assert "class=error" in page_of_the_study(tmp_path / "work")
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("case", "one", "case: the values are no numbers"),
+        ("value.R", "many", "value.R: the values are no numbers"),
+        ("status", None, "has no column status"),
+    ],
+)
+def test_batch_page_shows_the_sound_rows(tmp_path: Path, column: str, value: str | None, said: str) -> None:
+    batch(tmp_path / "out", 2)
+    (sound,) = (tmp_path / "out/cases").iterdir()
+    frame = pd.read_parquet(sound).assign(case=[2, 3])
+    changed = frame.drop(columns=column) if value is None else frame.assign(**{column: value})
+    write_part(tmp_path / "out", 3, changed)
+    damaged = sound.with_name("part-000000009-0123456789ab.parquet")
+    damaged.write_bytes(b"PAR1 no more")
+    page = BatchPage(Document(), Folder(tmp_path), tmp_path / "out", "light")
+    assert list(page.frame["case"]) == [0, 1]
+    assert said in page.state.text
+    assert f"{damaged.name} is damaged" in page.state.text

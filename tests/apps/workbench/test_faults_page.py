@@ -1,0 +1,92 @@
+"""The page of a study's faults, without a browser: what it begins, and that it follows what is written meanwhile."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from bokeh.document import Document
+from bokeh.models import Div
+
+import fmuid
+from fmuid.apps.cli.options import NOT_SUCCEEDED
+from fmuid.apps.workbench import Folder
+from fmuid.apps.workbench.jobs import Jobs
+from fmuid.apps.workbench.pages.faults import FaultsPage
+from fmuid.apps.workbench.pages.results_view import Shown
+from fmuid.errors import InputError
+from fmuid.reports import run_diagnosis, run_monitoring
+from fmuid.studies import Study
+from tests.support.coil_study import STUDY, coil_table
+from tests.support.results import result
+
+PATIENCE = 120.0
+
+
+def text(shown: Shown) -> str:
+    return " ".join(each.text for each in shown.layout.children if isinstance(each, Div))
+
+
+def test_what_is_written_is_shown_at_the_next_look(tmp_path: Path) -> None:
+    shown = Shown(Document(), tmp_path, "light", ("result.json",))
+    assert "no result yet" in text(shown)
+    result(tmp_path, {"R": (4.0, 0.1)})
+    shown.look()
+    assert "4.00 ± 0.10" in text(shown)
+    before = shown.layout.children
+    shown.look()
+    assert shown.layout.children == before  # nothing is drawn again
+    (tmp_path / "result.json").write_text("{half of")
+    shown.look()
+    assert shown.layout.children == before
+    result(tmp_path, {"R": (5.0, 0.1)})
+    shown.look()
+    assert "5.00 ± 0.10" in text(shown)
+
+
+def test_a_study_without_faults_is_refused(tmp_path: Path) -> None:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    (tmp_path / "study.toml").write_text(STUDY)
+    with pytest.raises(InputError, match=r"has no \[diagnosis\]"):
+        FaultsPage(Document(), SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()), tmp_path / "study.toml", "light")
+
+
+@pytest.mark.slow
+def test_a_diagnosis_is_begun_and_a_folder_is_followed(tmp_path: Path) -> None:
+    coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
+    fmuid.run_study(Study.of(coil.study, tmp_path / "coil.toml"), tmp_path / "healthy")
+    (tmp_path / "records").mkdir()
+    shutil.copy(test.path, tmp_path / "records/one.csv")
+    fault = f'[diagnosis.faults.turns]\nfmu = "{test.fmu.as_posix()}"\nparameters = {{ dR = {{ nominal = 1.0 }} }}\n'
+    (tmp_path / "faults.toml").write_text(
+        f'[model]\nfmu = "{coil.fmu.as_posix()}"\n[[experiments]]\ntable = "records/one.csv"\ninputs = ["u"]\n'
+        f'outputs = ["i"]\n[diagnosis]\nhealthy = "healthy/result.json"\n{fault}[monitoring]\nlevel = 0.01\n'
+    )
+    study, doc = tmp_path / "faults.toml", Document()
+    page = FaultsPage(doc, SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()), study, "light")
+    assert page.records.options == ["", "records/", "records/one.csv"]
+    page.monitor()
+    assert "choose a record" in page.run.state.text
+    page.records.value, page.follow.active = "records/", True
+    assert page.words() == ["monitor", "faults.toml", "records", "--follow"]
+
+    page.diagnose()
+    assert page.run.job is not None
+    page.run.job.close(PATIENCE)
+    page.run.look()
+    assert page.run.job.code == NOT_SUCCEEDED  # a fault
+    assert "turns" in text(page.shown)
+    assert "What decides" in text(page.shown)
+
+    elsewhere = threading.Thread(target=run_monitoring, args=(study, [tmp_path / "records"], tmp_path / "results"))
+    elsewhere.start()
+    elsewhere.join(PATIENCE)
+    page.shown.look()
+    assert "Monitoring" in text(page.shown)
+    assert "raised in" in text(page.shown)
+    assert "What decides" in text(page.shown)
+    found = run_diagnosis(study).diagnosis
+    assert found.kind in text(page.shown)

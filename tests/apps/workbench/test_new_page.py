@@ -1,0 +1,121 @@
+"""A study that is begun on a page: what it shows of tables, and that the command it runs writes what is shown."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from bokeh.document import Document
+from bokeh.models import ColumnDataSource
+
+from fmuid.apps.cli.options import DONE
+from fmuid.apps.workbench import Folder
+from fmuid.apps.workbench.jobs import Jobs
+from fmuid.apps.workbench.pages.new import NewPage
+from fmuid.studies import Study
+from tests.support.coil_study import COIL, coil_table
+
+PATIENCE = 120.0
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> NewPage:
+    (tmp_path / "coil.fmu").write_bytes(COIL.read_bytes())
+    coil_table(tmp_path / "bench.csv", 0.0, seed=1)
+    text = (tmp_path / "bench.csv").read_text().replace("time,u,i", "time,U_soll,strom")
+    (tmp_path / "bench.csv").write_text(text)
+    doc: Any = Document()
+    return NewPage(doc, SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()), "light")
+
+
+def lines(page: NewPage, column: str) -> set[float]:
+    """Return all values that are drawn."""
+    sources = [each for each in page.drawn.select({"type": ColumnDataSource}) if column in each.data]
+    return {float(value) for each in sources for value in each.data[column]}
+
+
+def test_tables_are_shown_as_they_are_read(page: NewPage) -> None:
+    assert page.fmu.value == "coil.fmu"  # there is one
+    assert page.run.buttons[0].disabled
+    page.tables.value = ["bench.csv"]
+    assert "600 samples" in page.said.text
+    assert "the only one of its quantity" in page.said.text
+    assert "time,U_soll,strom" in page.said.text  # of the file
+    assert set(page.maps) == {"u", "i"}
+    assert not page.run.buttons[0].disabled
+    page.unit.value = "ms"
+    assert f"{0.599e-3:.6g} s" in page.said.text
+    page.time.value = "zeit"
+    assert "role=alert" in page.said.text
+    assert page.run.buttons[0].disabled
+    page.rate.value = "-3"
+    assert "samples per second are a number above 0" in page.said.text
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"), [("bench.csv", "cp1252"), ("bench.csv", "utf-16"), ("bench.csv.gz", "utf-8")]
+)
+def test_the_beginning_of_a_file_is_decoded_as_it_is_read(
+    page: NewPage, tmp_path: Path, name: str, encoding: str
+) -> None:
+    content = ("# Prüfstand 7\n" + (tmp_path / "bench.csv").read_text()).encode(encoding)
+    (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith(".gz") else content)
+    page.tables.options = [name]
+    page.tables.value = [name]
+    assert "# Prüfstand 7\ntime,U_soll,strom" in page.said.text
+
+
+def test_columns_are_chosen(page: NewPage) -> None:
+    page.tables.value = ["bench.csv"]
+    page.maps["i"].value = "(none)"
+    assert "no column is the output i" in page.said.text
+    assert page.words() == ["init", "coil.fmu", "bench.csv", "--output", "study.toml", "--map", "i="]
+    page.maps["i"].value = "strom"
+    page.maps["u"].value = "U_soll"
+    assert page.words()[-4:] == ["--map", "u=U_soll", "--map", "i=strom"]
+    assert "given" in page.said.text
+
+
+def test_what_is_done_first_is_drawn_before_and_after(page: NewPage) -> None:
+    page.tables.value = ["bench.csv"]
+    page.maps["u"].value, page.maps["i"].value = "U_soll", "strom"
+    before = lines(page, "v")
+    page.prepare["detrend"].value = "mean"
+    assert before < lines(page, "v")
+    mean = page.records[0].frame["strom"].mean()
+    after = page.records[0].experiment
+    assert after is not None
+    np.testing.assert_allclose(
+        after.output_values[:, 0], page.records[0].frame["strom"].to_numpy() - mean, rtol=1e-12, atol=1e-12
+    )
+    page.prepare["resample"].value = "many"
+    assert "role=alert" in page.said.text
+    assert page.command.text == ""  # of what is not to be written
+
+
+@pytest.mark.slow
+def test_the_study_is_written_by_the_command_that_is_shown(page: NewPage, tmp_path: Path) -> None:
+    page.tables.value = ["bench.csv"]
+    page.maps["u"].value, page.maps["i"].value = "U_soll", "strom"
+    page.prepare["to"].value = "0.5"
+    page.output.value = "../evil.toml"
+    page.write()
+    assert "is a .toml file of this folder" in page.run.state.text
+    page.output.value = "made.toml"
+    assert "--output made.toml" in page.command.text
+    page.write()
+    assert page.run.job is not None
+    page.run.job.close(PATIENCE)
+    page.run.look()
+    assert page.run.job.code == DONE, page.run.state.text
+    assert "study?file=made.toml" in page.run.state.text
+    study = Study.read(tmp_path / "made.toml")
+    assert sorted(study.parameters) == ["L", "R"]
+    assert study.tables[0].times[-1] == pytest.approx(0.5)
+    shown = page.records[0].experiment
+    assert shown is not None
+    np.testing.assert_array_equal(shown.output_values, study.tables[0].output_values)

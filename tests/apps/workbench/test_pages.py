@@ -1,0 +1,366 @@
+"""What pages show of files, without a browser: the folder, results, batches; and commands that are followed."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import math
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+from bokeh.document import Document
+from bokeh.events import ButtonClick
+from bokeh.models import Button, ColumnDataSource, FileInput, Range1d
+
+import fmuid
+from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from fmuid.apps.workbench import Folder
+from fmuid.apps.workbench.home import _results, _studies
+from fmuid.apps.workbench.jobs import Jobs
+from fmuid.apps.workbench.pages.batch import BatchPage, case_settings
+from fmuid.apps.workbench.pages.remedy_panel import Remedied
+from fmuid.apps.workbench.pages.results import PLACE, Predicting, Writing, _compared, _zoomed, build
+from fmuid.apps.workbench.project_folder import FoundResult, FoundStudy
+from fmuid.estimation import Result
+from fmuid.progress import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line, to_line
+from fmuid.reports import run_study
+from fmuid.reports.console.progress import Display
+from fmuid.reports.page.document import Part, written_parts
+from fmuid.reports.page.fits import fit_sections
+from fmuid.reports.page.write import contents
+from fmuid.runs import Cases, origin_of
+from fmuid.runs.batch.study_package import Bundle
+from fmuid.simulation import Fit
+from fmuid.studies import Study
+from tests.support.begun_batch import batch
+from tests.support.coil_study import COIL, STUDY, coil_table
+from tests.support.isolated import wait_until
+from tests.support.results import result
+
+PATIENCE = 120.0
+EVENTS_SEEN: tuple[Event, ...] = (
+    Event(task="uncertainty", share=0.0),
+    SearchStep(number=2, criterion=math.inf, damping=0.1, accepted=False, values={"R": 4.0}),
+    GlobalStep(task="spread", done=3, total=9, criterion=1.5, values={"R": 4.0}, simulations=30),
+    BatchStep(done=1, total=4, failed=0, rate=0.0, left=math.inf, threads=2),
+)
+
+
+@pytest.mark.parametrize("event", EVENTS_SEEN)
+def test_an_event_survives_being_a_line(event: Event) -> None:
+    assert repr(of_line(to_line(event))) == repr(event)  # NaN is not itself
+
+
+def test_commands_tell_their_events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(EVENTS, str(tmp_path / "events"))
+    with Display() as display:
+        for event in EVENTS_SEEN:
+            display(event)
+    told = (tmp_path / "events").read_text().splitlines()
+    assert repr(tuple(map(of_line, told))) == repr(EVENTS_SEEN)
+    with pytest.raises(ValueError, match="no event"):
+        of_line("{}")
+
+
+def bench_of(path: Path) -> Any:
+    return SimpleNamespace(folder=Folder(path), jobs=Jobs())
+
+
+def asked_for(*files: str) -> Any:
+    doc: Any = Document()
+    request = SimpleNamespace(arguments={"file": [name.encode() for name in files]})
+    doc._session_context = lambda: SimpleNamespace(request=request)
+    return doc
+
+
+def test_the_first_page_says_what_there_is(tmp_path: Path) -> None:
+    evil = "<img src=x onerror=alert(1)>"
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a/study.toml").write_text(STUDY.replace('"Coil"', f'"{evil}"'))
+    (tmp_path / "a/broken.toml").write_text("[model\n")
+    (tmp_path / "pyproject.toml").write_text('[project]\nname = "none"\n')
+    (tmp_path / "a/results").mkdir()
+    told = {"file": "../study.toml", "content": {}}
+    result(tmp_path / "a/results", {"R": (4.0, 0.1)}, study=told, outcome="converged")
+    folder = Folder(tmp_path)
+    studies, results = folder.look()
+    assert [each.path.name for each in studies] == ["broken.toml", "study.toml"]
+    page = _studies(folder, studies, results, set()) + _results(folder, results)
+    assert evil not in page
+    assert "&lt;img" in page
+    assert "is not valid TOML" in page
+    assert "R = 4.00 ± 0.10" in page
+    assert "/study?file=a/study.toml" in page
+    assert "/results?file=a/results" in page
+    assert "2 parameters, 1 table" in page
+    bare = FoundStudy(tmp_path / "a/broken.toml", "faults")
+    for folder_name, kind, word in (("b/c", "monitoring", "monitored"), ("", "diagnosis", "diagnosed")):
+        (tmp_path / "a" / folder_name).mkdir(parents=True, exist_ok=True)
+        kept = tmp_path / "a" / folder_name / f"{kind}.json"
+        kept.write_text(json.dumps({"study": {"file": "broken.toml", "digest": "0"}}))
+        page = _studies(folder, [bare], [FoundResult.of(kept)], set())
+        assert f">{word}<" in page
+        assert "Last result" in page
+    running = _studies(folder, studies, results, {(tmp_path / "a/study.toml").resolve()})
+    assert ">running<" in running
+
+
+def test_results_stand_side_by_side(tmp_path: Path) -> None:
+    told: dict[str, dict[str, Any]] = {
+        "first": {"R": {"value": 4.0, "unit": "Ohm"}, "L": {"value": 2.0, "unit": "H"}, "k": {"value": 1.0}},
+        "second": {"R": {"value": 4.5}, "L": {"value": 2000.0, "unit": "mH"}},  # of an earlier version: R without
+    }
+    for name, parameters in told.items():
+        (tmp_path / name).mkdir()
+        whole = {key: {"std": 0.1, "start": 1.0} | each for key, each in parameters.items()}
+        result(tmp_path / name, {key: (each["value"], 0.1) for key, each in parameters.items()}, parameters=whole)
+    _, (part,) = _compared(Folder(tmp_path), [tmp_path / "first", tmp_path / "second"])
+    rows = [re.findall(r"<t[hd][^>]*>([^<]*)<", row) for row in part.table.split("<tr>")[2:]]
+    assert rows[0] == ["R (Ohm)", "4.00 ± 0.10", "4.50 ± 0.10"]
+    assert rows[1:] == [["L (H)", "2.00 ± 0.10", ""], ["k", "1.00 ± 0.10", ""], ["L (mH)", "", "2000.00 ± 0.10"]]
+    assert "fmuid compare first second" in part.table
+    (of_r,) = part.sections[0].figures  # nothing stands beside what only one has, nor beside another unit
+    (drawn,) = {renderer.data_source for renderer in of_r.renderers}
+    np.testing.assert_allclose(drawn.data["value"], [4.0, 4.5])
+    np.testing.assert_allclose(drawn.data["upper"] - drawn.data["value"], 0.196, rtol=1e-3)
+
+
+def test_from_results_to_what_would_help(tmp_path: Path) -> None:
+    """A link leads to the study as it was for the result: started elsewhere, held, with a prior, at another table."""
+    for k, name in enumerate(("first.csv", "other.csv")):
+        coil_table(tmp_path / name, 0.0, seed=k)
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY.replace("[parameters]", "[parameters]\nk = { start = 2.0 }\n"))
+    given = ["experiments.0.table=other.csv", "parameters.R.start=7.5", "parameters.k=3", "title=A b"]
+    given += ["parameters.L.prior={ mean = 0.1, std = 1e-3 }"]
+    run = Study.read(path, given)
+    for name, std in (("open", None), ("known", 0.1)):
+        (tmp_path / name).mkdir()
+        result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, std)}, study=origin_of(run, tmp_path / name))
+    doc = asked_for("open")
+    build(doc, bench_of(tmp_path))
+    text = "".join(each for each, _ in doc.template_variables["pieces"])
+    study, hold, prior = (html.unescape(each) for each in re.findall('class=go href="([^"]*)"', text))
+    assert study == "/study?file=study.toml"
+    for link, act in ((hold, "hold"), (prior, "prior")):
+        asked = parse_qs(urlsplit(link).query)
+        assert asked["file"] == ["study.toml"]
+        assert asked[act] == ["L"]
+        assert Study.read(path, asked["set"]).data == run.data
+    designing = next(each for each in doc.roots if each.name == "designing")
+    assert "compare excitations" in {each.name for each in designing.select({"type": Button})}
+    words = Remedied(Folder(tmp_path), tmp_path / "open").designing
+    design = Study.read(path, [word for word in words if word != "--set"])
+    assert design.known_variance == {"i": 1.0}  # as the result says
+    assert [(name, each.start) for name, each in design.parameters.items()] == [("R", 4.0), ("L", 0.05)]
+    build(doc := asked_for("known"), bench_of(tmp_path))
+    assert "designing" not in {each.name for each in doc.roots}
+    _, (part,) = _compared(Folder(tmp_path), [tmp_path / "open", tmp_path / "known"])
+    assert part.table.count("Hold L") == 1
+    assert 'href="/results?file=open#remedies"' in part.table
+    path.unlink()
+    assert Remedied(Folder(tmp_path), tmp_path / "open").names == []
+
+
+def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
+    names = ("first", "second")
+    for name in names:
+        (tmp_path / name).mkdir()
+        result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, 0.01)})
+    for asked in (names[:1], names):
+        doc = asked_for(*asked)
+        build(doc, bench_of(tmp_path))
+        told = doc.template_variables
+        assert [root for _, root in told["pieces"] if root] == [root.name for root in doc.roots]
+        drawings = json.loads(told["figures"])["drawings"]
+        places = [place for _, (where,) in drawings for place in where["roots"].values()]
+        assert places
+        body = "".join(text for text, _ in told["pieces"])
+        assert all(f'id="{place}"' in body for place in places)
+
+
+def test_a_long_fit_is_thinned_anew_where_one_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    times, rng = np.linspace(0.0, 10.0, 50_001), np.random.default_rng(1)
+    simulated = np.sin(times)[:, None]
+    half, counted = np.full_like(simulated, 0.3), np.ones_like(simulated, dtype=bool)
+    measured = simulated + rng.normal(0.0, 0.1, simulated.shape)
+    record = Fit("first", times, ("i",), ("A",), measured, simulated, counted)
+    short = Fit("second", times[:600], ("i",), ("A",), measured[:600], simulated[:600], counted[:600])
+    doc, due = Document(), list[Any]()
+    monkeypatch.setattr(doc, "add_next_tick_callback", due.append)
+    sections = fit_sections("fit", "Fit", "", (record, short), {"first": (half, 0.95)})
+    (part,), names = _zoomed(doc, [Part("", "", True, [], "", sections)])
+    assert names == [root.name for root in doc.roots] == ["fit"]
+    assert written_parts([part])[0].count(PLACE) == len(names)
+    assert part.sections[1] is sections[1]  # all of its samples are there
+    (across,) = doc.select({"type": Range1d})
+    lines, dots = sorted(doc.select({"type": ColumnDataSource}), key=lambda source: "s0" not in source.data)
+    assert len(lines.data["t"]) < 5000
+    across.update(start=2.0, end=2.1)
+    assert len(due) == 1  # once for both ends
+    due.pop()()
+    rows = slice(9999, 10_501)  # one more at the beginning
+    for source in (lines, dots):
+        np.testing.assert_array_equal(source.data["t"], times[rows])
+        np.testing.assert_allclose(source.data["m0"], measured[rows, 0], rtol=1e-6)
+    np.testing.assert_allclose(lines.data["r0"], (measured - simulated)[rows, 0], rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(lines.data["b0"], (simulated + half)[rows, 0], rtol=1e-6)
+    across.update(start=0.0, end=10.0)
+    due.pop()()
+    assert lines.data["t"][[0, -1]].tolist() == [0.0, 10.0]
+    assert len(lines.data["t"]) < 5000
+
+
+def test_a_page_of_no_results_says_where_they_are_chosen(tmp_path: Path) -> None:
+    with pytest.raises(fmuid.InputError, match="choose results on the first page"):
+        build(Document(), SimpleNamespace(folder=Folder(tmp_path), jobs=Jobs()))
+
+
+def test_a_folder_without_a_batch_is_no_page_of_one(tmp_path: Path) -> None:
+    with pytest.raises(fmuid.InputError, match=r"has no batch\.json: it is no folder of a batch"):
+        BatchPage(Document(), Folder(tmp_path), tmp_path, "light")
+
+
+def test_a_batch_of_another_process_is_followed(tmp_path: Path) -> None:
+    batch(tmp_path / "out", 2)
+    doc: Any = Document()
+    page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
+    assert "2 of 5 cases, 1 failed" in page.state.text
+    batch(tmp_path / "out", 4)
+    page.look()
+    assert "4 of 5 cases, 1 failed" in page.state.text
+    assert list(page.source.data["case"]) == [0, 1, 2, 3]
+    page.status.value = "failed"
+    assert list(page.source.data["case"]) == [1]
+    page.status.value = "all"
+    page.text.value = "WALL"
+    assert list(page.source.data["case"]) == [1]
+    (tmp_path / "out/logs").mkdir()
+    (tmp_path / "out/logs/case-000001.txt").write_text("the FMU said <so>")
+    page.source.selected.indices = [0]
+    assert "hit &lt;b&gt;a wall" in page.case.text
+    assert "the FMU said &lt;so&gt;" in page.case.text
+    page.text.value = ""
+    assert page.source.selected.indices == [1]  # the case, wherever its row is
+    page.number.value = "3"
+    assert "<td>4.03</td>" in page.case.text
+    page.number.value = "7"
+    assert "there is no case 7 yet" in page.case.text
+
+
+def test_a_case_leads_to_what_if_with_what_it_was_given_and_found(tmp_path: Path) -> None:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    (tmp_path / "records").mkdir()
+    for k in range(2):
+        coil_table(tmp_path / f"records/r{k}.csv", 0.0, seed=k)
+    words = '[batch]\ntables = "records/*.csv"\nvalues = { L = [0.1, 0.2] }\n'
+    (tmp_path / "study.toml").write_text(STUDY + words)
+    batch(tmp_path / "out", 3)
+    manifest = json.loads((tmp_path / "out/batch.json").read_text())
+    manifest |= Bundle(Study.read(tmp_path / "study.toml"), isolated=False, versions={}).manifest()
+    manifest |= {"dashboard": "http://host:8787/status?a=<b>"}
+    (tmp_path / "out/batch.json").write_text(json.dumps(manifest))
+    doc: Any = Document()
+    page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
+    page.source.selected.indices = [2]
+    link = re.search(r'href="([^"]*)">What if', page.case.text)
+    assert link is not None
+    asked = parse_qs(urlsplit(html.unescape(link[1])).query)
+    assert asked["file"] == ["study.toml"]
+    study = Study.read(tmp_path / "study.toml", asked["set"])
+    case = Cases(Study.read(tmp_path / "study.toml"))[2]
+    assert case.table is not None
+    assert Path(study.path.parent, study.experiments[0].table).resolve() == case.table.resolve()
+    assert study.model.values["L"] == case.held["L"]
+    assert {name: each.start for name, each in study.parameters.items()} == {"R": 4.02}
+    with pytest.raises(fmuid.InputError, match=r"study\.toml has no case 4 any more"):
+        case_settings(tmp_path / "study.toml", 4, page.frame.iloc[0])
+    assert doc.title == "Coil"
+    told = " ".join(text for text, _ in doc.template_variables["pieces"])
+    assert 'href="http://host:8787/status?a=&lt;b&gt;"' in told
+    (tmp_path / "out/batch.json").write_text(json.dumps(manifest | {"dashboard": "javascript:alert(1)", "study": {}}))
+    doc = Document()
+    page = BatchPage(doc, Folder(tmp_path), tmp_path / "out", "light")
+    page.source.selected.indices = [2]
+    assert "javascript" not in " ".join(text for text, _ in doc.template_variables["pieces"])
+    assert "What if" not in page.case.text
+
+
+@pytest.mark.slow
+def test_a_result_is_passed_on_by_commands(tmp_path: Path) -> None:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    (tmp_path / "study.toml").write_text(STUDY)
+    assert run_study(tmp_path / "study.toml", tmp_path / "results").succeeded
+    doc: Any = Document()
+    page = Writing(doc, bench_of(tmp_path), tmp_path / "results")
+    assert page.fmus[page.fmu.value] == COIL.resolve()
+    assert "fmuid report" in page.command.text
+    assert "fmuid apply" in page.command.text
+    for act, written in (("Write the report", "report.html"), ("Apply to the FMU", "Coil-identified.fmu")):
+        (tmp_path / "results" / written).unlink(missing_ok=True)
+        pressed = next(each for each in page.run.buttons if each.label == act)
+        pressed._trigger_event(ButtonClick(pressed))
+        assert page.run.job is not None
+        page.run.job.close(PATIENCE)
+        page.run.look()
+        assert page.run.job.code == DONE
+        assert (tmp_path / "results" / written).is_file()
+        assert f"results/{written}<" in page.said.text
+    found = fmuid.FMU(tmp_path / "results/Coil-identified.fmu").description.variables["R"].start
+    assert found == pytest.approx(float(Result.from_json(tmp_path / "results/result.json")["R"]))
+
+
+def test_a_command_is_run_and_what_it_printed_kept(tmp_path: Path) -> None:
+    jobs = Jobs()
+    job = jobs.begin(tmp_path / "study.toml", tmp_path / "results", ["identify", "study.toml"])
+    wait_until(lambda: not job.running)
+    assert jobs.running() == []
+    assert job.code == WRONG_INPUT
+    assert job.printed().startswith("error: study.toml: there is no such study file")
+    jobs.close()
+
+
+def dropped(name: str, content: bytes) -> FileInput:
+    return FileInput(filename=name, value=base64.b64encode(content).decode())
+
+
+def test_what_is_to_be_predicted_is_looked_at_first(tmp_path: Path) -> None:
+    page = Predicting(Document(), bench_of(tmp_path), tmp_path)
+    for given, said in (
+        (FileInput(filename="", value=""), "choose a table, or drop one"),
+        (dropped("../../evil.exe", b"no"), "evil.exe is no table: give a file of the kinds"),
+        (FileInput(filename="torn.csv", value="dGlt%"), "torn.csv did not arrive whole: drop it again"),
+    ):
+        page.dropped = given
+        page.begin()
+        assert said in page.run.state.text
+        assert page.run.job is None
+
+
+@pytest.mark.slow
+def test_a_dropped_table_is_predicted(tmp_path: Path) -> None:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    coil_table(tmp_path / "second.csv", 0.0, seed=2)
+    (tmp_path / "study.toml").write_text(STUDY)
+    assert run_study(tmp_path / "study.toml", tmp_path / "results").succeeded
+    doc: Any = Document()
+    page = Predicting(doc, bench_of(tmp_path), tmp_path / "results")
+    assert page.chosen.options == ["", "first.csv", "second.csv"]
+    page.dropped = dropped("../third.csv", (tmp_path / "second.csv").read_bytes())
+    page.begin()
+    assert page.run.job is not None
+    page.run.job.close(PATIENCE)
+    page.run.look()
+    assert page.run.job.code == DONE
+    assert (tmp_path / "results/prediction/dropped/third.csv").is_file()
+    assert "Done" in page.run.state.text
+    assert "The prediction" in page.said.text
+    _, (part,) = contents(tmp_path / "results/prediction")
+    assert "third" in part.table
+    assert [each.name for each in part.sections] == ["prediction", "residuals"]

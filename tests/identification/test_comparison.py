@@ -1,0 +1,144 @@
+"""Comparisons of results: criteria and likelihood ratios against chance, white and coloured."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from fmuid.array_types import Floats
+from fmuid.data import Normal, Parameter
+from fmuid.errors import InputError
+from fmuid.estimation import LeastSquares, Result, identify
+from fmuid.identification import Compared, IncomparableError, compare, examine_residuals
+from tests.support.problems import ar1
+
+TIMES = np.linspace(0.0, 1.0, 400)
+MODEL = {"": {"name": "Line", "digest": "1", "run": {}}}
+
+
+def candidate(y: Floats, order: int, name: str, held: dict[str, float] | None = None) -> Compared:
+    """A polynomial of so many coefficients, those beyond held at zero."""
+    names = [f"c{k}" for k in range(order)]
+    problem = LeastSquares.from_function(
+        lambda theta: sum(c * TIMES**k for k, c in enumerate(theta)),
+        y,
+        {each: Parameter(0.0, nominal=1.0) for each in names},
+        times=TIMES,
+    )
+    result = identify(problem)
+    (series,) = examine_residuals(problem, result).series
+    object.__setattr__(result, "models", MODEL)
+    rest = {f"c{k}": 0.0 for k in range(order, 4)} if held is None else held
+    return Compared(name, result, max(1.0, series.correlation_samples), rest)
+
+
+def line(seed: int, colour: float = 0.0) -> Floats:
+    return 1.0 + 2.0 * TIMES + 0.1 * ar1(np.random.default_rng(seed), colour, TIMES.size)
+
+
+def test_criteria_are_the_books() -> None:
+    y = line(1)
+    small, large = candidate(y, 2, "small"), candidate(y, 3, "large")
+    found = compare([Compared("small", small.result), Compared("large", large.result)])
+    for rank in found.ranks:
+        order = {"small": 2, "large": 3}[rank.name]
+        residual = y - np.polynomial.Polynomial.fit(TIMES, y, order - 1)(TIMES)
+        deviance = TIMES.size * (math.log(2 * math.pi * np.mean(residual**2)) + 1.0)
+        assert rank.parameters == order + 1
+        assert rank.aic == pytest.approx(deviance + 2 * (order + 1), abs=1e-6)
+        assert rank.bic == pytest.approx(deviance + math.log(400) * (order + 1), abs=1e-6)
+        assert rank.corrected_aic == rank.aic
+        assert rank.corrected_bic == rank.bic
+    assert sum(rank.weight for rank in found.ranks) == pytest.approx(1.0)
+    assert found.ranks[0].behind == 0.0
+    assert found.tests == ()  # what is held is not known
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("colour", [0.0, 0.8])
+def test_a_right_model_is_rejected_as_rarely_as_the_level_says(colour: float) -> None:
+    """The line against the cubic: 5 % within what 60 draws allow; without the correction, most of them."""
+    corrected, plain = [], []
+    for seed in range(60):
+        y = line(seed, colour)
+        (test,) = compare([candidate(y, 2, "line"), candidate(y, 4, "cubic")]).tests
+        assert (test.smaller, test.larger, test.freed) == ("line", "cubic", ("c2", "c3"))
+        corrected.append(test.probability)
+        plain.append(test.uncorrected)
+    assert np.mean(np.array(corrected) < 0.05) <= 0.15
+    assert np.mean(np.array(corrected) < 0.5) > 0.2  # nor is it never rejected
+    if colour:
+        assert np.mean(np.array(plain) < 0.05) > 0.4
+
+
+def test_a_wrong_model_is_rejected() -> None:
+    y = line(2, 0.5) + TIMES**2
+    found = compare([candidate(y, 2, "line"), candidate(y, 3, "parabola"), candidate(y, 4, "cubic")])
+    assert [(test.smaller, test.larger) for test in found.tests] == [
+        ("line", "parabola"),
+        ("line", "cubic"),
+        ("parabola", "cubic"),
+    ]
+    assert found.tests[0].probability < 1e-4
+    assert found.tests[2].probability > 0.01
+    assert found.ranks[-1].name == "line"
+    assert found.dependence > 2.0
+
+
+def test_the_likelihood_ratio_of_polynomials() -> None:
+    """n ln(S₁/S₂), divided by how many samples are worth one independent sample; χ² with as many freedoms as freed."""
+    y = line(2, 0.5)
+    small, large = candidate(y, 2, "small"), candidate(y, 4, "large")
+    found = compare([small, large])
+    squares = [np.sum((y - np.polynomial.Polynomial.fit(TIMES, y, order)(TIMES)) ** 2) for order in (1, 3)]
+    ratio = TIMES.size * math.log(squares[0] / squares[1])
+    (test,) = found.tests
+    assert found.dependence > 1.5
+    assert test.statistic == pytest.approx(ratio / found.dependence, rel=1e-6)
+    assert test.probability == pytest.approx(stats.chi2.sf(ratio / found.dependence, 2), rel=1e-5)
+    assert test.uncorrected == pytest.approx(stats.chi2.sf(ratio, 2), rel=1e-5)
+
+
+def test_nesting_is_claimed_only_where_it_is_known() -> None:
+    y = line(1)
+    small, large = candidate(y, 2, "small"), candidate(y, 3, "large")
+    assert len(compare([small, large]).tests) == 1
+    other = candidate(y, 2, "small", {"c2": 0.0, "c3": 5.0})  # another value of what both hold
+    assert compare([other, large]).tests == ()
+    object.__setattr__(small.result, "models", {"": {"name": "Other", "digest": "1", "run": {}}})
+    assert compare([small, large]).tests == ()
+
+
+def test_priors_are_said_and_not_tested() -> None:
+    y = line(1)
+    small, large = candidate(y, 2, "small"), candidate(y, 3, "large")
+    object.__setattr__(large.result, "prior_mean", np.array([np.nan, np.nan, Normal(0.0, 1.0).mean]))
+    found = compare([small, large])
+    assert found.tests == ()
+    assert found.with_priors == ("large",)
+
+
+def changed(result: Result, **changes: object) -> Result:
+    for name, value in changes.items():
+        object.__setattr__(result, name, value)
+    return result
+
+
+def test_what_cannot_be_compared() -> None:
+    one, other = candidate(line(1), 2, "one"), candidate(line(2), 2, "other")
+    with pytest.raises(IncomparableError, match="one and other were made from different measurements"):
+        compare([one, other])
+    with pytest.raises(InputError, match="give at least two results"):
+        compare([one])
+    with pytest.raises(InputError, match="two results are called one"):
+        compare([one, one])
+    again = candidate(line(1), 2, "again")
+    changed(again.result, log_likelihood=math.nan)
+    with pytest.raises(IncomparableError, match="again has no likelihood"):
+        compare([one, again])
+    changed(again.result, data=())
+    with pytest.raises(IncomparableError, match="again does not say which measurements"):
+        compare([one, again])

@@ -1,0 +1,231 @@
+"""Maps of the criterion: against direct evaluation, and on linear problems against the exact confidence region."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from fmuid.array_types import Floats
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter
+from fmuid.errors import InputError
+from fmuid.estimation import cost_components as misfit
+from fmuid.estimation.cost_components import misfits, variances
+from fmuid.estimation.cost_function import prepare
+from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.identification.cost_map import CriterionMap, map_criterion, region_rise
+from tests.support.results import identify_white as identify
+
+TIMES = np.linspace(0.0, 1.0, 40)
+BASIS = np.stack([np.ones(40), TIMES, np.exp(-3.0 * TIMES)], axis=1)
+TRUTH = np.array([1.0, 2.0, -1.5])
+NAMES = ("a", "b", "c")
+
+
+def linear(count: int = 3, *, noise: Noise | None = None, **words: Any) -> LeastSquares:
+    """Return y = a + b t + c exp(−3t) with noise of variance 0.01, of which the first `count` terms are estimated."""
+    basis, rest = BASIS[:, :count], BASIS[:, count:] @ TRUTH[count:]
+    measured = BASIS @ TRUTH + 0.1 * np.random.default_rng(8).normal(size=40)
+    parameters = {name: Parameter(1.0, **words) for name in NAMES[:count]}
+    return LeastSquares.from_function(lambda theta: basis @ theta + rest, measured, parameters, noise=noise)
+
+
+def chart_of(problem: LeastSquares, first: str = "a", second: str = "b", **words: Any) -> tuple[CriterionMap, Result]:
+    result = identify(problem)
+    return map_criterion(problem, result, first, second, **words), result
+
+
+# --- the table --------------------------------------------------------------------------
+
+
+def test_map_is_the_criterion() -> None:
+    """Evaluated directly, point by point, the third parameter held at the estimate."""
+    problem = linear(noise=Noise(0.02))
+    chart, result = chart_of(problem, points=7)
+    assert list(chart.table.columns) == ["a", "b", "criterion"]
+    assert len(chart.table) == 49
+    for a, b, value in chart.table.itertuples(index=False):
+        direct = np.sum((problem.measured - BASIS @ [a, b, result["c"]]) ** 2) / 0.02
+        assert value == pytest.approx(direct, rel=1e-12)
+    assert chart.held == {"c": result["c"]}
+    assert chart.criterion == pytest.approx(result.criterion, rel=1e-12)
+    assert chart.grid[2][3, 3] == pytest.approx(chart.criterion), "the estimate is in the middle"
+    first, second, values = chart.grid
+    row = chart.table.iloc[2 * 7 + 5]
+    assert (row["a"], row["b"], row["criterion"]) == (first[2], second[5], values[2, 5])
+
+
+def test_map_includes_the_prior_and_each_output_has_its_variance() -> None:
+    """The same sum of squares as the residual that Marquardt's search minimises."""
+    rng = np.random.default_rng(6)
+    measured = np.stack([1.0 + TIMES, 3.0 - TIMES], axis=1) + rng.normal(size=(40, 2)) * [0.1, 0.5]
+    measured[5:9, 0] = np.nan
+    problem = LeastSquares.from_function(
+        lambda theta: np.stack([theta[0] + theta[1] * TIMES, 3.0 - theta[1] ** 2 * TIMES], axis=1),
+        measured,
+        {"a": Parameter(0.8, prior=Normal(0.9, 0.03)), "b": Parameter(0.8)},
+        outputs=("x", "y"),
+        noise=Noise({"x": 0.012}),
+    )
+    chart, result = chart_of(problem, points=5)
+    used = variances(problem, result)
+    assert used.tolist() == [0.012, result.noise_variance["y"]]
+    criterion = prepare(problem).criterion.reweighted(used)
+    rows = criterion.residuals(chart.table[["a", "b"]].to_numpy())
+    np.testing.assert_allclose(chart.table["criterion"], np.sum(rows**2, axis=1), rtol=1e-12)
+
+
+def test_batches_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = linear()
+    thetas = np.random.default_rng(0).normal(size=(50, 3))
+    whole = misfits(problem, thetas).squares
+    monkeypatch.setattr(misfit, "CHUNK_SAMPLES", 0)
+    monkeypatch.setattr(misfit, "LEAST_BATCH", 7)
+    np.testing.assert_allclose(misfits(problem, thetas).squares, whole, rtol=1e-14)
+
+
+def test_default_reach() -> None:
+    """Four standard deviations, but not beyond a bound."""
+    problem = linear(2, min=0.98)
+    chart, result = chart_of(problem)
+    assert chart.shape == (41, 41)
+    first, second, _ = chart.grid
+    assert (first[0], first[-1]) == pytest.approx((0.98, result["a"] + 4 * result.std[0]))
+    assert (second[0], second[-1]) == pytest.approx((result["b"] - 4 * result.std[1], result["b"] + 4 * result.std[1]))
+    assert chart.logarithmic == (False, False)
+
+
+def test_chosen_reach() -> None:
+    problem = linear(2, min=0.1, max=10.0)
+    bounds, _ = chart_of(problem, ranges="bounds", points=3)
+    np.testing.assert_allclose(bounds.grid[0], [0.1, 1.0, 10.0])
+    assert bounds.logarithmic == (True, True)
+    chosen, result = chart_of(problem, ranges={"b": (1.0, 4.0)}, points=3)
+    np.testing.assert_allclose(chosen.grid[1], [1.0, 2.5, 4.0])
+    assert chosen.grid[0][1] == pytest.approx(result["a"])
+
+
+def test_undetermined_parameters_reach_to_their_bounds() -> None:
+    """Or, without bounds, as far as they are large; there is no ellipse."""
+    problem = LeastSquares.from_function(
+        lambda theta: theta[0] * theta[1] * TIMES,
+        2.0 * TIMES + 0.1 * np.random.default_rng(2).normal(size=40),
+        {"a": Parameter(1.0, min=0.5, max=4.0), "b": Parameter(1.0)},
+    )
+    chart, result = chart_of(problem, points=3)
+    assert result.undetermined
+    np.testing.assert_allclose(chart.grid[0], [0.5, 2.25, 4.0])
+    np.testing.assert_allclose(chart.grid[1], result["b"] * np.array([0.0, 1.0, 2.0]), atol=1e-12)
+    assert chart.ellipse().shape == (0, 2)
+
+
+def test_failures_are_nan() -> None:
+    def simulate(theta: Floats) -> Floats:
+        if theta[0] > 1.6:
+            raise FloatingPointError
+        return np.asarray(BASIS[:, :2] @ theta)
+
+    problem = LeastSquares.from_function(
+        simulate, BASIS[:, :2] @ [1.0, 2.0], {"a": Parameter(0.9), "b": Parameter(1.9)}
+    )
+    chart, _ = chart_of(problem, ranges={"a": (0.0, 3.0), "b": (0.0, 3.0)}, points=5)
+    first, _, values = chart.grid
+    np.testing.assert_array_equal(np.isnan(values), np.repeat(first[:, None] > 1.6, 5, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("names", "words", "match"),
+    [
+        (("a", "d"), {}, "'d' is not a parameter of the problem"),
+        (("a", "a"), {}, "two different parameters, not 'a' twice"),
+        (("a", "b"), {"points": 1}, "whole number from 2 on, not 1"),
+        (("a", "b"), {"ranges": "bounds"}, "over the bounds needs min and max of 'a'"),
+        (("a", "b"), {"ranges": {"b": (2.0, 1.0)}}, "range 2 to 1 of 'b' on the map must rise"),
+        (("a", "b"), {"ranges": {"a": (-10.0, 1.0)}}, "range -10 to 1 of 'a' .* within its bounds, -5 to inf"),
+        (("a", "b"), {"ranges": {"bb": (1.0, 2.0)}}, "'bb' is not a parameter"),
+    ],
+)
+def test_wrong_wishes(names: tuple[str, str], words: Mapping[str, Any], match: str) -> None:
+    problem = linear(2, min=-5.0)
+    with pytest.raises(InputError, match=match):
+        map_criterion(problem, identify(problem), *names, **words)
+
+
+def test_result_of_another_problem() -> None:
+    other = identify(linear(2))
+    with pytest.raises(InputError, match="its parameters are a, b, and the problem's are a, b, c; give"):
+        map_criterion(linear(), other, "a", "b")
+    stranger = replace(other, noise_variance={"z": 1.0})
+    with pytest.raises(InputError, match="its outputs are z, and the problem's are y; give"):
+        map_criterion(linear(2), stranger, "a", "b")
+
+
+def test_result_from_a_file(tmp_path: Path) -> None:
+    import json
+
+    problem = linear()
+    chart, result = chart_of(problem, points=3)
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(result.to_json_dict()))
+    again = map_criterion(problem, Result.from_json(path), "a", "b", points=3)
+    pd.testing.assert_frame_equal(again.table, chart.table)
+
+
+# --- the ellipse ------------------------------------------------------------------------
+
+
+def squares(problem: LeastSquares, theta: Floats) -> float:
+    return float(np.sum((problem.measured - problem.predict(theta[None])[0]) ** 2))
+
+
+def test_ellipse_of_known_variance() -> None:
+    """On it, the criterion of a linear problem rises by −2 ln 0.05, the 95 % quantile of χ²(2)."""
+    problem = linear(2, noise=Noise(0.01))
+    chart, _ = chart_of(problem)
+    rises = [squares(problem, point) / 0.01 - chart.criterion for point in chart.ellipse()]
+    np.testing.assert_allclose(rises, -2.0 * np.log(0.05), rtol=1e-5)
+    assert chart.rise() == pytest.approx(-2.0 * np.log(0.05))
+    np.testing.assert_allclose(chart.ellipse()[0], chart.ellipse()[-1])
+
+
+def test_ellipse_of_estimated_variance() -> None:
+    """There the residual's sum of squares rises by the factor 1 + 2 F/(K − 2), F the quantile of F(2, K − 2)."""
+    problem = linear(2)
+    chart, result = chart_of(problem)
+    expected = 1.0 + 2.0 / 38.0 * stats.f(2, 38).ppf(0.9)
+    for point in chart.ellipse(0.9)[::20]:
+        assert squares(problem, point) / squares(problem, result.values) == pytest.approx(expected, rel=1e-6)
+
+
+def test_ellipse_among_more_parameters() -> None:
+    """The others re-optimised, the criterion rises by just the quantile; held, by more."""
+    problem = linear(3, noise=Noise(0.01))
+    chart, result = chart_of(problem)
+    for a, b in chart.ellipse()[::10]:
+        rest = problem.measured - BASIS[:, :2] @ [a, b]
+        third = np.linalg.lstsq(BASIS[:, 2:], rest)[0]
+        free = np.sum((rest - BASIS[:, 2:] @ third) ** 2) / 0.01 - chart.criterion
+        held = np.sum((rest - BASIS[:, 2] * result["c"]) ** 2) / 0.01 - chart.criterion
+        assert free == pytest.approx(stats.chi2(2).ppf(0.95), rel=1e-5)
+        assert held > free
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, 95.0])
+def test_wrong_level(level: float) -> None:
+    chart, _ = chart_of(linear(2), points=2)
+    with pytest.raises(InputError, match="between 0 and 1"):
+        chart.ellipse(level)
+
+
+def test_the_rise_of_a_region_is_a_quantile() -> None:
+    assert region_rise(0.95, np.inf) == pytest.approx(stats.chi2.ppf(0.95, 2))
+    for freedom in (1.0, 7.5, 4000.0):
+        assert region_rise(0.9, freedom) == pytest.approx(2.0 * stats.f.ppf(0.9, 2, freedom))

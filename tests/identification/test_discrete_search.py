@@ -1,0 +1,236 @@
+"""Parameters that take few values: each combination is searched with, the best is kept, and a study says them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.estimation import Outcome
+from fmuid.identification.discrete_parameters import MOST_COMBINATIONS, choices_of
+from fmuid.identification.discrete_search import identify_each
+from fmuid.runs.batch.run_case import CaseRunner
+from tests.support.choices import choices_fmu
+from tests.support.fmu_texts import FMI2, write_fmu
+from tests.support.probe_fmu import ProbeMaker
+from tests.support.stepping import LAG, stepping_fmu
+
+GAIN, N, B = 2.0, 3, True
+NOISE = 0.01
+
+
+def record() -> pd.DataFrame:
+    """Return x' = gain (u + b - n x) in closed form, u held between samples."""
+    rng = np.random.default_rng(4)
+    times = np.arange(120) * 0.02
+    u = np.repeat(rng.choice([-1.0, 1.0, 2.0], 12), 10)
+    x, decay = np.zeros(times.size), np.exp(-GAIN * N * 0.02)
+    for k in range(times.size - 1):
+        end = (u[k] + B) / N
+        x[k + 1] = end + (x[k] - end) * decay
+    return pd.DataFrame({"time": times, "u": u, "x": x + NOISE * rng.standard_normal(times.size)})
+
+
+@pytest.fixture(scope="module")
+def experiment() -> fmuid.Experiment:
+    return fmuid.Experiment(record(), inputs=["u"], outputs=["x"], interpolation="hold")
+
+
+@pytest.fixture(scope="module")
+def fmu(probe: ProbeMaker) -> Path:
+    return probe("CHOICES")
+
+
+def problem(fmu: Path, experiment: fmuid.Experiment, choices: Any, **more: Any) -> fmuid.Problem:
+    return fmuid.Problem(fmu, experiment, {"gain": fmuid.Parameter(1.0, min=0.01)}, choices=choices, **more)
+
+
+@pytest.mark.parametrize("more", [{}, {"noise": fmuid.Noise(NOISE**2)}, {"loss": "huber"}], ids=str)
+def test_the_true_combination_is_found(fmu: Path, experiment: fmuid.Experiment, more: dict[str, Any]) -> None:
+    given = problem(fmu, experiment, {"n": [1, 2, 3, 4], "b": "all"}, **more)
+    result = fmuid.identify(given)
+    assert result.converged
+    assert result.chosen == {"n": N, "b": B}
+    assert abs(result["gain"] - GAIN) < 4 * result["gain"].std
+    assert len(result.combinations) == 8
+    behind = [each.behind for each in result.combinations]
+    assert behind[0] == 0.0 < behind[1]
+    assert behind == sorted(behind)
+    assert result.combinations[0].estimates == {"gain": result["gain"]}
+    # the problem is left at the best one, where what is asked of it later goes on
+    left = given.measured - given.predict(result.values[None])[0]
+    assert np.std(left) == pytest.approx(NOISE, rel=0.2)
+
+
+@pytest.mark.slow
+def test_an_int32_and_a_boolean_of_fmi_3_are_found(tmp_path: Path, experiment: fmuid.Experiment) -> None:
+    given = problem(choices_fmu(tmp_path), experiment, {"n": "all", "b": "all"})
+    result = fmuid.identify(given)
+    assert [type(each) for each in result.chosen.values()] == [int, bool]
+    assert result.chosen == {"n": N, "b": B}
+    assert len(result.combinations) == 8  # n from its bounds
+    assert abs(result["gain"] - GAIN) < 4 * result["gain"].std
+    left = given.measured - given.predict(result.values[None])[0]
+    assert np.std(left) == pytest.approx(NOISE, rel=0.2)
+
+
+def test_it_is_the_search_with_these_values_held(fmu: Path, experiment: fmuid.Experiment) -> None:
+    free = {"gain": fmuid.Parameter(1.0, min=0.01)}
+    one, other = (
+        fmuid.identify(fmuid.Problem(fmu, experiment, free, values={"n": n, "b": True})) for n in (3, 2)
+    )  # fmt: skip
+    result = fmuid.identify(problem(fmu, experiment, {"n": [2, 3]}, values={"b": True}))
+    np.testing.assert_array_equal(result.values, one.values)
+    told = result.combinations[1]
+    assert told.behind == pytest.approx(2.0 * (one.log_likelihood - other.log_likelihood))
+    assert told.estimates == {"gain": other["gain"]}
+    assert result.simulations == one.simulations + other.simulations
+
+
+def test_the_prior_counts(fmu: Path, experiment: fmuid.Experiment) -> None:
+    """What takes the others far from their priors is behind by what these say, too."""
+    free = {"gain": fmuid.Parameter(2.0, min=0.01, prior=fmuid.Normal(2.5, 0.1))}
+    one, other = (fmuid.identify(fmuid.Problem(fmu, experiment, free, values={"n": n, "b": True})) for n in (3, 2))
+    result = fmuid.identify(fmuid.Problem(fmu, experiment, free, choices={"n": [2, 3]}, values={"b": True}))
+    prior = ((other["gain"] - 2.5) ** 2 - (one["gain"] - 2.5) ** 2) / 0.1**2
+    assert abs(prior) > 1.0
+    assert result.combinations[1].behind == pytest.approx(2.0 * (one.log_likelihood - other.log_likelihood) + prior)
+
+
+def test_values_that_cannot_be_simulated_are_left_out(fmu: Path, experiment: fmuid.Experiment) -> None:
+    result = fmuid.identify(problem(fmu, experiment, {"n": [9, 3]}, values={"b": True}))
+    assert result.chosen == {"n": 3}
+    assert (result.combinations[1].outcome, result.combinations[1].behind) == (None, np.inf)
+    assert "1 could not be searched with, n = 9 first" in fmuid.describe(result)
+    with pytest.raises(fmuid.SimulationError):
+        fmuid.identify(problem(fmu, experiment, {"n": [9]}))
+
+
+def test_real_values_too(tmp_path: Path) -> None:
+    """By an FMU that integrates by itself: x' = u - k x, k one of three."""
+    times = np.arange(0.0, 4.0, 0.05)
+    x = 0.5 * (1.0 - np.exp(-2.0 * times)) + 1e-3 * np.random.default_rng(0).standard_normal(times.size)
+    frame = pd.DataFrame({"time": times, "u": np.ones(times.size), "x": x})
+    given = fmuid.Experiment(frame, inputs=["u"], outputs=["x"])
+    fmu = stepping_fmu(tmp_path, LAG, order=4)
+    free = {"x": fmuid.Parameter(0.1, nominal=1.0)}
+    result = fmuid.identify(fmuid.Problem(fmu, given, free, choices={"k": [1.0, 2.0, 4.0]}))
+    assert result.chosen == {"k": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("choices", "told"),
+    [
+        ({"m": [1, 2]}, "has no 'm'"),
+        ({"n": []}, "one or more, each once"),
+        ({"n": [1, 1]}, "one or more, each once"),
+        ({"n": "all"}, "does not say which values 'n' may take"),
+        ({"gain": [1.0, 2.0]}, "is to be identified and takes few values"),
+        ({"n": range(MOST_COMBINATIONS), "b": "all"}, "at most 1000 are tried"),
+        ({"n": ["three"]}, "n"),
+    ],
+)
+def test_what_cannot_be(fmu: Path, experiment: fmuid.Experiment, choices: Any, told: str) -> None:
+    with pytest.raises(fmuid.InputError, match=told):
+        problem(fmu, experiment, choices)
+
+
+def test_values_that_an_enumeration_declares(tmp_path: Path) -> None:
+    types = '<TypeDefinitions><SimpleType name="Gear"><Enumeration><Item name="low" value="1"/><Item name="high" value="4"/></Enumeration></SimpleType></TypeDefinitions>'  # noqa: E501
+    text = FMI2.replace("<ModelVariables>", f"{types}<ModelVariables>")
+    text = text.replace('<Integer start="4"/>', '<Enumeration declaredType="Gear" start="4"/>')
+    system = fmuid.System(write_fmu(tmp_path / "Motor.fmu", text))
+    assert choices_of(system, {"poles": "all"}) == {"poles": (1, 4)}
+
+
+# --- in a study
+
+STUDY = """
+[model]
+fmu = "{fmu}"
+
+[[experiments]]
+table = "table.csv"
+inputs = ["u"]
+outputs = ["x"]
+interpolation = "hold"
+
+[parameters]
+gain = {{ start = 1.0, min = 0.01 }}
+n = {{ values = [1, 2, 3] }}
+b = {{ values = "all" }}
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path, fmu: Path) -> Path:
+    record().to_csv(tmp_path / "table.csv", index=False)
+    (tmp_path / "study.toml").write_text(STUDY.format(fmu=fmu.as_posix()))
+    return tmp_path / "study.toml"
+
+
+def test_a_study(study: Path) -> None:
+    found = fmuid.run_study(study, study.parent / "out")
+    result = found.result
+    assert result.chosen == {"n": N, "b": B}
+    assert found.fits[0].fit[0] > 95.0
+    ssv = (study.parent / "out" / "parameters.ssv").read_text()
+    assert '<ssv:Integer value="3"' in ssv
+    assert '<ssv:Boolean value="true"' in ssv
+    kept = fmuid.Result.from_json(study.parent / "out" / "result.json")
+    assert kept.combinations == result.combinations
+    words = json.loads((study.parent / "out" / "result.json").read_text())["words"]
+    assert any(each.startswith("n = 3, b = true fits best of 6 combinations; the next best, ") for each in words)
+    predicted = fmuid.run_prediction(study.parent / "out", [study.parent / "table.csv"])
+    assert predicted.predictions[0].scores[0].rmse < 2 * NOISE
+
+
+def test_a_batch(study: Path) -> None:
+    batch = '\n[batch]\ntables = "*.csv"\n'
+    study.write_text(study.read_text() + batch)
+    runner = CaseRunner(fmuid.Study.read(study))
+    row = runner(0).row
+    assert row["status"] == "converged"
+    assert (row["chosen.n"], row["chosen.b"]) == ("3", "True")
+    assert float(str(row["value.gain"])) == pytest.approx(GAIN, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("n = { values = [1, 2], start = 1 }", "has both values and start"),
+        ("n = { min = 1 }", "needs the key 'start'"),
+        ("n = { values = [[1]] }", "values"),
+    ],
+)
+def test_a_study_that_says_it_wrongly(study: Path, words: str, told: str) -> None:
+    study.write_text(study.read_text().replace("n = { values = [1, 2, 3] }", words))
+    with pytest.raises(fmuid.InputError, match=told):
+        fmuid.Study.read(study)
+
+
+def test_a_diagnosis_holds_them_at_a_value(study: Path) -> None:
+    diagnosis = "\n[diagnosis]\nhealthy = 'table.csv'\n[diagnosis.faults.a]\nparameters = {}\n"
+    study.write_text(study.read_text() + diagnosis)
+    with pytest.raises(fmuid.InputError, match="does not go with values of n"):
+        fmuid.Study.read(study)
+
+
+def test_an_interrupted_search_keeps_what_was_tried(fmu: Path, experiment: fmuid.Experiment) -> None:
+    given = problem(fmu, experiment, {"n": [1, 2, 3]}, values={"b": True})
+    plain, count = fmuid.identify(problem(fmu, experiment, {"n": [3]}, values={"b": True})), 0
+
+    def search() -> fmuid.Result:
+        nonlocal count
+        count += 1
+        return replace(plain, outcome=Outcome.INTERRUPTED if count == 2 else Outcome.CONVERGED)
+
+    result = identify_each(given, search)
+    assert count == len(result.combinations) == 2
+    assert result.outcome is Outcome.INTERRUPTED

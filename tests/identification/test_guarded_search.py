@@ -1,0 +1,316 @@
+"""Starts that are far away, or lead to a bad fit: what is tried then, and what is said of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from experiments.starts.draws import DC_MOTOR, Record, draw
+from experiments.starts.study import searched
+from fmuid.array_types import Floats
+from fmuid.estimation import Attempt, Remedy, Trouble
+from fmuid.files import as_json
+from fmuid.identification import restarting_search as guarded_search
+from fmuid.identification.agreement import EndedSearch, is_confirmed
+from fmuid.identification.equation_error_start import POOR, equation_start
+from fmuid.identification.state_correction_start import corrected_start
+from fmuid.reports.messages.restarts import ENDS, PLACES, attempt_words
+from tests.support.exported import export_text
+from tests.support.paths import FMUS
+
+EXPERIMENTS = FMUS.parent / "experiments"
+
+MODEL = (EXPERIMENTS / "starts" / "DcMotor.mo").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def motor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_text(tmp_path_factory.mktemp("motor"), MODEL)
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    """A motor whose start is three to thirty times away in every parameter."""
+    return draw("dc", 2, 3.0, 30.0)
+
+
+def problem(motor: Path, record: Record, start: Floats | None = None) -> fmuid.Problem:
+    machine = DC_MOTOR
+    columns = {f"m_{name}": values for name, values in zip(machine.outputs, record.measured.T, strict=True)}
+    frame = pd.DataFrame({"time": record.times, "u": record.inputs[:, 0], **columns})
+    names = {name: f"m_{name}" for name in machine.outputs}
+    given = record.start if start is None else start
+    parameters = {n: fmuid.Parameter(s, min=0.0) for n, s in zip(machine.parameters, given.tolist(), strict=True)}
+    parameters |= {n: fmuid.Parameter(0.0, nominal=s) for n, s in zip(machine.states, machine.nominal, strict=True)}
+    return fmuid.Problem(motor, fmuid.Experiment(frame, ["u"], names, interpolation="hold"), parameters)
+
+
+def fits(result: fmuid.Result, record: Record) -> bool:
+    """Whether the residual of each output is that of the truth, within 2 %."""
+    noise = np.sqrt(np.nanmean((record.measured - record.clean) ** 2, axis=0))
+    found = np.sqrt([result.noise_variance[name] for name in DC_MOTOR.outputs])
+    return bool((found < 1.02 * noise).all())
+
+
+@pytest.mark.slow
+def test_a_motor_from_far_away_is_found_by_its_equations(motor: Path, record: Record) -> None:
+    whole = problem(motor, record)
+    result = fmuid.identify(whole)
+    assert result.converged
+    assert fits(result, record)
+    assert [(each.remedy, each.trouble) for each in result.attempts] == [
+        (Remedy.GIVEN, Trouble.FAR),
+        (Remedy.EQUATION_ERROR, Trouble.NONE),
+    ]
+    assert [each.kept for each in result.attempts] == [False, True]
+    assert result.start == pytest.approx(whole.parameters.start)
+    assert result.simulations <= 400
+    (said,) = attempt_words(result)
+    assert said == (
+        "several starts were tried: the start that was given was put off, for it explains too little of the data and "
+        "where the model's equations hold best at the measured states ended well, which is kept"
+    )
+    assert said in fmuid.describe(result).replace("Several", "several")
+    data = json.loads(json.dumps(as_json(result.to_json_dict())))
+    assert [each["remedy"] for each in data["attempts"]] == ["given", "equation_error"]
+
+
+def test_the_equations_give_a_start_and_the_initial_states(motor: Path, record: Record) -> None:
+    whole = problem(motor, record)
+    found = equation_start(whole, whole.parameters.start)
+    assert found is not None
+    theta = found.theta
+    assert 1.0 < found.noise_ratio < POOR
+    assert whole.simulations == 0
+    ratios = theta[:6] / record.truth
+    assert (ratios > 1 / 3).all()
+    assert (ratios < 3).all()
+    first = record.measured[:6]
+    assert theta[6:] == pytest.approx(np.nanmedian(first, axis=0), abs=0.5 * np.ptp(record.clean[:10], axis=0).max())
+
+
+class Tried:
+    """Searches by the trouble, the worth and the number of each, in place of results."""
+
+    def __init__(self, *ended: tuple[Trouble, float]) -> None:
+        self.ended = [
+            EndedSearch(worth, Attempt(Remedy.GIVEN, trouble), k, worth)  # type: ignore[arg-type]
+            for k, (trouble, worth) in enumerate(ended)
+        ]
+
+
+@pytest.mark.parametrize(
+    ("ended", "best"),
+    [
+        ([(Trouble.UNFINISHED, -1600.35), (Trouble.NONE, -1600.34)], 1),  # it fits as well, and has an end
+        ([(Trouble.UNFINISHED, -1600.0), (Trouble.NONE, -1590.0)], 0),
+        ([(Trouble.LARGE_RESIDUAL, 5.0), (Trouble.UNFINISHED, 4.0), (Trouble.LARGE_RESIDUAL, 4.5)], 2),
+        ([(Trouble.UNFINISHED, -np.inf), (Trouble.NONE, 1.0)], 0),
+    ],
+)
+def test_of_searches_that_fit_alike_one_that_ended_is_kept(ended: list[tuple[Trouble, float]], best: int) -> None:
+    """A ball's search that stalled fitted better by 0.01 in −2 ln L, and left estimates without deviations."""
+    tried: Any = Tried(*ended)
+    assert guarded_search._GuardedSearch._best(tried).number == best
+
+
+def test_one_word_switches_it_off(motor: Path, record: Record) -> None:
+    whole = problem(motor, record)
+    result = fmuid.identify(whole, fmuid.Marquardt(max_iterations=3), remedies=False)
+    assert result.attempts == ()
+    study = EXPERIMENTS / "coil" / "healthy.toml"
+    assert fmuid.Study.read(study).remedies
+    assert not fmuid.Study.read(study, ["estimator.remedies=false"]).remedies
+
+
+def test_a_good_start_takes_what_it_took(motor: Path, record: Record) -> None:
+    """Not one simulation more, and the same estimates to the last bit."""
+    near, alone = problem(motor, record, record.truth * 1.02), problem(motor, record, record.truth * 1.02)
+    result, plain = fmuid.identify(near), fmuid.identify(alone, remedies=False)
+    assert result.attempts == ()
+    assert result.simulations == plain.simulations
+    assert (result.values == plain.values).all()
+
+
+CURVED = """model Curved
+  parameter Real a = 1;
+  parameter Real b = 1;
+  output Real x(start=0, fixed=true);
+  output Real y;
+equation
+  der(x) = 1;
+  y = a*sin(b*x);
+end Curved;
+"""
+
+
+@pytest.fixture(scope="module")
+def curved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_text(tmp_path_factory.mktemp("curved"), CURVED)
+
+
+def wave(curved: Path, start: float, extra: Callable[[Floats], Floats] | None = None) -> fmuid.Problem:
+    """A sine, whose frequency has secondary optima; its state is not measured, so that the equations do not help."""
+    times = np.linspace(0.0, 10.0, 300)
+    y = np.sin(3.0 * times) + 0.02 * np.random.default_rng(3).standard_normal(300)
+    y = y if extra is None else y + extra(times)
+    frame = pd.DataFrame({"time": times, "y": y})
+    parameters = {"a": fmuid.Parameter(0.5, min=0.0, max=3.0), "b": fmuid.Parameter(start, min=0.5, max=5.0)}
+    return fmuid.Problem(curved, fmuid.Experiment(frame, [], ["y"]), parameters)
+
+
+@pytest.mark.slow
+def test_a_secondary_optimum_is_left_for_points_of_the_box(curved: Path) -> None:
+    stuck = fmuid.identify(wave(curved, 1.0), remedies=False)
+    assert abs(stuck["b"] - 3.0) > 0.1
+    result = fmuid.identify(wave(curved, 1.0))
+    assert result["b"] == pytest.approx(3.0, abs=0.01)
+    first, corrected, given = result.attempts[:3]
+    assert (first.remedy, first.trouble) == (Remedy.GIVEN, Trouble.FAR)
+    assert corrected.remedy is Remedy.CORRECTION  # where the equations give nothing
+    assert given.remedy is Remedy.GIVEN
+    assert given.trouble in (Trouble.LARGE_RESIDUAL, Trouble.UNFINISHED)
+    assert given.noise_ratio > 3.0
+    assert result.attempts[-1].remedy is Remedy.SOBOL
+    assert result.attempts[-1].kept
+    assert result.simulations == sum(each.simulations for each in result.attempts) - first.simulations
+
+
+def test_a_guess_waits_for_the_others_and_is_gone_on_with(curved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guarded_search, "PATIENCE", 1)
+    result = fmuid.identify(wave(curved, 1.0))
+    assert result["b"] == pytest.approx(3.0, abs=0.01)
+    *before, last = result.attempts
+    assert {each.trouble for each in before if each.remedy is Remedy.SOBOL} == {Trouble.UNFINISHED}
+    assert (last.remedy, last.trouble, last.kept) == (Remedy.SOBOL, Trouble.NONE, True)
+
+
+@pytest.mark.slow
+def test_an_optimum_far_above_the_noise_is_not_believed_twice() -> None:
+    """From the equations and from the start this one goes to one place, with a friction four times too large."""
+    row = searched("pmsm", 1035, 0.0, 0.0, remedies=True)
+    assert row["found"]
+    assert row["way"] == "correction"
+
+
+def test_a_model_that_is_wrong_is_confirmed_by_a_second_start(curved: Path) -> None:
+    """What the model does not know moves the output far beyond the noise: no start mends that, and it is said."""
+    result = fmuid.identify(wave(curved, 2.9, lambda t: 0.3 * np.cos(1.3 * t)))
+    assert result.converged
+    kept = next(each for each in result.attempts if each.kept)
+    assert kept.trouble is Trouble.MODEL_ERROR
+    assert "the model does not explain the data" in fmuid.describe(result)
+
+
+LAG = """model Lag
+  parameter Real a = 1;
+  parameter Real b = 1;
+  input Real u;
+  output Real x(start=0, fixed=true);
+equation
+  der(x) = b*u - a*x;
+end Lag;
+"""
+
+
+def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: Path) -> None:
+    """The lag's damping is of third power: its best fit, and that of its equations, is far above the noise."""
+    times, rng = np.linspace(0.0, 8.0, 401), np.random.default_rng(4)
+    u = np.repeat(rng.uniform(-3.0, 3.0, 21), 20)[:401]
+    x = np.zeros(401)
+    for k in range(400):
+        for _ in range(20):
+            x[k + 1] = (x[k + 1] or x[k]) + 1e-3 * (2.0 * u[k] - x[k + 1] ** 3)
+    frame = pd.DataFrame({"time": times, "u": u, "x": x + 1e-3 * rng.standard_normal(401)})
+    experiment = fmuid.Experiment(frame, ["u"], ["x"], interpolation="hold")
+    parameters = {"a": fmuid.Parameter(3.0, min=0.0), "b": fmuid.Parameter(1.0, min=0.0)}
+    result = fmuid.identify(fmuid.Problem(export_text(tmp_path, LAG), experiment, parameters))
+    assert result.converged
+    assert len([each for each in result.attempts if each.trouble is not Trouble.FAR]) == 2
+    kept = next(each for each in result.attempts if each.kept)
+    assert kept.trouble is Trouble.MODEL_ERROR
+    assert kept.noise_ratio > 15.0
+    (said,) = attempt_words(result)
+    assert said.endswith(
+        "; the model does not explain the data, other starts end there too: check the model and its inputs"
+    )
+    data = json.loads(json.dumps(as_json(result.to_json_dict())))
+    assert [each["trouble"] for each in data["attempts"] if each["kept"]] == ["model_error"]
+
+
+def ended(remedy: Remedy, values: list[float], worth: float = 0.0, number: int = 0) -> EndedSearch:
+    """A search that ended with standard deviations of 0.1, the second one without end."""
+    result: Any = SimpleNamespace(values=np.array(values), std=np.array([0.1, np.inf]))
+    return EndedSearch(result, Attempt(remedy, Trouble.LARGE_RESIDUAL, 20.0), number, worth)
+
+
+@pytest.mark.parametrize(
+    ("other", "equation_ratio", "confirmed"),
+    [
+        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0]), np.nan, True),
+        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0]), 15.0, True),
+        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0]), 3.0, False),  # the equations hold: a secondary optimum
+        (ended(Remedy.EQUATION_ERROR, [1.2, 7.0]), np.nan, False),
+        (ended(Remedy.EQUATION_ERROR, [1.05, 7.0], worth=-4.0), np.nan, False),
+        (ended(Remedy.CORRECTION, [1.05, 7.0]), np.nan, False),  # which set out from the given start
+    ],
+)
+def test_searches_agree_in_criterion_and_estimates(other: EndedSearch, equation_ratio: float, confirmed: bool) -> None:
+    one = ended(Remedy.GIVEN, [1.0, 2.0], number=1)
+    assert is_confirmed(one, [other, one], equation_ratio) == confirmed
+
+
+def test_where_nothing_helps_the_error_is_that_of_the_start() -> None:
+    coil = FMUS / "Coil" / "Coil.fmu"
+    frame = pd.DataFrame({"time": np.linspace(0.0, 1.0, 50), "u": 1.0, "i": np.linspace(0.0, 0.2, 50)})
+    parameters = {"R": fmuid.Parameter(4.0), "i_start": fmuid.Parameter(0.0, min=-1e-30, max=1e-30, nominal=1e-30)}
+    whole = fmuid.Problem(coil, fmuid.Experiment(frame, ["u"], ["i"]), parameters)
+    with pytest.raises(fmuid.InputError) as plain:
+        fmuid.identify(whole, remedies=False)
+    with pytest.raises(fmuid.InputError) as guarded:
+        fmuid.identify(whole)
+    assert str(guarded.value) == str(plain.value)
+
+
+@pytest.mark.slow
+def test_corrections_give_a_start_too(motor: Path, record: Record) -> None:
+    whole = problem(motor, record, record.truth * 2.0)
+    theta = corrected_start(whole, whole.parameters.start)
+    assert theta is not None
+    assert whole.simulations > 0
+    assert np.abs(np.log(theta[:6] / record.truth)).max() < np.log(3.0)
+
+
+@pytest.mark.slow
+def test_the_problem_is_simulated_as_before_after_corrections(motor: Path, record: Record) -> None:
+    whole = problem(motor, record, record.truth)
+    before = whole.predict(whole.parameters.start[None])
+    corrected_start(whole, whole.parameters.start)
+    assert (whole.predict(whole.parameters.start[None]) == before).all()
+
+
+def test_every_attempt_has_words() -> None:
+    assert set(PLACES) == set(Remedy)
+    assert set(ENDS) == set(Trouble)
+
+
+def test_the_noise_of_an_output_is_never_zero(curved: Path) -> None:
+    frame = pd.DataFrame({"time": np.linspace(0.0, 1.0, 20), "y": np.zeros(20)})
+    flat = fmuid.Problem(curved, fmuid.Experiment(frame, [], ["y"]), {"a": fmuid.Parameter(1.0)})
+    assert (guarded_search._noise(flat) > 0.0).all()
+
+
+def test_no_search_goes_back_to_a_rougher_simulation(motor: Path) -> None:
+    """This motor's co-simulation is so rough that a search by it crawls on for thousands of simulations."""
+    result = fmuid.identify(problem(motor, draw("dc", 22)))
+    assert result.converged
+    assert [each.kept for each in result.attempts] == [False, True]
+    assert result.simulations < 400

@@ -1,0 +1,224 @@
+"""Observers that keep the simulation of a plant that integrates with its record."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import fmuid
+from fmuid.array_types import Floats
+from fmuid.identification import observed
+from fmuid.identification import state_correction_start as corrected_start
+from fmuid.identification.observer import observer_gain
+from fmuid.reports.page.verdict import identification_words
+from fmuid.simulation import RightHandSide
+from tests.support.exported import export_text
+
+CART = """model Cart
+  parameter Real m = 1;
+  parameter Real d = 1;
+  input Real u;
+  output Real q(start=0, fixed=true);
+  Real v(start=0, fixed=true);
+equation
+  der(q) = v;
+  m*der(v) = u - d*v;
+end Cart;
+"""
+M, D = 2.0, 3.0
+TIMES = np.linspace(0.0, 6.0, 601)
+
+
+@pytest.fixture(scope="module")
+def cart(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_text(tmp_path_factory.mktemp("cart"), CART)
+
+
+@cache
+def record(stiction: float) -> pd.DataFrame:
+    """Return that of a cart, driven by bits, with a force of Stribeck's kind that the model has not."""
+    force = np.random.default_rng(1).choice([-4.0, 4.0], 61)[np.minimum((TIMES / 0.1).astype(int), 60)]
+    x, places = np.zeros(2), [0.0]
+    for k in range(600):
+
+        def slope(_t: float, x: np.ndarray, u: float = float(force[k])) -> list[float]:
+            return [x[1], (u - D * x[1] - stiction * np.tanh(8.0 * x[1]) * np.exp(-(x[1] ** 2)) - 0.3 * stiction) / M]
+
+        x = solve_ivp(slope, (0.0, 0.01), x, rtol=1e-8, atol=1e-10).y[:, -1]
+        places.append(float(x[0]))
+    return pd.DataFrame({"time": TIMES, "u": force, "q": places})
+
+
+def problem(cart: Path, stiction: float) -> fmuid.Problem:
+    given = fmuid.Experiment(record(stiction), ["u"], ["q"], interpolation="hold")
+    return fmuid.Problem(cart, given, {"m": fmuid.Parameter(1.0, min=0.1), "d": fmuid.Parameter(1.0, min=0.0)})
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_all_poles_are_where_they_are_asked_for(count: int) -> None:
+    slopes = np.diag(np.ones(count - 1), 1) - 0.5 * np.eye(count)
+    output = np.eye(count)[0]
+    gain = observer_gain(slopes, output, 0.1, 4.0)
+    error = (np.eye(count) - np.outer(gain, output)) @ expm(0.1 * slopes)
+    assert np.poly(error) == pytest.approx(np.poly(np.full(count, np.exp(-0.25))), abs=1e-9)
+
+
+def test_between_corrections_cvode_goes_on_with_its_history(cart: Path) -> None:
+    """A gain of zero moves nothing: what differs from a simulation without corrections are new beginnings."""
+    system = fmuid.System(cart, numerics=fmuid.Numerics(interface="model-exchange", integrator="cvode"))
+    given = fmuid.Experiment(record(0.0), ["u"], ["q"], interpolation="hold")
+    side = RightHandSide.of(fmuid.Simulator(system, given, ["m", "d"]))
+    assert side is not None
+    theta = np.array([M, D])
+    plain = side.simulator(1e-5, 1000)(theta)
+    gain = np.zeros((2, 1))
+    assert (side.corrected(gain, 1e-5, 1000, every=len(TIMES))(theta) == plain).all()
+    assert (side.corrected(gain, 1e-5, 1000)(theta) != plain).any()
+
+
+def test_many_states_are_corrected_at_fewer_samples(cart: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A correction begins cvode anew, which takes an evaluation a state for its Jacobian."""
+    gaps = []
+    given = RightHandSide.corrected
+
+    def corrected(side: RightHandSide, gain: Floats, tolerance: float, most: int | None, every: int) -> fmuid.Simulator:
+        gaps.append(every)
+        return given(side, gain, tolerance, most, every)
+
+    monkeypatch.setattr(RightHandSide, "corrected", corrected)
+    whole = problem(cart, 0.0)
+    for states_per_sample in (20, 1):
+        monkeypatch.setattr(corrected_start, "STATES_PER_SAMPLE", states_per_sample)
+        corrected_start._corrected(whole, 0, whole.parameters.start)
+    assert gaps == [1, 2]
+
+
+def test_what_the_output_does_not_see_cannot_be_observed() -> None:
+    with pytest.raises(fmuid.InputError, match="does not observe all states"):
+        observer_gain(np.diag([-1.0, -2.0]), np.array([1.0, 0.0]), 0.1, 3.0)
+
+
+def test_a_right_model_is_found_with_an_observer_too(cart: Path) -> None:
+    whole = observed(problem(cart, 0.0))
+    result = fmuid.identify(whole)
+    assert result.converged
+    assert result.attempts == ()
+    assert result.accuracy is None
+    assert result.observer == 3.0
+    assert [result["m"], result["d"]] == pytest.approx([M, D], rel=1e-3)
+
+
+def test_the_result_says_that_it_is_no_output_error(cart: Path, tmp_path: Path) -> None:
+    result = fmuid.identify(observed(problem(cart, 0.0), 5.0))
+    (tmp_path / "result.json").write_text(json.dumps(result.to_json_dict()), encoding="utf-8")
+    kept = fmuid.Result.from_json(tmp_path / "result.json")
+    assert kept.observer == 5.0
+    said = "An observer with its poles at 5 samples kept the simulation with the record: this is a fit of predictions"
+    assert said in fmuid.describe(kept)
+    assert any(said in each.text and each.doubtful for each in identification_words(kept.to_json_dict(), kept, ()))
+    assert "observer" not in fmuid.describe(replace(kept, observer=None))
+
+
+def test_combinations_are_not_observed(cart: Path) -> None:
+    whole = problem(cart, 0.0)
+    whole.choices = {"mode": (1, 2)}
+    with pytest.raises(fmuid.InputError, match="'mode' takes few values: hold it"):
+        observed(whole)
+
+
+def test_an_error_of_the_model_pulls_output_error_more(cart: Path) -> None:
+    """What integrates keeps a force that the model has not; the observer forgets it."""
+    whole = problem(cart, 0.3)
+    long = fmuid.identify(whole, remedies=False)
+    short = fmuid.identify(observed(problem(cart, 0.3)))
+    assert abs(short["m"] - M) < 0.5 * abs(long["m"] - M)
+
+
+def test_an_observer_is_for_one_output_of_one_model(cart: Path) -> None:
+    whole = problem(cart, 0.0)
+    frame = pd.DataFrame({"time": TIMES, "u": 1.0, "q": 0.0, "w": 0.0})
+    two = fmuid.Experiment(frame, ["u"], {"q": "q", "v": "w"}, interpolation="hold")
+    with pytest.raises(fmuid.InputError, match="one output"):
+        observed(fmuid.Problem(cart, two, {"m": fmuid.Parameter(1.0)}))
+    with pytest.raises(fmuid.InputError, match="positive number of samples"):
+        observed(whole, 0.0)
+
+
+STUDY = """
+[model]
+fmu = "{fmu}"
+{model}
+[[experiments]]
+table = "table.csv"
+inputs = ["u"]
+outputs = {outputs}
+interpolation = "hold"
+
+[parameters]
+m = {{ start = 1.0, min = 0.1 }}
+d = {{ start = 1.0, min = 0.0 }}
+
+[estimator]
+observer = 5
+{more}
+"""
+
+
+def study(folder: Path, fmu: Path, *, outputs: str = '["q"]', more: str = "", model: str = "") -> fmuid.Study:
+    text = STUDY.format(fmu=fmu.as_posix(), outputs=outputs, more=more, model=model)
+    return fmuid.Study.of(tomllib.loads(text), folder / "study.toml")
+
+
+def test_a_study_asks_for_an_observer(cart: Path, tmp_path: Path) -> None:
+    record(0.3).to_csv(tmp_path / "table.csv", index=False)
+    asked = study(tmp_path, cart)
+    found = fmuid.run_study(asked, tmp_path / "out")
+    by_hand = fmuid.identify(observed(problem(cart, 0.3), 5.0))
+    assert found.result.observer == 5.0
+    assert found.result.values == pytest.approx(by_hand.values, rel=1e-6)
+    assert fmuid.Result.from_json(tmp_path / "out" / "result.json").observer == 5.0
+
+
+def test_a_study_is_told_what_an_observer_cannot(cart: Path, tmp_path: Path) -> None:
+    frame = record(0.0)
+    frame.assign(w=0.0).to_csv(tmp_path / "table.csv", index=False)
+    with pytest.raises(fmuid.InputError) as refused:
+        study(tmp_path, cart, outputs='{ q = "q", v = "w" }').problem()
+    assert str(refused.value) == (
+        f"{tmp_path / 'study.toml'}: [estimator] has observer = 5, but an observer is for one output, and "
+        f"{tmp_path / 'table.csv'} has 2: remove observer"
+    )
+    with pytest.raises(fmuid.InputError, match=r'both observer and sensitivity = "forward"'):
+        study(tmp_path, cart, more='sensitivity = "forward"')
+    with pytest.raises(fmuid.InputError, match=r"both observer in \[estimator\] and \[batch\]"):
+        study(tmp_path, cart, more='[batch]\ntables = "*.csv"')
+
+
+def test_a_system_of_several_fmus_is_not_observed(cart: Path, tmp_path: Path) -> None:
+    record(0.0).to_csv(tmp_path / "table.csv", index=False)
+    text = f"""
+[model]
+components = [{{ name = "a", fmu = "{cart.as_posix()}" }}, {{ name = "b", fmu = "{cart.as_posix()}" }}]
+[[experiments]]
+table = "table.csv"
+inputs = {{ "a.u" = "u" }}
+outputs = {{ "a.q" = "q" }}
+[parameters]
+"a.m" = {{ start = 1.0 }}
+[estimator]
+observer = 3
+"""
+    several = fmuid.Study.of(tomllib.loads(text), tmp_path / "study.toml")
+    with pytest.raises(
+        fmuid.InputError, match=r"observer = 3, but an observer needs a single FMU that offers model exch"
+    ):
+        several.problem()

@@ -1,0 +1,259 @@
+"""The sampled posterior: closed forms within the error that the effective size allows, and what cannot be sampled."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from experiments.interval_coverage import coverage
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import JointPrior, Normal, Parameter
+from fmuid.errors import InputError
+from fmuid.estimation.problem import LeastSquares
+from fmuid.identification.sampling.posterior import Posterior, Sampling, SamplingDoubt
+from fmuid.identification.sampling.sampler import sample
+from fmuid.reports.messages.uncertainty import posterior_words
+from tests.support.posteriors import Array, linear, sampled
+from tests.support.results import identify_white as identify
+
+# Sampling errors are normal: four of their standard deviations are passed once in 16,000 times.
+ERRORS = 4.0
+
+
+def assert_moments(posterior: Posterior, mean: Array, covariance: Array) -> None:
+    """Compare with the exact moments: the error of a mean is std/√ESS, that of a normal's covariance likewise."""
+    assert posterior.converged, posterior.doubt
+    std, size = np.sqrt(np.diag(covariance)), posterior.effective_size.min()
+    assert size >= 2000
+    np.testing.assert_array_less(np.abs(posterior.mean - mean), ERRORS * std / math.sqrt(size))
+    correlation = covariance / np.outer(std, std)
+    allowed = ERRORS * np.sqrt((1.0 + correlation**2) / size)
+    np.testing.assert_array_less(np.abs(posterior.covariance - covariance) / np.outer(std, std), allowed)
+
+
+def quantile_error(probability: float, density: float, size: float) -> float:
+    """Return the standard deviation of a sampled quantile where the density is known."""
+    return math.sqrt(probability * (1.0 - probability) / size) / density
+
+
+# --- closed forms
+
+
+def test_linear_gaussian() -> None:
+    """Given variance and a joint prior: normal, with the precision ΦᵀΦ/σ² + M₀⁻¹ (section 6)."""
+    joint = JointPrior(["a", "b"], [1.8, 0.0], [[0.04, 0.01], [0.01, 0.09]])
+    problem, phi = linear(noise=Noise(variance=0.5), joint_prior=joint)
+    prior = np.linalg.inv(joint.covariance)
+    covariance = np.linalg.inv(phi.T @ phi / 0.5 + prior)
+    mean = covariance @ (phi.T @ problem.measured / 0.5 + prior @ joint.mean)
+    posterior, _ = sampled(problem)
+    assert_moments(posterior, mean, covariance)
+    assert posterior.r_hat.max() < 1.01
+    assert posterior_words(posterior).startswith("converged: at least ")
+
+
+@pytest.mark.slow
+def test_linear_student() -> None:
+    """Variance estimated from few samples: the intervals are Student's, clearly wider than normal ones."""
+    problem, phi = linear(samples=7)
+    posterior, result = sampled(problem, effective_size=5000)
+    theta, square, *_ = np.linalg.lstsq(phi, problem.measured)
+    std = np.sqrt(square[0] / 5 * np.diag(np.linalg.inv(phi.T @ phi)))
+    student = stats.t(5)
+    allowed = ERRORS * quantile_error(0.025, student.pdf(student.ppf(0.025)), posterior.effective_size.min())
+    assert student.ppf(0.975) - stats.norm.ppf(0.975) > 2.0 * allowed  # or the test could not tell them apart
+    for quantile, end in ((student.ppf(0.025), "lower"), (student.ppf(0.975), "upper")):
+        found = (posterior.intervals()[end].to_numpy() - theta) / std
+        np.testing.assert_allclose(found, [quantile] * 2, rtol=0, atol=allowed)
+        local = (result.intervals()[end].to_numpy() - theta) / std
+        np.testing.assert_allclose(found, local, rtol=0, atol=allowed)
+
+
+def test_bound_cuts_a_normal() -> None:
+    """A bound half a standard deviation above the mean: a truncated normal."""
+    phi = np.ones(20)
+    measured = 3.0 + np.random.default_rng(1).normal(size=20)
+    mean, std = float(measured.mean()), 1.0 / math.sqrt(20.0)
+    problem = LeastSquares.from_function(
+        lambda theta: theta[0] * phi, measured, {"a": Parameter(1.0, max=mean + 0.5 * std)}, noise=Noise(1.0)
+    )
+    posterior, _ = sampled(problem)
+    exact = stats.truncnorm(-np.inf, 0.5, mean, std)
+    size = posterior.effective_size.min()
+    assert posterior.converged
+    assert posterior.samples.max() <= mean + 0.5 * std
+    assert posterior.mean[0] == pytest.approx(exact.mean(), abs=ERRORS * exact.std() / math.sqrt(size))
+    assert abs(exact.mean() - mean) > 10.0 * exact.std() / math.sqrt(size)
+    distance = stats.kstest(posterior.samples[:, 0], exact.cdf).statistic
+    assert distance < stats.kstwo.ppf(0.9999, round(size))
+
+
+@pytest.mark.slow
+def test_estimate_on_a_bound() -> None:
+    """The mean lies beyond the bound, where half of all walkers would start: what remains is the tail."""
+    measured = 3.0 + np.random.default_rng(1).normal(size=20)
+    mean, std = float(measured.mean()), 1.0 / math.sqrt(20.0)
+    bound = mean + std
+    problem = LeastSquares.from_function(
+        lambda theta: theta[0] * np.ones(20), measured, {"a": Parameter(5.0, min=bound)}, noise=Noise(1.0)
+    )
+    posterior, result = sampled(problem, effective_size=1000)
+    assert result["a"] == bound
+    exact = stats.truncnorm(1.0, np.inf, mean, std)
+    assert posterior.converged
+    distance = stats.kstest(posterior.samples[:, 0], exact.cdf).statistic
+    assert distance < stats.kstwo.ppf(0.9999, round(posterior.effective_size.min()))
+
+
+# --- what the data leave open
+
+
+def sum_only(a: Parameter, b: Parameter) -> LeastSquares:
+    """Return a problem whose data determine a + b alone, with a standard deviation of 0.1."""
+    measured = 3.0 + np.random.default_rng(2).normal(size=25) / 2.0
+    return LeastSquares.from_function(
+        lambda theta: (theta[0] + theta[1]) * np.ones(25), measured, {"a": a, "b": b}, noise=Noise(0.25)
+    )
+
+
+@pytest.mark.parametrize(
+    ("distribution", "lower", "expected"),
+    [
+        (stats.expon(), 0.0, (0.0, -math.log(0.05))),  # densest at its bound
+        (stats.norm(), -10.0, (-1.96, 1.96)),
+        (stats.gamma(3.0), 0.0, (0.3035, 6.4012)),  # equal densities at both ends
+        (stats.truncnorm(-3.0, 0.0), -3.0, (-1.9385, 0.0)),  # and at its upper bound
+    ],
+)
+def test_intervals_of_highest_density(
+    distribution: stats.rv_continuous, lower: float, expected: tuple[float, float]
+) -> None:
+    samples = np.random.default_rng(6).permutation(distribution.ppf((np.arange(20_000) + 0.5) / 20_000))
+    upper = 0.0 if expected[1] == 0.0 else math.inf
+    posterior, _ = sampled(linear()[0], steps=10)
+    one = replace(
+        posterior,
+        names=("x",),
+        lower=np.array([lower]),
+        upper=np.array([upper]),
+        chain=samples.reshape(-1, 4, 1),
+        burn=0,
+    )
+    found = one.intervals().to_numpy()[0].tolist()
+    assert found == pytest.approx(expected, abs=0.03)
+    for end, bound in zip(expected, (lower, upper), strict=True):
+        assert (bound in found) == (end == bound)
+
+
+def banana(bend: float) -> LeastSquares:
+    """a ~ N(0, 1), b ~ N(bend a², 1)."""
+    parameters = {"a": Parameter(0.0, nominal=1.0), "b": Parameter(0.0, nominal=1.0)}
+    return LeastSquares.from_function(
+        lambda theta: np.array([theta[0], theta[1] - bend * theta[0] ** 2]), [0.0, 0.0], parameters, noise=Noise(1.0)
+    )
+
+
+@pytest.mark.slow
+def test_a_bent_posterior() -> None:
+    """E b = 6, Var b = 1 + 2·36; differential evolution and local draws give some 350 independent samples."""
+    problem = banana(6.0)
+    found = sample(problem, identify(problem), Sampling(effective_size=500))
+    assert found.converged
+    assert found.effective_size.min() > 500.0
+    error = 5.0 / math.sqrt(found.effective_size.min())
+    assert found.mean[0] == pytest.approx(0.0, abs=error)
+    assert found.covariance[0, 0] == pytest.approx(1.0, abs=math.sqrt(2.0) * error)
+    assert found.mean[1] == pytest.approx(6.0, abs=error * math.sqrt(73.0))
+    ends = found.intervals(0.9).loc["a"]
+    np.testing.assert_allclose(ends, stats.norm.ppf([0.05, 0.95]), atol=0.25)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("prior", [None, Normal(2.0, 0.5)])
+def test_two_optima(prior: Normal | None) -> None:
+    """a² is measured: a and −a are as likely, unless something else tells them apart."""
+    parameters = {"a": Parameter(1.5, min=-5.0, max=5.0, prior=prior)}
+    problem = LeastSquares.from_function(
+        lambda theta: np.full(10, theta[0] ** 2), np.full(10, 4.0), parameters, noise=Noise(0.25)
+    )
+    found = sample(problem, identify(problem), Sampling(effective_size=200))
+    assert found.converged
+    words = posterior_words(found)
+    if prior is None:
+        np.testing.assert_allclose(found.optima, [[2.0], [-2.0]], atol=0.01)
+        assert np.mean(found.samples > 0.0) == pytest.approx(0.5, abs=0.15)
+        assert "beside the estimate there are other optima of like probability: a = -2" in words
+    else:
+        assert len(found.optima) == 1
+        assert (found.samples > 0.0).all()
+        assert "other optima" not in words
+
+
+@pytest.mark.slow
+def test_prior_decides_what_data_leave_open() -> None:
+    problem = sum_only(Parameter(1.0, prior=Normal(1.0, 2.0)), Parameter(1.0))
+    total = float(problem.measured.mean())
+    posterior, _ = sampled(problem)
+    covariance = np.array([[4.0, -4.0], [-4.0, 4.01]])
+    assert_moments(posterior, np.array([1.0, total - 1.0]), covariance)
+
+
+@pytest.mark.slow
+def test_bounds_alone_hold_what_data_leave_open() -> None:
+    problem = sum_only(Parameter(1.0, min=0.0, max=2.0), Parameter(1.0, min=-100.0))
+    posterior, result = sampled(problem, effective_size=1000)
+    assert not np.isfinite(result.std).any()
+    assert posterior.converged
+    assert "a and b cannot be told apart" in posterior_words(posterior)
+    assert "along this the samples show priors and bounds, not data" in posterior_words(posterior)
+    distance = stats.kstest(posterior.samples[:, 0], stats.uniform(0.0, 2.0).cdf).statistic
+    assert distance < stats.kstwo.ppf(0.9999, round(posterior.effective_size.min()))
+    assert posterior.samples.sum(axis=1).std() == pytest.approx(0.1, rel=0.1)
+
+
+def test_nothing_holds_what_data_leave_open() -> None:
+    posterior, _ = sampled(sum_only(Parameter(1.0), Parameter(1.0)))
+    assert (posterior.doubt, posterior.doubtful) == (SamplingDoubt.RUNAWAY, "a")
+    assert posterior_words(posterior).startswith("nothing holds a, the samples run away: give a prior or bounds")
+    assert posterior.intervals().to_numpy().tolist() == [[-math.inf, math.inf]] * 2
+
+
+# --- coverage
+
+
+@pytest.mark.slow
+def test_coverage_of_the_coil() -> None:
+    """Of 12 draws a method that covers 95 % holds the truth at least 8 times but for one in 5,000 repetitions."""
+    sampling = Sampling(effective_size=400, walkers=8)
+    shares = coverage("coil", 12, sampling=sampling)
+    assert list(shares.index) == ["R", "L"]
+    assert list(shares.columns) == ["local", "profile", "posterior"]
+    assert shares.to_numpy().min() >= 8 / 12
+    # and it is the intervals that decide
+    assert coverage("coil", 3, level=0.1, sampling=sampling).to_numpy().mean() < 0.6
+
+
+def test_samples_as_arviz_takes_them() -> None:
+    """A chain a walker, in the order of the steps, without the burn-in."""
+    rng = np.random.default_rng(3)
+    chain, density = rng.normal(size=(7, 4, 2)), rng.normal(size=(7, 4))
+    one = np.ones(2)
+    posterior = Posterior(
+        None, "", False, 1, (), np.zeros((1, 2)), ("R", "L"), -one, one, chain, density, 2, one, one, one, 0.5, 28, 0.1
+    )  # fmt: skip
+    tree = posterior.to_arviz()
+    assert dict(tree["posterior"].sizes) == {"chain": 4, "draw": 5}
+    np.testing.assert_array_equal(tree["posterior"]["L"].sel(chain=3, draw=1), chain[3, 3, 1])
+    np.testing.assert_array_equal(tree["sample_stats"]["lp"].sel(chain=3, draw=1), density[3, 3])
+
+
+def test_samples_without_arviz(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "arviz_base", None)
+    posterior, _ = sampled(linear()[0], steps=20, effective_size=1)
+    with pytest.raises(InputError, match=r"pip install 'fmuid\[arviz\]'"):
+        posterior.to_arviz()

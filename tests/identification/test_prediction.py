@@ -1,0 +1,173 @@
+"""Predictions against closed forms: errors, and bands by the noise, the estimates and what is estimated again."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import ArrayLike
+from scipy.signal import lfilter
+
+from fmuid.array_types import Floats
+from fmuid.data import Experiment, Parameter
+from fmuid.errors import InputError, SimulationError
+from fmuid.estimation import Result
+from fmuid.identification import Prediction, Problem, identify, predict, prediction
+from fmuid.simulation import Simulator
+from fmuid.simulation.simulator import Simulations
+from tests.support.paths import FMUS
+
+COIL = FMUS / "Coil/Coil.fmu"
+R, L, STEP, NOISE, COUNT = 4.0, 0.1, 1e-3, 0.02, 400
+
+
+def current(theta: Floats, voltage: Floats, start: float) -> Floats:
+    """The current of a coil, exact for a held voltage."""
+    decay = math.exp(-theta[0] / theta[1] * STEP)
+    driven = lfilter([0.0, (1.0 - decay) / theta[0]], [1.0, -decay], voltage)
+    return np.asarray(driven + start * decay ** np.arange(voltage.size))
+
+
+def record(seed: int, start: float = 0.0, name: str = "new", noise: float = NOISE) -> Experiment:
+    rng = np.random.default_rng(seed)
+    voltage = np.repeat(rng.choice([-1.0, 1.0], COUNT // 20), 20)
+    y = current(np.array([R, L]), voltage, start) + noise * rng.standard_normal(COUNT)
+    frame = pd.DataFrame({"time": STEP * np.arange(COUNT), "u": voltage, "i": y})
+    return Experiment(frame, ["u"], ["i"], interpolation="hold", name=name)
+
+
+def identified(**more: Parameter) -> Result:
+    parameters = {"R": Parameter(6.0, min=0.0), "L": Parameter(0.05, min=1e-3), **more}
+    return identify(Problem(COIL, [record(1, name="first"), record(2, name="second")], parameters))
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return identified()
+
+
+def test_scores_are_those_of_the_closed_form(result: Result) -> None:
+    fresh = record(5)
+    found = predict(COIL, result, fresh)
+    measured, exact = fresh.output_values[:, 0], current(result.values, fresh.input_values[:, 0], 0.0)
+    (score,) = found.scores
+    error = measured - exact
+    assert score.rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-4)
+    assert score.fit == pytest.approx(100 * (1 - np.linalg.norm(error) / np.linalg.norm(measured - measured.mean())))
+    assert (score.output, score.unit, score.samples) == ("i", "A", COUNT)
+
+
+def test_the_band_is_that_of_noise_and_estimates(result: Result) -> None:
+    fresh = record(5)
+    found = predict(COIL, result, fresh, level=0.9)
+    step = 1e-4 * result.values
+    voltage = fresh.input_values[:, 0]
+    slopes = np.column_stack(
+        [(current(result.values + d, voltage, 0.0) - current(result.values - d, voltage, 0.0)) / (2 * d.sum())
+         for d in np.diag(step)]
+    )  # fmt: skip
+    variance = np.sum((slopes @ result.covariance) * slopes, axis=1)
+    np.testing.assert_allclose(found.std[1:, 0] ** 2, variance[1:], rtol=2e-2, atol=1e-12)
+    noise = result.noise_variance["i"]
+    np.testing.assert_allclose(found.half_width[:, 0], 1.647 * np.sqrt(noise + variance), rtol=2e-3)
+    assert found.scores[0].expected == pytest.approx(math.sqrt(noise + variance.mean()), rel=1e-3)
+
+
+def test_of_fresh_records_as_many_samples_lie_in_the_band_as_it_says(result: Result) -> None:
+    scores = [predict(COIL, result, record(seed)).scores[0] for seed in range(10, 16)]
+    assert np.mean([score.inside for score in scores]) == pytest.approx(0.95, abs=0.015)
+    assert np.mean([score.ratio for score in scores]) == pytest.approx(1.0, abs=0.06)
+
+
+def test_a_start_that_is_not_the_models_is_seen_and_can_be_estimated_again(result: Result) -> None:
+    fresh = record(7, start=0.4)
+    wrong = predict(COIL, result, fresh)
+    assert wrong.scores[0].ratio > 1.5
+    again = predict(COIL, result, fresh, free={"i_start": Parameter(0.0, nominal=0.1)})
+    assert again.scores[0].ratio == pytest.approx(1.0, abs=0.1)
+    assert again.estimated is not None
+    assert abs(again.estimated["i_start"] - 0.4) < 4 * again.estimated.std[0]
+
+
+def test_the_band_allows_for_what_is_estimated_again(result: Result) -> None:
+    """Against many draws of noise and estimates, each with its start estimated by linear least squares."""
+    wide = dataclasses.replace(result, covariance=200.0 * result.covariance)  # so that both parts are seen
+    fresh = record(7, start=0.4)
+    found = predict(COIL, wide, fresh, free={"i_start": Parameter(0.4)})
+    rng, voltage = np.random.default_rng(3), fresh.input_values[:, 0]
+    sigma = math.sqrt(result.noise_variance["i"])
+    truth, predicted = current(result.values, voltage, 0.4), []
+    for theta in rng.multivariate_normal(result.values, wide.covariance, 1500):
+        regressor = current(theta, 0.0 * voltage, 1.0)
+        rest = truth + sigma * rng.standard_normal(COUNT) - current(theta, voltage, 0.0)
+        predicted.append(current(theta, voltage, float(regressor @ rest / (regressor @ regressor))))
+    spread = np.std(predicted, axis=0)
+    ratio = found.std[:, 0] / spread
+    assert np.median(np.abs(ratio - 1.0)) < 0.06
+    assert found.std[0, 0] == pytest.approx(spread[0], rel=0.1)
+
+
+def test_parameters_that_are_not_determined_are_no_part_of_the_band(result: Result) -> None:
+    covariance = result.covariance.copy()
+    covariance[0, :] = covariance[:, 0] = np.nan
+    covariance[0, 0] = np.inf
+    found = predict(COIL, dataclasses.replace(result, covariance=covariance), record(5))
+    assert found.undetermined == ("R",)
+    assert np.isnan(found.std).all()
+    np.testing.assert_allclose(found.half_width, 1.963 * math.sqrt(result.noise_variance["i"]), rtol=2e-3)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_beside_what_cannot_be_simulated_slopes_are_one_sided(
+    result: Result, sign: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Edge(Simulator):
+        def many(self, thetas: ArrayLike) -> Simulations:
+            found = super().many(thetas)
+            errors = list(found.errors)
+            for i in np.flatnonzero(sign * (np.asarray(thetas)[:, 0] - result["R"]) > 0):
+                found.outputs[i], errors[i] = np.nan, SimulationError("Coil", 0.0, {}, "fmi2DoStep")
+            return Simulations(found.outputs, tuple(errors))
+
+    free = predict(COIL, result, record(5))
+    monkeypatch.setattr(prediction, "Simulator", Edge)
+    beside = predict(COIL, result, record(5))
+    np.testing.assert_allclose(beside.std[1:], free.std[1:], rtol=0.05)
+
+
+def test_values_for_each_experiment_are_those_of_the_record_it_was_made_from() -> None:
+    start = Parameter(0.0, nominal=0.1, per_experiment=True)
+    made = identified(i_start=start)
+    first = predict(COIL, made, record(1, name="first"))
+    assert first.scores[0].ratio == pytest.approx(1.0, abs=0.1)
+    with pytest.raises(InputError, match=r"a value of 'i_start' for first, second and none for first: .*--free"):
+        predict(COIL, made, record(9, name="first"))  # another record of that name
+    again = predict(COIL, made, record(9, start=0.3, name="other"), free={"i_start": start})
+    assert again.estimated is not None
+    assert again.estimated["i_start"] == pytest.approx(0.3, abs=0.1)
+
+
+def test_what_the_table_and_the_json_have(result: Result) -> None:
+    found: Prediction = predict(COIL, result, record(5))
+    names = ["time", "measured.i", "simulated.i", "std.i", "lower.i", "upper.i"]
+    assert list(found.table.columns) == names
+    inside = found.table["measured.i"].between(found.table["lower.i"], found.table["upper.i"])
+    assert inside.mean() == found.scores[0].inside
+    content: dict[str, Any] = found.to_json_dict()
+    assert content["outputs"][0]["rmse"] == found.scores[0].rmse
+    assert content["estimated"] is None
+
+
+def test_another_model_is_refused(result: Result) -> None:
+    with pytest.raises(InputError, match=r"the result is of another model: .* has no 'L'"):
+        predict(
+            FMUS / "PositionController/PositionController.fmu",
+            dataclasses.replace(result, names=("kp", "L")),
+            record(5),
+        )
+    with pytest.raises(InputError, match="level of a band"):
+        predict(COIL, result, record(5), level=1.0)

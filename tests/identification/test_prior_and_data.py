@@ -1,0 +1,355 @@
+"""Reading a result: the barycentre, the Kalman form, what the prior moved, and the tests of consistency."""
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from fmuid.array_types import Floats
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import JointPrior, Normal, Parameter
+from fmuid.errors import InputError
+from fmuid.estimation.cost_function import prepare
+from fmuid.estimation.identification import identify
+from fmuid.estimation.marquardt.linear import linear_least_squares
+from fmuid.estimation.noise.autoregression import Autoregression
+from fmuid.estimation.noise.sandwich import ColouredNoise, Sandwich
+from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.identification import Problem
+from fmuid.identification.prior_and_data import Influence, Obstacle, Reading, read_result
+from fmuid.identification.prior_data_tests import Deviation
+from fmuid.identification.residual_analysis import Diagnostics, examine_residuals
+from fmuid.reports.messages.prior_and_data import reading_words
+from fmuid.studies.study import Study
+from tests.support.paths import ROOT
+from tests.support.problems import ar1, coil_problem
+
+STUDY = ROOT / "experiments" / "induction_machine" / "study.toml"
+COUNT = 120
+PHI = np.column_stack([np.ones(COUNT), np.linspace(0.0, 1.0, COUNT), np.sin(np.linspace(0.0, 20.0, COUNT))])
+TRUTH = np.array([1.0, 2.0, 0.5])
+MEAN = np.array([0.95, 2.2, 0.4])
+COVARIANCE = np.array([[4e-3, -3e-3, 0.0], [-3e-3, 2e-2, 1e-3], [0.0, 1e-3, 1e-2]])
+VARIANCE = 0.04
+NAMES = ("a", "b", "c")
+
+
+def linear(
+    measured: Floats, prior: JointPrior | None = None, own: dict[str, Normal] | None = None, **words: Any
+) -> tuple[LeastSquares, Result]:
+    """Identify y = Φ θ."""
+    parameters = {name: Parameter(1.0, prior=(own or {}).get(name)) for name in NAMES}
+    words = {"noise": Noise(VARIANCE)} | words
+    problem = LeastSquares.from_function(lambda theta: PHI @ theta, measured, parameters, joint_prior=prior, **words)
+    return problem, identify(problem)
+
+
+def noisy(rng: np.random.Generator, theta: Floats = TRUTH) -> Floats:
+    return np.asarray(PHI @ theta + math.sqrt(VARIANCE) * rng.standard_normal(COUNT))
+
+
+def joint(mean: Floats = MEAN) -> JointPrior:
+    return JointPrior(NAMES, mean, COVARIANCE)
+
+
+def information() -> Floats:
+    """P_opt⁻¹ of the linear model."""
+    return np.asarray(PHI.T @ PHI / VARIANCE)
+
+
+def white_reading(problem: LeastSquares, result: Result, **words: Any) -> Reading:
+    """Read a result with residuals that are taken for white."""
+    found = examine_residuals(problem, result)
+    series = tuple(dataclasses.replace(each, noise_correlation=np.ones(1)) for each in found.series)
+    assert result.noise is not None
+    models = tuple(Autoregression(np.zeros(0), 1.0, each.samples) for each in result.noise.models)
+    noise = dataclasses.replace(result.noise, models=models, innovations=tuple(map(np.eye, _outputs(result.noise))))
+    taken = dataclasses.replace(result, noise=noise, covariance=result.white_covariance)
+    with pytest.MonkeyPatch.context() as patched:  # also where the optimum of the data is searched
+        patched.setattr(
+            "fmuid.identification.prior_and_data.sandwich_of",
+            lambda *_: Sandwich(taken.covariance, taken.freedom, noise),
+        )
+        return read_result(problem, taken, diagnostics=Diagnostics(series, found.widening), **words)
+
+
+def _outputs(noise: ColouredNoise) -> list[int]:
+    """Return how many series each grid has."""
+    return [len(each) for each in noise.innovations]
+
+
+@pytest.mark.parametrize("search", [False, True])
+def test_prior_data_and_combined_of_a_linear_problem(search: bool) -> None:
+    """Closed forms: θ_opt by least squares, the barycentre and the distance of docs/method.md section 7."""
+    y = noisy(np.random.default_rng(1))
+    problem, result = linear(y, joint())
+    reading = white_reading(problem, result, search_data=search)
+    data = linear_least_squares(PHI, y)
+    np.testing.assert_allclose(reading.data, data.theta, rtol=1e-6)
+    np.testing.assert_allclose(reading.data_std, np.sqrt(np.diag(np.linalg.inv(information()))), rtol=1e-6)
+    weight = np.linalg.inv(COVARIANCE)
+    barycentre = np.linalg.solve(weight + information(), weight @ MEAN + information() @ data.theta)
+    np.testing.assert_allclose(reading.combined, barycentre, rtol=1e-6)
+    np.testing.assert_allclose(reading.combined_std, np.sqrt(np.diag(np.linalg.inv(weight + information()))), rtol=1e-6)
+    np.testing.assert_allclose(reading.pull, (barycentre - MEAN) / np.sqrt(np.diag(COVARIANCE)), rtol=1e-4)
+    assert reading.agreement is not None
+    apart = data.theta - MEAN
+    distance = apart @ np.linalg.solve(COVARIANCE + np.linalg.inv(information()), apart)
+    assert reading.agreement.statistic == pytest.approx(distance, rel=1e-5)
+    assert reading.agreement.degrees_of_freedom == 3
+    assert reading.agreement.probability == pytest.approx(stats.chi2(3).sf(distance), rel=1e-4)
+    assert reading.searched is search
+    if search:
+        np.testing.assert_allclose(reading.barycentre, barycentre, rtol=1e-6)
+        assert (np.abs(reading.nonlinearity) < 1e-3).all()
+    else:
+        assert np.isnan(reading.nonlinearity).all()
+
+
+def kalman(problem: LeastSquares, theta: Floats) -> Floats:
+    """One Newton step from θ₀ in the form of (1.49): θ₀ + K (Y* − Ŷ(θ₀)), K = P_C Sᵀ/σ_b²."""
+    criterion = prepare(problem, theta).criterion
+    at = criterion.evaluate(theta)
+    data = problem.measured.size
+    sensitivity = -at.jacobian[:data]  # both are divided by σ_b
+    prior = np.diag(1.0 / problem.parameters.prior_std**2)
+    combined = np.linalg.inv(prior + sensitivity.T @ sensitivity)
+    return np.asarray(theta + combined @ sensitivity.T @ at.residual[:data])
+
+
+def test_the_kalman_form_of_a_linear_problem() -> None:
+    own = {name: Normal(mean, 0.1) for name, mean in zip(NAMES, MEAN, strict=True)}
+    problem, result = linear(noisy(np.random.default_rng(2)), own=own)
+    np.testing.assert_allclose(kalman(problem, MEAN), result.values, rtol=1e-6)
+
+
+def machine(noise: Noise, mean: Floats) -> LeastSquares:
+    """Return the induction machine with the chapter's prior covariance around a mean."""
+    study = Study.read(STUDY)
+    stds = np.sqrt([2e-3, 2e-4, 6e-7, 1e-7])
+    names = ("Rs", "Rr", "Lm", "Lf")
+    parameters = {
+        name: Parameter(float(m), min=1e-4, prior=Normal(float(m), float(s)))
+        for name, m, s in zip(names, mean, stds, strict=True)
+    }
+    return Problem(study.system, study.tables, parameters, noise=noise)
+
+
+def test_the_kalman_form_of_the_induction_machine() -> None:
+    """From the prior the model is nearly linear: one step leads within a twentieth of a standard deviation."""
+    mean = np.array([9.81, 3.83, 0.436, 0.0762])
+    problem = machine(Noise(0.0462), mean)
+    result = identify(problem)
+    off = np.abs(kalman(problem, mean) - result.values) / result.std
+    assert (off < 0.05).all()
+    assert (np.abs(mean - result.values) / result.std).max() > 1.0
+    reading = read_result(problem, result, search_data=True)
+    assert reading.searched
+    assert (np.abs(reading.nonlinearity) < 0.05).all()
+    assert reading.agreement is not None
+    assert reading.agreement.holds
+    assert all(each.deviation is Deviation.NONE for each in reading.variances)
+    said = reading_words(reading)
+    assert said[0].startswith("Prior and data agree (χ² ")
+    assert said[-1].startswith("The residual of ids and iqs is as large as the known noise says")
+
+
+def test_a_changed_machine_is_noticed() -> None:
+    """A rotor resistance ten prior standard deviations from what it is."""
+    problem = machine(Noise(0.0462), np.array([9.81, 3.95, 0.436, 0.0762]))
+    reading = read_result(problem, identify(problem), search_data=True)
+    assert reading.agreement is not None
+    assert reading.agreement.probability < 1e-6
+    assert not reading.agreement.holds
+    assert Influence("Rr", "Rr", rests=False) in reading.influences
+    said = reading_words(reading)
+    assert "Prior and data disagree" in said[0]
+    assert "most of all on Rr" in said[0]
+    assert any(line.startswith("The prior moved Rr from 3.8") and "its own prior did most" in line for line in said)
+
+
+def test_the_data_alone_are_searched() -> None:
+    """Of a nonlinear problem the search finds the optimum that an identification without prior finds."""
+    times = np.linspace(0.0, 3.0, 80)
+
+    def decay(theta: Floats) -> Floats:
+        return np.asarray(theta[0] * np.exp(-theta[1] * times))
+
+    y = decay(np.array([2.0, 1.5])) + 0.05 * np.random.default_rng(3).standard_normal(80)
+    free = {"gain": Parameter(1.0), "rate": Parameter(1.0)}
+    noise = Noise(0.05**2)
+    alone = identify(LeastSquares.from_function(decay, y, free, noise=noise))
+    with_prior = free | {"rate": Parameter(1.0, prior=Normal(0.6, 0.02))}
+    problem = LeastSquares.from_function(decay, y, with_prior, noise=noise)
+    result = identify(problem)
+    reading = read_result(problem, result, search_data=True)
+    np.testing.assert_allclose(reading.data, alone.values, rtol=1e-5)
+    np.testing.assert_allclose(reading.data_std, alone.std, rtol=1e-3)
+    # far from each other, the paraboloids of both do not describe what lies between
+    assert np.abs(reading.nonlinearity).max() > 0.5
+    assert reading.bent
+    assert any(line.startswith("Between prior and data the model is not linear") for line in reading_words(reading))
+    extrapolated = read_result(problem, result)
+    assert np.abs((extrapolated.data - alone.values) / alone.std).max() > 0.5
+
+
+def test_whose_prior_moved_what() -> None:
+    """The moves add up, and removing one of two independent priors undoes what it did beside the other."""
+    y = noisy(np.random.default_rng(4))
+    problem, result = linear(y, own={"a": Normal(1.3, 0.02), "c": Normal(0.5, 0.05)})
+    reading = read_result(problem, result)
+    np.testing.assert_allclose(reading.moves.sum(axis=1), reading.combined - reading.data, rtol=1e-5)
+    assert (reading.moves[:, 1] == 0.0).all()
+    assert reading.moved_by[0] == reading.moved_by[1] == "a"
+    # the force of a prior at the estimate, through the data's compliance
+    force = (1.3 - result["a"]) / 0.02**2
+    np.testing.assert_allclose(reading.moves[:, 0], np.linalg.inv(information())[:, 0] * force, rtol=1e-5)
+    assert ("b", "a") in {(each.name, each.prior) for each in reading.influences}
+    said = [line for line in reading_words(reading) if "the prior of a" in line]
+    assert any(line.startswith(("b rests on", "The prior moved b")) for line in said)
+
+
+def test_one_prior_is_compared_with_its_own_parameter() -> None:
+    y = noisy(np.random.default_rng(5))
+    reading = white_reading(*linear(y, own={"b": Normal(2.5, 0.1)}))
+    data = linear_least_squares(PHI, y)
+    variance = np.linalg.inv(information())[1, 1]
+    assert reading.agreement is not None
+    assert reading.agreement.degrees_of_freedom == 1
+    expected = (data.theta[1] - 2.5) ** 2 / (0.1**2 + variance)
+    assert reading.agreement.statistic == pytest.approx(expected, rel=1e-5)
+    assert reading.conflict[1] == pytest.approx((data.theta[1] - 2.5) / math.sqrt(0.1**2 + variance), rel=1e-5)
+
+
+def test_data_that_determine_combinations_only() -> None:
+    """The coil: two priors and two determined combinations of three parameters have one direction in common."""
+    problem = coil_problem(prior=True)
+    result = identify(problem)
+    reading = read_result(problem, result, search_data=True)
+    assert np.isnan(reading.data).all()
+    assert np.isinf(reading.data_std).all()
+    assert not reading.searched
+    assert reading.agreement is not None
+    assert reading.agreement.degrees_of_freedom == 1
+    assert reading.agreement.holds
+    assert reading.obstacle is None
+    assert reading_words(reading)[0].startswith("Prior and data agree")
+    json.dumps(reading.to_json_dict(), allow_nan=False)
+
+
+def test_nothing_in_common() -> None:
+    """A prior on what the data say nothing about can neither agree nor disagree."""
+    measured = noisy(np.random.default_rng(6))
+    parameters = {name: Parameter(1.0) for name in NAMES} | {"d": Parameter(1.0, prior=Normal(2.0, 0.5))}
+    problem = LeastSquares.from_function(lambda theta: PHI @ theta[:3], measured, parameters, noise=Noise(VARIANCE))
+    result = identify(problem)
+    assert result["d"] == pytest.approx(2.0)
+    reading = read_result(problem, result)
+    assert reading.agreement is None
+    np.testing.assert_allclose(reading.data[:3], linear_least_squares(PHI, measured).theta, rtol=1e-6)
+    assert np.isnan(reading.data[3])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("colour", [0.0, 0.8])
+def test_false_alarms_come_as_often_as_the_level_says(colour: float) -> None:
+    """Over 300 draws of noise and of the truth from the prior, white noise or not: the tests know its colour."""
+    rng = np.random.default_rng(7)
+    phi = np.column_stack([np.ones(600), np.sin(np.linspace(0.0, 9.0, 600))])
+    stds = np.array([0.02, 0.03]) if colour == 0 else np.array([0.1, 0.1])
+    apart, larger = [], []
+    for _ in range(300):
+        truth = np.array([1.0, 1.0]) + stds * rng.standard_normal(2)
+        y = phi @ truth + 0.3 * ar1(rng, colour, 600)
+        parameters = {name: Parameter(1.0, prior=Normal(1.0, std)) for name, std in zip("ab", stds, strict=True)}
+        problem = LeastSquares.from_function(lambda theta: phi @ theta, y, parameters, noise=Noise(0.09))
+        reading = read_result(problem, identify(problem))
+        assert reading.agreement is not None
+        apart.append(reading.agreement.probability < 0.05)
+        larger.append(reading.variances[0].probability < 0.05)
+    assert 0.02 <= np.mean(apart) <= 0.1
+    assert 0.02 <= np.mean(larger) <= 0.1
+
+
+def test_the_known_variance() -> None:
+    """One output as noisy as known, one that is noisier; together by their degrees of freedom."""
+    rng = np.random.default_rng(8)
+    y = np.column_stack([noisy(rng), PHI @ TRUTH + 0.3 * rng.standard_normal(COUNT)])
+    parameters = {name: Parameter(1.0) for name in NAMES}
+    problem = LeastSquares.from_function(
+        lambda theta: np.column_stack([PHI @ theta, PHI @ theta]), y, parameters, outputs=("u", "i")
+    )
+    result = identify(problem)
+    assert read_result(problem, result).variances == ()
+    assert reading_words(read_result(problem, result)) == ()
+    reading = white_reading(problem, result, healthy={"i": VARIANCE, "u": VARIANCE})
+    one, other, both = reading.variances
+    assert (one.output, other.output, both.output) == ("u", "i", "")
+    assert one.ratio == result.noise_variance["u"] / VARIANCE
+    assert one.degrees_of_freedom + other.degrees_of_freedom == pytest.approx(2 * COUNT - 3, abs=1e-3)
+    expected = stats.chi2(other.degrees_of_freedom).sf(other.ratio * other.degrees_of_freedom)
+    assert other.probability == pytest.approx(expected)
+    total = one.ratio * one.degrees_of_freedom + other.ratio * other.degrees_of_freedom
+    assert both.probability == pytest.approx(stats.chi2(2 * COUNT - 3).sf(total), rel=1e-3)
+    assert [each.deviation for each in (one, other)] == [Deviation.NONE, Deviation.LARGER]
+    said = reading_words(reading)
+    levels = f"{np.sqrt(result.noise_variance['i']):.4g} A against {np.sqrt(VARIANCE):.4g} A"
+    (told,) = (line for line in reading_words(reading, {"i": "A"}) if "noise level" in line)
+    assert told.startswith(f"The residual of i is larger than its stated noise level: {levels} (probability ")
+    assert said[0].startswith("The residual of i is larger than its stated noise level: 0.")
+    assert said[0].endswith("the system has changed, or the model is wrong")
+    assert all(not line.startswith("The residual of u") for line in said)
+    smaller = white_reading(problem, result, healthy={"u": 4.0 * VARIANCE})
+    assert smaller.variances[0].deviation is Deviation.SMALLER
+    assert reading_words(smaller)[0].startswith("The residual of u is smaller than its stated noise level: ")
+    with pytest.raises(InputError, match="healthy names 'x', which is no measured output"):
+        read_result(problem, result, healthy={"x": 1.0})
+    with pytest.raises(InputError, match="healthy variance of 'u' must be positive"):
+        read_result(problem, result, healthy={"u": 0.0})
+
+
+def test_a_robust_loss_is_extrapolated() -> None:
+    rng = np.random.default_rng(12)
+    y = noisy(rng)
+    y[::20] += 5.0
+    problem, result = linear(y, joint(), loss="huber")
+    reading = read_result(problem, result, search_data=True)
+    assert reading.obstacle == Obstacle(robust=True)
+    assert reading_words(reading)[-1] == "With a robust loss the optimum of the data alone is extrapolated"
+    alone = linear(y, loss="huber")[1]
+    assert (np.abs(reading.data - alone.values) < 0.5 * alone.std).all()
+    np.testing.assert_allclose(reading.data_std, alone.std, rtol=0.1)
+
+
+def test_a_search_that_ends_at_a_bound_is_said() -> None:
+    y = noisy(np.random.default_rng(9))
+    parameters = {"a": Parameter(1.5, min=1.2, prior=Normal(1.5, 0.02)), "b": Parameter(1.0), "c": Parameter(1.0)}
+    problem = LeastSquares.from_function(lambda theta: PHI @ theta, y, parameters, noise=Noise(VARIANCE))
+    result = identify(problem)
+    assert result.at_bounds == ()
+    reading = read_result(problem, result, search_data=True)
+    assert not reading.searched
+    assert reading.obstacle == Obstacle(at_bounds=("a",))
+    said = "The data alone would push a to a bound, so their optimum is extrapolated"
+    assert reading_words(reading)[-1] == said
+    np.testing.assert_allclose(reading.data, linear_least_squares(PHI, y).theta, rtol=1e-5)
+
+
+def test_written_and_read() -> None:
+    problem, result = linear(noisy(np.random.default_rng(10)), joint())
+    reading = read_result(problem, result, search_data=True)
+    written = json.loads(json.dumps(reading.to_json_dict(), allow_nan=False))
+    assert written["variances"][0]["deviation"] == reading.variances[0].deviation.value
+    assert written["parameters"]["b"]["data"] == reading.data[1]
+    assert written["prior_against_data"]["degrees_of_freedom"] == 3
+    assert written["variances"][0]["output"] == "y"
+    table = reading.table
+    assert table["parameter"].tolist() == list(NAMES)
+    assert table.shape == (3, 13)
+    with pytest.raises(InputError, match="identify the study again"):
+        read_result(problem, dataclasses.replace(result, local=None))

@@ -1,0 +1,355 @@
+"""Profile likelihood: closed forms of linear problems, brute force elsewhere, and what has no end."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.optimize import brentq, least_squares
+from scipy.stats import f as f_distribution
+from scipy.stats import norm
+
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import JointPrior, Normal, Parameter
+from fmuid.errors import InputError
+from fmuid.estimation.covariance import AtBound
+from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.identification.profile import Profile, profiles
+from fmuid.identification.profile_ends import EndKind
+from fmuid.progress import Event, ProfileStep
+from fmuid.reports.messages.uncertainty import profile_words
+from tests.support.results import identify_white as identify
+
+Array = npt.NDArray[np.float64]
+TIMES = np.linspace(0.0, 4.0, 25)
+LEVEL = 0.95
+
+
+def linear(**words: Any) -> tuple[LeastSquares, Array]:
+    """Return a problem of 30 samples linear in its three parameters, and its regressors."""
+    rng = np.random.default_rng(5)
+    phi = rng.normal(size=(30, 3)) + 1.0
+    measured = phi @ [2.0, -0.3, 40.0] + 0.7 * rng.normal(size=30)
+    priors = words.pop("priors", {})
+    parameters = {name: Parameter(1.0, prior=priors.get(name)) for name in ("a", "b", "c")}
+    return LeastSquares.from_function(lambda theta: phi @ theta, measured, parameters, **words), phi
+
+
+def saturating(theta: Array) -> Array:
+    """Return a rise to theta[0] at the rate theta[1]."""
+    rise: Array = theta[0] * (1.0 - np.exp(-theta[1] * TIMES))
+    return rise
+
+
+def rise_problem(std: float = 0.3, rate: float = 0.8, searched: Parameter | None = None) -> LeastSquares:
+    measured = saturating(np.array([5.0, rate])) + std * np.random.default_rng(2).normal(size=TIMES.size)
+    return LeastSquares.from_function(saturating, measured, {"top": Parameter(3.0), "rate": searched or Parameter(1.0)})
+
+
+def coil(least: float = -math.inf) -> tuple[LeastSquares, Result]:
+    """Return the coil with its fault parameter (docs/method.md section 10): only R + dR and L + 2 tau dR act."""
+    voltage = np.sign(np.sin(0.13 * np.arange(400)) + 0.1)
+    decay_step, tau = 1e-3, 0.025
+
+    def current(theta: Array) -> Array:
+        resistance, inductance = theta[0] + theta[2], theta[1] + 2.0 * tau * theta[2]
+        with np.errstate(over="ignore"):
+            decay = np.exp(-resistance / inductance * decay_step)
+        values = np.zeros(voltage.size)
+        for k in range(voltage.size - 1):
+            values[k + 1] = decay * values[k] + (1.0 - decay) * voltage[k] / resistance
+        return values
+
+    measured = current(np.array([4.0, 0.1, 1.0])) + 0.03 * np.random.default_rng(4).normal(size=voltage.size)
+    parameters = {
+        "R": Parameter(4.0, min=least),
+        "L": Parameter(0.1, min=least),
+        "dR": Parameter(0.0, nominal=1.0),
+    }
+    problem = LeastSquares.from_function(current, measured, parameters)
+    return problem, identify(problem)
+
+
+def only(problem: LeastSquares, result: Result, name: str, **words: Any) -> Profile:
+    (profile,) = profiles(problem, result, [name], **words)
+    return profile
+
+
+def ends(found: tuple[Profile, ...]) -> Array:
+    return np.array([(profile.lower, profile.upper) for profile in found])
+
+
+# --- linear problems: the local intervals
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95, 0.999])
+def test_linear_equals_student(level: float) -> None:
+    """Against the textbook's interval, from the regressors alone, and against the result's own."""
+    problem, phi = linear()
+    result = identify(problem)
+    theta, square, *_ = np.linalg.lstsq(phi, problem.measured)
+    quantile = math.sqrt(f_distribution.ppf(level, 1, 27))
+    half = quantile * np.sqrt(square[0] / 27 * np.diag(np.linalg.inv(phi.T @ phi)))
+    found = ends(profiles(problem, result, level=level))
+    np.testing.assert_allclose(found, np.column_stack([theta - half, theta + half]), rtol=0, atol=1e-6 * half.max())
+    np.testing.assert_allclose(found, result.intervals(level).to_numpy(), rtol=0, atol=1e-6 * half.max())
+
+
+def test_linear_given_variance_and_prior() -> None:
+    """With the variance given the quantile is the normal one; the prior counts as data."""
+    problem, phi = linear(noise=Noise(variance=0.5), priors={"b": Normal(0.0, 0.05)})
+    result = identify(problem)
+    precision = phi.T @ phi / 0.5 + np.diag([0.0, 1.0 / 0.05**2, 0.0])
+    theta = np.linalg.solve(precision, phi.T @ problem.measured / 0.5)
+    half = norm.ppf(0.5 + LEVEL / 2) * np.sqrt(np.diag(np.linalg.inv(precision)))
+    found = profiles(problem, result)
+    np.testing.assert_allclose(
+        ends(found), np.column_stack([theta - half, theta + half]), rtol=0, atol=1e-6 * half.max()
+    )
+    assert found[0].threshold == pytest.approx(norm.ppf(0.975) ** 2)
+    assert all(not profile.remarks for profile in found)
+
+
+def test_linear_two_outputs_and_joint_prior() -> None:
+    """Two estimated variances beside a joint prior: still the local intervals."""
+    rng = np.random.default_rng(8)
+    phi = rng.normal(size=(2, 40, 2))
+    clean = np.einsum("oki,i->ko", phi, [1.0, 3.0])
+    measured = clean + rng.normal(size=clean.shape) * [0.2, 2.0]
+    problem = LeastSquares.from_function(
+        lambda theta: np.einsum("oki,i->ko", phi, theta),
+        measured,
+        {"a": Parameter(1.0), "b": Parameter(1.0)},
+        outputs=("quiet", "loud"),
+        joint_prior=JointPrior(["a", "b"], [1.1, 2.9], [[0.01, 0.005], [0.005, 0.01]]),
+    )
+    result = identify(problem)
+    local = result.intervals().to_numpy()
+    # the result's variances moved by up to 2 % after its last search, and the optimum with them
+    np.testing.assert_allclose(ends(profiles(problem, result)), local, rtol=0, atol=0.01 * result.std.max())
+
+
+def test_one_parameter() -> None:
+    problem = LeastSquares.from_function(
+        lambda theta: theta[0] * TIMES, 2.0 * TIMES + np.cos(40 * TIMES), {"k": Parameter(1.0)}
+    )
+    result = identify(problem)
+    np.testing.assert_allclose(ends(profiles(problem, result)), result.intervals().to_numpy(), rtol=1e-7)
+
+
+# --- nonlinear problems: brute force
+
+
+def brute(problem: LeastSquares, result: Result, index: int, value: float) -> float:
+    """Return the least criterion with one parameter held, by scipy from several starts."""
+    sigma = math.sqrt(next(iter(result.noise_variance.values())))
+    others = [i for i in range(len(result.names)) if i != index]
+
+    def residual(free: Array) -> Array:
+        theta = np.array(result.values)
+        theta[index], theta[others] = value, free
+        return (problem.measured - saturating(theta)) / sigma
+
+    starts = [np.array(result.values)[others] * factor for factor in (0.5, 1.0, 2.0)]
+    return min(2.0 * float(least_squares(residual, start, xtol=1e-14, ftol=1e-14, gtol=1e-14).cost) for start in starts)
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_nonlinear_against_brute_force(index: int) -> None:
+    problem = rise_problem(std=0.5)
+    result = identify(problem)
+    profile = only(problem, result, result.names[index])
+    least = brute(problem, result, index, result.values[index])
+    quantile = f_distribution.ppf(LEVEL, 1, TIMES.size - 2)
+    assert profile.threshold == pytest.approx(quantile)
+    for end, far in ((profile.lower, 0.3), (profile.upper, 4.0)):
+        wanted = brentq(
+            lambda value: brute(problem, result, index, value) - least - quantile,
+            result.values[index],
+            far * result.values[index],
+            xtol=1e-9,
+        )
+        assert end == pytest.approx(wanted, abs=1e-4 * result.std[index])
+    for value, criterion in zip(profile.values, profile.criterion, strict=True):
+        assert criterion == pytest.approx(brute(problem, result, index, value), rel=1e-6)
+    # and the profile is not simply the local interval again
+    local = result.intervals().to_numpy()[index]
+    assert abs(profile.upper - local[1]) > 0.02 * result.std[index]
+
+
+def test_table_holds_the_path() -> None:
+    problem = rise_problem()
+    result = identify(problem)
+    profile = only(problem, result, "rate")
+    assert list(profile.table.columns) == ["top", "rate", "criterion"]
+    assert (np.diff(profile.values) > 0).all()
+    sigma = math.sqrt(result.noise_variance["y"])
+    for row in profile.table.itertuples():
+        residual = (problem.measured - saturating(np.array([row.top, row.rate]))) / sigma
+        assert row.criterion == pytest.approx(float(residual @ residual), rel=1e-12)
+    assert profile.minimum == profile.criterion.min()
+    assert profile.values[0] <= profile.lower < profile.value < profile.upper <= profile.values[-1]
+
+
+# --- no ends
+
+
+def test_flat_is_not_given_a_number() -> None:
+    problem, result = coil()
+    assert not np.isfinite(result.std).any()
+    for profile in profiles(problem, result):
+        assert (profile.lower, profile.upper) == (-math.inf, math.inf)
+        assert [each.kind for each in profile.remarks] == [EndKind.FLAT, EndKind.FLAT]
+        assert f"{profile.name} has no upper end: even at " in profile_words(profile)[1]
+        assert (profile.criterion - profile.minimum).max() < 1e-3
+
+
+def test_ends_by_the_bounds_of_others() -> None:
+    """dR can rise only until L is on its bound; then the data end it."""
+    problem, result = coil(least=1e-3)
+    profile = only(problem, result, "dR")
+    assert profile.lower == -math.inf
+    total = result["L"] + 0.05 * result["dR"]
+    assert profile.upper == pytest.approx((total - 1e-3) / 0.05, rel=0.1)
+    assert profile.remarks[-1].other == AtBound("L", 1e-3)
+    assert profile_words(profile)[-1] == "at the upper end of dR, L is at its bound 0.001"
+
+
+def test_saturates_below_the_level() -> None:
+    """A rate faster than the sampling: the criterion stays below the level however fast."""
+    problem = rise_problem(std=0.6, rate=20.0)
+    result = identify(problem)
+    profile = only(problem, result, "rate")
+    assert profile.upper == math.inf
+    assert math.isfinite(profile.lower)
+    (note,) = profile_words(profile)
+    assert note.startswith("rate has no upper end: even at ")
+    at_infinity = problem.measured.copy()
+    at_infinity[1:] -= at_infinity[1:].mean()
+    rise = at_infinity @ at_infinity / result.noise_variance["y"] - profile.minimum
+    assert 0.0 < rise < profile.threshold
+    assert profile.criterion[-1] - profile.minimum == pytest.approx(rise, rel=1e-4)
+
+
+@pytest.mark.parametrize("edge", [0.84, 0.845, 0.8525])
+def test_simulations_fail_before_the_level(edge: float) -> None:
+    """However the steps meet the edge, they end there."""
+
+    def fragile(theta: Array) -> Array:
+        if theta[1] > edge:
+            raise ArithmeticError("too fast")
+        return saturating(theta)
+
+    measured = rise_problem(std=0.5).measured
+    problem = LeastSquares.from_function(fragile, measured, {"top": Parameter(4.0), "rate": Parameter(0.7, max=2.0)})
+    profile = only(problem, identify(problem), "rate")
+    assert len(profile.table) < 30
+    assert profile.upper == math.inf
+    assert profile.remarks[0].kind is EndKind.FAILING
+    assert "simulations fail; give a bound" in profile_words(profile)[0]
+    assert profile.values[-1] == pytest.approx(edge, abs=0.005)
+
+
+# --- bounds
+
+
+def test_simulations_fail_where_the_profile_is_flat() -> None:
+    """Each step towards the edge is shorter than the last: the walk must end nevertheless."""
+
+    def fragile(theta: Array) -> Array:
+        if theta[1] > 100.0:
+            raise ArithmeticError("too fast")
+        return saturating(theta)
+
+    measured = rise_problem(std=0.6, rate=20.0).measured
+    problem = LeastSquares.from_function(fragile, measured, {"top": Parameter(4.0), "rate": Parameter(0.7)})
+    profile = only(problem, identify(problem), "rate")
+    assert profile.upper == math.inf
+    assert profile.remarks[-1].kind is EndKind.FAILING
+    assert profile.values[-1] == pytest.approx(100.0, rel=0.2)
+    assert len(profile.values) < 40
+
+
+def test_ends_at_its_own_bound() -> None:
+    problem = rise_problem(std=0.5)
+    free = only(problem, identify(problem), "rate")
+    bound = 0.5 * (free.value + free.upper)
+    problem = rise_problem(std=0.5, searched=Parameter(0.5, max=bound))
+    profile = only(problem, identify(problem), "rate")
+    assert profile.upper == bound
+    assert profile.lower == pytest.approx(free.lower, rel=1e-5)
+    assert profile_words(profile)[0].startswith(
+        f"the upper end of rate is its bound {bound:g}, where the criterion has risen"
+    )
+
+
+def test_estimate_on_its_bound() -> None:
+    free = identify(rise_problem())
+    bound = float(free["rate"] + free.std[1])
+    problem = rise_problem(searched=Parameter(2.0, min=bound))
+    result = identify(problem)
+    assert result["rate"] == bound
+    profile = only(problem, result, "rate")
+    assert profile.lower == bound
+    least = brute(problem, result, 1, bound)
+    assert brute(problem, result, 1, profile.upper) - least == pytest.approx(profile.threshold, rel=1e-3)
+
+
+# --- trouble
+
+
+def test_better_optimum_is_said() -> None:
+    """A frequency in the wrong lobe: the profile walks into the right one and gives no interval."""
+    times = np.linspace(0.0, 10.0, 200)
+    measured = np.sin(3.0 * times) + 0.3 * np.random.default_rng(1).normal(size=200)
+
+    def wave(theta: Array) -> Array:
+        values: Array = np.sin(theta[0] * times)
+        return values
+
+    # so large a variance that the data do not keep the lobes apart
+    problem = LeastSquares.from_function(wave, measured, {"w": Parameter(3.95, min=2.0, max=5.0)}, noise=Noise(40.0))
+    result = identify(problem)
+    assert abs(result["w"] - 3.0) > 0.3
+    profile = only(problem, result, "w")
+    assert math.isnan(profile.lower)
+    assert math.isnan(profile.upper)
+    assert any("identify again from the table's row" in note for note in profile_words(profile))
+    better = profile.values[np.argmin(profile.criterion)]
+    assert identify(problem, start=[better])["w"] == pytest.approx(3.0, abs=0.02)
+
+
+def test_interrupted_keeps_what_there_is() -> None:
+    problem, _ = linear()
+    seen: list[ProfileStep] = []
+
+    def stop(point: Event) -> None:
+        assert isinstance(point, ProfileStep)
+        seen.append(point)
+        if point.name == "b" and point.rise > 1.0:
+            raise KeyboardInterrupt
+
+    found = profiles(problem, identify(problem), progress=stop)
+    assert [profile.name for profile in found] == ["a", "b"]
+    assert math.isfinite(found[0].upper)
+    assert not found[0].remarks
+    assert [each.interrupted for each in found] == [False, True]
+    assert math.isnan(found[1].lower)
+    assert profile_words(found[1]) == ("interrupted: the profile of b is not complete",)
+    assert len(found[1].table) > 1
+    assert seen[0].threshold == found[0].threshold
+
+
+def test_wrong_use() -> None:
+    problem, _ = linear()
+    result = identify(problem)
+    with pytest.raises(InputError, match=r"'d' is not a parameter of the problem"):
+        profiles(problem, result, ["d"])
+    with pytest.raises(InputError, match="level of an interval must lie between 0 and 1, not 95"):
+        profiles(problem, result, level=95)
+    with pytest.raises(InputError, match=r"its parameters are a, b, c, and the problem's are top, rate"):
+        profiles(rise_problem(), result)

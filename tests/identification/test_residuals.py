@@ -1,0 +1,399 @@
+"""Residual diagnostics: rows and gaps, tests and their words, the scatter of estimates in coloured noise, figures."""
+
+import dataclasses
+import json
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid.array_types import Floats
+from fmuid.data.experiment import Experiment
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter
+from fmuid.data.predictors import FunctionPredictor, Table
+from fmuid.errors import InputError
+from fmuid.estimation.identification import identify
+from fmuid.estimation.noise.whiteness_tests import LaggedSeries
+from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.result import Result
+from fmuid.identification.residual_analysis import Diagnostics, Trait, examine_residuals
+from fmuid.identification.residual_series import ResidualSeries, examine_outputs
+from fmuid.reports.messages.residuals import residual_words
+from tests.support.problems import ar1
+
+COUNT = 1000
+TIMES: Floats = 0.01 * np.arange(float(COUNT))
+INPUT = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], COUNT // 10), 10)
+REGRESSORS = np.column_stack([np.ones(COUNT), np.sin(2.0 * TIMES), np.sin(200.0 * TIMES)])
+TRUTH = np.array([2.0, 1.0, 0.5])
+PARAMETERS = {"level": Parameter(1.0), "slow": Parameter(2.0), "fast": Parameter(1.0)}
+
+
+def examined(errors: Floats, **words: Any) -> Diagnostics:
+    """Examine the residuals of a model linear in its parameters whose one output is measured with `errors`."""
+    problem, result = identified(errors, **words)
+    return examine_residuals(problem, result)
+
+
+def identified(errors: Floats, **words: Any) -> tuple[LeastSquares, Result]:
+    frame = pd.DataFrame({"time": TIMES, "u": INPUT, "y": REGRESSORS @ TRUTH + errors})
+    experiment = Experiment(frame, inputs=["u"], outputs=["y"], discard=words.pop("discard", 0.0))
+    predictor = FunctionPredictor(lambda theta: REGRESSORS @ theta, (COUNT, 1))
+    problem = LeastSquares([predictor], [experiment], PARAMETERS | words.pop("parameters", {}), **words)
+    return problem, identify(problem)
+
+
+def white(seed: int) -> Floats:
+    return np.random.default_rng(seed).standard_normal(COUNT)
+
+
+def only(found: Diagnostics) -> ResidualSeries:
+    (series,) = found.series
+    return series
+
+
+def test_of_white_noise_words_say_what_was_tested() -> None:
+    found = examined(white(1))
+    (sentence,) = residual_words(found)
+    assert sentence == (
+        "The residual of y looks like white normal noise that has nothing to do with the inputs, as far as was tested: "
+        "whiteness (Ljung–Box over 25 lags), mean, correlation with u and normality (Jarque–Bera), each at a level of "
+        "1 %, with 1000 samples; nothing more was tested: an error of the model that the parameters make up for does "
+        "not show there, nor does slow noise too weak for so many samples"
+    )
+    assert found.widening == {name: pytest.approx(1.0, abs=0.15) for name in ("level", "slow", "fast")}
+    series = only(found)
+    assert series.samples == COUNT
+    assert series.std == pytest.approx(1.0, rel=0.1)
+    assert series.tested_lags == 25
+
+
+@pytest.mark.slow
+def test_words_are_rarely_wrong() -> None:
+    """Of 100 draws of white normal noise, hardly any is called anything else."""
+    quiet = "The residual of y looks like white normal noise"
+    wrong = [words for seed in range(100) if not (words := residual_words(examined(white(seed))))[0].startswith(quiet)]
+    assert len(wrong) <= 2
+
+
+def test_the_scatter_of_estimates_in_coloured_noise() -> None:
+    """The factor on each standard deviation is the scatter over 1500 draws of the noise against what is stated.
+
+    Noise with a = 0.9 has 19 samples of correlation time, which the level and the slow regressor feel; the fast one
+    sees less noise than white noise of the same variance has.
+    """
+    solve = np.linalg.pinv(REGRESSORS)
+    rng = np.random.default_rng(2)
+    scatter = np.std([solve @ ar1(rng, 0.9, COUNT) for _ in range(1500)], axis=0)
+    stated = np.sqrt(np.diag(np.linalg.inv(REGRESSORS.T @ REGRESSORS)))
+    expected = scatter / stated
+    assert expected[0] > 4.0
+    assert expected[2] < 0.5
+    draws = [examined(ar1(np.random.default_rng(100 + seed), 0.9, COUNT)).widening for seed in range(12)]
+    found = np.mean([list(each.values()) for each in draws], axis=0)
+    np.testing.assert_allclose(found, expected, rtol=0.1)
+
+
+def test_coloured_noise_in_words() -> None:
+    found = examined(ar1(np.random.default_rng(3), 0.9, COUNT))
+    far, factor = residual_words(found)
+    assert [(each.trait, each.large) for each in found.findings] == [(Trait.COLOURED, True)]
+    assert far.startswith("The residual of y is far from white (autocorrelation 0.9")
+    assert far.endswith("at a lag of 1 sample): the model or the noise has dynamics of its own")
+    assert factor.startswith("Since neighbouring samples are not independent, the standard deviations are 0.")
+    assert "(fast) to 4" in factor
+    assert factor.endswith(") those that white noise of this size would give")
+    assert only(found).correlation_samples == pytest.approx(19.0, rel=0.4)
+    assert found.table["correlation_time"][0] == pytest.approx(0.19, rel=0.4)
+
+
+def test_slightly_coloured_noise_is_no_matter() -> None:
+    """With 1000 samples an autocorrelation of 0.2 is significant and said, but costs little precision."""
+    found = examined(ar1(np.random.default_rng(4), 0.2, COUNT))
+    assert only(found).whiteness_probability < 0.01
+    first, second = residual_words(found)
+    assert first.startswith("The residual of y is not white (autocorrelation 0.1")
+    assert second == "For the estimates this makes little difference; their standard deviations allow for it"
+
+
+def test_what_is_significant_but_slight_is_not_called_white() -> None:
+    """Of 20 000 samples, an autocorrelation of 0.07 and a correlation of 0.05 with the input."""
+    series = only(examined(white(1)))
+    u = dataclasses.replace(series.inputs[0], correlation=0.05, probability=1e-9)
+    correlations = np.concatenate([[1.0, 0.07], np.zeros(24)])
+    slight = dataclasses.replace(
+        series, samples=20_000, autocorrelation=correlations, whiteness_probability=1e-9, inputs=(u,)
+    )
+    found = Diagnostics((slight,), {"level": 1.0})
+    assert [(each.trait, each.large) for each in found.findings] == [(Trait.COLOURED, False), (Trait.INPUT, False)]
+    first, second = residual_words(found)
+    assert first == (
+        "The residual of y has an autocorrelation of 0.07 at a lag of 1 sample and a correlation of +0.05 with the "
+        "input u: significant, but slight"
+    )
+    assert second.startswith("The residual of y looks otherwise like white normal noise")
+
+
+@pytest.mark.parametrize("probability", [1e-9, 0.02, 0.5])
+def test_no_residual_is_called_white_where_its_colour_counts(probability: float) -> None:
+    """Small autocorrelations over many lags, none of them worth a sentence, add up where sensitivities are slow."""
+    series = dataclasses.replace(only(examined(white(1))), whiteness_probability=probability)
+    (said,) = residual_words(Diagnostics((series,), {"level": 1.3, "slow": 1.0}))
+    sure = "Since neighbouring samples are not independent, the"
+    chance = "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: the"
+    assert said == (
+        f"{sure if probability < 0.01 else chance} standard deviations are 1 (slow) to 1.3 times (level) those that "
+        "white noise of this size would give"
+    )
+
+
+def test_samples_on_no_grid_are_said() -> None:
+    rng = np.random.default_rng(15)
+    times = np.cumsum(rng.exponential(1.0, 100))
+    frame = pd.DataFrame({"time": times, "y": 1.0 + rng.standard_normal(100)})
+    predictor = FunctionPredictor(lambda theta: np.full((100, 1), theta[0]), (100, 1))
+    problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"level": Parameter(1.0)})
+    found = examine_residuals(problem, identify(problem))
+    assert found.off_grid == (("experiment", "y"),)
+    assert found.to_json_dict()["off_grid"] == [["experiment", "y"]]
+    assert any(line.startswith("The samples of y stand on no grid: ") for line in residual_words(found))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_slow_noise_is_said_where_the_intervals_allow_for_it(share: float) -> None:
+    """Of 98 % from sample to sample: a time constant of 50 samples, 0.5 s, and 20 % of the variance."""
+    rng = np.random.default_rng(3)
+    noise = np.sqrt(1.0 - share) * white(23) + np.sqrt(share) * ar1(rng, 0.98, COUNT)
+    found = examined(noise)
+    said = [line for line in residual_words(found) if line.startswith("In the residual of y there is slow noise")]
+    assert len(said) == len(found.slow) == (share > 0.0)
+    for each in found.slow:
+        assert each.time_constant == pytest.approx(0.5, rel=0.5)
+        assert each.share == pytest.approx(share, abs=0.08)
+        assert found.to_json_dict()["slow"][0]["output"] == "y"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.8, 0.999])
+def test_noise_too_slow_for_its_record_is_said(share: float) -> None:
+    """A time constant of 1000 samples in 1000; of 4.5, and none."""
+    found = examined(ar1(np.random.default_rng(2), share, COUNT))
+    said = [line for line in residual_words(found) if "is slow for its record (a time constant of about" in line]
+    assert len(said) == len(found.long_memory) == (share > 0.9)
+    for each in found.long_memory:
+        assert (each.output, each.experiments) == ("y", ("experiment",))
+        assert 2.0 < each.time_constant <= 10.0
+        assert found.to_json_dict()["long_memory"][0]["record"] == pytest.approx(10.0)
+
+
+def test_standard_deviations_that_are_smaller_for_the_colour() -> None:
+    """A sine of ω radians a sample meets noise of the spectral density (1 − a²)/(1 + a² − 2 a cos ω)."""
+    share = -0.8
+    found = examined(ar1(np.random.default_rng(5), share, COUNT))
+    for name, omega in (("level", 0.0), ("slow", 0.02), ("fast", 2.0)):
+        density = (1.0 - share**2) / (1.0 + share**2 - 2.0 * share * math.cos(omega))
+        assert found.widening[name] == pytest.approx(math.sqrt(density), rel=0.2)
+    assert "the standard deviations are 0.3" in residual_words(found)[1]
+
+
+def test_a_prior_feels_no_colour() -> None:
+    """An estimate that rests on its prior does not scatter with the noise."""
+    noise = ar1(np.random.default_rng(6), 0.9, COUNT)
+    alone = examined(noise).widening
+    prior = {"level": Parameter(1.0, prior=Normal(2.0, 1e-4))}
+    with_prior = examined(noise, parameters=prior).widening
+    assert alone["level"] > 3.0
+    assert with_prior["level"] == pytest.approx(1.0, abs=0.01)
+    assert with_prior["slow"] == pytest.approx(alone["slow"], rel=0.05)
+
+
+def test_a_robust_loss_keeps_the_factors() -> None:
+    """What colour does to the estimates is much the same for Huber's loss; clipping hides some of it."""
+    assert max(examined(white(12), loss="huber").widening.values()) < 1.15
+    noise = ar1(np.random.default_rng(6), 0.9, COUNT)
+    plain, robust = examined(noise).widening, examined(noise, loss="huber").widening
+    assert robust["level"] == pytest.approx(plain["level"], rel=0.25)
+
+
+@pytest.mark.slow
+def test_a_long_record_with_a_long_memory_takes_no_time() -> None:
+    """A drifting residual of 200 000 samples: all lags count, and are transformed rather than summed one by one."""
+    count = 200_000
+    drift = np.cumsum(np.random.default_rng(13).standard_normal(count))
+    times = np.arange(float(count))
+    frame = pd.DataFrame({"time": times, "u": np.sin(1e-3 * times), "y": 1e4 + drift})
+    experiment = Experiment(frame, inputs=["u"], outputs=["y"])
+    predictor = FunctionPredictor(lambda theta: np.full((count, 1), theta[0]), (count, 1))
+    problem = LeastSquares([predictor], [experiment], {"level": Parameter(1e4)})
+    found = examine_residuals(problem, identify(problem))
+    assert found.widening["level"] > 50.0
+    assert all(each.trait is not Trait.INPUT for each in found.findings)
+
+
+def test_an_offset_is_named() -> None:
+    """Without a parameter for the level, an offset stays in the residual."""
+    frame = pd.DataFrame({"time": TIMES, "y": REGRESSORS[:, 1] + 0.5 + white(7)})
+    predictor = FunctionPredictor(lambda theta: REGRESSORS[:, 1] * theta[0], (COUNT, 1))
+    problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"slow": Parameter(2.0)})
+    found = examine_residuals(problem, identify(problem))
+    assert any(line.startswith("The residual of y has the mean 0.4") for line in residual_words(found))
+    assert any(re.search(r"the mean 0\.4\d+ A, ", line) for line in residual_words(found, {"y": "A"}))
+    assert only(found).mean_probability < 1e-10
+
+
+def test_a_forgotten_input_is_named() -> None:
+    noise = white(8)
+    noise[5:] += 0.6 * INPUT[:-5]
+    found = examined(noise)
+    (one,) = only(found).inputs
+    assert one.input == "u"
+    assert one.lag == pytest.approx(0.05)
+    assert one.correlation == pytest.approx(0.6 / math.sqrt(1.36), abs=0.08)
+    assert any(
+        "is correlated with the input u (+0.4" in line and "0.05 s later" in line for line in residual_words(found)
+    )
+    assert found.inputs["lag"].tolist() == [one.lag]
+    assert found.table["input"].tolist() == ["u"]
+
+
+def test_outliers_are_named() -> None:
+    noise = white(9)
+    noise[::100] *= 12.0
+    found = examined(noise)
+    assert any(
+        "has heavy tails, unlike normal noise" in line and "robust loss" in line for line in residual_words(found)
+    )
+    assert [each.trait for each in found.findings if each.large] == [Trait.SHAPE]
+    assert 5 <= only(found).outliers <= 10
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [(np.exp, "is lopsided and has heavy tails"), (lambda z: z**3, "has heavy tails"), (np.sign, "has light tails")],
+)
+def test_distributions_in_words(shape: Any, said: str) -> None:
+    found = examined(shape(white(10)))
+    assert any(said in line for line in residual_words(found))
+
+
+def test_what_cannot_be_examined_is_said() -> None:
+    (sentence,) = residual_words(examined(np.zeros(COUNT), noise=Noise(1.0)))
+    assert sentence == "The residual of y is too short, or nothing but rounding, to be examined"
+    series = only(examined(white(1), discard=TIMES[-1] - 0.1))
+    assert series.samples == 11
+    assert not series.examined
+    assert math.isnan(series.ljung_box)
+
+
+def several() -> tuple[LeastSquares, Result]:
+    """Two experiments of two outputs each, with gaps and a transient that does not count."""
+    rng = np.random.default_rng(11)
+    experiments = []
+    for name in ("first", "second"):
+        y = np.column_stack([REGRESSORS @ TRUTH, 100.0 * REGRESSORS @ TRUTH]) + rng.standard_normal((COUNT, 2)) * [
+            1,
+            30,
+        ]
+        y[rng.random(y.shape) < 0.1] = np.nan
+        frame = pd.DataFrame({"time": TIMES, "u": INPUT, "a": y[:, 0], "b": y[:, 1]})
+        experiments.append(Experiment(frame, inputs=["u"], outputs=["a", "b"], discard=0.5, name=name))
+    predictor = FunctionPredictor(lambda t: np.column_stack([REGRESSORS @ t, 100.0 * REGRESSORS @ t]), (COUNT, 2))
+    problem = LeastSquares([predictor, predictor], experiments, PARAMETERS)
+    return problem, identify(problem)
+
+
+def test_rows_of_several_outputs_and_experiments() -> None:
+    problem, result = several()
+    found = examine_residuals(problem, result)
+    assert [(each.experiment, each.output) for each in found.series] == [
+        (experiment, output) for experiment in ("first", "second") for output in ("a", "b")
+    ]
+    assert result.local is not None
+    rows = np.concatenate([each.rows for each in found.series])
+    assert sorted(rows.tolist()) == list(range(problem.measured.size))
+    for each in found.series:
+        assert np.isnan(each.residual[each.times < 0.5]).all()
+        whitened = each.residual[np.isfinite(each.residual)] / math.sqrt(result.variance[each.output])
+        np.testing.assert_allclose(whitened, result.local.residual[each.rows], rtol=1e-9)
+        kept = np.flatnonzero(np.isfinite(each.residual))
+        np.testing.assert_array_equal(each.places, kept - kept[0])
+        assert each.step == pytest.approx(0.01)
+    assert (
+        "residuals of a in first, b in first, a in second and b in second look like white" in residual_words(found)[0]
+    )
+
+
+def several_outputs() -> tuple[Experiment, Floats]:
+    """Return an experiment whose outputs y, z count alike and g has gaps, and what is simulated for them."""
+    rng = np.random.default_rng(21)
+    times = 0.01 * np.arange(300.0)
+    inputs = rng.standard_normal((300, 2)).cumsum(axis=0)
+    simulated = np.column_stack([np.sin(times), np.cos(times), times])
+    measured = simulated + rng.standard_normal((300, 3))
+    measured[2:, 1] += 0.3 * inputs[:-2, 0]
+    measured[40:60, 2] = np.nan
+    columns = dict(zip("tuvyzg", [times, *inputs.T, *measured.T], strict=True))
+    frame = pd.DataFrame(columns | {"c": 5.0})
+    return Experiment(frame, inputs=["u", "v", "c"], outputs=["y", "z", "g"], time="t", discard=0.5), simulated
+
+
+def test_correlations_with_inputs_are_those_of_the_definition() -> None:
+    """Mean of the products over the pairs there are, against both standard deviations, lag by lag."""
+    experiment, simulated = several_outputs()
+    rows = [np.arange(int(counted.sum())) for counted in experiment.counted.T]
+    series = examine_outputs(experiment, simulated, rows)
+    assert [each.output for each in series] == ["y", "z", "g"]
+    for column, each in enumerate(series):
+        there = np.flatnonzero(experiment.counted[:, column])
+        residual = (experiment.output_values - simulated)[there, column]
+        assert [one.input for one in each.inputs] == ["u", "v"]  # c does not move
+        for one, values in zip(each.inputs, experiment.input_values.T, strict=False):
+            on_grid = values[there[0] : there[-1] + 1]
+            for lag in range(len(one.values)):
+                product = (residual - residual.mean()) * (values[there - lag] - on_grid.mean())
+                assert one.values[lag] == pytest.approx(product.mean() / residual.std() / on_grid.std(), abs=1e-9)
+            assert one.lags == pytest.approx(0.01 * np.arange(len(one.values)))
+
+
+def test_outputs_that_count_alike_share_the_work_on_the_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    class Counted(LaggedSeries):
+        def __init__(self, lagged: Floats, grid: Floats) -> None:
+            made.append(grid)
+            super().__init__(lagged, grid)
+
+    monkeypatch.setattr("fmuid.identification.residual_series.LaggedSeries", Counted)
+    experiment, simulated = several_outputs()
+    rows = [np.arange(int(counted.sum())) for counted in experiment.counted.T]
+    examine_outputs(experiment, simulated, rows)
+    assert len(made) == 4  # two inputs that move, for y and z together and for g
+
+
+def test_an_output_that_one_experiment_lacks() -> None:
+    """Tables that are no experiments may have outputs without a sample that counts."""
+    y = REGRESSORS @ TRUTH + white(14)
+    values = np.column_stack([y, np.full(COUNT, np.nan)])
+    tables = [
+        Table(name, TIMES, ("a", "b"), v, np.isfinite(v)) for name, v in (("one", values), ("two", values[:, ::-1]))
+    ]
+    predictor = FunctionPredictor(lambda theta: np.column_stack([REGRESSORS @ theta] * 2), (COUNT, 2))
+    problem = LeastSquares([predictor, predictor], tables, PARAMETERS)
+    found = examine_residuals(problem, identify(problem))
+    assert [(each.experiment, each.output) for each in found.series] == [("one", "a"), ("two", "b")]
+
+
+def test_written_and_read() -> None:
+    problem, result = several()
+    found = examine_residuals(problem, result)
+    written = json.loads(json.dumps(found.to_json_dict(), allow_nan=False))
+    assert len(written["findings"]) == len(found.findings)
+    assert set(written["widening"]) == {"level", "slow", "fast"}
+    assert [row["output"] for row in written["residuals"]] == found.table["output"].tolist()
+    assert written["residuals"][3]["inputs"][0]["input"] == "u"
+    assert written["residuals"][0]["std"] == found.table["std"][0]
+    with pytest.raises(InputError, match="identify the study again"):
+        examine_residuals(problem, dataclasses.replace(result, noise=None))

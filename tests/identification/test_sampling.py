@@ -1,0 +1,210 @@
+"""Runs of the sampler: batches, seeds, interruptions, refusals, diagnostics of chains."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Normal, Parameter
+from fmuid.data.predictors import FunctionPredictions, Table
+from fmuid.errors import InputError
+from fmuid.estimation.problem import LeastSquares
+from fmuid.identification.sampling.chains import effective_size, r_hat
+from fmuid.identification.sampling.posterior import Sampling, SamplingDoubt
+from fmuid.identification.sampling.sampler import sample
+from fmuid.progress import Event, SamplingStep
+from fmuid.reports.messages.uncertainty import posterior_words
+from tests.support.posteriors import Array, linear, sampled
+from tests.support.results import identify_white as identify
+
+# --- the run
+
+
+def test_ensembles_run_as_batches() -> None:
+    """Half of the walkers, or all, are simulated at once, in the order of rows."""
+    sizes: list[int] = []
+
+    class Counting:
+        def many(self, thetas: Any) -> FunctionPredictions:
+            given = np.asarray(thetas, dtype=np.float64)
+            sizes.append(len(given))
+            return FunctionPredictions((given @ np.ones((2, 5)))[:, :, None], (None,) * len(given))
+
+    rng = np.random.default_rng(0)
+    table = Table("run", np.arange(5.0), ("y",), rng.normal(size=(5, 1)), np.ones((5, 1), dtype=np.bool_))
+    priors = {name: Parameter(1.0, prior=Normal(0.0, 1.0)) for name in ("a", "b")}
+    problem = LeastSquares([Counting()], [table], priors)
+    result = identify(problem)
+    sizes.clear()
+    posterior = sample(problem, result, Sampling(walkers=20, steps=200))
+    assert set(sizes[-len(posterior.chain) :]) <= {10, 20}
+    assert posterior.simulations == sum(sizes)
+
+
+def test_same_seed_same_samples() -> None:
+    problem, _ = linear()
+    first, second, other = (sampled(problem, steps=50, seed=seed)[0].chain for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, second)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.slow
+def test_a_single_parameter_that_fails_nearby() -> None:
+    """Walkers start only where the model works, however narrow that is."""
+
+    def fragile(theta: Array) -> Array:
+        if abs(theta[0] - 1.0) > 0.05:
+            raise ArithmeticError("unstable")
+        values: Array = theta[0] * np.ones(4)
+        return values
+
+    problem = LeastSquares.from_function(fragile, [1.5, 0.4, 1.2, 0.9], {"a": Parameter(1.0)}, noise=Noise(1.0))
+    posterior, _ = sampled(problem)
+    assert posterior.converged
+    assert np.abs(posterior.samples - 1.0).max() <= 0.05
+    assert np.isfinite(posterior.log_density).all()
+
+
+@pytest.mark.slow
+def test_too_few_steps_are_not_trusted() -> None:
+    problem, _ = linear()
+    posterior, _ = sampled(problem, steps=12)
+    assert not posterior.converged
+    assert "raise steps" in posterior_words(posterior)
+    few, _ = sampled(problem, steps=900, effective_size=1_000_000)
+    assert few.doubt is SamplingDoubt.TOO_FEW
+    assert "independent ones instead of 1000000: raise steps to about" in posterior_words(few)
+
+
+def test_interrupted_keeps_what_there_is() -> None:
+    problem, _ = linear()
+    seen: list[SamplingStep] = []
+
+    def stop(step: Event) -> None:
+        assert isinstance(step, SamplingStep)
+        seen.append(step)
+        if step.step == 40:
+            raise KeyboardInterrupt
+
+    posterior = sample(problem, identify(problem), progress=stop)
+    assert len(posterior.chain) == 40
+    assert posterior.interrupted
+    assert posterior_words(posterior).startswith("interrupted after 40 steps; ")
+    assert not posterior.converged
+    assert posterior.samples.shape == (30 * 16, 2)
+    assert seen[-1].acceptance > 0.2
+    assert seen[-1].wanted == 2000
+
+
+def test_interrupted_inside_a_simulation(capsys: pytest.CaptureFixture[str]) -> None:
+    """The sampler's library would print the point at which anything is raised, and a traceback."""
+    phi, calls, last = linear()[1], [0], [10**9]
+
+    def model(theta: Array) -> Array:
+        calls[0] += 1
+        if calls[0] == last[0]:
+            raise KeyboardInterrupt
+        return phi @ theta
+
+    problem = LeastSquares.from_function(
+        model, model(np.ones(2)), {"a": Parameter(1.0), "b": Parameter(1.0)}, noise=Noise(1.0)
+    )
+    result = identify(problem)
+    last[0] = calls[0] + 500
+    posterior = sample(problem, result)
+    assert posterior.interrupted
+    assert 1 < len(posterior.chain) < 100
+    assert calls[0] <= last[0] + 1
+    assert capsys.readouterr() == ("", "")
+
+
+def test_tables() -> None:
+    problem, _ = linear()
+    posterior, _ = sampled(problem)
+    assert list(posterior.table.columns) == ["a", "b"]
+    np.testing.assert_array_equal(posterior.table.to_numpy(), posterior.chain[posterior.burn :].reshape(-1, 2))
+    summary = posterior.summary.set_index("parameter")
+    assert summary.loc["a", "lower"] == posterior.intervals(0.95).to_numpy()[0, 0]
+    inside = posterior.table["a"].between(*posterior.intervals(0.8).to_numpy()[0])
+    assert inside.mean() == pytest.approx(0.8, abs=1e-3)
+    assert summary.loc["b", "std"] == pytest.approx(posterior.table["b"].std())
+    np.testing.assert_allclose(posterior.std, np.sqrt(np.diag(posterior.covariance)))
+
+
+# --- bad input
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"walkers": 3}, "walkers of the sampler must be a whole number from 4 on, not 3"),
+        ({"walkers": 9}, "walkers of the sampler must be even, not 9"),
+        ({"steps": 0}, "steps of the sampler must be a whole number from 10 on, not 0"),
+        ({"effective_size": 1.5}, "effective_size of the sampler must be a whole number from 1 on, not 1.5"),
+        ({"burn": 1.0}, "burn of the sampler must be a share from 0 to below 1, not 1.0"),
+        ({"seed": -1}, "seed of the sampler must be a whole number from 0 on, not -1"),
+    ],
+)
+def test_wrong_settings(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        Sampling(**settings)
+
+
+def test_wrong_use() -> None:
+    problem, phi = linear()
+    result = identify(problem)
+    six = {name: Parameter(1.0, prior=Normal(0.0, 1.0)) for name in "abcdef"}
+    wide = LeastSquares.from_function(lambda theta: phi @ theta[:2], problem.measured, six)
+    with pytest.raises(InputError, match="4 walkers are too few for 6 parameters; the sampler needs at least 12"):
+        sample(wide, identify(wide), Sampling(walkers=4))
+    with pytest.raises(InputError, match="the result is of another problem: its parameters are a, b"):
+        sample(wide, result)
+    with pytest.raises(InputError, match="level of an interval"):
+        sampled(problem, steps=20)[0].intervals(1.0)
+    exact = LeastSquares.from_function(
+        lambda theta: theta[0] * np.arange(4.0), 2.0 * np.arange(4.0), {"a": Parameter(2.0)}
+    )
+    with pytest.raises(InputError, match="fits an output exactly"):
+        sample(exact, identify(exact))
+
+
+# --- diagnostics
+
+
+@pytest.mark.parametrize("memory", [-0.4, 0.0, 0.6, 0.9])
+def test_effective_size_of_autoregressions(memory: float) -> None:
+    """Of an autoregression the mean's effective size is n (1 − φ)/(1 + φ)."""
+    rng = np.random.default_rng(7)
+    draws = np.empty((2000, 16))
+    draws[0] = rng.normal(size=16)
+    for k in range(1, 2000):
+        draws[k] = memory * draws[k - 1] + math.sqrt(1.0 - memory**2) * rng.normal(size=16)
+    bulk = draws.size * (1.0 - memory) / (1.0 + memory)
+    found = effective_size(draws)
+    if memory >= 0.6:  # the tails forget sooner than the bulk
+        assert found == pytest.approx(bulk, rel=0.1)
+    else:
+        assert 0.85 * min(bulk, draws.size) < found < 1.1 * draws.size
+    assert 1.0 <= r_hat(draws) < 1.02
+
+
+def test_r_hat_sees_other_means_spreads_and_drifts() -> None:
+    rng = np.random.default_rng(7)
+    draws = rng.normal(size=(500, 8))
+    assert r_hat(draws) < 1.01
+    assert r_hat(draws + np.linspace(0.0, 1.0, 8)) > 1.03
+    assert r_hat(draws * np.linspace(0.5, 1.5, 8)) > 1.03
+    assert r_hat(draws + np.linspace(0.0, 1.0, 500)[:, None]) > 1.03
+    apart = np.concatenate([draws[:, :4], 30.0 + draws[:, 4:]], axis=1)  # two optima that no walker leaves
+    assert r_hat(apart) > 1.5
+    assert effective_size(apart) < 30
+
+
+def test_diagnostics_of_what_tells_nothing() -> None:
+    for draws in (np.ones((100, 4)), np.zeros((3, 4))):
+        assert math.isnan(r_hat(draws))
+        assert math.isnan(effective_size(draws))

@@ -1,0 +1,96 @@
+"""Sensitivity functions and promised accuracy against closed forms and against what identifications give."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid.data import Experiment, Noise, Normal, Parameter
+from fmuid.errors import InputError
+from fmuid.identification import Problem, expected_accuracy, identify, rank_excitations, sensitivity_functions
+from fmuid.models import System
+from tests.support.paths import FMUS
+
+COIL = System.of(FMUS / "Coil/Coil.fmu")
+R, L, NOISE = 4.0, 0.1, 0.02
+PARAMETERS = {"R": Parameter(R, min=0.0), "L": Parameter(L, min=1e-3)}
+TIMES = 1e-3 * np.arange(300)
+
+
+def excitation(voltage: float | np.ndarray, name: str = "step") -> Experiment:
+    frame = pd.DataFrame({"time": TIMES, "u": voltage + 0.0 * TIMES})
+    return Experiment(frame, ["u"], ["i"], interpolation="hold", measured=False, name=name)
+
+
+def test_a_step_against_its_closed_form() -> None:
+    """i = (u/R)(1 − e), e = exp(−R t/L): R ∂i/∂R = −i + u t e/L, L ∂i/∂L = −u t e/L."""
+    found = sensitivity_functions(COIL, excitation(2.0), PARAMETERS)
+    decay = np.exp(-R / L * TIMES)
+    moved = 2.0 * TIMES * decay / L
+    expected = np.column_stack([-2.0 / R * (1.0 - decay) + moved, -moved])
+    np.testing.assert_allclose(found.values[:, 0], expected, atol=2e-6)
+    assert list(found.table.columns) == ["time", "i/R", "i/L"]
+    assert found.sizes.loc["L", "i"] == pytest.approx(np.sqrt(np.mean(moved**2)), rel=1e-5)
+    assert found.units == ("A",)
+
+
+def test_at_a_bound_they_are_one_sided() -> None:
+    free = sensitivity_functions(COIL, excitation(2.0), PARAMETERS)
+    bounds = {"R": Parameter(R, min=R), "L": Parameter(L, max=L)}
+    beside = sensitivity_functions(COIL, excitation(2.0), bounds)
+    np.testing.assert_allclose(beside.values, free.values, atol=1e-5)
+
+
+def test_the_promise_is_what_identification_gives() -> None:
+    rng = np.random.default_rng(1)
+    voltage = np.repeat(rng.choice([-1.0, 1.0], 20), 15)
+    promised = expected_accuracy(COIL, excitation(voltage), PARAMETERS, {"i": NOISE**2})
+    exact = excitation(voltage)
+    decay, current = math.exp(-R / L * 1e-3), [0.0]
+    for u in voltage[:-1]:
+        current.append(decay * current[-1] + (1.0 - decay) / R * u)
+    measured = exact.with_outputs((np.array(current) + NOISE * rng.standard_normal(300))[:, None])
+    result = identify(Problem(COIL, measured, PARAMETERS, noise=Noise(NOISE**2)))
+    local = result.local
+    assert local is not None
+    white = np.sqrt(np.diag(local.combined.covariance))
+    np.testing.assert_allclose(list(promised.std.values()), white, rtol=0.05)
+    relative = white / np.array([R, L])
+    assert promised.worst == pytest.approx(relative.max(), rel=0.05)
+    information = np.linalg.inv(local.combined.covariance / np.outer([R, L], [R, L]))
+    assert promised.log_determinant == pytest.approx(np.linalg.slogdet(information)[1], abs=0.1)
+
+
+def test_excitations_are_ranked() -> None:
+    """A constant voltage tells R best and hardly L; a fast square wave tells L better; none tells nothing."""
+    square = np.where(np.arange(300) // 25 % 2 == 0, 1.0, -1.0)
+    candidates = [excitation(1.0, "constant"), excitation(square, "square"), excitation(0.0, "none")]
+    found = [expected_accuracy(COIL, each, PARAMETERS, {"i": NOISE**2}) for each in candidates]
+    constant, wave, none = found
+    assert constant.std["R"] < wave.std["R"]
+    assert wave.std["L"] < constant.std["L"]
+    assert none.log_determinant == -math.inf
+    assert set(none.std.values()) == {math.inf}
+    by_worst = rank_excitations(found, by="worst")
+    assert list(by_worst["excitation"]) == [each.excitation for each in sorted(found, key=lambda each: each.worst)]
+    by_determinant = rank_excitations(found)
+    order = sorted(found, key=lambda each: -each.log_determinant)
+    assert list(by_determinant["excitation"]) == [each.excitation for each in order]
+    assert by_determinant["L.std"].iloc[-1] == math.inf
+    with pytest.raises(InputError, match="by 'size'"):
+        rank_excitations(found, by="size")
+
+
+def test_priors_count() -> None:
+    known = {"R": Parameter(R, prior=Normal(R, 0.1)), "L": Parameter(L, prior=Normal(L, 0.01))}
+    found = expected_accuracy(COIL, excitation(0.0), known, {"i": NOISE**2})
+    assert found.std == pytest.approx({"R": 0.1, "L": 0.01})
+    assert found.log_determinant == pytest.approx(2.0 * math.log(R / 0.1 * L / 0.01))
+
+
+def test_unknown_noise_is_refused() -> None:
+    with pytest.raises(InputError, match="the noise of 'i' is not known"):
+        expected_accuracy(COIL, excitation(1.0), PARAMETERS, {})

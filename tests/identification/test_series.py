@@ -1,0 +1,223 @@
+"""Series of samples: autocorrelation, whiteness, normality and cross-correlation, with samples missing or not."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.signal import lfilter
+
+from fmuid.array_types import Floats
+from fmuid.data.predictors import Table
+from fmuid.estimation.noise.whiteness_tests import (
+    LaggedSeries,
+    Taken,
+    autocorrelation,
+    lag_sum,
+    ljung_box,
+    noise_model,
+    normality,
+    on_grid,
+    positions,
+    whiteness,
+)
+from fmuid.identification.residual_series import examine_outputs
+from tests.support.problems import ar1
+
+
+def with_gaps(rng: np.random.Generator, values: Floats, share: float) -> Floats:
+    values = values.copy()
+    values[rng.random(values.size) < share] = np.nan
+    values[[0, -1]] = 0.1, -0.1
+    return values
+
+
+def test_places_on_the_grid() -> None:
+    times = np.array([0.0, 0.1, 0.2, 0.5, 0.6, 0.7, 0.8])
+    places, step = positions(times + 1e-4 * np.sin(37.0 * times))
+    assert places.tolist() == [0, 1, 2, 5, 6, 7, 8]
+    assert step == pytest.approx(0.1, abs=1e-3)
+    np.testing.assert_array_equal(np.isnan(on_grid(times, places)), [False] * 3 + [True] * 2 + [False] * 4)
+    # many steps that each are a little off do not add up
+    drifting = np.cumsum(np.full(1000, 1.0) + 1e-3)
+    assert positions(drifting)[0].tolist() == list(range(1000))
+
+
+@pytest.mark.parametrize("times", [[0.0, 1.0, 1.0, 2.0, 3.0], np.cumsum(np.linspace(1.0, 5.0, 30))])
+def test_times_without_a_grid_are_counted(times: list[float]) -> None:
+    places, step = positions(np.array(times))
+    assert places.tolist() == list(range(len(times)))
+    assert step == pytest.approx((times[-1] - times[0]) / (len(times) - 1))
+
+
+def test_autocorrelation_by_hand() -> None:
+    grid = np.array([1.0, 3.0, np.nan, 2.0, 6.0])
+    found, pairs = autocorrelation(grid, 3)
+    assert pairs.tolist() == [4, 2, 1, 2]
+    variance = (4.0 + 0.0 + 1.0 + 9.0) / 4.0  # the mean is 3
+    expected = [1.0, (0.0 - 3.0) / 2 / variance, 0.0, (2.0 + 0.0) / 2 / variance]
+    np.testing.assert_allclose(found, expected, atol=1e-14)
+
+
+def test_ljung_box_is_the_published_formula() -> None:
+    x = ar1(np.random.default_rng(5), 0.2, 150)
+    statistic, probability = ljung_box(*autocorrelation(x, 7))
+    centred = x - x.mean()
+    r = [float(np.sum(centred[k:] * centred[: 150 - k]) / np.sum(centred**2)) for k in range(8)]
+    expected = 150 * 152 * sum(r[k] ** 2 / (150 - k) for k in range(1, 8))
+    assert statistic == pytest.approx(expected, rel=1e-12)
+    assert probability == pytest.approx(stats.chi2(7).sf(expected), rel=1e-9)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_white_noise_is_called_coloured_as_often_as_the_level_says(missing: float) -> None:
+    rng = np.random.default_rng(6)
+    probabilities = []
+    for _ in range(1000):
+        grid = with_gaps(rng, rng.standard_normal(300), missing)
+        probabilities.append(ljung_box(*autocorrelation(grid, 25))[1])
+    assert np.mean(np.array(probabilities) < 0.05) == pytest.approx(0.05, abs=0.025)
+    assert np.mean(np.array(probabilities) < 0.5) == pytest.approx(0.5, abs=0.06)
+
+
+def test_coloured_noise_is_found() -> None:
+    rng = np.random.default_rng(7)
+    found = [ljung_box(*autocorrelation(ar1(rng, 0.4, 200), 25))[1] < 0.01 for _ in range(100)]
+    assert sum(found) >= 95
+
+
+@pytest.mark.parametrize(("share", "missing"), [(0.0, 0.0), (0.6, 0.0), (0.95, 0.0), (0.6, 0.3), (-0.5, 0.0)])
+def test_correlation_times_of_autoregressive_noise(share: float, missing: float) -> None:
+    """Sums over all lags of ρ = a^k are (1 + a)/(1 − a), of ρ² (1 + a²)/(1 − a²)."""
+    rng = np.random.default_rng(8)
+    times, squares = [], []
+    for _ in range(30):
+        model = noise_model(with_gaps(rng, ar1(rng, share, 5000), missing))
+        assert model[0] == 1.0
+        times.append(lag_sum(model, 5000))
+        squares.append(lag_sum(model, 5000, 2))
+    assert np.mean(times) == pytest.approx((1 + share) / (1 - share), rel=0.08)
+    assert np.mean(squares) == pytest.approx((1 + share**2) / (1 - share**2), rel=0.08)
+
+
+def test_the_model_of_an_oscillation() -> None:
+    """The autocorrelation of an AR(2) process obeys ρ_k = φ₁ ρ_{k−1} + φ₂ ρ_{k−2}, ρ₁ = φ₁/(1 − φ₂)."""
+    radius, angle = 0.97, 0.4
+    first, second = 2.0 * radius * math.cos(angle), -(radius**2)
+    x = lfilter([1.0], [1.0, -first, -second], np.random.default_rng(9).standard_normal(41000))[1000:]
+    rho = [1.0, first / (1.0 - second)]
+    while len(rho) < 60:
+        rho.append(first * rho[-1] + second * rho[-2])
+    np.testing.assert_allclose(noise_model(x)[:60], rho, atol=0.06)
+
+
+def test_a_series_that_never_decays_has_a_model() -> None:
+    ramp = np.linspace(-1.0, 1.0, 400) + 1e-6 * np.random.default_rng(1).standard_normal(400)
+    model = noise_model(ramp)
+    assert np.isfinite(model).all()
+    assert lag_sum(model, 400) > 20.0
+
+
+def test_every_other_sample() -> None:
+    """Lags without any pair end the model; the samples that are there still have one."""
+    grid = np.full(400, np.nan)
+    grid[::2] = np.random.default_rng(2).standard_normal(200)
+    assert np.isnan(autocorrelation(grid, 3)[0][1])
+    assert noise_model(grid).tolist() == [1.0]
+
+
+@pytest.mark.parametrize("gaps", [False, True])
+def test_whiteness_in_short_records_that_a_fit_has_smoothed(gaps: bool) -> None:
+    """A polynomial of five coefficients through 30 samples of white noise: the limit alarms in 6 % for 1 %."""
+    places = np.flatnonzero(np.arange(36) % 6 != 4) if gaps else np.arange(30)
+    columns = np.linalg.qr(np.vander(places / 30.0, 5))[0]
+    rng, tested, limit = np.random.default_rng(3), [], []
+    for _ in range(400):
+        noise = rng.standard_normal(places.size)
+        grid = on_grid(noise - columns @ (columns.T @ noise), places)
+        found = autocorrelation(grid, 6)
+        limit.append(ljung_box(*found)[1])
+        tested.append(whiteness(*found, np.isfinite(grid), Taken(columns, np.eye(5)))[1])
+    assert np.mean(np.array(limit) < 0.05) > 0.1
+    assert np.mean(np.array(tested) < 0.05) == pytest.approx(0.05, abs=0.033)  # three standard errors
+    assert np.mean(np.array(tested) < 0.01) < 0.03
+
+
+def test_what_a_fit_of_several_outputs_takes_from_one() -> None:
+    """The covariance of an output's residual is I − C_a C_aᵀ where that of all is I − C Cᵀ, Cᵀ C = I."""
+    columns = np.linalg.qr(np.random.default_rng(1).standard_normal((40, 6)))[0]
+    taken = Taken(columns[:12], np.eye(6))
+    found = np.cov(taken.draws(np.random.default_rng(2), 40_000).T, bias=True)
+    np.testing.assert_allclose(found, np.eye(12) - columns[:12] @ columns[:12].T, atol=0.03)
+
+
+def test_normality_of_white_noise_is_jarque_and_bera() -> None:
+    x = np.random.default_rng(11).exponential(size=80)
+    skewness, kurtosis, probability = normality(x, np.ones(1))
+    assert skewness == pytest.approx(stats.skew(x))
+    assert kurtosis == pytest.approx(stats.kurtosis(x))
+    assert probability == pytest.approx(stats.jarque_bera(x).pvalue, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_normal_coloured_noise_is_called_normal() -> None:
+    """As if it were white, skewness and kurtosis of strongly coloured noise would be rejected most of the time."""
+    rng = np.random.default_rng(12)
+    draws = [ar1(rng, 0.95, 4000) for _ in range(300)]
+    coloured = np.mean([normality(x, noise_model(x))[2] < 0.05 for x in draws])
+    white = np.mean([normality(x, np.ones(1))[2] < 0.05 for x in draws])
+    assert 0.02 <= coloured <= 0.09
+    assert white > 0.5
+
+
+def lagged(values: Floats, lags: int) -> Floats:
+    columns = [np.concatenate([np.full(lag, np.nan), values[: values.size - lag]]) for lag in range(lags + 1)]
+    return np.column_stack(columns)
+
+
+@pytest.mark.parametrize(("one", "other"), [(0.0, 0.95), (0.9, 0.9), (0.9, 0.0)])
+def test_unrelated_series_are_related_by_chance_only(one: float, other: float) -> None:
+    rng = np.random.default_rng(13)
+    single, any_lag = [], []
+    for _ in range(300):
+        x, u = ar1(rng, one, 1000), ar1(rng, other, 1000)
+        cross = LaggedSeries(lagged(u, 10), u).correlate(x, noise_model(x))
+        single.append(abs(cross.values[0]) > 1.96 * cross.std)
+        any_lag.append(cross.probability < 0.05)
+    assert 0.02 <= np.mean(single) <= 0.09
+    assert np.mean(any_lag) <= 0.08  # Šidák's bound is on the safe side where lags depend on each other
+
+
+def test_a_lag_is_found() -> None:
+    rng = np.random.default_rng(14)
+    u = rng.standard_normal(600)
+    x = rng.standard_normal(600)
+    x[3:] += -0.4 * u[:-3]
+    cross = LaggedSeries(lagged(u, 10), u).correlate(x, np.ones(1))
+    assert cross.strongest == 3
+    assert cross.values[3] == pytest.approx(-0.4 / math.sqrt(1.16), abs=0.1)
+    assert cross.probability < 1e-10
+
+
+def test_the_band_is_bartletts_sum() -> None:
+    """Σ ρ(k) ρ'(k)/n over all k of both signs, by a loop over the definitions."""
+    rng = np.random.default_rng(15)
+    x, u = ar1(rng, 0.8, 400), ar1(rng, 0.9, 400)
+    noise = noise_model(x)
+    centred = u - u.mean()
+    own = [float(centred[: 400 - k] @ centred[k:]) / float(centred @ centred) for k in range(noise.size)]
+    total = noise[0] * own[0] + 2.0 * sum(noise[k] * own[k] for k in range(1, noise.size))
+    series = LaggedSeries(lagged(u, 10), u)
+    assert series.correlate(x, noise).std == pytest.approx(math.sqrt(total / 400), rel=1e-9)
+    assert series.correlate(x, np.ones(1)).std == pytest.approx(math.sqrt(1.0 / 400), rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6])
+def test_a_mean_is_judged_by_the_independent_samples_it_is_of(share: float) -> None:
+    """Of noise with the autocorrelation share^lag, n samples are worth n (1 - share)/(1 + share) in a mean."""
+    values = 0.1 + ar1(np.random.default_rng(3), share, 4000)
+    table = Table("run", np.arange(4000.0), ("y",), values[:, None], np.ones((4000, 1), dtype=np.bool_))
+    (series,) = examine_outputs(table, np.zeros((4000, 1)), [np.arange(4000)])
+    score = values.mean() / values.std() * math.sqrt(4000 * (1.0 - share) / (1.0 + share))
+    assert abs(score) > 2.0
+    assert stats.norm.isf(series.mean_probability / 2.0) == pytest.approx(abs(score), rel=0.1)

@@ -1,0 +1,163 @@
+"""What is asked beyond the local covariance: done in order, put side by side, kept when interrupted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from fmuid.array_types import Floats
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Parameter
+from fmuid.errors import InputError
+from fmuid.estimation.identification import identify
+from fmuid.estimation.problem import LeastSquares
+from fmuid.identification.sampling.posterior import Sampling
+from fmuid.identification.uncertainty import UncertaintySettings, explore
+from fmuid.progress import Event, ProfileStep, SamplingStep
+from fmuid.reports.messages.uncertainty import uncertainty_words
+
+ALL = UncertaintySettings(0.9, ("a", "b"), Sampling(steps=600, effective_size=600), (("a", "b"),))
+
+
+def line() -> LeastSquares:
+    """Return a straight line a + b x with noise of known variance: everything about it has a closed form."""
+    x = np.linspace(0.0, 1.0, 40)
+    measured = 1.0 + 2.0 * x + 0.1 * np.random.default_rng(4).normal(size=x.size)
+    parameters = {"a": Parameter(0.5), "b": Parameter(1.0)}
+    return LeastSquares.from_function(lambda t: t[0] + t[1] * x, measured, parameters, noise=Noise(0.01))
+
+
+def two_valleys() -> LeastSquares:
+    """Return a problem whose least criterion is at a = 2, and that has a second minimum near a = −2."""
+    x = np.linspace(0.0, 1.0, 20)
+
+    def model(theta: Floats) -> Floats:
+        return np.asarray((theta[0] ** 2 - 4.0) + 0.3 * (theta[0] - 2.0) * x + theta[1] * x**2)
+
+    parameters = {"a": Parameter(-2.2, -4.0, 4.0), "b": Parameter(0.1, -1.0, 1.0)}
+    return LeastSquares.from_function(model, np.zeros(20), parameters, noise=Noise(0.01))
+
+
+def test_nothing_is_asked() -> None:
+    problem = line()
+    result = identify(problem)
+    before = problem.simulations
+    found = explore(problem, result, UncertaintySettings())
+    assert not UncertaintySettings().any
+    assert found.succeeded
+    assert (found.maps, found.profiles, found.posterior, uncertainty_words(found)) == ((), (), None, ())
+    assert found.to_json_dict() == {}
+    assert problem.simulations == before
+    np.testing.assert_array_equal(found.intervals(result).to_numpy(), result.intervals().to_numpy())
+
+
+def test_everything_of_a_linear_problem_agrees() -> None:
+    problem = line()
+    result = identify(problem)
+    steps: list[Event] = []
+    found = explore(problem, result, ALL, steps.append)
+    assert found.succeeded
+    assert not uncertainty_words(found)
+    assert list(dict.fromkeys(step.task for step in steps)) == ["uncertainty", "map", "profile", "posterior"]
+    assert all(0.0 <= step.share <= 1.0 for step in steps)
+
+    limits = found.intervals(result)
+    local = result.intervals(0.9).to_numpy()
+    np.testing.assert_array_equal(limits["local"].to_numpy(), local)
+    np.testing.assert_allclose(limits["profile"].to_numpy(), local, rtol=1e-4)
+    np.testing.assert_allclose(limits["posterior"].to_numpy(), local, atol=0.3 * float(result.std.max()))
+
+    table = found.profile_table
+    assert list(table.columns) == ["profiled", "a", "b", "criterion"]
+    assert table["profiled"].drop_duplicates().tolist() == ["a", "b"]
+    (chart,) = found.maps
+    assert chart.criterion == pytest.approx(result.criterion)
+
+    content = json.loads(json.dumps(found.to_json_dict(), allow_nan=False))
+    assert content["profiles"]["a"]["lower"] == pytest.approx(local[0, 0], rel=1e-4)
+    assert content["profiles"]["a"]["level"] == content["posterior"]["level"] == 0.9
+    assert content["posterior"]["converged"] is True
+    assert content["posterior"]["parameters"]["b"]["mean"] == pytest.approx(result["b"], abs=0.1 * result.std[1])
+    assert content["posterior"]["covariance"]["names"] == ["a", "b"]
+
+
+def test_parameters_that_are_not_profiled_are_left_empty() -> None:
+    problem = line()
+    result = identify(problem)
+    limits = explore(problem, result, UncertaintySettings(profile=("b",))).intervals(result)
+    assert limits.index.tolist() == ["a", "b"]
+    np.testing.assert_array_equal(np.isnan(limits["profile"].to_numpy()), [[True, True], [False, False]])
+
+
+def interrupt(where: Callable[[Event], bool]) -> Callable[[Event], None]:
+    """Return a progress that does what Ctrl-C does, at the first step of which `where` is true."""
+
+    def progress(step: Event) -> None:
+        if where(step):
+            raise KeyboardInterrupt
+
+    return progress
+
+
+@pytest.mark.parametrize(
+    ("where", "maps", "profiles", "sampled"),
+    [
+        (lambda _: True, 0, 0, False),
+        (lambda step: step.task == "map", 0, 0, False),
+        (lambda step: step.task == "profile", 1, 1, False),
+        (lambda step: isinstance(step, ProfileStep) and step.name == "b", 1, 2, False),
+        (lambda step: isinstance(step, SamplingStep) and step.step == 150, 1, 2, True),
+    ],
+)
+def test_interrupted_keeps_what_there_is(
+    where: Callable[[Event], bool], maps: int, profiles: int, sampled: bool
+) -> None:
+    problem = line()
+    found = explore(problem, identify(problem), ALL, interrupt(where))
+    assert found.interrupted
+    assert not found.succeeded
+    assert (len(found.maps), len(found.profiles), found.posterior is not None) == (maps, profiles, sampled)
+    if found.posterior is not None:
+        assert len(found.posterior.chain) == 150
+    json.dumps(found.to_json_dict(), allow_nan=False)
+
+
+def test_samples_that_cannot_be_trusted_are_no_success() -> None:
+    problem = line()
+    settings = UncertaintySettings(posterior=Sampling(steps=20))
+    found = explore(problem, identify(problem), settings)
+    assert not found.interrupted
+    assert not found.succeeded
+    (note,) = uncertainty_words(found)
+    assert note.startswith("posterior: ")
+    assert "raise steps" in note
+
+
+def test_a_better_optimum_on_the_map_is_named() -> None:
+    problem = two_valleys()
+    result = identify(problem)
+    assert result["a"] < 0
+    asked = UncertaintySettings(maps=(("a", "b"),))
+    near = explore(problem, result, asked)  # four standard deviations around the estimate
+    assert near.succeeded
+    assert not uncertainty_words(near)
+    far = explore(problem, result, asked, box=True)
+    assert (len(far.maps), len(far.box_maps)) == (1, 1)
+    (note,) = uncertainty_words(far)
+    assert "the criterion over a and b is lower at a = 2, b = 0 than at the estimate" in note
+    assert 'method = "global"' in note
+    assert not far.succeeded
+
+
+def test_no_map_of_the_box_without_bounds() -> None:
+    problem = line()
+    assert explore(problem, identify(problem), UncertaintySettings(maps=(("a", "b"),)), box=True).box_maps == ()
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, 1.5, float("nan")])
+def test_level_refused(level: float) -> None:
+    with pytest.raises(InputError, match="level of an interval must lie between 0 and 1"):
+        UncertaintySettings(level)

@@ -1,0 +1,218 @@
+"""Cases that fail, studies that are refused."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import math
+import pickle
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+from fmuid.data.experiment import Experiment
+from fmuid.data.noise import Noise
+from fmuid.data.parameters import Parameter
+from fmuid.errors import InputError
+from fmuid.estimation import Marquardt
+from fmuid.estimation.identification import identify
+from fmuid.estimation.problem import LeastSquares
+from fmuid.runs.batch import run_case as case_run
+from fmuid.runs.batch.cases import Cases
+from fmuid.runs.batch.run_case import CaseRunner
+from tests.support.coil_cases import TIMES, bits, record, study_of
+from tests.support.probe_fmu import ProbeMaker
+
+# --- failures
+
+
+def test_failing_simulations_are_rows_and_are_counted(case_folder: Path, probe: ProbeMaker) -> None:
+    times = np.arange(20.0)
+    x = 2.0 * times + 0.01 * np.random.default_rng(0).standard_normal(20)
+    frame = pd.DataFrame({"time": times, "u": 1.0, "x": x})
+    frame.to_csv(case_folder / "table.csv", index=False)
+    study = study_of(
+        case_folder,
+        {"values": {"fail_init": [0.0, 1.0]}},
+        model={"fmu": str(probe())},
+        experiments=[{"table": "table.csv", "inputs": ["u"], "outputs": ["x"]}],
+        parameters={"gain": {"start": 1.0}},
+    )
+    runner = CaseRunner(study)
+    good, bad = runner(0).row, runner(1).row
+    assert (good["status"], good["rejected"]) == ("converged", 0)
+    assert good["value.gain"] == pytest.approx(2.0, rel=1e-3)
+    assert bad["status"] == "failed"
+    assert 'the FMU says: "nothing: cannot initialise with 1"' in str(bad["message"])
+    assert math.isnan(bad["value.gain"])  # type: ignore[arg-type]
+    assert bad["rejected"] == bad["simulations"] != 0
+    assert bits(runner(0).row) == bits(good)
+
+
+def test_problems_count_the_points_that_cannot_be_simulated() -> None:
+    failed = 0
+
+    def function(theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        nonlocal failed
+        if theta[0] > 3.0:
+            failed += 1
+            raise ArithmeticError
+        return np.asarray(np.exp(-theta[0] * TIMES))
+
+    problem = LeastSquares.from_function(function, np.exp(-4.0 * TIMES), {"a": Parameter(0.1)})
+    assert identify(problem)["a"] <= 3.0
+    assert problem.failures == failed > 0
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ZeroDivisionError("float division"), np.linalg.LinAlgError("bad")])
+def test_what_the_arithmetic_raises_is_a_row(
+    case_folder: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(Marquardt, "search", fail)
+    row = CaseRunner(study_of(case_folder, {"starts": 1}))(0).row
+    assert row["status"] == "failed"
+    assert row["message"] == (f"{type(error).__name__}: {error}" if str(error) else "MemoryError")
+
+
+def test_interruptions_and_bugs_pass(case_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runner, predict, calls = CaseRunner(study_of(case_folder, {"starts": 1})), LeastSquares.predict, itertools.count()
+
+    def interrupted(self: LeastSquares, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
+        if next(calls) == 5:  # when the search is under way, which ends it with a result
+            raise KeyboardInterrupt
+        return predict(self, thetas)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LeastSquares, "predict", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            runner(0)
+    with monkeypatch.context() as patch:
+        patch.setattr(case_run, "problem_of", lambda *_: None)
+        with pytest.raises(AttributeError):
+            runner(0)
+    assert runner(0).row["status"] == "converged"
+
+
+def test_the_log_has_the_warnings_of_its_own_thread(case_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log, runner = logging.getLogger("fmuid.fmu"), CaseRunner(study_of(case_folder, {"starts": 1}))
+
+    def warn(settings: Marquardt, problem: LeastSquares, *_: object) -> Any:
+        log.warning("the coil %s", "hums")
+        log.info("nothing")
+        other = threading.Thread(target=log.warning, args=("another case",))
+        other.start()
+        other.join()
+        return identify(problem, settings)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Marquardt, "search", warn)
+        assert runner(0).log == "the coil hums"
+    assert runner(0).log == ""
+    assert not any(isinstance(each, case_run._ThreadWarnings) for each in logging.getLogger("fmuid").handlers)
+
+
+def test_other_measurements_of_an_experiment() -> None:
+    table = record(0).assign(j=1.0)
+    before = Experiment(table, {"u": "u", "fed": "i"}, {"i": "i", "j": "j"}, discard=0.1, units={"i": "A"})
+    values = np.stack([np.arange(120.0), np.full(120, 2.0)]).T
+    values[70, 0] = np.nan
+    after = before.with_outputs(values)
+    sent = pickle.loads(pickle.dumps(after))  # without its table, which is not made before it is asked for
+    assert sent.frame.equals(after.frame)
+    assert after.frame is after.frame
+    again = Experiment(after.frame, after.inputs, after.outputs, discard=0.1, units={"i": "A"})
+    for experiment in (after, again):
+        assert np.array_equal(experiment.output_values, values, equal_nan=True)
+        assert np.array_equal(experiment.input_values, before.input_values)
+        assert experiment.counted.sum() == 2 * 70 - 1
+    assert np.array_equal(before.frame["i"], table["i"])
+    assert not after.output_values.flags.writeable
+    with pytest.raises(InputError, match=r"finite or NaN, of shape \(120, 2\)"):
+        before.with_outputs(values[:, :1])
+    with pytest.raises(InputError, match="has no sample"):
+        before.with_outputs(np.full((120, 2), np.nan))
+
+
+# --- refusals
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({}, r"\[batch\] varies nothing: give at least one of tables"),
+    ({"seed": 3, "combine": "list"}, "varies nothing"),
+    ({"stats": 3}, r"has no key 'stats' \(did you mean 'starts'"),
+    ({"combine": "lists", "starts": 2}, r'combine must be "product" or "list" \(did you mean'),
+    ({"starts": 2, "seed": -1}, r"\[batch\] seed must be a whole number, 0 or above, not -1"),
+    ({"starts": 0}, r"starts must be a whole number above 0, or a list of starts, .*, not 0"),
+    ({"starts": []}, "starts must be a whole number above 0, or a list"),
+    ({"starts": [{"R": "x"}]}, "starts must be a table of which each entry is a number"),
+    ({"starts": [{"Q": 1.0}]}, "starts names 'Q', which is no parameter of this study"),
+    ({"starts": [{"R": 9.0}]}, r"starts\[0\].R: start 9 lies outside its bounds, 0.5 to 8"),
+    ({"tables": 3}, 'tables must be a pattern of files, "records/\\*.csv"'),
+    ({"tables": []}, "tables must be a pattern of files"),
+    ({"tables": "nothing/*.csv"}, r'\[batch\] tables: "nothing/\*.csv" matches no file in '),
+    ({"tables": ["records/run9.csv"]}, r"tables: there is no file .*run9.csv, the record 'run9'"),
+    ({"subsets": ["R"]}, "subsets must be a list of different lists of parameters"),
+    ({"subsets": [["R", "L"], ["L", "R"]]}, "subsets must be a list of different lists"),
+    ({"subsets": [["R", "l"]]}, r"subsets names 'l', which is no parameter of this study \(did you mean 'L'"),
+    ({"subsets": [["R"]], "values": {"R": [1.0]}}, "subsets names 'R', which values or sample hold"),
+    ({"starts": [{"R": 2.0}], "values": {"R": [1.0]}}, "starts names 'R', which values or sample hold"),
+    ({"values": {"R": [1.0], "L": [1.0]}}, "holds all parameters of the study at values"),
+    ({"values": {"R": []}}, r"\[batch.values\] R must be a list of values of one type"),
+    ({"values": {"i_start": [1.0, True]}}, "a list of values of one type"),
+    ({"values": {"i_start": [0.1, math.inf]}}, "finite number"),
+    ({"values": {"i_start": {"from": 1.0, "to": 2.0}}}, "with just these three"),
+    ({"values": {"i_start": {"from": 1.0, "to": 1.0, "count": 3}}}, "whose from and to differ"),
+    ({"values": {"R": ["big"]}}, r'values.R: a parameter is held at numbers, not at "big"'),
+    ({"values": {"i_stat": [1.0]}}, r"\[batch\] does not fit: Coil.fmu has no variable 'i_stat' \(did you mean"),
+    ({"values": {"i_start": ["big"]}}, "does not fit: 'i_start' is of type Real and cannot be held at 'big'"),
+    ({"values": {"u": [1.0]}}, "does not fit: 'u' is an input from .*table.csv; it cannot also be given a value"),
+    ({"sample": {"ranges": {"L": [0.1, 0.2]}}}, r"\[batch.sample\] needs the key 'count': how many points"),
+    ({"sample": {"count": 3}}, r"\[batch.sample\] needs the key 'ranges': the variables that are held"),
+    ({"sample": {"count": 10**8, "ranges": {"L": [0.1, 0.2]}}}, "count must be a whole number up to 16777216"),
+    ({"sample": {"count": 3, "ranges": {}}}, "ranges must be a table { variable ="),
+    ({"sample": {"count": 3, "ranges": {"L": [0.2, 0.1]}}}, r"\[batch.sample.ranges\] L must be \[lowest, highest\]"),
+    ({"sample": {"count": 3, "method": "halton", "ranges": {"L": [0.1, 0.2]}}}, 'method must be "sobol" or'),
+    ({"sample": {"count": 3, "ranges": {"L": [0.1, 0.2]}}, "values": {"L": [0.1]}}, "'L' both by values and by sample"),
+    ({"noise": {"std": 0.1}}, r"\[batch.noise\] needs the key 'draws': how many draws"),
+    ({"noise": {"draws": 2}}, r"needs the standard deviation of the noise of 'i': give std = { i = ... }, or its"),
+    ({"noise": {"draws": 2, "std": {"j": 0.1}}}, "std names 'j', which is no measured output"),
+    ({"noise": {"draws": 2, "std": 0}}, "std must be a number above 0"),
+    ({"noise": {"draws": 2, "std": 0.1, "truth": {"Q": 1.0}}}, "does not fit: Coil.fmu has no variable 'Q'"),
+    ({"noise": {"draws": 2, "std": 0.1, "truth": {"R": math.inf}}}, "finite number"),
+    ({"combine": "list", "starts": 2, "values": {"i_start": [1.0]}}, r"\(1 of values.i_start, 2 of starts\)"),
+]
+
+
+@pytest.mark.parametrize(("batch", "sentence"), WRONG)
+def test_refusals_are_one_sentence(case_folder: Path, batch: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence) as caught:
+        Cases.of(study_of(case_folder, batch))
+    assert str(case_folder / "study.toml") in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_refusals_of_the_whole_study(case_folder: Path) -> None:
+    with pytest.raises(InputError, match=r"has no \[batch\]: give it"):
+        Cases.of(study_of(case_folder, None))
+    with pytest.raises(InputError, match="no parameters: name at least one"):
+        Cases.of(study_of(case_folder, {"starts": 2}, parameters={}))
+    twice = [{"table": f"records/run{k}.csv", "inputs": ["u"], "outputs": ["i"]} for k in (1, 2)]
+    with pytest.raises(InputError, match=r"has tables, each in place of .* the study has 2 \[\[experiments\]\]"):
+        Cases.of(study_of(case_folder, {"tables": "records/*.csv"}, experiments=twice))
+    with pytest.raises(InputError, match="has no parameter 'Q'"):
+        Cases.of(study_of(case_folder, {"starts": 2}, parameters={"Q": {"start": 1.0}}))
+
+
+def test_the_noise_of_a_study_is_that_of_its_draws(case_folder: Path) -> None:
+    study = study_of(case_folder, {"noise": {"draws": 2}}, noise={"variance": 0.04})
+    assert study.batch is not None
+    assert study.batch.noise is not None
+    assert study.noise == Noise(0.04)
+    assert study.batch.noise.std == pytest.approx({"i": 0.2})

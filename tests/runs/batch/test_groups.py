@@ -1,0 +1,122 @@
+"""Cases in groups over workers, of which some end."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from distributed import KilledWorker
+from distributed.utils import LoopRunner, sync
+
+from fmuid.runs.batch import worker_pool as cluster
+from fmuid.runs.batch.study_package import Parcel
+from fmuid.runs.batch.worker import GroupResult, run_group
+from fmuid.runs.batch.worker_pool import GroupSizes
+from tests.support.coil_batches import (
+    DRAWS,
+    Here,
+    run,
+)
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+@pytest.mark.parametrize("name", ["distributed", "distributed.client", "distributed.core", "tornado.application"])
+def test_the_inside_of_dask_is_quiet(name: str) -> None:
+    """Also by loggers that have levels of their own."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    with cluster._quiet():
+        assert not logger.isEnabledFor(logging.CRITICAL)
+    assert logger.level == before
+
+
+def test_sizes_of_groups() -> None:
+    sizes = GroupSizes()
+    assert sizes.next(10_000, 2) == 1
+    seen = []
+    for _ in range(20):
+        count = sizes.next(10_000, 2)
+        seen.append(count)
+        sizes.learn(count, 0.04 * count + (2.0 if len(seen) == 1 else 0.0))
+    assert seen[:4] == [1, 1, 2, 4]  # the first took long, and its worker is warm now
+    assert seen[-1] == 75  # 3 s
+    assert sizes.next(40, 2) == 10
+    assert sizes.next(3, 2) == 1
+    sizes.learn(75, 750.0)
+    assert sizes.next(10_000, 2) == 1
+
+
+def test_a_case_that_ends_its_workers_is_given_up(folder: Path, here: Any) -> None:
+    class Deadly(Here):
+        def run(self, parcel: Parcel, cases: Any, record_of: Any) -> cluster.Results:
+            yield GroupResult(given_up=(7,))
+            yield from super().run(parcel, cases[cases != 7], record_of)
+
+    here(kind=Deadly)
+    frame = run(folder).frame
+    assert (frame["status"] == "failed").tolist() == [case == 7 for case in range(DRAWS)]
+    assert "ended the process of its worker" in frame["message"][7]
+    assert np.isnan(frame["value.R"][7])
+    assert frame["draw"][7] == 7
+
+
+class Dying:
+    """Stands for a client whose workers die of one case, be it alone or in a group."""
+
+    status, dashboard_link = "running", None
+
+    def scheduler_info(self, **_: int) -> dict[str, int]:
+        return {"total_threads": 1}
+
+    def submit(self, function: Any, *arguments: Any, **_: bool) -> Any:
+        class Ended:
+            def exception(self) -> Exception | None:
+                if function is run_group and 5 in arguments[1]:
+                    return KilledWorker("group", None, 3)  # type: ignore[arg-type]
+                return None
+
+            def result(self) -> GroupResult:
+                return GroupResult([{"case": case} for case in arguments[1]], {}, 0.01)
+
+            def add_done_callback(self, put: Any) -> None:
+                put(self)
+
+        return Ended()
+
+
+def test_a_group_whose_workers_die_is_taken_apart() -> None:
+    crew: Any = cluster.Crew(Dying(), "tcp://here:1", None)
+    found = [each for each in crew.run(None, np.arange(12), lambda _: {}) if each is not None]
+    assert sorted(row["case"] for each in found for row in each.rows) == [case for case in range(12) if case != 5]
+    assert [each.given_up for each in found if each.given_up] == [(5,)]
+
+
+def test_an_interrupt_before_the_loop_answers(caplog: pytest.LogCaptureFixture) -> None:
+    """Ctrl-C while Dask's loop is busy with something else leaves no log lines on the terminal."""
+    runner: Any = LoopRunner(asynchronous=False)
+    runner.start()
+
+    async def late() -> None:
+        raise AssertionError
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        with cluster._quiet():
+            runner.loop.add_callback(time.sleep, 0.2)
+            signal.setitimer(signal.ITIMER_REAL, 0.05)
+            with pytest.raises(KeyboardInterrupt):
+                sync(runner.loop, late)
+            time.sleep(0.3)  # the loop comes to it
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        runner.stop()
+    assert caplog.text == ""

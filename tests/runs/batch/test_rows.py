@@ -1,0 +1,259 @@
+"""Rows of cases: estimates of a Monte Carlo, noise drawn, values held."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+from fmuid.data.experiment import Experiment
+from fmuid.data.parameters import Parameter
+from fmuid.errors import InputError
+from fmuid.estimation.identification import identify
+from fmuid.identification import Problem
+from fmuid.runs.batch.case_problem import problem_of
+from fmuid.runs.batch.cases import Cases, truth_of
+from fmuid.runs.batch.run_case import MANY_DRAWS, VOLATILE, CaseRunner, directions_of
+from fmuid.simulation.simulator import Simulator
+from fmuid.studies.study import Study
+from tests.support.coil_cases import COIL, STD, TIMES, L, R, bits, current, record, study_of
+
+# --- what becomes of them
+
+
+def monte_carlo(case_folder: Path, draws: int, **more: Any) -> CaseRunner:
+    return CaseRunner(
+        study_of(case_folder, {"noise": {"draws": draws, "std": {"i": STD}, "truth": {"R": R, "L": L}}, **more})
+    )
+
+
+@pytest.mark.slow
+def test_estimates_of_a_monte_carlo_scatter_as_the_closed_form_says(case_folder: Path) -> None:
+    draws, h = 150, 1e-6
+    runner = monte_carlo(case_folder, draws)
+    frame = pd.DataFrame([runner(k).row for k in range(draws)])
+    assert (frame["status"] == "converged").all()
+    jacobian = np.stack(
+        [(current(R + h, L) - current(R - h, L)) / (2 * h), (current(R, L + h) - current(R, L - h)) / (2 * h)]
+    ).T
+    covariance = STD**2 * np.linalg.inv(jacobian.T @ jacobian)
+    for name, truth, std in zip("RL", (R, L), np.sqrt(np.diag(covariance)).tolist(), strict=True):
+        values = frame[f"value.{name}"]
+        assert abs(values.mean() - truth) < 4 * std / math.sqrt(draws)
+        assert values.std() == pytest.approx(std, rel=4 / math.sqrt(2 * draws))
+        assert frame[f"std.{name}"].median() == pytest.approx(std, rel=0.02)  # wider where slow noise is suspected
+    assert frame["noise.i"].mean() == pytest.approx(STD**2, rel=0.05)
+    assert truth_of(study_of(case_folder, {"noise": {"draws": 1, "std": STD, "truth": {"R": R}}})) == {"R": R, "L": 0.2}
+
+
+def test_rows_have_the_columns_that_the_runner_names(case_folder: Path) -> None:
+    runner = CaseRunner(study_of(case_folder, {"tables": ["records/run1.csv", "records/none.csv"], "starts": 1}))
+    expected = "case table start.R start.L status message undetermined value.R value.L std.R "
+    expected += "std.L noise.i fit.i rmse.i criterion iterations simulations rejected accuracy shift finer"
+    assert [*runner.columns] == [*expected.split(), *VOLATILE]
+    rows = [runner(k).row for k in range(2)]
+    assert [list(row) for row in rows] == [list(runner.columns)] * 2
+    frame = pd.DataFrame(rows).astype(runner.columns)
+    assert frame["status"].tolist() == ["converged", "failed"]
+    assert frame.loc[1, "message"] == f"{case_folder / 'records/none.csv'}: there is no such file: give a table"
+    assert frame[["value.R", "std.L", "noise.i", "criterion"]].isna().to_numpy()[1].all()
+    assert [rows[1][name] for name in ("iterations", "simulations", "rejected")] == [0, 0, 0]
+    assert (frame["elapsed_s"] > 0).all()
+
+
+def test_records_are_identified_as_studies_of_their_own(case_folder: Path) -> None:
+    runner = CaseRunner(study_of(case_folder, {"tables": "records/*.csv"}))
+    for k, name in enumerate(("run1", "run10", "run2")):
+        row = runner(k).row
+        alone = study_of(case_folder, None)
+        table = Experiment.read(case_folder / "records" / f"{name}.csv", ["u"], ["i"], interpolation="hold")
+        result = identify(Problem(alone.system, table, alone.parameters))
+        assert (row["table"], row["status"], row["message"]) == (name, "converged", "converged")
+        assert [row["value.R"], row["value.L"]] == result.values.tolist()
+        assert [row["std.R"], row["std.L"]] == result.std.tolist()
+        assert (row["noise.i"], row["criterion"]) == (result.noise_variance["i"], result.criterion)
+        assert (row["iterations"], row["simulations"]) == (result.iterations, result.simulations)
+
+
+def test_values_held_and_subsets_are_those_of_a_study_that_says_so(case_folder: Path) -> None:
+    study = study_of(case_folder, {"values": {"L": [0.1, 0.12]}, "starts": [{"R": 2.0}, {"R": 5.0}]})
+    runner = CaseRunner(study)
+    for k, (held, start) in enumerate(itertools.product((0.1, 0.12), (2.0, 5.0))):
+        row = runner(k).row
+        parameters = {"R": Parameter(start, min=0.5, max=8.0)}
+        result = identify(Problem(study.system, study.tables, parameters, values={"L": held}))
+        assert (row["value.R"], row["set.L"], row["start.R"]) == (result["R"], held, start)
+        assert math.isnan(row["value.L"])  # type: ignore[arg-type]
+    runner = CaseRunner(study_of(case_folder, {"subsets": [["R"], ["R", "L"]]}))
+    alone, both = runner(0).row, runner(1).row
+    held_at_start = Problem(study.system, study.tables, {"R": study.parameters["R"]}, values={"L": 0.2})
+    assert alone["value.R"] == identify(held_at_start)["R"]
+    assert math.isnan(alone["std.L"])  # type: ignore[arg-type]
+    assert both["value.L"] == identify(study.problem())["L"]
+
+
+def disturbed(study: Study, truth: dict[str, float], words: list[int]) -> Experiment:
+    """Return the study's experiment as simulated at a truth, with the noise of these words of a seed."""
+    (table,) = study.tables
+    clean = Simulator(study.system, table, tuple(truth))(list(truth.values()))
+    noise = np.random.default_rng(np.random.SeedSequence(words)).standard_normal(clean.shape)
+    frame = table.frame.assign(i=(clean + STD * noise)[:, 0])
+    return Experiment(frame, ["u"], ["i"], interpolation="hold")
+
+
+def test_truth_takes_the_values_swept_unless_it_has_its_own(case_folder: Path) -> None:
+    for truth in ({"R": R}, {"R": R, "L": 0.1}):
+        batch = {"values": {"L": [0.1, 0.13]}, "noise": {"draws": 2, "std": STD, "truth": truth}, "seed": 9}
+        study = study_of(case_folder, batch)
+        assert truth_of(study) == truth
+        runner = CaseRunner(study)
+        for k, (held, draw) in enumerate(itertools.product((0.1, 0.13), (0, 1))):
+            experiment = disturbed(study, {"L": held} | truth, [9, 3, draw, 0])
+            parameters = {"R": study.parameters["R"]}
+            result = identify(Problem(study.system, experiment, parameters, values={"L": held}))
+            # the steps of the first differences are rounded in a batch
+            assert runner(k).row["value.R"] == pytest.approx(result.values[0], abs=1e-5 * result.std[0])
+
+
+def test_noise_is_common_to_what_it_is_compared_over_and_differs_else(case_folder: Path) -> None:
+    def measured(batch: dict[str, Any]) -> list[NDArray[np.float64]]:
+        noise = {"draws": 2, "std": STD, "truth": {"R": R, "L": L}}
+        runner = CaseRunner(study_of(case_folder, {"noise": noise} | batch))
+        problems = [runner.problem(case) for case in runner.cases]
+        return [problem.measured - current(R, L) for problem in problems]
+
+    plain = measured({})
+    assert all(map(np.array_equal, plain * 4, measured({"starts": 2, "subsets": [["R"], ["R", "L"]]})))
+    swept = measured({"values": {"i_start": [0.0, 1.0]}})
+    rest = np.exp(-R / L * TIMES)  # what an initial current adds
+    assert np.array_equal(swept[0], plain[0])
+    assert swept[2] - rest == pytest.approx(plain[0], abs=1e-8)
+    assert swept[3] - rest == pytest.approx(plain[1], abs=1e-8)
+    noises = [*plain, *measured({"seed": 1}), *measured({"tables": "records/*.csv"})]
+    assert np.std(noises, axis=1) == pytest.approx(STD, rel=0.3)
+    correlation = np.corrcoef(noises) - np.eye(len(noises))
+    assert np.abs(correlation).max() < 5 / math.sqrt(TIMES.size)
+    assert np.array_equal(measured({"tables": ["records/run2.csv"]})[1], measured({"tables": "records/*.csv"})[5])
+
+
+def test_noise_needs_no_measurements_and_leaves_missing_ones_out(case_folder: Path) -> None:
+    record(0)[["time", "u"]].to_csv(case_folder / "table.csv", index=False)
+    row = monte_carlo(case_folder, 1)(0).row
+    assert row["status"] == "converged"
+    frame = record(0)
+    frame.loc[10:50, "i"] = np.nan
+    frame.to_csv(case_folder / "table.csv", index=False)
+    runner = monte_carlo(case_folder, 1)
+    assert runner.problem(runner.cases[0]).measured.size == TIMES.size - 41
+
+
+def test_no_measurements_are_made_up_to_check_a_model_with(case_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    checked: list[Problem] = []
+
+    def watched(*arguments: Any) -> Problem:
+        checked.append(problem_of(*arguments))
+        return checked[-1]
+
+    monkeypatch.setattr("fmuid.runs.batch.case_problem.problem_of", watched)
+    Cases.of(study_of(case_folder, {"subsets": [["R"], ["R", "L"]]}))
+    assert len(checked) == 3
+    for problem in checked:
+        assert problem.measured.size > len(problem.parameters)
+        assert np.isnan(problem.measured).all()
+
+
+def test_rows_are_the_same_bit_for_bit_in_any_order(case_folder: Path) -> None:
+    batch = {
+        "noise": {"draws": 3, "std": STD, "truth": {"R": R, "L": L}},
+        "tables": "records/*.csv",
+        "subsets": [["R"], ["R", "L"]],
+        "starts": 2,
+    }
+    model = {"fmu": str(COIL), "interface": "model-exchange"}
+    first, second = (CaseRunner(study_of(case_folder, batch, model=model)) for _ in range(2))
+    forward = [bits(first(k).row) for k in range(len(first.cases))]
+    for k in np.random.default_rng(4).permutation(len(forward)).tolist():
+        assert bits(second(k).row) == forward[k]
+    assert len({row["value.R"] for row in forward}) == len(forward)
+
+
+def test_a_stiff_case_does_not_change_the_next(case_folder: Path) -> None:
+    model = {"fmu": str(COIL), "interface": "model-exchange"}
+    alone, after = (CaseRunner(study_of(case_folder, {"values": {"L": [1e-8, L]}}, model=model)) for _ in range(2))
+    stiff = after.problem(after.cases[0])
+    stiff.predict(np.array([[R]]))
+    assert stiff.models[""]["run"]["stiff"]
+    after(0)
+    assert bits(after(1).row) == bits(alone(1).row)
+
+
+def test_a_row_says_what_is_not_determined(case_folder: Path) -> None:
+    """A current that is always zero, of a coil without a voltage: nothing is known of R and L."""
+    frame = record(0)
+    frame["u"], frame["i"] = 0.0, 0.0
+    frame.loc[:5, "u"] = 1e-3  # what it drives drowns in the noise
+    frame.to_csv(case_folder / "table.csv", index=False)
+    row = monte_carlo(case_folder, 1)(0).row
+    assert (row["status"], row["message"]) == ("not converged", "undetermined")
+    found = directions_of(str(row["undetermined"]))
+    assert {name for each in found for name in each.names} <= {"R", "L"}
+    assert found
+    assert CaseRunner(study_of(case_folder, {"starts": 1, "tables": "records/*.csv"}))(0).row["undetermined"] == ""
+
+
+def test_a_global_search_is_the_study_s_own(case_folder: Path) -> None:
+    bounds = {"R": {"start": 3.0, "min": 0.5, "max": 8.0}, "L": {"start": 0.2, "min": 1e-3, "max": 1.0}}
+    words = {"parameters": bounds, "estimator": {"method": "global", "starts": 4, "search": "multistart"}}
+    row = CaseRunner(study_of(case_folder, {"starts": 1}, **words))(0).row
+    assert row["status"] == "converged"
+    assert row["value.R"] == pytest.approx(study_of(case_folder, None, **words).identify()["R"], rel=1e-6)
+    with pytest.raises(InputError, match="a global search needs a bounded box, and parameter 'L' has no max"):
+        Cases.of(study_of(case_folder, {"starts": 1}, estimator={"method": "global"}))
+
+
+def test_what_a_joint_prior_says_where_one_of_its_parameters_is_held(case_folder: Path) -> None:
+    mean, covariance = np.array([4.2, 0.11]), np.array([[0.04, 0.003], [0.003, 0.0004]])
+    prior = {"names": ["R", "L"], "mean": mean.tolist(), "covariance": covariance.tolist()}
+    study = study_of(case_folder, {"values": {"L": [0.15]}}, prior=prior)
+    parameters = problem_of(study, study.tables, ("R",), {"L": 0.15}, {}).parameters
+    thetas = np.array([[3.5], [4.0], [5.0]])
+    found = (parameters.prior_residual(thetas) ** 2).sum(axis=1)
+    away = np.hstack([thetas, np.full((3, 1), 0.15)]) - mean
+    expected = np.einsum("ki,ij,kj->k", away, np.linalg.inv(covariance), away)
+    assert np.diff(found) == pytest.approx(np.diff(expected))
+    assert CaseRunner(study)(0).row["status"] == "converged"
+    alone = study_of(
+        case_folder, {"values": {"L": [0.15]}}, prior=prior | {"names": ["L"], "mean": [1], "covariance": [[1]]}
+    )
+    assert len(problem_of(alone, alone.tables, ("R",), {"L": 0.15}, {}).parameters.prior_whitening) == 0
+
+
+def test_parameters_per_experiment(case_folder: Path) -> None:
+    tables = [{"table": f"records/run{k}.csv", "inputs": ["u"], "outputs": ["i"]} for k in (1, 2)]
+    parameters = {"R": {"start": 3.0, "min": 0.5, "per_experiment": True}, "L": {"start": 0.2, "min": 1e-3}}
+    noise = {"draws": 1, "std": 1e-6, "truth": {"R[run1]": 3.8, "R": 4.4, "L": 0.1}}
+    study = study_of(case_folder, {"noise": noise, "starts": 1}, experiments=tables, parameters=parameters)
+    assert truth_of(study) == {"R[run1]": 3.8, "R[run2]": 4.4, "L": 0.1}
+    row = CaseRunner(study)(0).row
+    assert [row[f"value.{name}"] for name in truth_of(study)] == pytest.approx([3.8, 4.4, 0.1], rel=1e-5)
+    assert "start.R" in row
+    held = study_of(case_folder, {"noise": noise, "values": {"R": [3.8]}}, experiments=tables, parameters=parameters)
+    assert truth_of(held) == {"R[run1]": 3.8, "R[run2]": 4.4, "L": 0.1}
+
+
+def test_many_draws_borrow_derivatives_from_the_first_whichever_comes_first(case_folder: Path) -> None:
+    few, many = monte_carlo(case_folder, MANY_DRAWS - 1), monte_carlo(case_folder, MANY_DRAWS)
+    for k in (3, 0):
+        row, fresh = many(k).row, monte_carlo(case_folder, MANY_DRAWS)(k).row
+        assert bits(row) == bits(fresh)
+        found, alone = (pd.Series(each).infer_objects() for each in (row, few(k).row))
+        assert found["simulations"] < alone["simulations"]
+        for name in "RL":
+            assert abs(found[f"value.{name}"] - alone[f"value.{name}"]) < 1e-3 * alone[f"std.{name}"]
+            assert found[f"std.{name}"] == pytest.approx(alone[f"std.{name}"], rel=1e-3)

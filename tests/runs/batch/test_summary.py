@@ -1,0 +1,241 @@
+"""Summaries of batches: numbers against plainly computed ones, words on made-up cases, figures read back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from fmuid.estimation.covariance import Determined, Direction
+from fmuid.reports.batch_tables import write_summary
+from fmuid.reports.console.batch import show_batch
+from fmuid.reports.messages.batch import summary_words
+from fmuid.runs.batch.dataset import Dataset
+from fmuid.runs.batch.run_case import directions_of, directions_text
+from fmuid.runs.batch.statistics import EstimateDoubt, statistics
+from fmuid.runs.batch.summary import condensed, summarize
+from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row
+
+# --- numbers
+
+
+def test_numbers() -> None:
+    """Every figure of the table is what numpy and scipy say."""
+    frame = fail(batch({"draw": range(200)}, spread=1.3), [4, 9], ["no", "no"])
+    summary = summarize(frame, TRUTH, UNITS)
+    values = np.delete(frame["value.R"].to_numpy(np.float64), [4, 9])
+    found = row(summary, "R")
+    assert (found["cases"], found["unit"], found["undetermined"]) == (198, "Ohm", 0)
+    assert found["mean"] == pytest.approx(np.mean(values), rel=1e-14)
+    assert found["median"] == pytest.approx(np.median(values), rel=1e-14)
+    assert found["spread"] == pytest.approx(np.std(values, ddof=1), rel=1e-13)
+    assert found["stated_std"] == pytest.approx(0.05, rel=1e-14)
+    assert found["ratio"] == pytest.approx(np.std(values, ddof=1) / 0.05, rel=1e-13)
+    chi2 = stats.chi2(197)
+    assert found["ratio_p"] == pytest.approx(2 * chi2.sf(197 * found["ratio"] ** 2), rel=1e-4)
+    t_test = stats.ttest_1samp(values, 4.0)
+    assert found["bias"] == pytest.approx(np.mean(values) - 4.0, rel=1e-12)
+    assert found["bias_std"] == pytest.approx(stats.sem(values), rel=1e-13)
+    assert found["bias_p"] == pytest.approx(t_test.pvalue, rel=1e-10)
+    assert found["rms_error"] == pytest.approx(np.sqrt(np.mean((values - 4.0) ** 2)), rel=1e-13)
+    held = int(np.sum(np.abs(values - 4.0) <= stats.norm.ppf(0.975) * 0.05))
+    exact = stats.binomtest(held, 198).proportion_ci(0.95, method="exact")
+    assert found["coverage"] == held / 198
+    assert (found["coverage_lower"], found["coverage_upper"]) == pytest.approx(tuple(exact), rel=1e-10)
+    assert found["coverage_p"] == pytest.approx(2 * stats.binom.cdf(held, 198, 0.95), rel=1e-10)
+
+
+def test_limits_of_coverage_at_its_ends() -> None:
+    for off, lower, upper in ((0.0, 0.025 ** (1 / 8), 1.0), (1.0, 0.0, 1.0 - 0.025 ** (1 / 8))):
+        found = statistics(np.full(8, 4.0 + off), np.full(8, 0.05), 4.0, repeated=True)
+        assert (found["coverage_lower"], found["coverage_upper"]) == pytest.approx((lower, upper), rel=1e-10)
+
+
+@pytest.mark.parametrize(("cases", "freedom"), [(5, None), (100, None), (100, 30)])
+def test_a_false_word_is_as_rare_as_stated(cases: int, freedom: int | None) -> None:
+    """Where the stated std is right, probabilities below 5 % come in 5 % of all batches, also if the std scatters."""
+    rng = np.random.default_rng(11)
+    below = np.zeros(2)
+    for _ in range(1500):
+        stds = 0.05 * np.sqrt(rng.chisquare(freedom, cases) / freedom) if freedom else np.full(cases, 0.05)
+        found = statistics(4.0 + 0.05 * rng.normal(size=cases), stds, 4.0, repeated=True)
+        below += [found["ratio_p"] < 0.05, found["bias_p"] < 0.05]
+    low, high = stats.binom.interval(0.999, 1500, 0.05)
+    assert (below <= high).all()
+    assert (below >= low).all()
+
+
+def test_unequal_stds() -> None:
+    """Cases of two precisions: the rule for equal ones would take this spread for impossible too often."""
+    rng = np.random.default_rng(12)
+    stds = np.repeat([0.01, 0.2], [90, 10])
+    draws = [statistics(4 + stds * rng.normal(size=100), stds, 4.0, repeated=True)["ratio_p"] for _ in range(1500)]
+    low, high = stats.binom.interval(0.999, 1500, 0.05)
+    assert low * 0.5 <= np.sum(np.array(draws) < 0.05) <= high
+
+
+def test_undetermined_estimates_are_left_out() -> None:
+    frame = batch({"draw": range(50)})
+    frame.loc[3, "std.R"], frame.loc[3, "value.R"] = np.nan, 1e6
+    found = row(summarize(frame), "R")
+    assert (found["cases"], found["undetermined"], found["note"]) == (49, 1, "not determined in 1")
+    assert found["mean"] == pytest.approx(frame["value.R"].drop(3).mean(), rel=1e-13)
+
+
+def test_without_a_truth_nothing_is_said_of_it() -> None:
+    summary = summarize(batch({"draw": range(10)}), {"other": 1.0})
+    assert not summary.has_truth
+    assert "coverage_p" not in summary.parameters
+
+
+# --- words
+
+
+@pytest.mark.parametrize(("spread", "word"), [(2.0, "std 2 x too small"), (0.5, "std 2 x too large"), (1.0, "")])
+def test_stated_std_against_spread(spread: float, word: str) -> None:
+    summary = summarize(batch({"draw": range(300)}, spread=spread), TRUTH, UNITS)
+    assert row(summary, "R")["note"] == word
+    assert ("that is" in " ".join(summary_words(summary))) == bool(word)
+    kinds = {
+        2.0: [EstimateDoubt.STD_TOO_SMALL, EstimateDoubt.COVERAGE_OFF],
+        0.5: [EstimateDoubt.STD_TOO_LARGE],
+        1.0: [],
+    }
+    assert set(kinds[spread]) <= set(doubts(summary.parameters, "R")[0]) <= {*kinds[spread], EstimateDoubt.COVERAGE_OFF}
+
+
+def test_stated_std_half_the_spread_in_words() -> None:
+    frame = batch({"draw": range(300)}, spread=2.0)
+    words = summary_words(summarize(frame, TRUTH, UNITS))
+    assert words[0].startswith("R: varies 2 times as much from case to case (0.10 Ohm) as its stated std (0.050 Ohm)")
+    held = np.mean(np.abs(frame["value.R"] - 4.0) <= stats.norm.ppf(0.975) * 0.05)
+    assert held < 0.75
+    assert words[1].startswith(f"R: the 95 % intervals hold the truth in {100 * held:.3g} % (")
+
+
+def test_bias_in_words() -> None:
+    frame = batch({"draw": range(300)})
+    frame["value.L"] += 0.001
+    summary = summarize(frame, TRUTH, UNITS)
+    assert (row(summary, "R")["note"], row(summary, "L")["note"]) == ("", "biased")
+    (first, *_) = summary_words(summary)
+    assert first.startswith("L: biased by 0.00100 ± 0.00012 H, 0.5 times its stated std")
+
+
+def test_a_difference_too_small_to_matter_is_left_out() -> None:
+    """A hundred thousand cases make everything significant; 2 % of a standard deviation is still nothing."""
+    frame = batch({"draw": range(100_000)}, spread=1.02)
+    summary = summarize(frame, TRUTH)
+    assert row(summary, "R")["ratio_p"] < 1e-9
+    assert summary_words(summary) == []
+
+
+def test_tables_that_differ() -> None:
+    """Between records of several machines a large spread is no proof of wrong intervals, and says so."""
+    frame = batch({"table": [f"machine {k}" for k in range(40)]}, spread=5.0)
+    words = " ".join(summary_words(summarize(frame)))
+    assert "from table to table" in words
+    assert "what was measured differs, or the stated std is too small" in words
+
+
+def test_few_cases() -> None:
+    one, seven = (summarize(batch({"draw": range(count)}), TRUTH) for count in (1, 7))
+    assert np.isnan(row(one, "R")["spread"])
+    assert summary_words(one) == ["one estimate has no spread: nothing can be said of how sure the stated std are"]
+    # 1/sqrt(2·6)
+    assert summary_words(seven)[0] == "7 cases are few: their spread is itself uncertain by 29 %"
+
+
+# --- failures
+
+
+def test_failures_are_grouped() -> None:
+    said = [
+        "simulation of M2.fmu failed at t = 0.25 s with R = -3e-05, phase[1] = 1: error 3",
+        "simulation of M2.fmu failed at t = 12 s with R = 4.5, phase[2] = 1: error 3",
+        "record-004.csv: no column i2",
+        "records 5.csv: no column i2",
+    ]
+    frame = batch({"table": [f"record-{k:03d}.csv" for k in range(20)]})
+    frame.loc[19, "table"] = "records 5.csv"
+    frame = fail(frame, [2, 7, 4, 19], said)
+    frame = fail(frame, [11], ["the search did not converge in 50 iterations"], "not converged")
+    summary = summarize(frame)
+    assert summary.statuses["cases"].tolist() == [15, 1, 4]
+    assert summary.failures.to_dict("list") == {
+        "status": ["failed", "failed", "not converged"],
+        "message": [
+            "simulation of M2.fmu failed at t = # s with R = #, phase[#] = #: error #",
+            "#: no column i2",
+            "the search did not converge in # iterations",
+        ],
+        "undetermined": [(), (), ()],
+        "cases": [2, 2, 1],
+        "first": [2, 4, 11],
+    }
+    assert (
+        summary_words(summary)[0]
+        == "15 of 20 cases converged, 1 did not converge and 4 failed and are left out of what follows"
+    )
+
+
+def test_what_is_not_determined_is_told_by_its_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same parameters are one line whatever their numbers; others are another one."""
+    frame = fail(batch({"draw": np.arange(20)}), [3, 5, 8], ["undetermined"] * 3, "not converged")
+    frame = fail(frame, [9, 11], ["iteration_limit"] * 2, "not converged")
+    values = (4.0, 0.1)
+    apart = [Direction(Determined.NOT, ("R", "L"), (1.0, 0.1), math.inf, values, values)]
+    single = [Direction(Determined.NOT_IN_EFFECT, ("L",), (1.0,), 30.0, values[1:], values[1:])]
+    other = [replace(apart[0], coefficients=(1.0, -7.0))]
+    frame["undetermined"] = ""
+    frame.loc[[3, 5, 8], "undetermined"] = [directions_text(each) for each in (apart, single, other)]
+    summary = summarize(frame)
+    assert summary.failures["undetermined"].tolist() == [
+        ((Determined.NOT, ("R", "L")),),
+        (),
+        ((Determined.NOT_IN_EFFECT, ("L",)),),
+    ]
+    assert summary.failures["cases"].tolist() == [2, 2, 1]
+    write_summary(summary, tmp_path)
+    told = pd.read_csv(tmp_path / "failures.csv")
+    assert list(told) == ["status", "message", "cases", "first"]
+    assert told["message"].tolist() == [
+        "undetermined: R and L cannot be told apart",
+        "stopped at the iteration limit: raise max_iterations or start nearer",
+        "undetermined: L is not determined in effect",
+    ]
+    show_batch(summary)
+    assert "R and L cannot be told apart" in " ".join(capsys.readouterr().out.split())
+    assert directions_of(frame["undetermined"][8]) == tuple(other)
+
+
+def test_a_summary_of_parts_is_that_of_all_rows(tmp_path: Path) -> None:
+    """Groups, several starts and failures; the parts come in no order, and one case twice."""
+    settings = {"table": np.repeat([f"r{k}" for k in range(30)], 4), "set.M": np.tile([0.4, 0.4, 0.5, 0.5], 30)}
+    frame = batch({**settings, "start.R": np.tile([1.0, 2.0], 60)})
+    frame = fail(frame, list(range(8)), [f"r{k // 4}: it failed at {k}" for k in range(8)])
+    frame = fail(frame, [100, 110, 111], ["after 30 steps"] * 3, "not converged")
+    kinds = {"object": "string", "str": "string"}
+    frame = frame.assign(elapsed_s=0.1, finished=pd.Timestamp("2026-01-01", tz="UTC"), worker="w")
+    types = {str(name): kinds.get(str(kind), str(kind)) for name, kind in frame.dtypes.items()}
+    dataset = Dataset(tmp_path, types | {"finished": "datetime64[us, UTC]"}, 120)
+    dataset.cases.mkdir(parents=True)
+    rows: list[Any] = frame.to_dict("records")
+    for part in (rows[70:], rows[:40], rows[35:70]):
+        dataset.append(part)
+    lean, failures = condensed(dataset)
+    assert not {"message", "worker", "finished", "simulations"} & set(lean)
+    found, right = summarize(lean, TRUTH, UNITS, failures=failures), summarize(frame, TRUTH, UNITS)
+    assert len(right.failures) == 2
+    for name in ("statuses", "failures", "parameters", "groups", "optima"):
+        pd.testing.assert_frame_equal(getattr(found, name), getattr(right, name), check_exact=True)
+    assert summary_words(found) == summary_words(right)
+    empty, none = condensed(Dataset(tmp_path / "none", types | {"finished": "datetime64[us, UTC]"}, 0))
+    assert empty.empty
+    assert none.empty

@@ -1,0 +1,240 @@
+"""Following what a logger writes: every row once, whatever happens to its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.runs import Follower, Piece
+from fmuid.runs.log_following import follower as module
+from fmuid.studies import ExperimentSettings
+
+STEP = 0.01
+
+
+def words(**more: object) -> ExperimentSettings:
+    study = {
+        "model": {"fmu": str(fmuid.datasets.coil().fmu)},
+        "experiments": [{"table": str(fmuid.datasets.coil().path), "inputs": ["u"], "outputs": ["i"], **more}],
+        "parameters": {"R": {"start": 1.0}},
+    }
+    return fmuid.Study.of(study, "study.toml").experiments[0]
+
+
+def lines(first: int, last: int) -> str:
+    """Return rows of samples, each of which has its number as u."""
+    return "".join(f"{STEP * k:.2f},{k},{0.5 * k}\n" for k in range(first, last))
+
+
+HEAD = "time,u,i\n"
+
+
+@pytest.fixture(autouse=True)
+def settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files are whole when they have not changed between two looks."""
+    monkeypatch.setattr(module, "SETTLED", 0.0)
+
+
+class Reader:
+    """Takes pieces as a monitoring does: windows of 0.1 s, a transient of 0.05 s; restarted before each look."""
+
+    def __init__(self, place: Path, given: ExperimentSettings, window: float | None = 0.1) -> None:
+        self.place, self.given, self.window = place, given, window
+        self.state: dict[str, Any] | None = None
+        self.rows: dict[str, list[float]] = {}
+        self.remarks: list[str] = []
+
+    def look(self) -> list[str]:
+        """Look once and return the remarks."""
+        follower = Follower(self.given, self.place, self.window, 0.05, self.state)
+        said: list[str] = []
+        for each in follower.look():
+            if not isinstance(each, Piece):
+                said.append(each.text)
+                continue
+            times = each.record.times
+            self.rows.setdefault(each.record.name, []).extend(each.record.input_values[:, 0].tolist())
+            needed = times[-1] - 0.15 if each.grows else times[-1]
+            follower.taken(each, float(needed))
+        self.state = follower.state
+        return said
+
+    def seen(self, name: str) -> list[float]:
+        """Return which rows of a record were seen, each once."""
+        return sorted(set(self.rows[name]))
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return tmp_path / "log.csv"
+
+
+@pytest.fixture
+def reader(tmp_path: Path) -> Reader:
+    return Reader(tmp_path, words())
+
+
+def test_a_file_that_grows(log: Path, reader: Reader) -> None:
+    """Half lines are waited for, and what is read again is little more than what is needed."""
+    text = HEAD + lines(0, 1000)
+    at = 0
+    for k, length in enumerate(np.random.default_rng(1).integers(10, 2000, 40)):
+        at = min(len(text), at + int(length))
+        log.write_text(text[:at])
+        assert reader.look() == []
+        assert k < 5 or reader.rows["log"]
+    log.write_text(text)
+    reader.look()
+    assert reader.seen("log") == list(range(1000))
+    assert len(reader.rows["log"]) < 1000 + 45 * 20
+
+
+def test_dates_and_sample_rates_go_on(tmp_path: Path) -> None:
+    begin = pd.Timestamp("2026-01-02 03:04:05")
+    for given, head, rows in (
+        (words(), "time,u,i", [f"{(begin + pd.Timedelta(seconds=STEP * k)).isoformat()},{k},0" for k in range(300)]),
+        (words(sample_rate=100.0), "u,i", [f"{k},0" for k in range(300)]),
+    ):
+        folder = tmp_path / str(len(head))
+        folder.mkdir()
+        state: dict[str, Any] | None = None
+        for stop in (100, 200, 300):
+            (folder / "log.csv").write_text("\n".join([head, *rows[:stop]]) + "\n")
+            follower = Follower(given, folder, 0.1, 0.05, state)
+            (piece,) = follower.look()
+            assert isinstance(piece, Piece)
+            record = piece.record
+            assert record.times == pytest.approx(STEP * record.input_values[:, 0])
+            assert record.times[-1] == pytest.approx(STEP * (stop - 1))
+            if "time" in head:
+                assert record.frame.attrs["begin"] == begin
+            follower.taken(piece, float(record.times[-1] - 0.15))
+            state = follower.state
+
+
+@pytest.mark.parametrize("copied", [False, True])
+def test_a_rotated_file(log: Path, reader: Reader, copied: bool) -> None:
+    """What was written before it was renamed, or copied and truncated, is read under its new name."""
+    log.write_text(HEAD + lines(0, 100))
+    reader.look()
+    old = HEAD + lines(0, 150)
+    if copied:
+        log.with_name("log.1.csv").write_text(old)
+    else:
+        log.write_text(old)
+        log.rename(log.with_name("log.1.csv"))
+    log.write_text(HEAD + lines(500, 600))
+    said = reader.look() + reader.look()
+    assert reader.seen("log") == list(range(150))
+    assert reader.seen("log (2)") == list(range(500, 600))
+    assert [each for each in said if "another file than before" in each] == said
+    assert reader.look() == []
+
+
+def test_a_truncated_file_is_a_new_record(log: Path, reader: Reader) -> None:
+    log.write_text(HEAD + lines(0, 100))
+    reader.look()
+    log.write_text(HEAD + lines(300, 340))
+    assert reader.look() == [f"{log} is another file than before: its record is 'log (2)'"]
+    assert reader.seen("log (2)") == list(range(300, 340))
+
+
+def test_time_that_jumps_ends_a_record(log: Path, reader: Reader) -> None:
+    """A logger that paused, and one that began at 0 again and wrote its head once more."""
+    log.write_text(HEAD + lines(0, 100) + lines(900, 1000) + HEAD + lines(0, 50))
+    said = reader.look()
+    assert reader.seen("log") == list(range(100))
+    assert reader.seen("log (2)") == list(range(900, 1000))
+    assert reader.seen("log (3)") == list(range(50))
+    assert said == [f"{log}: a line that is no row of the table is left out; what follows is 'log (3)'"]
+
+
+def test_files_of_a_folder_in_their_order(tmp_path: Path, reader: Reader) -> None:
+    for k in (2, 0, 1):
+        (tmp_path / f"day{k}.csv").write_text(HEAD + lines(100 * k, 100 * k + 100))
+    reader.look()
+    assert list(reader.rows) == ["day0", "day1", "day2"]
+    with (tmp_path / "day0.csv").open("a") as file:
+        file.write(lines(300, 400))
+    (said,) = reader.look()
+    assert "has changed after its record was examined: what came in is the record 'day0 (2)'" in said
+    reader.look()
+    assert reader.seen("day0 (2)") == list(range(300, 400))
+
+
+def test_a_parquet_file_is_taken_when_it_is_whole(
+    tmp_path: Path, reader: Reader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = pd.DataFrame({"time": STEP * np.arange(50), "u": np.arange(50.0), "i": 0.0})
+    whole = tmp_path / "whole.bin"
+    table.to_parquet(whole)
+    content, path = whole.read_bytes(), tmp_path / "a.parquet"
+    path.write_bytes(content[:-10])
+    with monkeypatch.context() as slow:
+        slow.setattr(module, "SETTLED", 60.0)
+        assert reader.look() == []
+        path.write_bytes(content)
+        assert reader.look() == []
+    assert reader.seen("a") == list(range(50))
+    path.with_name("b.parquet").write_bytes(content[:-10])
+    assert reader.look() == [f"{tmp_path / 'b.parquet'}: the file is no readable Parquet table: write it again"]
+    assert reader.look() == []
+    path.with_name("b.parquet").write_bytes(content)
+    reader.look()
+    assert reader.seen("b (2)") == list(range(50))
+
+
+@pytest.mark.parametrize("more", [{"prepare": {"low_pass": 5.0}}, {}])
+def test_what_is_prepared_as_a_whole_waits_until_it_is(
+    log: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, object]
+) -> None:
+    reader = Reader(log.parent, words(**more), window=0.1 if more else None)
+    log.write_text(HEAD + lines(0, 100))
+    with monkeypatch.context() as slow:
+        slow.setattr(module, "SETTLED", 60.0)
+        assert reader.look() == [] and not reader.rows
+    reader.look()
+    assert len(reader.rows["log"]) == 100
+
+
+def test_bad_tables_are_said_once(log: Path, reader: Reader) -> None:
+    log.write_text("time,v,i\n" + lines(0, 100))
+    assert reader.look() == [
+        f"{log}: the input column 'u' is missing (there is time, v, i): name the column that holds it"
+    ]
+    assert reader.look() == []
+    log.write_text(HEAD + lines(0, 100))
+    reader.look()
+    assert reader.seen("log") == list(range(100))
+
+
+def test_one_growing_file(log: Path) -> None:
+    log.write_text(HEAD + lines(0, 100))
+    reader = Reader(log, words())
+    reader.look()
+    (log.parent / "other.csv").write_text(HEAD + lines(0, 10))
+    reader.look()
+    assert list(reader.rows) == ["log"]
+    with pytest.raises(fmuid.InputError, match="there is no such folder or file"):
+        Reader(log.with_name("none"), words()).look()
+
+
+def test_files_that_are_gone_are_forgotten_in_the_end(
+    tmp_path: Path, reader: Reader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "GONE", 2)
+    for k in range(5):
+        path = tmp_path / f"r{k}.csv"
+        path.write_text(HEAD + lines(k, 100))
+        path.with_name("s.csv").write_text(HEAD + lines(0, 10))
+        reader.look()
+        path.unlink()
+    reader.look()
+    assert reader.state is not None
+    assert {"r3.csv", "r4.csv"} <= {each["file"] for each in reader.state["files"]}
+    assert len(reader.state["files"]) <= 3

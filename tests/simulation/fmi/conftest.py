@@ -1,0 +1,54 @@
+"""Probes of the integrators, and a cache of unpacked FMUs that is empty."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import pytest
+
+from fmuid.simulation.native.build import compiler_here
+from tests.support.integrating import (
+    Libraries,
+    Maker,
+    Trial,
+)
+from tests.support.paths import HERE
+
+
+@pytest.fixture(scope="module")
+def libraries(tmp_path_factory: pytest.TempPathFactory) -> Libraries:
+    folder, headers = tmp_path_factory.mktemp("hybrid"), Path(fmpy.__file__).parent / "c-code"
+    found = {}
+    for version in (2, 3):
+        path = folder / f"hybrid{version}{fmpy.sharedLibraryExtension}"
+        command = [*compiler_here(), "-O1", "-shared", "-fPIC", f"-I{headers}", f"-DFMI={version}"]
+        subprocess.run([*command, "-o", str(path), str(HERE / "probe" / "hybrid.c")], check=True, capture_output=True)
+        found[version] = ctypes.CDLL(str(path))
+        found[version].make.restype = ctypes.c_void_p
+        found[version].make.argtypes = [ctypes.c_double]
+    return found
+
+
+@pytest.fixture(params=[2, 3], ids=["fmi2", "fmi3"])
+def make(request: pytest.FixtureRequest, libraries: Libraries) -> Iterator[Maker]:
+    made: list[Trial] = []
+
+    def maker(*arguments: Any, **settings: Any) -> Trial:
+        made.append(Trial(libraries[request.param], request.param, *arguments, **settings))
+        return made[-1]
+
+    yield maker
+    for trial in made:
+        libraries[request.param].drop(trial.handle)
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "cache"
+    monkeypatch.setattr("platformdirs.user_cache_dir", lambda name: str(folder / name))
+    return folder

@@ -1,0 +1,136 @@
+"""What an FMU does to the floating-point environment ends with the call that did it ."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fmuid.models.component import Isolation, Numerics
+from fmuid.models.system import System
+from fmuid.simulation.float_environment import kept
+from fmuid.simulation.simulator import Simulator
+from tests.support.isolated import NAMES, RECORD, thetas
+from tests.support.misbehaving import Mode, Where, misbehaving_fmu
+
+UPWARD = 0x800 if platform.machine() in ("x86_64", "AMD64") else 0x400000  # FE_UPWARD; on ARM
+MODES = [Mode.ROUND_UPWARD] + (
+    [Mode.FLUSH, Mode.TRAP, Mode.LESS_PRECISE] if platform.machine() in ("x86_64", "AMD64") else []
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("misbehaving")
+
+
+@pytest.fixture(autouse=True)
+def _default_environment() -> Iterator[None]:
+    """Have a test that fails spoil no other."""
+    yield
+    if sys.platform == "linux":
+        ctypes.CDLL(None).fesetenv(ctypes.c_void_p(-1))  # FE_DFL_ENV
+
+
+def behaviour() -> tuple[float, bool, bool, int]:
+    """Return what tells how this thread rounds, whether it knows denormal numbers, x87's precision, and its traps."""
+    one, tiny = np.array([1.0]), np.array([1e-310])
+    long = np.array([1.0], np.longdouble)
+    precise = long + np.array([np.ldexp(np.longdouble(1), -60)]) != long
+    traps = ctypes.CDLL("libm.so.6").fegetexcept() if platform.libc_ver()[0] == "glibc" else 0
+    return float((one / 3)[0]), bool((tiny * 0.5 > 0)[0]), bool(precise[0]), traps
+
+
+def in_a_thread(task: Callable[[], None]) -> None:
+    """Run a task in a thread of its own, and pass on what it raises."""
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            task()
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    if failed:
+        raise failed[0]
+
+
+def outputs(simulator: Simulator, some: NDArray[np.float64]) -> NDArray[np.float64]:
+    found = simulator.many(some)
+    assert found.errors == (None,) * len(some)
+    return found.outputs
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
+def test_a_simulation_does_not_depend_on_those_before_it(folder: Path, mode: Mode, kind: str) -> None:
+    """Simulations 3 and 8 change it half-way: all others, in the same call and after it, are bit for bit the same."""
+    some = thetas(mode)
+    before = behaviour()
+    values = {"at": 0.95}
+    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values=values, interface=kind)
+    sound = outputs(simulator, some * [1.0, 1.0, 0.0])
+    found = outputs(simulator, some)
+    assert behaviour() == before
+    good = some[:, 2] == 0.0
+    assert np.array_equal(found[good], sound[good])
+    assert np.array_equal(outputs(simulator, some[::-1]), found[::-1])
+    if mode == Mode.ROUND_UPWARD:
+        assert not np.array_equal(found[~good], sound[~good])  # it has an effect at all
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("where", [Where.INITIALIZATION, Where.RESET, Where.FREEING, Where.GETTING])
+def test_no_call_of_an_instance_leaves_it_changed(folder: Path, mode: Mode, where: Where) -> None:
+    def live() -> None:
+        before = behaviour()
+        simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"where": where})
+        simulator.many(thetas(mode)[3:4])
+        assert behaviour() == before
+        simulator.system.close()
+        assert behaviour() == before
+
+    in_a_thread(live)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_neither_loading_nor_instantiation_leave_it_changed(folder: Path, mode: Mode) -> None:
+    def live() -> None:
+        before = behaviour()
+        for fmu in (
+            misbehaving_fmu(folder, at_loading=mode),
+            misbehaving_fmu(folder, token=f"at-instantiation-{int(mode)}"),
+        ):
+            simulator = Simulator(fmu, RECORD, NAMES)
+            simulator.many(thetas(Mode.SOUND)[:2])
+            assert behaviour() == before
+            simulator.system.close()
+
+    in_a_thread(live)
+
+
+def test_the_same_in_a_process_of_its_own(folder: Path) -> None:
+    some = thetas(Mode.ROUND_UPWARD)
+    fmu, values = misbehaving_fmu(folder), {"at": 0.95}
+    isolated = Simulator(System(fmu, numerics=Numerics(), isolation=Isolation()), RECORD, NAMES, values=values)
+    assert np.array_equal(outputs(isolated, some), outputs(Simulator(fmu, RECORD, NAMES, values=values), some))
+    isolated.system.close()
+
+
+def test_the_environment_is_kept_when_it_ends_in_an_error() -> None:
+    before = behaviour()
+    with pytest.raises(ZeroDivisionError), kept():
+        ctypes.CDLL("libm.so.6" if platform.libc_ver()[0] == "glibc" else None).fesetround(UPWARD)
+        assert behaviour() != before
+        raise ZeroDivisionError
+    assert behaviour() == before

@@ -1,0 +1,344 @@
+"""Model exchange through the master loop: inputs of every kind against closed forms and scipy, couplings, rates."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.interpolate import PchipInterpolator
+
+from fmuid.data.experiment import Experiment
+from fmuid.errors import InputError, SimulationError
+from fmuid.models.component import Component, Numerics
+from fmuid.models.system import System
+from fmuid.reports.messages.solver import run_words
+from fmuid.simulation.simulator import Simulator
+from tests.support.closed_forms import coil_response
+from tests.support.paths import FMUS
+from tests.support.probe_fmu import ProbeMaker
+
+COIL = FMUS / "Coil" / "Coil.fmu"
+DRIVE = FMUS / "PositionDrive" / "PositionDrive.fmu"
+CONTROLLER = FMUS / "PositionController" / "PositionController.fmu"
+Array = NDArray[np.float64]
+
+INTEGRATORS: dict[str, dict[str, Any]] = {
+    "rk4": {"integrator": "rk4", "step_size": 5e-5},
+    "rk45": {"integrator": "rk45", "tolerance": 1e-11},
+    "cvode": {"integrator": "cvode", "tolerance": 1e-11},
+}
+every_integrator = pytest.mark.parametrize("name", INTEGRATORS)
+
+
+def frame(times: Array, **columns: Any) -> pd.DataFrame:
+    return pd.DataFrame({"time": times, **columns})
+
+
+@pytest.fixture
+def record() -> tuple[Array, Array]:
+    """Irregular times with a step of the input (a time given twice), and the input."""
+    rng = np.random.default_rng(3)
+    times = 0.3 + np.cumsum(rng.uniform(1e-4, 2e-3, 300))
+    times[200] = times[199]
+    return times, rng.normal(size=300)
+
+
+@every_integrator
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+def test_coil_equals_its_closed_form(name: str, interpolation: str, record: tuple[Array, Array]) -> None:
+    times, u = record
+    experiment = Experiment(frame(times, u=u, i=0.0), ["u"], ["i"], interpolation=interpolation)
+    simulator = Simulator(COIL, experiment, ["R", "L"], interface="model-exchange", **INTEGRATORS[name])
+    got = simulator([[3.0, 0.05], [4.0, 0.1], [3.0, 0.05]])
+    expected = coil_response(times, u, 3.0, 0.05, interpolation == "linear")
+    assert np.abs(got[0, :, 0] - expected).max() < 2e-8 * np.abs(expected).max()
+    assert np.abs(got[2] - got[0]).max() < 1e-9 * np.abs(expected).max()  # whatever was simulated in between
+
+
+def curved_response(times: Array, u: Array, R: float, L: float) -> Array:
+    """L di/dt = u - R i with u a monotone cubic curve, which does not go across a step."""
+    i = [0.0]
+    parts = np.split(np.arange(times.size), np.flatnonzero(np.diff(times) == 0) + 1)
+    for part in parts:
+        curve = PchipInterpolator(times[part], u[part])
+        if part[0] > 0:
+            i.append(i[-1])
+        for a, b in zip(times[part][:-1], times[part][1:], strict=True):
+
+            def slope(t: float, x: Array, curve: PchipInterpolator = curve) -> Array:
+                return np.asarray((curve(t) - R * x) / L)
+
+            i.append(solve_ivp(slope, (a, b), [i[-1]], "DOP853", rtol=1e-12, atol=1e-14).y[0, -1])
+    return np.array(i)
+
+
+@every_integrator
+def test_cubic_inputs(name: str, record: tuple[Array, Array]) -> None:
+    times, u = record
+    experiment = Experiment(frame(times, u=u, i=0.0), ["u"], ["i"], interpolation="cubic")
+    got = Simulator(COIL, experiment, interface="model-exchange", **INTEGRATORS[name])([])[:, 0]
+    expected = curved_response(times, u, 4.0, 0.1)
+    assert np.abs(got - expected).max() < 2e-8 * np.abs(expected).max()
+
+
+def test_cubic_inputs_of_co_simulation(record: tuple[Array, Array]) -> None:
+    """By chords over ten substeps: near the exact answer, and nearer than a straight line or a held value is."""
+    times, u = record
+    table = frame(times, u=u, i=0.0)
+    expected = curved_response(times, u, 4.0, 0.1)
+    errors = [
+        np.abs(Simulator(COIL, Experiment(table, ["u"], ["i"], interpolation=word))([])[:, 0] - expected).max()
+        for word in ("cubic", "linear", "hold")
+    ]
+    assert errors[0] < 2e-3 * np.abs(expected).max()
+    assert errors[0] < 0.05 * min(errors[1:])
+
+
+def test_interpolation_is_chosen_for_each_input() -> None:
+    """One record under three machines' inputs: what is held, straight and curved stays so beside the others."""
+    times = np.linspace(0.0, 0.02, 30)
+    rng = np.random.default_rng(5)
+    uds, uqs, w = (values * rng.normal(size=30) for values in (100.0, 100.0, 10.0))
+    table = frame(times, uds=uds, uqs=uqs, w=150 + w, ids=0.0, iqs=0.0)
+    words = {"uds": "hold", "uqs": "cubic", "w": "linear"}
+    experiment = Experiment(table, ["uds", "uqs", "w"], ["ids", "iqs"], interpolation=words)
+    path = FMUS / "InductionMachine" / "InductionMachine.fmu"
+    got = Simulator(path, experiment, interface="model-exchange", integrator="rk45", tolerance=1e-11)([])
+    declared = System(path).variables
+    Rs, Rr, Lm, Lf = (float(declared[name].start) for name in ("Rs", "Rr", "Lm", "Lf"))  # type: ignore[arg-type]
+    curve = PchipInterpolator(times, uqs)
+    x, expected = np.zeros(4), [[0.0, 0.0]]
+    for k in range(29):
+
+        def slope(t: float, x: Array, k: int = k) -> list[float]:
+            omega, (d, q, fd, fq) = np.interp(t, times, 150 + w), x
+            return [
+                (uds[k] - (Rs + Rr) * d + omega * Lf * q + Rr / Lm * fd + omega * fq) / Lf,
+                (curve(t) - (Rs + Rr) * q - omega * Lf * d + Rr / Lm * fq - omega * fd) / Lf,
+                Rr * d - Rr / Lm * fd,
+                Rr * q - Rr / Lm * fq,
+            ]
+
+        x = solve_ivp(slope, times[k : k + 2].tolist(), x, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+        expected.append([x[0], x[1]])
+    assert np.abs(got - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+def closed_drive(times: Array, reference: Array) -> Array:
+    """The drive under its controller, integrated as one system; the reference goes straight between the samples."""
+    known = System(components={"d": DRIVE, "c": CONTROLLER}).variables
+    M, Fv, Fc, offset, gtau, eps = (
+        float(known[f"d.{name}"].start)  # type: ignore[arg-type]
+        for name in ("M", "Fv", "Fc", "offset", "gtau", "dq_eps")
+    )
+    kp, kv, limit = (float(known[f"c.{name}"].start) for name in ("kp", "kv", "v_max"))  # type: ignore[arg-type]
+
+    def slope(t: float, x: Array) -> list[float]:
+        v = np.clip(kv * (kp * (np.interp(t, times, reference) - x[0]) - x[1]), -limit, limit)
+        return [x[1], (gtau * v - Fv * x[1] - Fc * np.tanh(x[1] / eps) - offset) / M]
+
+    found = solve_ivp(slope, (times[0], times[-1]), [0.0, 0.0], "Radau", times, rtol=1e-9, atol=1e-12, max_step=1e-3)
+    q: Array = found.y[0]
+    return q
+
+
+CLOSED = [("drive.q", "controller.q"), ("drive.dq", "controller.dq"), ("controller.v", "drive.v")]
+KINDS = [(one, other) for one in ("co-simulation", "model-exchange") for other in ("co-simulation", "model-exchange")]
+
+
+@cache
+def sine_drive() -> tuple[Array, Array, Array]:
+    """Return times, what the position should be, and what it is."""
+    times = np.linspace(0.0, 0.3, 61)
+    reference = 0.01 * np.sin(8.0 * times)
+    return times, reference, closed_drive(times, reference)
+
+
+def drive_error(system: System, step_size: float) -> float:
+    times, reference, exact = sine_drive()
+    experiment = Experiment(frame(times, r=reference, q=0.0), {"controller.qg": "r"}, {"drive.q": "q"})
+    got = Simulator(system, experiment, step_size=step_size)([])[:, 0]
+    return float(np.abs(got - exact).max())
+
+
+@pytest.mark.parametrize("kinds", KINDS)
+def test_kinds_mix_and_the_coupling_error_falls_with_the_step(kinds: tuple[str, str]) -> None:
+    system = System(
+        components={
+            "drive": Component(DRIVE, Numerics(kinds[0])),
+            "controller": Component(CONTROLLER, Numerics(kinds[1])),
+        },
+        connections=CLOSED,
+    )
+    coarse, fine = drive_error(system, 4e-4), drive_error(system, 1e-4)
+    assert fine < 2e-5  # m, of 0.01
+    assert coarse / fine == pytest.approx(4.0, rel=0.25)  # values held over a step: first order
+
+
+def test_gauss_seidel_passes_on_what_was_just_reached(probe: ProbeMaker) -> None:
+    """x_a' = 1, x_b' = x_a in steps of 1 s: Jacobi sums the values at their beginnings, Gauss-Seidel at their ends."""
+    path = probe()
+    experiment = Experiment(frame(np.arange(5.0), x=0.0), outputs={"b.x": "x"})
+    parts: dict[str, Any] = {"components": {"a": path, "b": path}, "connections": [("a.z", "b.u", 1.0, 0.0)]}
+    found = {}
+    for master in ("jacobi", "gauss-seidel"):
+        found[master] = Simulator(System(**parts, master=master), experiment, values={"a.u": 1.0})([])[:, 0].tolist()
+    assert found == {"jacobi": [0.0, 0.0, 1.0, 3.0, 6.0], "gauss-seidel": [0.0, 1.0, 3.0, 6.0, 10.0]}
+    with pytest.raises(InputError, match=r"master 'gauss' is not known.*gauss-seidel"):
+        System(**parts, master="gauss")
+
+
+def test_components_with_steps_of_their_own(probe: ProbeMaker) -> None:
+    """b steps every 0.4 s with what a had at the beginning of the step, a every 0.1 s; both meet at samples."""
+    path = probe()
+    system = System(
+        components={
+            "a": Component(path, Numerics(step_size=0.1)),
+            "b": Component(path, Numerics(step_size=0.4)),
+        },
+        connections=[("a.z", "b.u", 1.0, 0.0)],
+    )
+    table = frame(np.array([0.0, 1.0, 2.0]), x=0.0, y=0.0)
+    experiment = Experiment(table, outputs={"b.x": "x", "a.x": "y"})
+    got = Simulator(system, experiment, values={"a.u": 1.0})([])
+    # a = t; b holds a(0), a(0.4), a(0.8) over steps of 0.4, 0.4 and 0.2 s, and again from 1 s on
+    one = 0.4 * 0.0 + 0.4 * 0.4 + 0.2 * 0.8
+    two = one + 0.4 * 1.0 + 0.4 * 1.4 + 0.2 * 1.8
+    assert got[:, 1] == pytest.approx([0.0, 1.0, 2.0])
+    assert got[:, 0] == pytest.approx([0.0, one, two])
+
+
+def test_an_output_may_be_a_sum(record: tuple[Array, Array]) -> None:
+    """Two coils side by side, as a fault model beside a healthy one: the table has the sum of their currents."""
+    times, u = record
+    system = System(components={"one": COIL, "other": COIL})
+    experiment = Experiment(
+        frame(times, u=u, i=0.0),
+        {"one.u": "u"},
+        {"one.i + other.i": "i"},
+        interpolation="hold",
+        units={"one.i + other.i": "A"},
+    )
+    got = Simulator(system, experiment, ["one.R", "other.i_start"])([2.0, 3.0])[:, 0]
+    alone = coil_response(times, u, 2.0, 0.1, False)
+    assert np.abs(got - alone - 3.0 * np.exp(-4.0 / 0.1 * (times - times[0]))).max() < 1e-8
+    wrong = Experiment(frame(times, u=u, i=0.0), {"one.u": "u"}, {"one.i + other.j": "i"})
+    with pytest.raises(InputError, match=r"no output 'other\.j'"):
+        Simulator(system, wrong)
+    mixed = System(components={"drive": DRIVE})
+    with pytest.raises(InputError, match=r"sums different units: 'drive\.q' is in m and 'drive\.dq' in m/s"):
+        Simulator(mixed, Experiment(frame(times, i=0.0), outputs={"drive.q + drive.dq": "i"}))
+
+
+def test_units_convert_on_connections(probe: ProbeMaker) -> None:
+    """A rad/s feeds krad/s: the probe's integrator sees a thousandth; a given factor settles it instead."""
+    path = probe()
+    experiment = Experiment(frame(np.arange(3.0), x=0.0), outputs={"b.x": "x"})
+    system = System(components={"a": path, "b": path}, connections=[("a.x", "b.u", 0.5, 1.0)])
+    got = Simulator(system, experiment, values={"a.x": 4.0})([])[:, 0]
+    assert got.tolist() == [0.0, 3.0, 6.0]
+
+
+@pytest.mark.parametrize("way", ["DISCARDS=1", "DISCARDS=2"])
+def test_discarded_steps_are_shortened(probe: ProbeMaker, way: str) -> None:
+    """The probe built so takes 0.3 s at most, of a longer step that much or nothing: x' = u, u held."""
+    experiment = Experiment(frame(np.arange(4.0), u=2.0, x=0.0), ["u"], ["x"], interpolation="hold")
+    assert Simulator(probe(way), experiment)([])[:, 0] == pytest.approx([0.0, 2.0, 4.0, 6.0])
+    with pytest.raises(SimulationError, match="the FMU ended the simulation"):
+        Simulator(probe(way, "ENDS"), experiment)([])
+
+
+def test_what_was_used_is_said() -> None:
+    assert run_words(System(COIL).components[""].how_run()) == "FMI 2.0 co-simulation"
+    exchanged = System(COIL, numerics=Numerics("model-exchange", tolerance=1e-5)).components[""]
+    assert run_words(exchanged.how_run()) == "FMI 2.0 model-exchange, integrator rk45, tolerance 1e-05"
+    stepped = System(COIL, numerics=Numerics("model-exchange", "rk4", step_size=1e-3)).components[""]
+    assert run_words(stepped.how_run()) == "FMI 2.0 model-exchange, integrator rk4, steps of at most 0.001 s"
+
+
+def test_a_stiff_model_is_integrated_as_such() -> None:
+    """R/L = 4e8/s: the default integrator finds it stiff, and the simulation goes on with CVODE; by name it refuses."""
+    times = np.linspace(0.0, 1.0, 11)
+    experiment = Experiment(frame(times, u=np.cos(times), i=0.0), ["u"], ["i"])
+    simulator = Simulator(COIL, experiment, values={"L": 1e-8}, interface="model-exchange")
+    assert simulator([])[1:, 0] == pytest.approx(np.cos(times[1:]) / 4.0, rel=1e-5)
+    assert simulator.stiff == {""}
+    assert "cvode (rk45 found the model stiff)" in run_words(simulator.system.components[""].how_run(stiff=True))
+    mild = Simulator(simulator.system, experiment, values={"L": 0.1})
+    mild([])
+    assert not mild.stiff
+    named = Simulator(COIL, experiment, values={"L": 1e-8}, interface="model-exchange", integrator="rk45")
+    with pytest.raises(SimulationError, match=r"stiff.*integrator = \"cvode\""):
+        named([])
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ({"interface": "modelexchange"}, r"interface 'modelexchange' is not known.*model-exchange"),
+        ({"integrator": "euler"}, r"integrator 'euler' is not known.*rk4 or rk45 or cvode"),
+        ({"integrator": "rk4"}, r"Coil\.fmu runs as co-simulation.*interface = \"model-exchange\""),
+        ({"tolerance": -1.0}, "tolerance must be a positive number"),
+        ({"step_size": 0.0}, "step_size must be a positive number of seconds"),
+    ],
+)
+def test_wrong_numerics_are_one_sentence(words: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        System(COIL, numerics=Numerics(**words))
+
+
+def test_a_missing_interface_is_one_sentence(probe: ProbeMaker) -> None:
+    with pytest.raises(InputError, match=r"offers no model-exchange interface; it offers co-simulation"):
+        System(probe(), numerics=Numerics("model-exchange"))
+
+
+def test_numerics_of_a_system_are_its_own() -> None:
+    system = System(COIL)
+    experiment = Experiment(frame(np.arange(2.0), i=0.0), outputs=["i"])
+    with pytest.raises(InputError, match="a System says interface, integrator, tolerance and isolation itself"):
+        Simulator(system, experiment, interface="model-exchange")
+
+
+def test_a_connector_sets_several_variables(record: tuple[Array, Array]) -> None:
+    """One R and one voltage for two coils: twice the current of one, whose resistance is half the parameter."""
+    times, u = record
+    system = System(
+        components={"one": COIL, "other": COIL},
+        connectors={
+            "R": [("one.R", 0.5, 0.0), ("other.R", 0.5, 0.0)],
+            "u": [("one.u", 1.0, 0.0), ("other.u", 1.0, 0.0)],
+        },
+    )
+    table = frame(times, u=u, i=0.0)
+    simulator = Simulator(system, Experiment(table, ["u"], {"one.i + other.i": "i"}, interpolation="hold"), ["R"])
+    got = simulator([[6.0], [8.0]])[..., 0]
+    assert simulator.unfed_inputs == ()
+    for found, R in zip(got, (3.0, 4.0), strict=True):
+        assert np.abs(found - 2.0 * coil_response(times, u, R, 0.1, False)).max() < 1e-8
+    held = Simulator(system, simulator.experiment, values={"R": 6.0})([])[:, 0]
+    assert np.abs(held - got[0]).max() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("connectors", "sentence"),
+    [
+        ({"R": ["one.R", "one.u"]}, r"'R' joins 'one\.R' \(parameter, Real\) and 'one\.u' \(input, Real\)"),
+        ({"R": ["one.Q"]}, r"no variable behind 'R' 'one\.Q'"),
+        ({"one": ["one.R"]}, "named like a component"),
+        ({"i": ["one.i", "other.i"]}, "joins several outputs; write their sum"),
+        ({"u": ["other.u"]}, r"sets 'other\.u', which a connection feeds"),
+    ],
+)
+def test_wrong_connectors_are_one_sentence(connectors: dict[str, list[str]], sentence: str) -> None:
+    ports = {name: [(each, 1.0, 0.0) for each in some] for name, some in connectors.items()}
+    with pytest.raises(InputError, match=sentence):
+        System(
+            components={"one": COIL, "other": COIL},
+            connections=[("one.i", "other.u", 1.0, 0.0)],
+            connectors=ports,
+        )

@@ -1,0 +1,358 @@
+"""The core in C: how it is built and loaded, what Python refuses before it sees it, and what only it does."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+from fmuid.data.experiment import Experiment
+from fmuid.errors import InputError, SimulationError
+from fmuid.models.component import Numerics
+from fmuid.models.fmu import FMU
+from fmuid.models.system import System
+from fmuid.simulation import core_constants as codes
+from fmuid.simulation import native
+from fmuid.simulation.checks import check_arrays, check_plan
+from fmuid.simulation.instance import Instance
+from fmuid.simulation.native import build
+from fmuid.simulation.plan import simulation_of
+from fmuid.simulation.simulation_loop import Loop
+from fmuid.simulation.simulation_plan import Operation, Simulation, new_reports
+from fmuid.simulation.simulator import Simulator
+from fmuid.simulation.task import task_of
+from fmuid.version import __version__
+from tests.support.exported import export_text
+from tests.support.hybrid import hybrid_fmu
+from tests.support.paths import FMUS
+from tests.support.probe_fmu import ProbeMaker
+
+Array = NDArray[np.float64]
+TIMES: Array = np.linspace(0.0, 1.0, 5)
+
+
+@pytest.fixture
+def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The sources of the core in a folder of their own."""
+    folder = tmp_path / "native"
+    shutil.copytree(build.HERE, folder, ignore=shutil.ignore_patterns("core-*", "__pycache__"))
+    monkeypatch.setattr(build, "HERE", folder)
+    return folder
+
+
+# --- built and loaded
+
+
+def test_it_compiles_without_a_warning(tmp_path: Path) -> None:
+    tag = build.tag_here()
+    target = build.TARGETS[tag][0] if tag else None
+    assert build.build(tmp_path / "core.so", target, (*build.FLAGS, *build.WARNINGS)).is_file()
+
+
+@pytest.mark.slow
+def test_changed_sources_are_compiled_anew(copied: Path) -> None:
+    first = native._path()
+    assert native._path() == first
+    with (copied / "log.c").open("a") as source:
+        source.write("/* changed */\n")
+    second = native._path()
+    assert second != first
+    assert [path.name for path in copied.glob("core-*")] == [second.name]
+
+
+def test_without_a_compiler_it_is_one_sentence(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(InputError, match=r"core is not compiled from the sources in .*there is no C compiler: install"):
+        native._path()
+    monkeypatch.setenv("CC", f"{sys.executable} -c 'raise SystemExit(3)'")
+    with pytest.raises(InputError, match=r"fails to compile the core"):
+        native._path()
+    assert not list(copied.glob("core-*"))
+
+
+def test_a_missing_library_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build, "HERE", tmp_path)
+    with pytest.raises(InputError, match=r"fmuid's compiled core is missing in .*; install fmuid"):
+        native._path()
+
+
+def test_a_library_of_other_sources_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = native.core()
+    assert native._difference(library) == ""
+    with monkeypatch.context() as patch:
+        patch.setattr(native, "__version__", "0.0.9")
+        assert native._difference(library) == __version__
+    monkeypatch.setattr(codes, "DO_STEP", codes.RESET)
+    assert native._difference(library) == "DO_STEP"
+    monkeypatch.undo()
+    monkeypatch.setattr(codes, "PROCESS", codes.PROCESS + 1)
+    assert native._difference(library) == "CANCELLED"
+
+
+def test_structures_are_laid_out_as_the_compiler_did() -> None:
+    """Read back by C: what the first and the last field of a structure get arrives there."""
+    core = native.core()
+    assert ctypes.sizeof(core.Report) == 8 * codes.REPORT
+    assert ctypes.sizeof(core.Message) == 4 + 2048
+    assert core.Plan.slopes.size == ctypes.sizeof(core.Range) == 16
+    assert [type(getattr(core.Report(time=2.0), name)) for name in ("failure", "time")] == [int, float]
+    with pytest.raises(AttributeError):
+        core.Grid(n_tines=3)
+    with pytest.raises(AttributeError):
+        core.Grid().n_tines = 3
+
+
+@pytest.mark.parametrize(("field", "place"), [("offset", 8), ("size", 4)])
+def test_a_layout_that_ctypes_does_not_know_is_refused(field: str, place: int) -> None:
+    class Library:
+        def layout(self) -> Any:
+            told = (native._Place * 3)(native._Place(b"Made", b"n", b"c_double", 0, 8), native._Place(b"Made", size=8))
+            setattr(told[0 if field == "offset" else 1], field, place)
+            return told
+
+    with pytest.raises(InputError, match=r"lays Made out in a way that ctypes does not; install it anew"):
+        native._structures(Library())
+
+
+def test_every_compiler_is_told_its_target() -> None:
+    """Without one it takes the instructions of the machine that builds: other digits, and none on older machines."""
+    root = Path(__file__).parents[2]
+    for path in (*root.glob("tests/**/*.py"), *root.glob("experiments/**/*.py"), *root.glob("fmuid/**/*.py")):
+        if path != Path(__file__):
+            said = path.read_text(encoding="utf-8")
+            assert '"ziglang", "cc"' not in said or '"cc", "-target"' in said, path
+
+
+# --- what Python refuses
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, tuple[Simulation, list[int]]]:
+    """Plans of all kinds with the versions of their components: connected, with a loop, by model exchange."""
+    frame = pd.DataFrame({"time": TIMES, "u": np.sin(TIMES), "i": 0.0})
+    coil = FMUS / "Coil" / "Coil.fmu"
+    pair = System(components={"a": coil, "b": coil}, connections=[("a.i", "b.u", 2.0, 1.0)], master="gauss-seidel")
+    single = Experiment(frame, ["u"], ["i"])
+    return {
+        "pair": (
+            simulation_of(task_of(pair, Experiment(frame, {"a.u": "u"}, {"b.i": "i"}), ["a.R"], {}, None)),
+            [2, 2],
+        ),
+        "co-simulation": (simulation_of(task_of(System(coil), single, ["R", "L"], {}, 0.01)), [2]),
+        "model exchange": (
+            simulation_of(task_of(System(coil, numerics=Numerics("model-exchange")), single, ["R"], {}, None)),
+            [2],
+        ),
+    }
+
+
+@pytest.mark.parametrize("name", ["pair", "co-simulation", "model exchange"])
+def test_no_operation_that_points_nowhere_gets_through(
+    runs: dict[str, tuple[Simulation, list[int]]], name: str
+) -> None:
+    simulation, versions = runs[name]
+    check_plan(simulation.plan, simulation.grid, versions)
+    for i, operation in enumerate(simulation.plan.operations):
+        for field in Operation._fields:
+            if operation.function == codes.COPY and field in ("component", "n_values", "wire", "when"):
+                continue  # of no meaning
+            for wrong in (-1, -(2**40), 10**6, 2**62):
+                operations = list(simulation.plan.operations)
+                operations[i] = operation._replace(**{field: wrong})
+                with pytest.raises(ValueError, match="operations"):
+                    check_plan(simulation.plan._replace(operations=tuple(operations)), simulation.grid, versions)
+
+
+@pytest.mark.parametrize("name", ["pair", "co-simulation", "model exchange"])
+def test_no_index_that_points_nowhere_gets_through(runs: dict[str, tuple[Simulation, list[int]]], name: str) -> None:
+    simulation, versions = runs[name]
+    for part, kinds in (
+        ("plan", ("stages", "parameter_signals", "input_signals", "input_modes", "derivative_signals")),
+        ("plan", ("output_signals", "output_terms", "groups")),
+        ("grid", ("substeps", "strides")),
+    ):
+        for kind in kinds:
+            whole = getattr(simulation, part)
+            given = getattr(whole, kind)
+            for place in np.ndindex(given.shape):
+                for wrong in (-7, -(2**62), 2**62):
+                    if part == "grid" and wrong > 0:
+                        continue  # many substeps are not wrong
+                    changed = given.copy()
+                    changed[place] = wrong
+                    both = {"plan": simulation.plan, "grid": simulation.grid} | {
+                        part: whole._replace(**{kind: changed})
+                    }
+                    with pytest.raises(ValueError, match="of a plan"):
+                        check_plan(both["plan"], both["grid"], versions)
+            for other in (given.astype(np.int32), given[:-1] if kind != "groups" else given[:, :1]):
+                both = {"plan": simulation.plan, "grid": simulation.grid} | {part: whole._replace(**{kind: other})}
+                if other.dtype == np.int32 or kind not in ("parameter_signals", "output_signals", "output_terms"):
+                    with pytest.raises(ValueError, match="of a plan"):
+                        check_plan(both["plan"], both["grid"], versions)
+
+
+def test_random_plans_are_refused_or_run(runs: dict[str, tuple[Simulation, list[int]]]) -> None:
+    """Small indices at random: what gets through the checks does not crash (best seen under a sanitizer)."""
+    rng = np.random.default_rng(12)
+    simulation, _ = runs["pair"]
+    fmu = System(FMUS / "Coil" / "Coil.fmu").components[""].fmu
+    instances = [Instance(fmu, "co-simulation", name) for name in "ab"]
+    used, refused, tried = np.zeros(2, np.intp), 0, 300
+    for _ in range(tried):
+        operations = list(simulation.plan.operations)
+        i, field = rng.integers(len(operations)), str(rng.choice(Operation._fields))
+        operations[i] = operations[i]._replace(**{field: int(rng.integers(-1, 30))})
+        plan = simulation.plan._replace(operations=tuple(operations))
+        try:
+            loop = Loop(plan, simulation.grid, instances, used)
+        except (ValueError, InputError):
+            refused += 1
+            continue
+        loop.run(np.full((1, 1), 4.0), np.empty((1, TIMES.size, 1)), new_reports(1))
+    assert 0 < refused < tried
+    for instance in instances:
+        instance.close()
+
+
+def test_arrays_of_other_shapes_are_refused(runs: dict[str, tuple[Simulation, list[int]]]) -> None:
+    simulation, _ = runs["pair"]
+    right = np.zeros((3, 1)), np.zeros((3, TIMES.size, 1)), new_reports(3)
+    check_arrays(simulation.plan, simulation.grid, *right)
+    for i, name in enumerate(("thetas", "outputs", "reports")):
+        for wrong in (right[i][:, :0], right[i].astype(np.float32), np.asfortranarray(np.repeat(right[i], 2, 1))):
+            arrays: list[Any] = list(right)
+            arrays[i] = wrong
+            with pytest.raises(ValueError, match=name):
+                check_arrays(simulation.plan, simulation.grid, *arrays)
+    with pytest.raises(ValueError, match="outputs"):
+        check_arrays(simulation.plan, simulation.grid, right[0], right[1][:2], right[2])
+
+
+# --- what it does
+
+
+@pytest.mark.parametrize("method", ["rk4", "rk45"])
+def test_a_simulation_is_cancelled_inside_its_integrator(tmp_path: Path, method: str) -> None:
+    """Two samples, with more steps between them than ever come to an end."""
+    step = 1e-9 if method == "rk4" else None
+    numerics = Numerics("model-exchange", method, tolerance=1e-13, step_size=step)
+    system = System(hybrid_fmu(tmp_path, "van_der_pol"), numerics=numerics)
+    frame = pd.DataFrame({"time": [0.0, 1e5], "x": 0.0})
+    simulation = simulation_of(
+        task_of(system, Experiment(frame, [], {"x0": "x"}), [], {"p0": 1.0, "start0": 2.0}, None)
+    )
+    (component,) = system.components.values()
+    instance, used = Instance(component.fmu, component.kind, "x"), np.zeros(1, np.intp)
+    loop, reports = Loop(simulation.plan, simulation.grid, [instance], used), new_reports(1)
+    thread = threading.Thread(target=loop.run, args=(np.zeros((1, 0)), np.zeros((1, 2, 1)), reports))
+    state = loop._integrators[0]
+    assert state is not None
+    thread.start()
+    while state.state.n_steps < 10 and thread.is_alive():
+        pass
+    loop.cancel()
+    thread.join(60.0)
+    assert not thread.is_alive()
+    assert reports[0, 0] == codes.CANCELLED
+    assert 0.0 < reports[0, 5:].view(np.float64)[0] < 1e5
+    instance.close()
+
+
+@pytest.mark.parametrize("value", [2.0**31, -(2.0**31) - 1, 1e300])
+def test_a_value_that_the_type_of_its_variable_cannot_hold_is_said(probe: ProbeMaker, value: float) -> None:
+    frame = pd.DataFrame({"time": TIMES, "n": [0.0, 1.0, 2.0, value, 0.0], "y": 0.0})
+    simulator = Simulator(probe(), Experiment(frame, {"n": "n"}, {"ten_n": "y"}))
+    with pytest.raises(SimulationError, match=r"a value is not within the range of the type of its variable") as error:
+        simulator([])
+    assert error.value.time == TIMES[3]
+
+
+TWO_INPUTS = """
+model Sum
+  input Real u;
+  input Real v;
+  output Real x(start = 0, fixed = true);
+equation
+  der(x) = 10 * (u + v) - x;
+end Sum;
+"""
+
+
+def test_held_inputs_beside_those_that_go_by_midpoints(tmp_path: Path) -> None:
+    """An FMU that cannot interpolate: the first substep of an interval must have the held input as of its beginning."""
+    rng = np.random.default_rng(5)
+    times: Array = np.linspace(0.0, 1.0, 21)
+    frame = pd.DataFrame({"time": times, "u": 0.0, "v": rng.normal(size=21), "x": 0.0})
+    experiment = Experiment(frame, ["u", "v"], ["x"], interpolation={"u": "linear", "v": "hold"})
+    got = Simulator(export_text(tmp_path, TWO_INPUTS, fmi="3.0"), experiment, interface="co-simulation")([])[:, 0]
+    x = np.zeros(21)
+    for k, h in enumerate(np.diff(times)):
+        x[k + 1] = 10 * frame["v"][k] + (x[k] - 10 * frame["v"][k]) * np.exp(-h)
+    assert np.abs(got - x).max() < 1e-6
+
+
+@pytest.mark.parametrize(("model", "interpolation"), [("machine", "hold"), ("machine", "linear"), ("failing", "hold")])
+def test_whole_rows_go_through_as_each_sample_does(probe: ProbeMaker, model: str, interpolation: str) -> None:
+    """The walk over whole rows against the general one: the same bits, and of failures the same report."""
+    rng, times = np.random.default_rng(3), np.array([0.0, 0.1, 0.2, 0.2, 0.3, 0.45])
+    frame = pd.DataFrame({"time": times, **{name: rng.normal(size=6) for name in ("uds", "uqs", "w", "u")}, "y": 0.0})
+    if model == "machine":
+        path, inputs, outputs = FMUS / "InductionMachine" / "InductionMachine.fmu", ["uds", "uqs", "w"], ["ids", "iqs"]
+        parameters, thetas = ["Rs"], np.array([[9.8], [5.0]])
+    else:
+        path, inputs, outputs, parameters = probe(), ["u"], ["y"], ["fail_at"]
+        thetas = np.array([[9.0], [0.25], [0.05]])
+    experiment = Experiment(frame, inputs, dict.fromkeys(outputs, "y"), interpolation=interpolation)
+    system = System(path, numerics=Numerics("co-simulation"))
+    simulation = simulation_of(task_of(system, experiment, parameters, {}, None))
+    (component,) = system.components.values()
+    found = []
+    for by_rows in (True, False):
+        instance, used = Instance(component.fmu, component.kind, "x"), np.zeros(1, np.intp)
+        loop = Loop(simulation.plan, simulation.grid, [instance], used)
+        assert loop._plan.by_rows
+        loop._plan.by_rows = by_rows
+        got, reports = np.zeros((len(thetas), 6, len(outputs))), new_reports(len(thetas))
+        loop.run(thetas, got, reports)
+        found.append((got.tobytes(), reports.tolist()))
+        instance.close()
+    assert found[0] == found[1]
+    assert np.abs(np.frombuffer(found[0][0])).max() > 0.0
+    assert (found[0][1][1][0] >= 0) == (model == "failing")
+
+
+def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, tuple[Simulation, list[int]]]) -> None:
+    coil = FMU(FMUS / "Coil" / "Coil.fmu")
+    for simulation, versions in runs.values():  # coupled; in substeps; by model exchange
+        kinds = ["model-exchange" if each else "co-simulation" for each in simulation.plan.integrations]
+        instances = [Instance(coil, kind, f"x{i}") for i, kind in enumerate(kinds)]
+        assert not Loop(simulation.plan, simulation.grid, instances, np.zeros(len(versions), np.intp))._plan.by_rows
+        for instance in instances:
+            instance.close()
+
+
+def test_messages_are_formatted_and_bounded() -> None:
+    log, text = native.core().Log(), ctypes.c_char_p
+    told = ctypes.cast(native.core().log_open(ctypes.byref(log)), ctypes.POINTER(ctypes.c_void_p))
+    say = ctypes.CFUNCTYPE(None, ctypes.c_void_p, text, ctypes.c_int32, text, text)(told[0])
+    assert told[4] == ctypes.addressof(log)
+    say(ctypes.byref(log), b"name", 1, b"category", b"%s of %d", text(b"seven"), ctypes.c_int(9))
+    say(ctypes.byref(log), b"name", 3, b"category", b"%s", text(b"x" * 10_000))
+    say(ctypes.byref(log), b"name", 0, None, None)
+    assert (log.messages[0].status, log.messages[0].text) == (1, b"seven of 9")
+    assert len(log.messages[1].text) == 2047
+    for _ in range(100):
+        say(ctypes.byref(log), b"name", 0, b"category", b"again")
+    assert log.count == len(log.messages) == 20
+    say(None, b"name", 0, b"category", b"to nobody")

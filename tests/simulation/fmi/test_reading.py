@@ -1,0 +1,258 @@
+"""What is read of a model description, against what FMPy reads of it: our own FMUs, all defaults, all that there is."""
+
+# ruff: noqa: E501  # the model descriptions read best one variable a line
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fmpy import read_model_description
+
+from fmuid.errors import InputError
+from fmuid.models.description import SI_BASE_UNITS, Description, Variable
+from fmuid.models.reading import read_description
+from tests.support.fmu_texts import FMI2, FMI3, FMI_3, write_fmu
+from tests.support.paths import FMUS
+
+KINDS = {2: ("Real", "Integer", "Enumeration", "Boolean", "String"), 3: ("Float64", "UInt8", "Enumeration", "Clock")}
+CAUSALITIES = (
+    None,
+    *["parameter", "calculatedParameter", "input", "output", "local", "independent", "structuralParameter"],
+)
+VARIABILITIES = (None, *["constant", "fixed", "tunable", "discrete", "continuous"])
+
+TYPED_2 = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="Typed" guid="t" numberOfEventIndicators="2" description="d" generationTool="g">
+<ModelExchange modelIdentifier="typed" completedIntegratorStepNotNeeded="true" needsExecutionTool="1"/>
+<CoSimulation modelIdentifier="typed" canBeInstantiatedOnlyOncePerProcess="false" canInterpolateInputs="true"/>
+<UnitDefinitions><Unit name="K"><BaseUnit K="1" offset="2"/><DisplayUnit name="degC" factor="1" offset="-273.15"/></Unit><Unit name="?"/>
+</UnitDefinitions>
+<TypeDefinitions>
+<SimpleType name="Temperature"><Real unit="K" min="0" max="1e3" nominal="300"/></SimpleType>
+<SimpleType name="Gear"><Enumeration min="1" max="2"><Item name="low" value="1"/><Item name="high" value="2"/></Enumeration></SimpleType>
+</TypeDefinitions>
+<DefaultExperiment startTime="1" stopTime="2.5" stepSize="1e-3"/>
+<ModelVariables>
+<!-- no variable --><ScalarVariable valueReference="9"><Real/></ScalarVariable>
+<ScalarVariable name="T" valueReference="0" causality="output"><Annotations><Tool name="x"/></Annotations><Real declaredType="Temperature" max="500"/></ScalarVariable>
+<ScalarVariable name="der(T)" valueReference="1"><Real derivative="1" unit=""/></ScalarVariable>
+<ScalarVariable name="gear" valueReference="2" causality="parameter" variability="fixed"><Enumeration declaredType="Gear" start="2"/></ScalarVariable>
+<ScalarVariable name="on" valueReference="3" causality="input" variability="discrete"><Boolean start="1"/></ScalarVariable>
+<ScalarVariable name="word" valueReference="4" causality="input" variability="discrete" description="&lt;two  lines&#10;"><String start=""/></ScalarVariable>
+</ModelVariables>
+<ModelStructure><Outputs><Unknown index="1" dependencies="4 5"/></Outputs><Derivatives><Unknown index="2"/></Derivatives></ModelStructure>
+</fmiModelDescription>"""
+
+TYPED_3 = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0.2" modelName="Typed" instantiationToken="t">
+<CoSimulation modelIdentifier="typed" hasEventMode="true" canHandleVariableCommunicationStepSize="1"/>
+<ModelExchange modelIdentifier="typed" canBeInstantiatedOnlyOncePerProcess="true"/>
+<TypeDefinitions><Float64Type name="Length" unit="m" min="0"/><EnumerationType name="Gear"><Item name="low" value="1"/></EnumerationType>
+</TypeDefinitions>
+<ModelVariables>
+<Float64 name="x" valueReference="7" declaredType="Length" start="1 2"><Dimension start="2"/><Alias name="same" description="other"/><Alias name="again"/></Float64>
+<Float64 name="der(x)" valueReference="8" derivative="7"><Dimension valueReference="3"/></Float64>
+<UInt64 name="n" valueReference="3" causality="structuralParameter" start="2"/>
+<Float64 name="z" valueReference="9" causality="output"><Dimension start="2"/><Dimension start="3"/></Float64>
+<Enumeration name="gear" valueReference="4" declaredType="Gear" causality="parameter" start="1"/>
+<String name="word" valueReference="5" causality="parameter"><Start value="go on"/></String>
+<Binary name="raw" valueReference="6" causality="parameter"><Start value="00ff"/></Binary>
+<Clock name="tick" valueReference="1" causality="input" intervalVariability="triggered"/>
+</ModelVariables>
+<ModelStructure><Output valueReference="9" dependencies="7 3"/><ContinuousStateDerivative valueReference="8" dependencies=""/>
+<EventIndicator valueReference="9"/></ModelStructure>
+</fmiModelDescription>"""
+
+
+def elements(variable: Any) -> list[str]:
+    """Return the names of all that a variable of FMPy stands for."""
+    subscripts = itertools.product(*(range(1, size + 1) for size in variable.shape or ()))
+    return [variable.name + (f"[{','.join(map(str, each))}]" if each else "") for each in subscripts]
+
+
+def by_fmpy(path: Path) -> dict[str, Any]:
+    """Return what FMPy reads, in our words."""
+    read = read_model_description(str(path), validate=False)
+    units = {unit.name: unit for unit in read.unitDefinitions}
+    return {
+        "variables": [
+            (name, v.valueReference, v.causality, v.variability, v.initial)
+            for v in read.modelVariables
+            for name in elements(v)
+        ],
+        "units": {
+            name: (unit.baseUnit and tuple(getattr(unit.baseUnit, si) for si in SI_BASE_UNITS))
+            for name, unit in units.items()
+        },
+        "factors": [(d.name, d.factor, d.offset) for unit in units.values() for d in unit.displayUnits],
+        "derivatives": [name for u in read.derivatives for name in elements(u.variable)],
+        "states": [name for u in read.derivatives for name in elements(u.variable.derivative)],
+        "dependencies": {
+            name: None if u.dependencies is None else tuple(n for v in u.dependencies for n in elements(v))
+            for u in read.outputs
+            for name in elements(u.variable)
+        },
+        "indicators": read.numberOfEventIndicators,
+        "experiment": [
+            float(text)
+            for word in ("startTime", "stopTime", "tolerance", "stepSize")
+            if (text := getattr(read.defaultExperiment, word, None)) is not None
+        ],
+        "root": (read.modelName, read.fmiVersion, read.guid, read.description or "", read.generationTool or ""),
+        "interfaces": {
+            kind: (each.modelIdentifier, each.needsExecutionTool, each.canBeInstantiatedOnlyOncePerProcess)
+            for kind, each in (("co-simulation", read.coSimulation), ("model-exchange", read.modelExchange))
+            if each is not None
+        },
+    }
+
+
+def as_read(found: Description) -> dict[str, Any]:
+    """Return the same of our reading."""
+    return {
+        "variables": [
+            (name, v.reference, v.causality, v.variability, v.initial) for name, v in found.variables.items()
+        ],
+        "units": {name: unit.exponents for name, unit in found.units.items()},
+        "factors": [(name, *linear) for unit in found.units.values() for name, linear in unit.display_units.items()],
+        "derivatives": list(found.derivatives),
+        "states": list(found.states),
+        "dependencies": dict(found.dependencies),
+        "indicators": found.indicators,
+        "experiment": list(found.default_experiment.values()),
+        "root": (found.model_name, found.fmi_version, found.guid, found.description, found.generation_tool),
+        "interfaces": {
+            kind: (each.identifier, each.needs_execution_tool, each.once_per_process)
+            for kind, each in found.interfaces.items()
+        },
+    }
+
+
+def compare_values(path: Path, found: Description) -> None:
+    """Compare what is in the units of each variable: its own, then those of its declared type."""
+    for given in read_model_description(str(path), validate=False).modelVariables:
+        names, declared = elements(given), given.declaredType
+        if given.type in ("String", "Binary"):
+            starts = [given.start]
+        else:
+            starts = [None if given.start is None else word for word in (given.start or "").split() or [None]]
+        for name, start in zip(names, starts if len(starts) == len(names) else starts * len(names), strict=True):
+            own = found.variables[name]
+            for word in ("min", "max", "nominal", "unit"):
+                text = getattr(given, word) or getattr(declared, word, None) or None
+                assert getattr(own, word) == (text if word == "unit" or text is None else float(text)), (name, word)
+            assert own.description == (given.description or "")
+            assert own.array == (tuple(names) if names != [given.name] else ())
+            if start is None or own.type in ("String", "Binary"):
+                assert own.start == start
+            else:
+                assert own.start == (start in ("true", "1") if own.type == "Boolean" else float(start))
+
+
+@pytest.mark.parametrize("path", sorted(FMUS.glob("*/*.fmu")), ids=lambda path: path.stem)
+def test_our_fmus_read_as_by_fmpy(path: Path) -> None:
+    found = read_description(path)
+    assert as_read(found) == by_fmpy(path)
+    compare_values(path, found)
+
+
+@pytest.mark.parametrize("text", [FMI2, FMI3, FMI_3, TYPED_2, TYPED_3], ids=["2", "3", "arrays", "typed2", "typed3"])
+def test_written_descriptions_read_as_by_fmpy(tmp_path: Path, text: str) -> None:
+    path = write_fmu(tmp_path / "a.fmu", text)
+    found = read_description(path)
+    assert as_read(found) == by_fmpy(path)
+    compare_values(path, found)
+
+
+@pytest.mark.parametrize("variability", VARIABILITIES)
+@pytest.mark.parametrize("causality", CAUSALITIES)
+@pytest.mark.parametrize("version", [2, 3])
+def test_defaults_and_what_they_exclude(
+    tmp_path: Path, version: int, causality: str | None, variability: str | None
+) -> None:
+    """Of the roles that a variable may have, and which go together: a reader refuses what the other refuses."""
+    roles = "".join(
+        f' {word}="{value}"' for word, value in (("causality", causality), ("variability", variability)) if value
+    )
+    for kind in KINDS[version]:
+        if version == 2:
+            text, variable = FMI2, f'<ScalarVariable name="v" valueReference="99"{roles}><{kind}/></ScalarVariable>'
+        else:
+            text, variable = FMI3, f'<{kind} name="v" valueReference="99"{roles}/>'
+        path = write_fmu(tmp_path / "a.fmu", text.replace("</ModelVariables>", f"{variable}</ModelVariables>"))
+        try:
+            theirs = by_fmpy(path)
+        except Exception as error:
+            assert "illegal combination" in str(error)
+            with pytest.raises(InputError, match=r"'v' with causality .* and variability .* which FMI does not allow"):
+                read_description(path)
+        else:
+            assert as_read(read_description(path)) == theirs
+
+
+def test_types_and_capabilities(tmp_path: Path) -> None:
+    """What FMPy does not say, or not in one way for both versions."""
+    found = read_description(write_fmu(tmp_path / "a.fmu", TYPED_2))
+    assert {v.name: (v.type, v.wire) for v in found.variables.values()} == {
+        "T": ("Real", "Float64"),
+        "der(T)": ("Real", "Float64"),
+        "gear": ("Integer", "Int32"),
+        "on": ("Boolean", "Boolean"),
+        "word": ("String", "String"),
+    }
+    assert [v.name for v in found.variables.values() if v.is_state] == ["T"]
+    assert found.units["K"].offset == 2.0
+    slave, model = found.interfaces["co-simulation"], found.interfaces["model-exchange"]
+    assert (slave.declared_repeatable, slave.interpolates_inputs, slave.variable_step) == (True, True, False)
+    assert (model.declared_repeatable, model.completed_step) == (False, False)
+    found = read_description(write_fmu(tmp_path / "b.fmu", TYPED_3))
+    assert {v.wire for v in found.variables.values()} == {"Float64", "UInt64", "Int64", "String", "Binary", "Clock"}
+    assert [v.name for v in found.variables.values() if v.is_state] == ["x[1]", "x[2]"]
+    slave, model = found.interfaces["co-simulation"], found.interfaces["model-exchange"]
+    assert (slave.event_mode, slave.variable_step, slave.once_per_process) == (True, True, False)
+    assert (model.completed_step, model.once_per_process) == (False, True)
+
+
+def test_bounds_of_unsigned_types_and_starts_of_arrays_of_strings(tmp_path: Path) -> None:
+    """FMPy leaves out the first, and all starts of the second but one."""
+    more = """<UInt8 name="byte" valueReference="90" causality="parameter" min="1" max="9" start="2"/>
+    <String name="words" valueReference="91" causality="parameter"><Dimension start="2"/><Start value="a b"/><Start value="c"/></String>"""
+    path = write_fmu(tmp_path / "a.fmu", TYPED_3.replace("</ModelVariables>", f"{more}</ModelVariables>"))
+    variables = read_description(path).variables
+    assert (variables["byte"].min, variables["byte"].max) == (1, 9)
+    assert [variables[name].start for name in ("words[1]", "words[2]")] == ["a b", "c"]
+
+
+@pytest.mark.parametrize(
+    ("text", "variable", "name"),
+    [
+        (FMI2, '<ScalarVariable name="R" valueReference="99" causality="parameter" variability="fixed">'
+         '<Real start="5"/></ScalarVariable>', "R"),
+        (FMI_3, '<Float64 name="R" valueReference="99" causality="parameter" variability="fixed" start="5"/>', "R"),
+        (FMI_3, '<Float64 name="other" valueReference="99"><Alias name="R"/></Float64>', "R"),
+        (FMI_3, '<Float64 name="A[2,1]" valueReference="99"/>', "A[2,1]"),
+        (FMI_3, '<Float32 name="B" valueReference="99"><Dimension start="2"/></Float32>', "B[1]"),
+    ],
+    ids=["2", "3", "alias", "element", "array"],
+)  # fmt: skip
+def test_names_that_two_variables_share_are_refused(tmp_path: Path, text: str, variable: str, name: str) -> None:
+    path = write_fmu(tmp_path / "a.fmu", text.replace("</ModelVariables>", f"{variable}</ModelVariables>"))
+    with pytest.raises(InputError, match=rf"a\.fmu: its modelDescription.xml declares '{re.escape(name)}' more than"):
+        read_description(path)
+
+
+def test_variables_of_one_reference_are_read(tmp_path: Path) -> None:
+    """Two names of one value are legal in FMI 2.0."""
+    alias = '<ScalarVariable name="same" valueReference="9"><Real unit="A"/></ScalarVariable>'
+    path = write_fmu(tmp_path / "a.fmu", FMI2.replace("</ModelVariables>", f"{alias}</ModelVariables>"))
+    variables = read_description(path).variables
+    assert variables["same"].reference == variables["i"].reference
+
+
+def test_a_variable_is_a_value() -> None:
+    variable = Variable("v", 0, "Real", "Float64", "local", "continuous")
+    assert variable == Variable("v", 0, "Real", "Float64", "local", "continuous")
+    assert hash(variable._replace(name="w")) != hash(variable)
