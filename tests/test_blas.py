@@ -20,6 +20,7 @@ from fmuid.runs.batch.run_case import CaseRunner
 from fmuid.studies import Study
 from tests.support.coil_batches import NOISE, write
 from tests.support.coil_study import coil_table
+from tests.support.quick import first
 
 assert scipy.linalg.blas
 
@@ -65,7 +66,7 @@ WORK: dict[str, Callable[[Problem, fmuid.Result], object]] = {
 }
 
 
-@pytest.mark.parametrize("name", WORK)
+@pytest.mark.parametrize("name", first(2, WORK))
 def test_work_has_one_thread_and_gives_the_others_back(name: str, seen: list[set[int]]) -> None:
     problem = fmuid.datasets.coil().problem()
     result = fmuid.identify(problem)

@@ -45,7 +45,7 @@ def check(result: Result, truth: list[float]) -> None:
 
 
 @pytest.mark.parametrize("bounds", [{}, {"min": 0.0}, {"min": 0.0, "max": 20.0}])
-@pytest.mark.parametrize("start", [(2.0, 8.0, 1.0), (0.5, 5.0, 0.1)])
+@pytest.mark.parametrize("start", [(2.0, 8.0, 1.0), pytest.param((0.5, 5.0, 0.1), marks=pytest.mark.slow)])
 def test_friction_at_rest(bounds: dict[str, Any], start: tuple[float, ...]) -> None:
     """Nothing moves at the start: neither friction nor mass shows until the Coulomb friction is less."""
     parameters = {name: Parameter(value, **bounds) for name, value in zip(SLIDE, start, strict=True)}

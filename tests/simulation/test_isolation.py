@@ -35,6 +35,7 @@ from tests.support.isolated import (
 )
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu
 from tests.support.paths import FMUS
+from tests.support.quick import first
 
 pytestmark = PROCESSES
 
@@ -60,7 +61,7 @@ STATUSES = {
 }
 
 
-@pytest.mark.parametrize("mode", CRASHES)
+@pytest.mark.parametrize("mode", first(3, CRASHES))
 def test_a_crash_costs_one_simulation(folder: Path, mode: Mode) -> None:
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), CRASHES[mode], Isolation(time_limit=600.0))
 
@@ -102,7 +103,7 @@ def test_a_failing_status_says_the_same_as_in_process(folder: Path, mode: Mode) 
     assert np.array_equal(isolated.outputs, alone.outputs, equal_nan=True)
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", first(1, [2, 3]))
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 @pytest.mark.parametrize("where", [Where.STEP, Where.INITIALIZATION, Where.GETTING])
 def test_in_every_interface_and_call(folder: Path, version: int, kind: str, where: Where) -> None:

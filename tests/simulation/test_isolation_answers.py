@@ -33,6 +33,7 @@ from tests.support.isolated import (
     wait_until,
 )
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu
+from tests.support.quick import first
 
 pytestmark = PROCESSES
 
@@ -43,7 +44,7 @@ def is_zombie(pid: int) -> bool:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a fork shares the memory of its parent")
-@pytest.mark.parametrize("where", [Where.STEP, Where.INITIALIZATION, Where.RESET])
+@pytest.mark.parametrize("where", first(1, [Where.STEP, Where.INITIALIZATION, Where.RESET]))
 def test_a_fork_that_comes_back_costs_none(folder: Path, where: Where) -> None:
     """It neither answers in place of its parent nor goes on with an order that is over."""
     values = {"where": where, "amount": 200.0}
