@@ -167,7 +167,8 @@ def drawn(known: fmuid.Baseline, committed: pd.DataFrame) -> Callable[[str], dic
         page = committed[(committed["case"] == case) & (committed["seed"] == 0)].iloc[0].to_dict()
         assert row["verdict"] == page["verdict"]
         for name in set(row) - {"verdict"}:
-            assert row[name] == pytest.approx(page[name], rel=1e-2, abs=1e-3), name
+            # statistics are in units of a difference that chance makes: a tenth decides nothing
+            assert row[name] == pytest.approx(page[name], rel=1e-2, abs=0.1 if name.endswith("_D") else 1e-3), name
         return row
 
     return again

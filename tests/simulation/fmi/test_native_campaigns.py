@@ -21,7 +21,10 @@ from tests.support.sanitizers import SANITIZE, assert_nothing_found, needs_sanit
 
 pytestmark = pytest.mark.slow
 TESTS = [
-    *(f"fmi/test_{name}" for name in ("native", "integrators", "model_exchange", "fmi3", "float_environment")),
+    *(
+        f"simulation/fmi/test_{name}"
+        for name in ("native", "integrators", "model_exchange", "fmi3", "float_environment")
+    ),
     *(
         "models/test_system",
         "models/test_loops",
