@@ -66,10 +66,11 @@ def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
         program, word, *rest = shlex.split(command.removeprefix("$ "))
         assert program == "fmuid"
         run([word, *rest, *(["--in-process"] if word in ("identify", "predict") else [])])
-        printed = iter(" ".join(line.split()) for line in capsys.readouterr().out.splitlines())
+        captured = capsys.readouterr()
+        printed = iter(" ".join(line.split()) for line in captured.out.splitlines())
         for line in lines:
             if line != "...":
-                assert " ".join(line.split()) in printed, (command, line)
+                assert " ".join(line.split()) in printed, (command, line, captured)
 
 
 @pytest.mark.parametrize("page", ["coupled.md", "faults.md", "monitoring.md", "priors.md"])
