@@ -33,9 +33,9 @@ class FMU(Displayed):
     Attributes
     ----------
     file : Path
-        Where it is read.
+        Where it is read, absolute.
     path : Path
-        What messages call it: the same, unless who reads a copy of somebody's file puts that file's name here.
+        Its name in messages: as it was given, unless who reads a copy of somebody's file puts that file's name here.
 
     Raises
     ------
@@ -52,8 +52,9 @@ class FMU(Displayed):
 
     def __init__(self, path: str | Path) -> None:
         check_kind(path, (str, PathLike), "a model must be a fmuid.System, a fmuid.FMU or the path of one")
-        self.file = self.path = Path(path)
-        self.description: Description = read_description(self.file)
+        self.path = Path(path)
+        self.file = self.path.absolute()  # isolated processes and later calls may work in other folders
+        self.description: Description = read_description(self.path)
 
     def __repr__(self) -> str:
         return f"FMU({str(self.path)!r})"

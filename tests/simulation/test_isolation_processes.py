@@ -6,6 +6,7 @@ import contextlib
 import errno
 import gc
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -302,3 +303,16 @@ def test_simulations_that_were_cancelled_are_not_taken_up(folder: Path) -> None:
     executor.cancel()
     with pytest.raises(FmuidError, match=r"^the simulations of .*\.fmu were cancelled$"):
         executor._host()
+
+
+def test_a_path_is_that_of_the_folder_where_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    coil = fmuid.datasets.coil()
+    shutil.copy(coil.fmu, tmp_path / "Mine.fmu")
+    values = [parameter.start for parameter in coil.parameters.values()]
+    first = fmuid.Simulator(coil.fmu, coil.experiment, coil.parameters, isolation=Isolation())(
+        values
+    )
+    monkeypatch.chdir(tmp_path)
+    mine = fmuid.Simulator("Mine.fmu", coil.experiment, coil.parameters, isolation=Isolation())
+    monkeypatch.chdir(tmp_path.parent)
+    assert np.array_equal(mine(values), first)
