@@ -309,10 +309,8 @@ def test_a_path_is_that_of_the_folder_where_it_was_given(tmp_path: Path, monkeyp
     coil = fmuid.datasets.coil()
     shutil.copy(coil.fmu, tmp_path / "Mine.fmu")
     values = [parameter.start for parameter in coil.parameters.values()]
-    first = fmuid.Simulator(coil.fmu, coil.experiment, coil.parameters, isolation=Isolation())(
-        values
-    )
+    first = fmuid.Simulator(coil.fmu, coil.experiment, list(coil.parameters), isolation=Isolation())(values)
     monkeypatch.chdir(tmp_path)
-    mine = fmuid.Simulator("Mine.fmu", coil.experiment, coil.parameters, isolation=Isolation())
+    mine = fmuid.Simulator("Mine.fmu", coil.experiment, list(coil.parameters), isolation=Isolation())
     monkeypatch.chdir(tmp_path.parent)
     assert np.array_equal(mine(values), first)
