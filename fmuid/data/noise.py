@@ -46,9 +46,6 @@ class Noise:
         A sample of weight w has the variance σ²/w, with one σ² for all outputs that have weights, which is estimated.
     common : bool or sequence of str
         Outputs (True: all) that share one estimated variance, the σ̂_b² of (1.61), as if each had the weight 1.
-    coloured : bool
-        Whether estimates weigh the samples by the colour of each output's noise, as the residual of a first search
-        shows it (generalised least squares): they are sharper where noise is slow and records are long.
     period : float, optional
         After how long, s, the excitation repeats; default: as the inputs show it. Errors of the model that return with
         it are allowed for in the standard deviations.
@@ -74,7 +71,6 @@ class Noise:
     relative: float | Mapping[str, float] | None = None
     weights: Level | Mapping[str, Level] | None = None
     common: bool | Sequence[str] = False
-    coloured: bool = False
     period: float | None = None
     experiments: Mapping[str, Noise] = field(default_factory=dict)
 
@@ -87,7 +83,7 @@ class Noise:
             found = {output: _checked(word, output, value) for output, value in entries}
             object.__setattr__(self, word, found if isinstance(given, Mapping) else found[""])
         for name, own in self.experiments.items():
-            if own.start is not None or own.common or own.coloured or own.experiments:
+            if own.start is not None or own.common or own.experiments:
                 words = ", ".join((*FORMS, "period"))
                 raise InputError(f"the noise of experiment {name!r} has {words} only: say the rest of all")
 
@@ -122,7 +118,7 @@ class Noise:
         InputError
             If the noise is said in another form.
         """
-        for word in ("std", "relative", "weights", "common", "coloured", "period", "experiments"):
+        for word in ("std", "relative", "weights", "common", "period", "experiments"):
             if getattr(self, word):
                 raise InputError(f"a diagnosis takes the noise as noise.variance alone: leave noise.{word} out")
         return None if isinstance(self.variance, str) else self.variance

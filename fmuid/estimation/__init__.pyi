@@ -38,7 +38,6 @@ from .noise.autoregression import Autoregression as Autoregression
 from .noise.autoregression import autoregression as autoregression
 from .noise.output_series import series_of as series_of
 from .noise.output_series import table_grid as table_grid
-from .noise.prewhitening import Weights as Weights
 from .noise.prewhitening import innovations_matrix as innovations_matrix
 from .noise.sample_grid import Rows as Rows
 from .noise.sandwich import ColouredNoise as ColouredNoise

@@ -119,5 +119,4 @@ def log_likelihood(problem: LeastSquares, residual: Floats, least: Floats) -> fl
     implied = np.maximum(problem.levels.pooled(sums, problem.counts) / problem.counts, least)
     variance = np.where(np.isnan(problem.variance), implied, problem.variance)
     scale = 0.0 if problem.levels.scale is None else float(np.log(problem.levels.scale).sum())
-    scale -= 0.0 if problem.weights is None else problem.weights.log_determinant
     return -0.5 * float(np.sum(problem.counts * np.log(2.0 * math.pi * variance) + sums / variance)) - scale

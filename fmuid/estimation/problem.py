@@ -30,7 +30,6 @@ from fmuid.estimation.marquardt.jacobian_cache import Waypoints
 from fmuid.estimation.model_sensitivities import Sensitivity
 from fmuid.estimation.noise.output_series import Series, period_of, series_of
 from fmuid.estimation.noise.periodic_error import check_periods
-from fmuid.estimation.noise.prewhitening import Weights
 from fmuid.estimation.simulation_noise import LARGEST_VALUE, NoiseLevel, noise_level
 
 
@@ -80,8 +79,6 @@ class LeastSquares:
         Where the estimation of the variances starts, NaN where the residual decides.
     loss : Loss or None
         None for the plain sum of squares.
-    weights : Weights or None
-        Where samples are weighed by the colour of their noise: what makes it white in `measured` and all predictions.
     one_of_many : bool
         Whether there are others that differ in their measurements only: all set out by the same simulations then.
     waypoints : Waypoints or None
@@ -129,7 +126,6 @@ class LeastSquares:
         noise = noise or Noise()
         self.noise, self.loss = noise, loss_of(loss)
         self.simulations = self.failures = 0
-        self.weights: Weights | None = None
         self.one_of_many = False
         self.waypoints: Waypoints | None = None
         self._reasons: dict[int, tuple[Floats, Exception | None]] = {}  # of the last failure, by experiment
@@ -146,8 +142,6 @@ class LeastSquares:
         self.counts = np.bincount(self.groups, minlength=len(self.output_names))
         self.variance, self.first_variance = self.levels.variance, self.levels.first
         self._check_counts()
-        if noise.coloured and self.loss is not None:
-            raise InputError(f'noise.coloured goes with loss = "linear", not "{loss}": leave one of the two out')
         if noise.period or noise.experiments:
             check_periods(self.series, noise, len(parameters))
 
@@ -249,14 +243,8 @@ class LeastSquares:
         return self._weighed(rows)
 
     def _weighed(self, rows: Floats) -> Floats:
-        """Return rows (..., n) with noise of one variance for each output, and white where that is known."""
-        rows = rows if self.levels.scale is None else rows / self.levels.scale
-        return rows if self.weights is None else self.weights(rows.T).T
-
-    def weigh(self, weights: Weights | None) -> None:
-        """Weigh samples by the colour of their noise from now on, alike without."""
-        raw = self.measured if self.weights is None else self.weights.undone(self.measured)
-        self.weights, self.measured = weights, raw if weights is None else weights(raw)
+        """Return rows (..., n) with noise of one variance for each output."""
+        return rows if self.levels.scale is None else rows / self.levels.scale
 
     def tables(self, rows: Floats) -> list[Floats]:
         """Return counted samples (n,) where they stand in the tables (K, n_outputs), NaN where none counts."""
@@ -331,8 +319,7 @@ class LeastSquares:
         thetas = np.array(theta, dtype=np.float64)[None]
         if predicted is None:
             return [self._outputs(index, thetas)[0] for index in range(len(self.experiments))]
-        raw = predicted if self.weights is None else self.weights.undone(predicted)
-        known = self.tables(raw if self.levels.scale is None else raw * self.levels.scale)
+        known = self.tables(predicted if self.levels.scale is None else predicted * self.levels.scale)
         for index, (experiment, kept) in enumerate(zip(self.experiments, self._counted, strict=True)):
             if simulate and kept.size < experiment.output_values.size:
                 known[index] = self._outputs(index, thetas)[0]

@@ -53,7 +53,7 @@ class Result(CanPredict):
         (`fmuid.estimation.noise.sandwich`); infinite variances where a parameter is not determined, all NaN where the
         search stalled.
     white_covariance : (N, N) array
-        What it would be if the noise were white (1.31), or of the very colour by which samples were weighed.
+        What it would be if the noise were white (1.31).
     freedom : (N,) array
         Degrees of freedom of the variances on the diagonal of `covariance`; infinite where they are known.
     noise_variance : dict of str to float

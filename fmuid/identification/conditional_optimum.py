@@ -57,10 +57,8 @@ def check_result(problem: LeastSquares, result: Result) -> None:
     Raises
     ------
     InputError
-        If their parameters or outputs differ, or the problem does not know the weights of its samples.
+        If their parameters or outputs differ.
     """
-    if problem.noise.coloured and problem.weights is None:
-        raise InputError("the weights of noise.coloured follow from residuals: identify this very problem first")
     pairs = (
         ("parameters", result.names, problem.parameters.names),
         ("outputs", tuple(result.noise_variance), problem.output_names),

@@ -14,7 +14,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, JointPrior, Noise, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation import SENSITIVITIES, LeastSquares, NoiseLevel, Result, Weights
+from fmuid.estimation import SENSITIVITIES, LeastSquares, NoiseLevel, Result
 from fmuid.formatting import nearest
 from fmuid.identification.discrete_parameters import Given, choices_of
 from fmuid.models import FMU, System
@@ -174,17 +174,11 @@ class Problem(LeastSquares):
         self._derivatives = tuple(_derivatives(self._simulators, self.sensitivity))
         self.refinement, self._finer, self._known, self._reasons = AS_ASKED, {}, None, {}
 
-    def weigh(self, weights: Weights | None) -> None:
-        """Weigh samples as `LeastSquares.weigh` does; what is known was not weighed like that."""
-        super().weigh(weights)
-        self._finer, self._known = {}, None
-
     def become(self, result: Result) -> None:
         """Simulate as a result of this problem was, with the values that it has chosen."""
         if result.chosen:
             self.choose(result.chosen)
         self.simulate_by(refinement_of(result))
-        self.weigh(None if result.noise is None else result.noise.weights)
 
     @property
     def models(self) -> dict[str, dict[str, Any]]:
@@ -223,7 +217,7 @@ class Problem(LeastSquares):
     def noise_near(self, theta: Floats) -> tuple[Floats, NoiseLevel]:
         """Find out as `LeastSquares.noise_near` does, once for all problems that differ in their measurements only."""
         plain = self._simulators == list(self.laid_out) and self._known is None
-        plain &= self.weights is None and self.levels.scale is None  # which may follow from measurements
+        plain &= self.levels.scale is None  # which may follow from measurements
         known, failures = self._noise_found, self.failures
         if plain and known is not None and np.array_equal(known[0], theta):
             self.simulations += known[2].simulations

@@ -198,8 +198,6 @@ class Diagnostics:
         equally spaced.
     slow : tuple of SlowResidual
         Where the standard deviations allow for weak slow noise.
-    weighed : bool
-        Whether samples were weighed by the colour of their noise: `widening` is against noise of that colour then.
     returning : tuple of ReturningResidual
         Where the standard deviations allow for what comes back with each cycle of the excitation, and it more likely
         does than not.
@@ -211,7 +209,6 @@ class Diagnostics:
     widening: dict[str, float]
     off_grid: tuple[tuple[str, str], ...] = ()
     slow: tuple[SlowResidual, ...] = ()
-    weighed: bool = False
     returning: tuple[ReturningResidual, ...] = ()
     long_memory: tuple[LongMemory, ...] = ()
 
@@ -277,7 +274,7 @@ class Diagnostics:
         off_grid = [list(each) for each in self.off_grid]
         content = {"findings": findings, "widening": self.widening, "off_grid": off_grid, "slow": self.slow}
         content |= {"returning": self.returning, "long_memory": self.long_memory}
-        plain: dict[str, Any] = as_json(content | {"weighed": self.weighed, "residuals": rows})
+        plain: dict[str, Any] = as_json(content | {"residuals": rows})
         return plain
 
 
@@ -315,7 +312,6 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
         first += int(experiment.counted.sum())
     off_grid = tuple((each.experiment, each.output) for each in result.noise.series if not each.regular)
     widening = dict(zip(result.names, result.widening.tolist(), strict=True))
-    weighed = result.noise.weights is not None
     shares: dict[tuple[str, str, float], float] = {}
     for found in result.noise.returning:
         for own, share in zip(found.series, found.shares.tolist(), strict=True):
@@ -324,7 +320,7 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
                 shares[key] = min(shares.get(key, 0.0) + share, 1.0)
     returning = tuple(ReturningResidual(*key, share) for key, share in shares.items())
     slow, long = _slow(result.noise)
-    return Diagnostics(tuple(series), widening, off_grid, slow, weighed, returning, long)
+    return Diagnostics(tuple(series), widening, off_grid, slow, returning, long)
 
 
 def residuals_of(

@@ -31,7 +31,6 @@ from fmuid.estimation import (
     Remedy,
     Result,
     Trouble,
-    Weights,
     second_difference_noise,
     sobol_points,
 )
@@ -138,40 +137,12 @@ def _identify(
     remedies: bool,
     region: CheckedRegion | None,
 ) -> Result:
-    """Identify the parameters of a problem whose other values are all known; then, if asked, by the noise's colour."""
-    problem.weigh(None)
+    """Identify the parameters of a problem whose other values are all known."""
     if isinstance(problem, Problem) and problem.corrected:
-        first = replace(method.search(problem, progress, start), observer=problem.observer)
-    elif not remedies or method.whole_box or not isinstance(problem, Problem):
-        first = checked_search.identify(problem, method, progress, start, accuracy=accuracy, region=region)
-    else:
-        first = _GuardedSearch(problem, method, progress, accuracy, region).run(start)
-    if not problem.noise.coloured or not first.converged or first.noise is None:
-        return first
-    problem.weigh(Weights.of(first.noise.series, first.noise.models))
-    found = checked_search.identify(problem, method.marquardt, progress, first.values, accuracy=accuracy)
-    return _weighed(first, found)
-
-
-def _weighed(first: Result, found: Result) -> Result:
-    """Return the result by the noise's colour, with what the search before it took."""
-    known, before = found.accuracy, first.accuracy
-    if known is not None and before is not None:
-        known = replace(
-            known,
-            switches=before.switches + known.switches,
-            refused=before.refused,
-            simulations=before.simulations + known.simulations,
-        )
-    return replace(
-        found.after(first),
-        simulations=first.simulations + found.simulations,
-        elapsed_s=first.elapsed_s + found.elapsed_s,
-        accuracy=known,
-        attempts=first.attempts,
-        optima=first.optima,
-        fits=first.fits,
-    )
+        return replace(method.search(problem, progress, start), observer=problem.observer)
+    if not remedies or method.whole_box or not isinstance(problem, Problem):
+        return checked_search.identify(problem, method, progress, start, accuracy=accuracy, region=region)
+    return _GuardedSearch(problem, method, progress, accuracy, region).run(start)
 
 
 class _GuardedSearch:

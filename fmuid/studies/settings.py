@@ -118,14 +118,11 @@ class NoiseWords(NoiseForms):
         None, "where the estimation of the variance starts; default: from the residual", 0.01
     )
     common: Flag | Names = word(False, "outputs that share one estimated variance, a list of names; true: all of them")
-    coloured: bool = word(
-        False, "estimates weigh the samples by the colour of the noise: sharper in long records with slow noise", True
-    )
 
     def settings(self, experiments: Mapping[str, NoiseForms]) -> Noise:
         """Return the words as an object, with those of single experiments."""
         own = {name: each.forms() for name, each in experiments.items() if each.model_fields_set}
-        return replace(self.forms(), start=self.start, common=self.common, coloured=self.coloured, experiments=own)
+        return replace(self.forms(), start=self.start, common=self.common, experiments=own)
 
 
 GLOBAL_WORDS = ("starts", "search", "seed")

@@ -13,9 +13,7 @@ A. V. Vecchia, "Estimation and model identification for continuous spatial proce
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +21,6 @@ import scipy
 
 from fmuid.array_types import Floats, Indices
 from fmuid.estimation.noise.autoregression import Autoregression
-from fmuid.estimation.noise.output_series import Series
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -100,48 +97,3 @@ class _Foretelling:
         lags = np.minimum(np.abs(places[:, None] - places), self._correlation.size - 1)
         factor = np.linalg.cholesky(self._correlation[lags])
         return np.asarray(scipy.linalg.solve_triangular(factor, np.eye(places.size), lower=True))
-
-
-@dataclass(frozen=True, eq=False)
-class Weights:
-    """What weighs the rows of a problem by the colour of their noise: all series made white.
-
-    Attributes
-    ----------
-    matrix : (n, n) sparse array
-        Lower triangular.
-    """
-
-    matrix: csr_array
-
-    @classmethod
-    def of(cls, series: Sequence[Series], models: Sequence[Autoregression]) -> Weights:
-        """Return those of all rows of a problem, from their series and the noise of each."""
-        from scipy.sparse import coo_array  # slow to import
-
-        parts = []
-        for each, model in zip(series, models, strict=True):
-            block = innovations_matrix(model, each.places).tocoo()
-            parts.append((block.data, *(each.rows[at] for at in block.coords)))
-        data, row, column = (np.concatenate(each) for each in zip(*parts, strict=True))
-        count = sum(each.rows.size for each in series)
-        return cls(coo_array((data, (row, column)), shape=(count, count)).tocsr())
-
-    def __call__(self, rows: Floats) -> Floats:
-        """Return rows (n,) or (n, m) weighed."""
-        return np.asarray(self.matrix @ rows)
-
-    def transposed(self, rows: Floats) -> Floats:
-        """Return rows (n,) or (n, m) multiplied by the transpose."""
-        return np.asarray(self.matrix.T @ rows)
-
-    def undone(self, rows: Floats) -> Floats:
-        """Return rows (n,) or (n, m) as they were before they were weighed."""
-        from scipy.sparse.linalg import spsolve_triangular  # slow to import
-
-        return np.asarray(spsolve_triangular(self.matrix, rows, lower=True))
-
-    @cached_property
-    def log_determinant(self) -> float:
-        """The logarithm of the determinant of the matrix."""
-        return float(np.log(self.matrix.diagonal()).sum())

@@ -37,9 +37,6 @@ class Rows:
         Outputs whose whitened noise has the variance 1, as it was given.
     white : (n_outputs,) array of bool
         Outputs whose residual is nothing but rounding, of which nothing can be told: white, of variance 1.
-    weighed : (n, m) array, optional
-        B of the projector A Bᵀ, A the `basis`, by which the fit has taken it out; default A, where samples were not
-        weighed by a colour of their noise.
     """
 
     residual: Floats
@@ -49,12 +46,6 @@ class Rows:
     prior: Floats
     given: Flags
     white: Flags
-    weighed: Floats | None = None
-
-    @property
-    def pull(self) -> Floats:
-        """B (n, m)."""
-        return self.basis if self.weighed is None else self.weighed
 
 
 @dataclass(frozen=True, eq=False)

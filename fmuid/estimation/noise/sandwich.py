@@ -22,11 +22,6 @@ innovations' variances, 2σ⁴/n, they have ν_i = 2/var(log V_ii) degrees of fr
 an estimate is θ_i ± t(ν_i) √V_ii. Where an output's variance is given, its noise has that variance and the residual's
 correlation: all models are fitted at the residual's own level, what is missing included, and scaled at the end.
 
-Where samples are weighed by a colour of their noise, L (`fmuid.estimation.noise.prewhitening`), the rows of the fit are
-those of LJ, C is LᵀLJR, and the projector is A Bᵀ, A = L⁻¹Q and B = LᵀQ, Q a basis of LJ: what is missing is
-A Hᵀ + H Aᵀ, H = ΓB − A(BᵀΓB)/2. Γ is that of the residual of this fit, before it is weighed, so that V holds whatever
-the weights are.
-
 With a robust loss the rows are those of its influence function (`fmuid.estimation.covariance`), and Γ is theirs.
 
 References
@@ -51,7 +46,6 @@ from fmuid.array_types import Flags, Floats
 from fmuid.estimation.noise.autoregression import Autoregression, fit, most_orders
 from fmuid.estimation.noise.output_series import Series
 from fmuid.estimation.noise.periodic_error import Returning, returning
-from fmuid.estimation.noise.prewhitening import Weights
 from fmuid.estimation.noise.sample_grid import Grid, Rows, Spectra
 from fmuid.estimation.problem import LeastSquares
 
@@ -82,8 +76,6 @@ class ColouredNoise:
         The noise of each of them.
     innovations : tuple of (m, m) arrays
         The covariance S of the innovations of the series of each grid, in the order of the series.
-    weights : Weights or None
-        By which the samples were weighed (`LeastSquares.weigh`).
     returning : tuple of Returning
         Errors that come back with each cycle of the excitation.
     """
@@ -91,12 +83,10 @@ class ColouredNoise:
     series: tuple[Series, ...]
     models: tuple[Autoregression, ...]
     innovations: tuple[Floats, ...]
-    weights: Weights | None = None
     returning: tuple[Returning, ...] = ()
 
     def gram(self, columns: Floats) -> Floats:
         """Return XᵀΓX (k, k) of columns X (n, k) over the rows, Γ the covariance of their whitened noise."""
-        columns = columns if self.weights is None else self.weights.transposed(columns)
         total = np.zeros((columns.shape[1], columns.shape[1]))
         for members, common in zip(_members([each.grid for each in self.series]), self.innovations, strict=True):
             spectra = Spectra.of(columns, [self.series[i] for i in members], [self.models[i] for i in members])
@@ -142,14 +132,8 @@ def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: Flags) -> Sa
         basis = local.data_basis
         residual = residual - basis @ (basis.T @ residual)
     rows = Rows(residual, basis, columns, root, own.T @ own, given, rounding)
-    weights = problem.weights
-    if weights is not None:
-        weighed = weights.transposed(basis)
-        raw = weights.undone(np.column_stack([residual, basis]))
-        columns = weighed if columns is basis else weights.transposed(columns)
-        rows = replace(rows, residual=raw[:, 0], basis=raw[:, 1:], columns=columns, weighed=weighed)
     found = sandwich(rows, problem.series)
-    found = _with_returning(found, rows, problem.periods, weights)
+    found = _with_returning(found, rows, problem.periods)
     lost = ~np.isfinite(np.diag(local.combined.covariance))
     covariance = found.covariance.copy()
     covariance[lost, :] = covariance[:, lost] = np.nan
@@ -187,7 +171,7 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
     if rows.given.any():
         models = _as_given(models, rows, series)
         gram = _taken(parts, models, rows)
-    if rows.columns is not rows.pull:
+    if rows.columns is not rows.basis:
         gram = np.sum([part.take(part.models, rows.columns, part.innovations) for part in parts], axis=0)
     inner = gram + rows.prior
     covariance = rows.root @ inner @ rows.root.T
@@ -198,8 +182,8 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
     return Sandwich(covariance, freedom, noise)
 
 
-def _with_returning(found: Sandwich, rows: Rows, periods: Mapping[str, float], weights: Weights | None) -> Sandwich:
-    """Return a sandwich with what returns with each cycle of the excitation, and the noise's weights."""
+def _with_returning(found: Sandwich, rows: Rows, periods: Mapping[str, float]) -> Sandwich:
+    """Return a sandwich with what returns with each cycle of the excitation."""
     own = found.noise
     known = []
     for members, common in zip(_members([each.grid for each in own.series]), own.innovations, strict=True):
@@ -207,7 +191,7 @@ def _with_returning(found: Sandwich, rows: Rows, periods: Mapping[str, float], w
         noises = [(own.series[members[k]], own.models[members[k]]) for k in told]
         known.append((noises, common[np.ix_(told, told)]))
     returns = returning(rows.residual, rows.basis, periods, known, rows.given)
-    noise = replace(own, weights=weights, returning=returns)
+    noise = replace(own, returning=returns)
     if not returns:
         return replace(found, noise=noise)
     columns, before = rows.columns @ rows.root.T, np.diag(found.covariance)
@@ -232,8 +216,8 @@ def _members(numbers: Sequence[int]) -> list[list[int]]:
 
 
 def _taken(parts: Sequence[Grid], models: dict[int, Autoregression], rows: Rows) -> Floats:
-    """Take models for the noise of the series of all grids, and return the sum of BᵀΓB."""
-    return np.asarray(np.sum([part.take([models[i] for i in part.members], rows.pull) for part in parts], axis=0))
+    """Take models for the noise of the series of all grids, and return the sum of QᵀΓQ."""
+    return np.asarray(np.sum([part.take([models[i] for i in part.members], rows.basis) for part in parts], axis=0))
 
 
 def _rounds(rows: Rows) -> int:
@@ -288,7 +272,7 @@ def _freedom(
     rows: Rows, variances: Floats, series: Sequence[Series], parts: Sequence[Grid], pools: Sequence[Sequence[int]]
 ) -> Floats:
     """Return the degrees of freedom of the variances (N,), from the scatter of the models they rest on."""
-    taken = np.einsum("ij,ij->i", rows.basis, rows.pull)
+    taken = np.einsum("ij,ij->i", rows.basis, rows.basis)
     slopes = {index: own for part in parts for index, own in zip(part.members, part.slopes(), strict=True)}
     model = {index: own for part in parts for index, own in zip(part.members, part.models, strict=True)}
     scatter = np.zeros(len(variances))

@@ -77,10 +77,6 @@ def _large(found: Diagnostics, finding: Finding, units: Mapping[str, str | None]
 
 def _widening(found: Diagnostics, *, coloured: bool) -> list[str]:
     """Say how the standard deviations allow for the colour of the residuals, where that is worth it."""
-    if found.weighed:
-        return [
-            "The estimates weigh the samples by the colour of this noise, and their standard deviations allow for it"
-        ]
     known = {name: factor for name, factor in found.widening.items() if math.isfinite(factor)}
     other = {name: f for name, f in known.items() if not 1.0 / LEAST_STD_FACTOR < f < LEAST_STD_FACTOR}
     if not other:
