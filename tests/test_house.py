@@ -94,6 +94,21 @@ def test_no_circles_between_modules() -> None:
     assert "estimation.result" in uses(found["estimation.identification"], found.keys())
 
 
+def test_no_circles_between_files_of_the_core() -> None:
+    """Each includes the headers of what it calls, and what others call of it stands in its own header."""
+    files = {path: path.read_text(encoding="utf-8") for path in (PACKAGE / "simulation" / "native").glob("*.[ch]")}
+    used: dict[str, set[str]] = {}
+    for path, text in files.items():
+        included = {name for name in re.findall(r'^#include "(\w+)\.h"', text, re.M) if name != path.stem}
+        used[path.stem] = used.get(path.stem, set()) | included
+    order = list(TopologicalSorter(used).static_order())  # raises CycleError, which names a circle
+    assert order.index("plan") < order.index("events") < order.index("components") < order.index("master")
+    defined = r"^(?!static|INLINE|EXPORT|typedef|extern)[A-Za-z_][\w \*]*?\b(\w+)\([^;{}]*\) \{"
+    for path, text in files.items():
+        for function in re.findall(defined, text, re.M) if path.suffix == ".c" else ():
+            assert re.search(rf"\b{function}\(", files[path.with_suffix(".h")]), f"{path.name}: {function}"
+
+
 def test_other_packages_are_seen_by_their_faces() -> None:
     for module, path in modules().items():
         for other in imports(path):

@@ -36,7 +36,7 @@ TARGETS = {
 # number what is read here, and a processor waits before it loads two of them at once.
 FLAGS = (
     *("-std=c11", "-O2", "-ffp-contract=off", "-fno-tree-vectorize", "-fno-tree-slp-vectorize"),
-    *("-fomit-frame-pointer", "-shared", "-s"),
+    *("-fomit-frame-pointer", "-fvisibility=hidden", "-shared", "-s"),
 )
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 _MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}

@@ -4,9 +4,18 @@
 #define CALLS_H
 
 #include <math.h>
-#include <string.h>
 
-#include "core.h"
+#include "integrator.h"
+
+/* Note what has failed; return FAILED. */
+Outcome give_up(Integrator *self, Failure failure, int32_t status);
+
+/* REJECTED if a number is not finite. */
+Outcome check_finite(Integrator *self, const double *x, const double *dx);
+
+/* Find the derivatives of the unknowns along the seeds of the knowns, where the FMU is. */
+Outcome directional(Integrator *self, const uint32_t *unknowns, size_t n_unknowns, const uint32_t *knowns,
+                    size_t n_knowns, const double *seeds, double *found, int32_t *status);
 
 INLINE void copy(size_t n, const double *from, double *to) {
   for (size_t i = 0; i < n; i++) to[i] = from[i];

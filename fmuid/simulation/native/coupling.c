@@ -1,7 +1,11 @@
-/* Components that act on each other: exchange, and events that cause events; and curved inputs. */
+/* Components that act on each other: exchange, and events that cause events; and curved inputs. */ #include \
+    "coupling.h"
+
 #include <math.h>
 
-#include "core.h"
+#include "components.h"
+#include "loops.h"
+#include "transfer.h"
 
 enum { EVENT_ROUNDS = 20 }; /* events at one time that cause one another */
 

@@ -1,7 +1,9 @@
 /* Steps of a model-exchange FMU by CVODE (BDF, dense linear solver).
  *
  * The libraries are those that FMPy carries (SUNDIALS 7). A. C. Hindmarsh et al., ACM Trans. Math. Softw. 31 (2005)
- * 363. */
+ * 363. */ \
+#include "cvode.h"
+
 #include <float.h>
 #include <math.h>
 #include <stdlib.h>

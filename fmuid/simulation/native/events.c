@@ -1,8 +1,12 @@
-/* Events of a model-exchange FMU: finding them within a step, and Event Mode (FMI 2.0.4, section 3.2; 3.0.2, 3.3.2). */
+/* Events of a model-exchange FMU: finding them within a step, and Event Mode (FMI 2.0.4, section 3.2; 3.0.2, 3.3.2).
+ */ \
+#include "events.h"
+
 #include <float.h>
 #include <math.h>
 
 #include "calls.h"
+#include "steps.h"
 
 static const int MAX_ITERATIONS = 100; /* the standard sets no bound, but an event that needs as many never ends */
 

@@ -5,6 +5,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "linkage.h"
+
 typedef void *fmi2Component;
 typedef uint32_t fmi2ValueReference;
 typedef double fmi2Real;
@@ -71,5 +73,7 @@ typedef struct {
   FMI2_FUNCTIONS(FUNCTION)
 #undef FUNCTION
 } Fmi2;
+
+INLINE int good(fmi2Status status) { return status == fmi2OK || status == fmi2Warning; }
 
 #endif

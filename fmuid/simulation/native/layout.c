@@ -75,12 +75,12 @@ static const Place places[] = {
 };
 /* clang-format on */
 
-const Place *layout(void) { return places; }
+EXPORT const Place *layout(void) { return places; }
 
-const char *version(void) { return FMUID_VERSION; }
+EXPORT const char *version(void) { return FMUID_VERSION; }
 
 #define QUOTED(name) #name,
 static const char *const names[] = {WIRES(QUOTED) FAILURES(QUOTED) NULL};
 
 /* The wires and the failures, in the order of their numbers. */
-const char *const *code_names(void) { return names; }
+EXPORT const char *const *code_names(void) { return names; }

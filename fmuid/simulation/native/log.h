@@ -7,6 +7,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "linkage.h"
+
 enum { MOST_MESSAGES = 20, LONGEST_TEXT = 2048 };
 
 typedef struct {
@@ -31,9 +33,9 @@ typedef struct {
 } Log;
 
 /* What an instance of FMI 2.0 may call, to be heard in this log; memory comes from the C library. */
-const Callbacks *log_open(Log *log);
+EXPORT const Callbacks *log_open(Log *log);
 
 /* fmi3LogMessageCallback, with a Log as the environment. */
-void log_message_3(void *environment, int32_t status, const char *category, const char *message);
+EXPORT void log_message_3(void *environment, int32_t status, const char *category, const char *message);
 
 #endif

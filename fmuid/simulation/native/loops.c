@@ -1,11 +1,14 @@
 /* Loops of direct feed-through, solved by Newton's method with differences.
  *
  * The unknowns x are the inputs in the loop; the residual is what the outputs, passed on, would make of them, less x.
- */
+ */ \
+#include "loops.h"
+
 #include <math.h>
 #include <string.h>
 
-#include "core.h"
+#include "integrator.h"
+#include "transfer.h"
 
 enum { ITERATIONS = 30, PATIENCE = 2, CAUTIOUS_FROM = 10 };
 /* An unknown is right when residual and correction are within TOLERANCE of it; less than VANISHING of its largest

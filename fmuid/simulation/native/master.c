@@ -1,17 +1,15 @@
-/* The master: a whole simulation of connected components, sample by sample, and one simulation after the other. */
+/* The master: a whole simulation of connected components, sample by sample, and one simulation after the other. */ \
+#include "master.h"
+
 #include <fenv.h>
 #include <math.h>
 #include <string.h>
 
-#include "core.h"
-
-bool fail(Simulation *self, Failure failure, size_t component, int32_t status) {
-  self->report->failure = failure;
-  self->report->component = (int64_t)component;
-  self->report->status = (int64_t)(uint32_t)status; /* negative ones would be taken for UNDONE */
-  self->report->time = self->now;
-  return false;
-}
+#include "components.h"
+#include "coupling.h"
+#include "integrator.h"
+#include "loops.h"
+#include "transfer.h"
 
 INLINE bool is_cancelled(Simulation *self) {
   return atomic_load_explicit(self->cancel, memory_order_relaxed) && !fail(self, CANCELLED, 0, fmi2OK);

@@ -1,9 +1,14 @@
 /* A model-exchange instance from one communication point to the next: its memory, the calls of the FMU, the steps. */
-#include <float.h>
+#include "model_exchange.h"
+
 #include <math.h>
 #include <stdlib.h>
 
 #include "calls.h"
+#include "cvode.h"
+#include "events.h"
+#include "sensitivities.h"
+#include "steps.h"
 
 static const size_t MAX_EVENTS = 10000; /* of one advance: chattering, or bounces without end */
 static const double INPUT_JUMP = 1e-9;  /* of an input's largest magnitude so far: less is rounding of its curves */
@@ -66,76 +71,11 @@ void integrator_free(Integrator *self) {
   free(self);
 }
 
-/* ---- calls of the FMU ---- */
-
-Outcome give_up(Integrator *self, Failure failure, int32_t status) {
-  self->report.failure = failure;
-  self->report.status = failure == CVODE_FAILED ? status : (int64_t)(uint32_t)status;
-  return FAILED;
-}
-
-/* REJECTED if a number is not finite. */
-Outcome check_finite(Integrator *self, const double *x, const double *dx) {
-  for (size_t i = 0; i < self->n_total; i++) {
-    if (isfinite(x[i]) && isfinite(dx[i])) continue;
-    give_up(self, STATE_NOT_FINITE, fmi2OK);
-    self->report.state = (int64_t)i;
-    return REJECTED;
-  }
-  return DONE;
-}
-
-/* Find the derivatives of the unknowns along the seeds of the knowns, where the FMU is. */
-Outcome directional(Integrator *self, const uint32_t *unknowns, size_t n_unknowns, const uint32_t *knowns,
-                    size_t n_knowns, const double *seeds, double *found, int32_t *status) {
-  const Integration *how = &self->how;
-  if (!self->has_directional)
-    *status = fmi2Error;
-  else if (how->fmi2)
-    *status = how->fmi2->GetDirectionalDerivative(how->instance, unknowns, n_unknowns, knowns, n_knowns, seeds, found);
-  else
-    *status = how->fmi3->GetDirectionalDerivative(how->instance, unknowns, n_unknowns, knowns, n_knowns, seeds,
-                                                  n_knowns, found, n_unknowns);
-  return check(self, DIRECTIONAL_DERIVATIVE, *status) == DONE ? DONE : FAILED;
-}
-
 /* ---- steps ---- */
-
-/* Put the states at a time t within the step into x_at. */
-Outcome interpolate(Integrator *self, double t) {
-  if (self->step_length == 0.0)
-    copy(self->n_total, self->x_end, self->x_at);
-  else if (self->solver)
-    return cvode_interpolate(self, t);
-  else
-    runge_kutta_interpolate(self, t);
-  return DONE;
-}
-
-/* Let time pass without integrating: there are no states, or the time is too short to change them. */
-static Outcome coast(Integrator *self, double end) {
-  self->step_start = self->step_end;
-  self->step_end = end;
-  self->step_length = 0.0;
-  if (put(self, end, self->x_end) != DONE) return FAILED;
-  self->fmu_is_at_end = true;
-  return get_indicators(self, self->z_end);
-}
 
 /* One step towards `bound`, cut at the first state event in it. */
 static Outcome step(Integrator *self, double bound) {
-  const double begin = self->step_end;
-  self->n_steps++;
-  Outcome outcome;
-  if (self->n_total == 0)
-    outcome = coast(self, fmin(bound, begin + self->how.largest_step));
-  else if (bound - begin <= 100.0 * DBL_EPSILON * fmax(fabs(begin), fabs(bound)))
-    outcome = coast(self, bound);
-  else if (self->solver)
-    outcome = cvode_step(self, bound);
-  else
-    outcome = runge_kutta_step(self, bound);
-  if (outcome != DONE) return FAILED;
+  if (take_step(self, bound) != DONE) return FAILED;
   self->pending = COMPLETION;
   if (!crossed(self, self->z_end)) return DONE;
   self->pending = EVENT;

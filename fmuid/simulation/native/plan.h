@@ -55,6 +55,10 @@ typedef struct {
   double a[4];
 } Curve;
 
+INLINE double value_at(const Curve *curve, double after) {
+  return curve->a[0] + after * (curve->a[1] + after * (curve->a[2] + after * curve->a[3]));
+}
+
 typedef struct Integrator Integrator;
 
 /* INITIALIZING: values are set just so; IN_EVENTS: likewise; RUNNING: `When` counts. */
@@ -157,16 +161,5 @@ typedef struct {
   const int64_t *substeps, *strides;
   const double *states, *gain, *measured;
 } Grid;
-
-/* Simulate for each row of thetas (count, n_parameters), on the same instances one after the other, into outputs
- * (count, n_times, n_outputs) and reports (count). Ends soon after *cancel becomes other than zero. After a fatal
- * failure the rest is not simulated: its status is UNDONE. */
-void simulate(const Plan *plan, const Grid *grid, size_t count, const double *thetas, double *outputs, Report *reports,
-              const atomic_int *cancel);
-
-/* Keep and restore how the present thread calculates with floating-point numbers, in as many bytes as this takes. */
-size_t environment_size(void);
-void environment_keep(void *room);
-void environment_restore(const void *room);
 
 #endif

@@ -1,7 +1,9 @@
 /* Runge–Kutta steps: the classical method, and Dormand and Prince's of order 5(4) with step-size control.
  *
  * Both are tables of one loop. The last stage of each stands at the end of the step (of the classical method it is an
- * extra one), so that it is the first stage of the next step, and the FMU is left where the step ends. */
+ * extra one), so that it is the first stage of the next step, and the FMU is left where the step ends. */ \
+#include "runge_kutta.h"
+
 #include <float.h>
 #include <math.h>
 
@@ -15,7 +17,7 @@ typedef struct {
   size_t n_stages;
 } Tableau;
 
-extern const Tableau dormand_prince; /* seen from outside, to be compared with others' */
+EXPORT extern const Tableau dormand_prince; /* seen from outside, to be compared with others' */
 
 static const Tableau classical = {
     .nodes = {0.0, 1.0 / 2, 1.0 / 2, 1.0, 1.0},

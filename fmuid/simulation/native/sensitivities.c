@@ -1,14 +1,17 @@
 /* Sensitivities of a model-exchange FMU's states to parameters, integrated with them (1.26).
  *
  * Integrated is [x, s_1, ..., s_N], s_j = dx/dp_j, with s_j' = (dg/dx) s_j + dg/dp_j. The right-hand sides are
- * directional derivatives that the FMU gives, or differences to *twins*: instances with p_j + d_j, put beside the model
- * at x + d_j s_j. Twins are also taken through the model's events. At a state event the time of the event depends on
- * p_j too: dt_j/dp_j = -(dz/dx s_j + dz/dp_j)/(dz/dt), and with it s_j jumps (E. N. Rozenvasser, Autom. Remote Control
- * 28 (1967) 52). */
+ * directional derivatives that the FMU gives, or differences to *twins*: instances with p_j + d_j, put beside the
+ * model at x + d_j s_j. Twins are also taken through the model's events. At a state event the time of the event
+ * depends on p_j too: dt_j/dp_j = -(dz/dx s_j + dz/dp_j)/(dz/dt), and with it s_j jumps (E. N. Rozenvasser, Autom.
+ * Remote Control 28 (1967) 52). */ \
+#include "sensitivities.h"
+
 #include <float.h>
 #include <math.h>
 
 #include "calls.h"
+#include "events.h"
 
 /* A change of derivatives that is less, relatively or over a step and a state's nominal value, is none. */
 static const double SAME = 1e-9;

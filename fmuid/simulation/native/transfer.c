@@ -1,7 +1,11 @@
-/* Transfers of values that are not just Reals of FMI 2.0: other types, conditions, copies, sensitivities. */
+/* Transfers of values that are not just Reals of FMI 2.0: other types, conditions, copies, sensitivities. */ #include \
+    "transfer.h"
+
 #include <math.h>
 
-#include "core.h"
+#include "components.h"
+#include "integrator.h"
+#include "sensitivities.h"
 
 /* ---- numbers of other types ---- */
 

@@ -1,7 +1,9 @@
-/* The life of a component, and its steps between communication points; how model exchange does it is elsewhere. */
+/* The life of a component, and its steps between communication points; how model exchange does it is elsewhere. */ \
+#include "components.h"
+
 #include <math.h>
 
-#include "core.h"
+#include "model_exchange.h"
 
 enum { EVENT_ITERATIONS = 100, EARLY_RETURNS = 100000 }; /* of one event; of one step of an FMU that does not get on */
 /* Steps that are discarded are shortened down to this share of the communication step, and tried this often. */
