@@ -64,7 +64,7 @@ slider.value = place;
 @contextmanager
 def opened(target: Path) -> Iterator[tuple[str, float]]:
     """Run the workbench, and give the address of its first page and how long it took to print it, s."""
-    command = [sys.executable, "-m", "fmuid", "open", str(target), "--no-browser"]
+    command = [sys.executable, "-m", "fmuid", "workbench", str(target), "--no-browser"]
     begun = time.perf_counter()
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

@@ -65,7 +65,7 @@ def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
         command, *lines = block.splitlines()
         program, word, *rest = shlex.split(command.removeprefix("$ "))
         assert program == "fmuid"
-        run([word, *rest, *(["--in-process"] if word in ("identify", "predict") else [])])
+        run([word, *rest, *(["--no-isolation"] if word in ("identify", "predict") else [])])
         captured = capsys.readouterr()
         printed = iter(" ".join(line.split()) for line in captured.out.splitlines())
         for line in lines:

@@ -1,6 +1,6 @@
 """How fast a batch is: identifications of the induction machine from drawn noise, beside a plain loop in one process.
 
-    python -m experiments.batches.rate [--cases 10000] [--seconds 2] [--in-process]
+    python -m experiments.batches.rate [--cases 10000] [--seconds 2] [--no-isolation]
 
 The study is that of experiments/induction_machine (4500 samples, four parameters). Prints cases a second of a plain
 loop over `CaseRunner`, and of ``fmuid batch`` with one worker and with two, start included and left out, and the memory
@@ -112,12 +112,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--seconds", type=float, default=2.0, help="between two looks at the memory")
-    parser.add_argument("--in-process", action="store_true")
+    parser.add_argument("--no-isolation", action="store_true")
     chosen = parser.parse_args()
-    words = ["--in-process"] if chosen.in_process else []
+    words = ["--no-isolation"] if chosen.no_isolation else []
     with tempfile.TemporaryDirectory() as name:
         study = write_study(Path(name), chosen.cases)
-        plain = loop(study, min(LOOP_CASES, chosen.cases - 1), isolated=not chosen.in_process)
+        plain = loop(study, min(LOOP_CASES, chosen.cases - 1), isolated=not chosen.no_isolation)
         print(f"plain loop: {plain:.1f} cases a second", flush=True)
         for workers in (1, 2):
             output = Path(name) / f"out{workers}"

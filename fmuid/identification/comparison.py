@@ -177,7 +177,7 @@ class IncomparableError(InputError):
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
-        super().__init__(f"{reason}: compare on a common table (--table)")
+        super().__init__(f"{reason}: compare on a common table (--data)")
 
 
 def same_data(candidates: Sequence[Compared]) -> bool:

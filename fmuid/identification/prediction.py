@@ -250,7 +250,7 @@ def estimates_for(result: Result, system: System, experiment: Experiment, withou
         if variable not in found:
             raise InputError(
                 f"the result has a value of {variable!r} for {', '.join(others)} and none for {experiment.name}: "
-                f"have it estimated again on this record (--free {variable})"
+                f"have it estimated again on this record (--refit {variable})"
             )
     return found
 

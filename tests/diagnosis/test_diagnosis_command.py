@@ -69,7 +69,7 @@ def test_the_command_says_what_it_found(study: Path, look: Look, capsys: pytest.
 def test_from_python_it_is_what_the_command_does(study: Path) -> None:
     """The same files and verdict; without a folder the verdict alone, told before it is returned."""
     drawn = ["--figures", "png", "--no-report"]
-    assert run(["diagnose", str(study), "--in-process", "-o", str(study.parent / "theirs"), *drawn]) == 1
+    assert run(["diagnose", str(study), "--no-isolation", "-o", str(study.parent / "theirs"), *drawn]) == 1
     mine = study.parent / "mine"
     found = fmuid.run_diagnosis(study, mine, figures="png")
     assert not found.healthy

@@ -60,10 +60,10 @@ def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.Capture
     grown = ["-o", str(folder / "grown"), "--figures", "png", "--no-report"]
     assert run(["monitor", study, str(records / "day0.csv"), str(records / "day1.csv"), *words, *grown]) == 0
     assert "No alarm" in capsys.readouterr().out
-    assert run(["monitor", study, str(records), *words, *grown, "--append"]) == 1
+    assert run(["monitor", study, str(records), *words, *grown, "--resume"]) == 1
     assert written(folder / "grown") == written(folder / "whole")
     assert (folder / "grown" / "figures" / "timeline.png").stat().st_size > 10_000
-    other = [*told(window=1, transient=0.3), *grown, "--append"]
+    other = [*told(window=1, transient=0.3), *grown, "--resume"]
     capsys.readouterr()
     assert run(["monitor", study, str(records), *other]) == 2
     assert "another rule" in capsys.readouterr().err
@@ -87,12 +87,12 @@ def test_appending_gives_what_one_run_gives(folder: Path, capsys: pytest.Capture
         (state, saying(later | {"records": [1]}), "its content is of other types"),
     ):
         path.write_bytes(spoilt)
-        assert run(["monitor", study, str(records), *words, *grown, "--append"]) == 2
+        assert run(["monitor", study, str(records), *words, *grown, "--resume"]) == 2
         error = capsys.readouterr().err
         assert said in error and str(path) in error and "monitor without appending" in error and error.count("\n") == 1
         path.write_bytes(whole[path])
     table.write_bytes(whole[table] + b"rows of a run that was killed before it had written its state")
-    assert run(["monitor", study, str(records), *words, *grown, "--append"]) == 1
+    assert run(["monitor", study, str(records), *words, *grown, "--resume"]) == 1
     assert table.read_bytes() == whole[table]
 
 
@@ -139,11 +139,11 @@ def test_interrupted_inside_a_record(
         disturbed.setattr(Seen, "row", killing(number, when, Seen.row))
         assert command("monitor", *words, "-o", folder / "grown") == 1
     out, error = capsys.readouterr()
-    saying = "interrupted: saving the records examined so far, with which --append goes on"
+    saying = "interrupted: saving the records examined so far, with which --resume goes on"
     assert error.splitlines() == [saying, "error: interrupted"]
     assert "monitoring.csv" in out
     assert set(pd.read_csv(folder / "grown" / "monitoring.csv")["record"]) == {"day0"}
-    for name, more in (("grown", ["--append"]), ("whole", [])):
+    for name, more in (("grown", ["--resume"]), ("whole", [])):
         assert command("monitor", *words, "-o", folder / name, *more, "--no-report") == 1
     assert written(folder / "grown") == written(folder / "whole")
 
@@ -163,7 +163,7 @@ def test_interrupted_inside_a_record(
         (told(needed=3), "[monitoring] has no key 'needed'"),
         (told(level=2), "[monitoring] level must be a number between 0 and 1, not 2"),
         (told(windows=1), "[monitoring] has no key 'windows' (did you mean 'window'?)"),
-        (["--append"], "no earlier run to append to"),
+        (["--resume"], "no earlier run to append to"),
         (["--set", "noise.variance=0"], "variance"),
     ],
 )

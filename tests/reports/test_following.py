@@ -190,7 +190,7 @@ def test_memory_is_of_the_latest_windows(plant: Path, monkeypatch: pytest.Monkey
     ("words", "said"),
     [
         (["records", "records"], "--follow and several folders do not go together"),
-        (["records", "--append"], "--follow and --append do not go together"),
+        (["records", "--resume"], "--follow and --resume do not go together"),
         (["records", "--figures", "png"], "--follow and --figures do not go together"),
         (["nowhere"], "nowhere: there is no such folder or file"),
         (["records", "--set", "monitoring.command=3"], "[monitoring] command must be a list of a program"),

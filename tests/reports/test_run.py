@@ -46,7 +46,7 @@ def stopping(where: type[Event]) -> Progress:
 def test_it_is_what_the_command_does(study: Path, tmp_path: Path) -> None:
     found = fmuid.run_study(study, tmp_path / "mine", report=True)
     assert found.succeeded
-    assert fmuid_("identify", study, "--in-process", "--output", tmp_path / "theirs") == DONE
+    assert fmuid_("identify", study, "--no-isolation", "--output", tmp_path / "theirs") == DONE
     names = {path.relative_to(tmp_path / "theirs") for path in (tmp_path / "theirs").rglob("*") if path.is_file()}
     assert {path.relative_to(tmp_path / "mine") for path in found.files} == names
     assert {"result.json", "profiles.csv", "parameters.ssv", "report.html"} <= {path.name for path in names}
@@ -61,7 +61,7 @@ def test_rows_that_are_missing_are_said_once(tmp_path: Path, capsys: pytest.Capt
     table = pd.read_csv(tmp_path / "first.csv")
     table.drop(index=range(100, 110)).to_csv(tmp_path / "first.csv", index=False)
     (tmp_path / "study.toml").write_text(STUDY)
-    assert fmuid_("identify", tmp_path / "study.toml", "--in-process", "--output", tmp_path) == DONE
+    assert fmuid_("identify", tmp_path / "study.toml", "--no-isolation", "--output", tmp_path) == DONE
     said = f"first: rows are missing after t = {table['time'][99]:.6g} s; inputs go on there as between any samples"
     found = result(tmp_path)
     assert capsys.readouterr().out.count(said) == found["words"].count(said) == 1

@@ -83,6 +83,6 @@ def test_simulate_at_a_result(folder: Path, capsys: pytest.CaptureFixture[str]) 
     (at,) = fits_at(study, Result.from_json(path))
     (start,) = study.fits()
     assert 100.0 - at.fit[0] < 0.5 * (100.0 - start.fit[0])
-    code = fmuid_("simulate", folder / "study.toml", "--result", folder, "-o", folder / "out", "--in-process")
+    code = fmuid_("simulate", folder / "study.toml", "--result", folder, "-o", folder / "out", "--no-isolation")
     assert code == DONE
     assert f"{at.fit[0]:.4g} %" in capsys.readouterr().out

@@ -111,7 +111,7 @@ def test_a_parameter_without_a_value_is_refused(folder: Path) -> None:
     study = Study.read(folder / "study.toml", ["parameters.i_start={start=0.0, nominal=0.1}"])
     result = Result.from_json(kept(study, folder))
     (record,) = records_like(study, [folder / "second.csv"])
-    with pytest.raises(InputError, match=r"has the parameter 'i_start', of which the result has no value: .*--free"):
+    with pytest.raises(InputError, match=r"has the parameter 'i_start', of which the result has no value: .*--refit"):
         predict_with(study, result, record)
     assert predict_with(study, result, record, free=["i_start"]).estimated is not None
 

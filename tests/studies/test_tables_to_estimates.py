@@ -37,7 +37,7 @@ def estimates(motor: Path, folder: Path, variant: str) -> dict[str, dict[str, fl
     write(folder / name)
     assert fmuid_("init", motor, folder / name, "--output", folder / "study.toml") == DONE
     results = folder / "results"
-    assert fmuid_("identify", folder / "study.toml", "--output", results, "--in-process", "--no-report") == DONE
+    assert fmuid_("identify", folder / "study.toml", "--output", results, "--no-isolation", "--no-report") == DONE
     found: dict[str, dict[str, float]] = result(results)["parameters"]
     return found
 

@@ -15,15 +15,9 @@ from typing import Annotated, Any
 
 import typer
 
-from fmuid.apps.cli import batch as cli_batch
-from fmuid.apps.cli import design as cli_design
-from fmuid.apps.cli import models as cli_models
-from fmuid.apps.cli import results as cli_results
-from fmuid.apps.cli import studies as cli_studies
-from fmuid.apps.cli import workbench as cli_workbench
-from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
-from fmuid.apps.cli.outputs import guarded, open_descriptors
-from fmuid.apps.cli.signals import handled
+from fmuid.apps.cli import batch, models, results, studies
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT, changed_option
+from fmuid.apps.cli.signals import guarded, handled, open_descriptors
 from fmuid.errors import FmuidError, InputError
 from fmuid.files import noted
 from fmuid.formatting import listed, visible
@@ -35,7 +29,7 @@ COLLECTIONS = 100_000, 20, 20
 
 app = typer.Typer(
     name="fmuid",
-    help="Identify the physical parameters of models packaged as FMUs from tables of measurements.",
+    help="Identify the physical parameters of FMUs from measured data.",
     epilog="Exit code: 0 done, 1 ran but did not succeed (such as not converged), 2 wrong input.",
     add_completion=False,
     rich_markup_mode=None,  # rich takes longer to import than all else that help needs
@@ -53,31 +47,31 @@ def _version(asked: bool) -> None:
 @app.callback()
 def fmuid(
     version: Annotated[  # acts through its callback
-        bool, typer.Option("--version", help="Print the version and end.", callback=_version, is_eager=True)
+        bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Identify the physical parameters of models packaged as FMUs from tables of measurements."""
+    """Identify the physical parameters of FMUs from measured data."""
 
 
 for command in (
-    cli_models.info,
-    cli_models.validate,
-    cli_models.init,
-    cli_models.schema,
-    cli_studies.simulate,
-    cli_studies.identify,
-    cli_studies.diagnose,
-    cli_studies.monitor,
-    cli_batch.batch,
-    cli_studies.report,
-    cli_design.design,
-    cli_results.predict,
-    cli_results.compare,
-    cli_models.apply,
-    cli_models.export,
+    models.info,
+    models.validate,
+    models.init,
+    models.schema,
+    studies.simulate,
+    studies.identify,
+    studies.diagnose,
+    studies.monitor,
+    batch.batch,
+    results.report,
+    studies.design,
+    results.predict,
+    results.compare,
+    results.apply,
+    models.export,
+    studies.workbench,
 ):
     app.command(short_help=inspect.getdoc(command))(command)  # whole, where typer would cut it
-app.command("open", short_help=inspect.getdoc(cli_workbench.open_))(cli_workbench.open_)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -120,6 +114,8 @@ def _ran(given: Sequence[str]) -> int:
     except _USAGE_ERROR as error:
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "fmuid"
+        if changed := changed_option(given):
+            return _refuse(f"{command}: {changed} (see {command} --help)", WRONG_INPUT)
         return _refuse(
             f"{command}: {error.format_message().rstrip('.?').replace('. ', '; ')} (see {command} --help)", WRONG_INPUT
         )
@@ -135,11 +131,7 @@ def _ran(given: Sequence[str]) -> int:
 
 def _with_command(given: Sequence[str]) -> typer.Typer:
     """Return the command line with the one command that is asked for, where it is clear: typer builds all it has."""
-    named = [
-        each
-        for each in app.registered_commands
-        if given and given[0] in (each.name, getattr(each.callback, "__name__", ""))
-    ]
+    named = [each for each in app.registered_commands if given and given[0] == getattr(each.callback, "__name__", "")]
     narrow = copy.copy(app)
     narrow.registered_commands = named or app.registered_commands
     return narrow

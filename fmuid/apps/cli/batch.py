@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, Figures, NoReport, Overrides, StudyFile, telling_files
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, Figures, NoReport, Overrides, StudyFile
 from fmuid.apps.cli.signals import answering
+from fmuid.apps.cli.studies import telling_files
 
 if TYPE_CHECKING:
     from fmuid.runs import Batch, BatchResult
@@ -18,31 +19,27 @@ if TYPE_CHECKING:
 def batch(
     study: StudyFile,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="The folder of the batch.", show_default=False)
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the batch.", show_default=False)
     ],
     set_: Overrides = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="A Dask scheduler, tcp://host:8786; default: workers of this machine."),
+        typer.Option(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786 (default: local workers)."),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(metavar="N", help="How many workers of this machine; default: one a core.")
+        int | None, typer.Option(metavar="N", help="Number of local workers (default: one per core).")
     ] = None,
-    max_cases: Annotated[int, typer.Option(metavar="N", help="Refuse a study that spans more.")] = 100_000,
+    max_cases: Annotated[int, typer.Option(metavar="N", help="Refuse a study with more cases.")] = 100_000,
     resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume/--no-resume", help="Go on with the finished cases in the folder, or remove them and begin anew."
-        ),
+        bool, typer.Option("--resume/--no-resume", help="Keep finished cases, or remove them and begin anew.")
     ] = True,
-    in_process: Annotated[
-        bool,
-        typer.Option("--in-process", help="Run FMUs in the workers' own processes: an FMU that crashes ends a worker."),
+    no_isolation: Annotated[
+        bool, typer.Option("--no-isolation", help="Run FMUs inside the workers; an FMU that crashes ends one.")
     ] = False,
     figures: Figures = None,
     no_report: NoReport = False,
 ) -> int:
-    """Run the many identifications that a study spans, as its table batch says; the same command resumes them."""
+    """Run the many identifications of a study's [batch]; the same command resumes them."""
     from fmuid.reports.console import layout as console
     from fmuid.reports.console.progress import Display
     from fmuid.runs import Batch
@@ -56,7 +53,7 @@ def batch(
         workers=workers,
         max_cases=max_cases,
         resume=resume,
-        isolated=not in_process,
+        isolated=not no_isolation,
     )
     console.note_sources(read)
     with answering("saving the finished cases, then ending the workers, then their summary (Ctrl-C leaves it out)"):

@@ -1,35 +1,36 @@
-"""What the commands have in common: arguments, options, exit codes."""
+"""Arguments, options and exit codes that commands share; names that options had before."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from fmuid.files import noted
-
 DONE, NOT_SUCCEEDED, WRONG_INPUT = 0, 1, 2
 """Exit codes: done; it ran but did not succeed; something given is wrong."""
 
-FmuFile = Annotated[Path, typer.Argument(metavar="FMU", help="The FMU file.", show_default=False)]
-StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="The study file (TOML).", show_default=False)]
+FmuFile = Annotated[Path, typer.Argument(metavar="FMU", help="FMU file.", show_default=False)]
+StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).", show_default=False)]
+ResultFile = Annotated[
+    Path, typer.Argument(metavar="RESULT", help="result.json, or the folder that has it.", show_default=False)
+]
 Folder = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="DIR", help="Where the files go; default: results/ beside the study."),
+    typer.Option("--output", "-o", metavar="DIR", help="Results folder (default: results/ beside the study)."),
 ]
 Overrides = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="Replace a value of the study, as in parameters.Rs.start=9; repeatable."
-    ),
+    typer.Option("--set", metavar="KEY=VALUE", help="Replace a study value, e.g. parameters.Rs.start=9; repeatable."),
 ]
-InProcess = Annotated[
-    bool,
-    typer.Option("--in-process", help="Run FMUs inside this process: one that crashes takes it along."),
+NoIsolation = Annotated[
+    bool, typer.Option("--no-isolation", help="Run FMUs inside this process; an FMU that crashes ends it.")
+]
+Refit = Annotated[
+    list[str] | None,
+    typer.Option("--refit", metavar="NAME", help="Estimate this again on each data file; repeatable."),
 ]
 
 
@@ -42,23 +43,32 @@ class FigureFormat(StrEnum):
 
 
 Figures = Annotated[
-    FigureFormat | None, typer.Option("--figures", help="Also draw figures for print, into figures/ of the output.")
+    FigureFormat | None, typer.Option("--figures", help="Draw figures for print into figures/ of the output.")
 ]
 NoReport = Annotated[bool, typer.Option("--no-report", help="Leave out report.html.")]
 
+_LOCAL_ONLY = "was removed: the workbench serves this machine only; from another one use ssh -L"
+_CHANGED = {
+    "open": "is now workbench",
+    "--in-process": "is now --no-isolation",
+    "--append": "is now --resume",
+    "--like": "is now --experiment",
+    "--free": "is now --refit",
+    "--level": "is now --confidence",
+    "--prepare": "is now --preprocess KEY=VALUE",
+    "--by": "is now --criterion",
+    "--table": "is now --data",
+    **dict.fromkeys(("--listen", "--certificate", "--key"), _LOCAL_ONLY),
+}
 
-@contextmanager
-def telling_files() -> Iterator[None]:
-    """Say which files were written before something went wrong."""
-    with noted() as written:
-        try:
-            yield
-        except (Exception, KeyboardInterrupt):
-            if written:
-                from fmuid.reports.console.layout import show_files
 
-                show_files(dict.fromkeys(written))
-            raise
+def changed_option(given: Sequence[str]) -> str | None:
+    """Return what became of the first renamed command or option that is given, None where there is none."""
+    for word in [*given[:1], *(each for each in given[1:] if each.startswith("--"))]:
+        name = word.partition("=")[0]
+        if name in _CHANGED:
+            return f"{name} {_CHANGED[name]}"
+    return None
 
 
 def folder_of(output: Path | None, study: Path) -> Path:

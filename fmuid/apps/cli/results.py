@@ -2,72 +2,58 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fmuid.apps.cli.options import DONE, Figures, InProcess, NoReport, Overrides
+from fmuid.apps.cli.options import DONE, Figures, FmuFile, NoIsolation, NoReport, Overrides, Refit, ResultFile
 from fmuid.apps.cli.studies import logged
 
 if TYPE_CHECKING:
+    from fmuid.reports import AppliedValue
     from fmuid.studies import Study
-
-ResultFile = Annotated[
-    Path,
-    typer.Argument(metavar="RESULT", help="A result.json, or the folder that has it.", show_default=False),
-]
-StudyOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--study",
-        metavar="STUDY",
-        help="Whose model and words for tables serve; default: the study of the result.",
-    ),
-]
 
 
 def predict(
     result: ResultFile,
-    tables: Annotated[
+    data: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="TABLE", help="Records, or folders of records.", show_default=False),
+        typer.Argument(metavar="DATA", help="Validation data files, or folders of them.", show_default=False),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Where the files go; default: prediction/ beside RESULT."),
+        typer.Option("--output", "-o", metavar="DIR", help="Results folder (default: prediction/ beside RESULT)."),
     ] = None,
-    study: StudyOption = None,
-    free: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--free", metavar="NAME", help="Estimate this again on each record, such as an initial state; repeatable."
-        ),
+    study: Annotated[
+        Path | None,
+        typer.Option("--study", metavar="STUDY", help="Study with model and columns (default: that of the result)."),
     ] = None,
-    like: Annotated[
+    refit: Refit = None,
+    experiment: Annotated[
         str | None,
-        typer.Option("--like", metavar="NAME", help="The experiment whose words the tables are read with."),
+        typer.Option("--experiment", metavar="NAME", help="Experiment whose settings the data files are read with."),
     ] = None,
     folds: Annotated[
         int | None,
-        typer.Option(
-            "--folds",
-            metavar="K",
-            help="Instead of tables: predict each K-th of the study's experiments from the rest.",
-        ),
+        typer.Option("--folds", metavar="K", help="Cross-validate the study's experiments in K parts, without DATA."),
     ] = None,
-    level: Annotated[float, typer.Option("--level", metavar="P", help="Of the bands.")] = 0.95,
+    confidence: Annotated[
+        float, typer.Option("--confidence", metavar="P", help="Confidence level of the bands.")
+    ] = 0.95,
     figures: Figures = None,
     no_report: NoReport = False,
     set_: Overrides = None,
-    in_process: InProcess = False,
+    no_isolation: NoIsolation = False,
 ) -> int:
-    """Simulate a result over records that it was not made from: errors, fits, tests, bands."""
+    """Predict validation data with a result: errors, fit, tests, bands."""
     from fmuid.runs import result_path
 
     path = result_path(result)
     folder = path.parent / "prediction" if output is None else output
-    with logged(folder, in_process) as isolated:
+    with logged(folder, no_isolation) as isolated:
         from fmuid import files
         from fmuid.reports import run_prediction
         from fmuid.reports.console import layout as console
@@ -75,11 +61,19 @@ def predict(
         from fmuid.reports.console.progress import Display
         from fmuid.reports.page.write import show_results
 
-        records = tables or []
+        records = data or []
         read = _study(path, study, set_, records, isolated=isolated)
         with Display() as display:
-            how: dict[str, Any] = {"like": like, "folds": folds, "level": level, "progress": display}
-            found = run_prediction(path, records, study=read, free=free or (), **how)
+            found = run_prediction(
+                path,
+                records,
+                study=read,
+                free=refit or (),
+                like=experiment,
+                folds=folds,
+                level=confidence,
+                progress=display,
+            )
         files.make_folder(folder)
         try:
             written = found.write(folder)
@@ -92,42 +86,32 @@ def predict(
 def compare(
     results: Annotated[
         list[Path],
-        typer.Argument(metavar="RESULT", help="result.json files, or the folders that have them.", show_default=False),
+        typer.Argument(metavar="RESULT", help="result.json files, or their folders.", show_default=False),
     ],
-    tables: Annotated[
+    data: Annotated[
         list[Path] | None,
-        typer.Option("--table", metavar="TABLE", help="A record, or a folder, that all results predict; repeatable."),
+        typer.Option("--data", metavar="DATA", help="A data file or folder that all results predict; repeatable."),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Where the files go; default: comparison/ beside the first.",
-        ),
+        typer.Option("--output", "-o", metavar="DIR", help="Results folder (default: comparison/ beside the first)."),
     ] = None,
-    free: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--free", metavar="NAME", help="Estimate this again on each record, such as an initial state; repeatable."
-        ),
-    ] = None,
-    in_process: InProcess = False,
+    refit: Refit = None,
+    no_isolation: NoIsolation = False,
     no_report: NoReport = False,
 ) -> int:
-    """Compare results: information criteria and likelihood ratios on the same data, errors on common tables."""
+    """Compare results by information criteria, likelihood ratios and errors on common data."""
     from fmuid.runs import result_path
 
     folder = result_path(results[0]).resolve().parents[1] / "comparison" if output is None else output
-    with logged(folder, in_process) as isolated:
+    with logged(folder, no_isolation) as isolated:
         from fmuid import files
         from fmuid.reports import run_comparison
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.comparison import show_comparison
         from fmuid.reports.page.write import show_results
 
-        found = run_comparison(results, tables or (), free=free or (), isolated=isolated)
+        found = run_comparison(results, data or (), free=refit or (), isolated=isolated)
         files.make_folder(folder)
         try:
             written = found.write(folder)
@@ -137,11 +121,60 @@ def compare(
         return DONE
 
 
-def _study(result: Path, study: Path | None, set_: list[str] | None, tables: list[Path], *, isolated: bool) -> Study:
+def report(
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="Results folder of a command.", show_default=False)
+    ],
+) -> int:
+    """Write report.html of a results folder, one page that loads nothing."""
+    from fmuid.reports.console import layout as console
+    from fmuid.reports.page.write import write_report
+
+    console.show_files([write_report(results)])
+    return DONE
+
+
+def apply(
+    result: Annotated[
+        Path,
+        typer.Argument(metavar="RESULT", help="result.json, its folder, or an .ssv file.", show_default=False),
+    ],
+    fmu: FmuFile,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="NEW.fmu", help="FMU to write.")],
+    component: Annotated[
+        str | None, typer.Option("--component", metavar="NAME", help="Component of the system that the FMU is.")
+    ] = None,
+) -> int:
+    """Write identified values as the start values of a copy of an FMU."""
+    from fmuid.reports import apply_result
+    from fmuid.reports.console import layout as console
+
+    _show_applied(apply_result(result, fmu, output, component))
+    console.show_files([output])
+    return DONE
+
+
+def _show_applied(applied: Sequence[AppliedValue]) -> None:
+    from fmuid.formatting import rounded, unit_text
+    from fmuid.reports.console import layout as console
+
+    numbers = ("old start", "new start", "std")
+    rows = []
+    for each in applied:
+        old, known = each.old, math.isfinite(each.std)
+        new = rounded(each.new, each.std) if isinstance(each.new, float) else str(each.new)
+        cells = ["" if old is None else f"{old:.6g}" if isinstance(old, float) else str(old), new]
+        cells += [rounded(each.std, each.std) if known else "", unit_text(each.unit)]
+        rows.append((each.variable, *cells))
+    heads = ("variable", *numbers, "unit")
+    console.console().print(console.table_of_rows("Start values", heads, rows, right=numbers))
+
+
+def _study(result: Path, study: Path | None, set_: list[str] | None, data: list[Path], *, isolated: bool) -> Study:
     """Return the study that is asked for, or that of a result."""
     from fmuid.runs import study_of
     from fmuid.studies import Study
 
     if study is not None:
         return Study.read(study, set_ or (), isolated=isolated)
-    return study_of(result, set_ or (), isolated=isolated, in_place=tables[0] if tables else None)
+    return study_of(result, set_ or (), isolated=isolated, in_place=data[0] if data else None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,16 +16,15 @@ from fmuid.apps.cli.options import (
     FigureFormat,
     Figures,
     Folder,
-    InProcess,
+    NoIsolation,
     NoReport,
     Overrides,
     StudyFile,
     folder_of,
-    telling_files,
 )
 from fmuid.apps.cli.signals import answering, stopping
 from fmuid.errors import InputError
-from fmuid.files import replacing
+from fmuid.files import is_folder, noted, replacing
 
 if TYPE_CHECKING:
     from fmuid.progress import Event
@@ -41,33 +40,25 @@ def simulate(
     study: StudyFile,
     output: Folder = None,
     result: Annotated[
-        Path | None,
-        typer.Option(
-            "--result",
-            metavar="RESULT",
-            help="A result.json, or its folder: simulate at its estimates.",
-        ),
+        Path | None, typer.Option("--result", metavar="RESULT", help="Simulate at the estimates of this result.")
     ] = None,
     set_: Overrides = None,
-    in_process: InProcess = False,
+    no_isolation: NoIsolation = False,
     sensitivities: Annotated[
-        bool, typer.Option("--sensitivities", help="Also what relative changes of the parameters do to the outputs.")
+        bool, typer.Option("--sensitivities", help="Also write how outputs change with each parameter.")
     ] = False,
-    figures: Annotated[FigureFormat, typer.Option("--figures", help="How the figures are drawn.")] = FigureFormat.PNG,
+    figures: Annotated[FigureFormat, typer.Option("--figures", help="Format of the figures.")] = FigureFormat.PNG,
 ) -> int:
-    """Simulate a study at the parameters' starts, or at a result, and compare with the measurements."""
+    """Simulate a study at its initial guesses or at a result, and compare with the measurements."""
     folder = folder_of(output, study)
-    with opened(study, set_, in_process, folder) as read:
+    with opened(study, set_, no_isolation, folder) as read:
         from fmuid import files
         from fmuid.reports import identification_run as report
         from fmuid.reports.console import layout as console
         from fmuid.reports.page.write import draw_simulation
 
         files.make_folder(folder)
-        console.note_sources(read)
-        simulators = read.simulators()
-        console.warn_unfed(simulators)
-        console.warn_of_time(read, simulators)
+        _warn(read)
         fits = read.fits() if result is None else _fits_at(read, result)
         table = report.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
         written = [files.write_table(folder / "simulated.csv", table)]
@@ -76,6 +67,16 @@ def simulate(
         written += draw_simulation(folder, fits, figures, sensitivities=sensitivities)
         console.show_files(written)
         return DONE
+
+
+def _warn(study: Study) -> None:
+    """Say where priors come from, which inputs nothing feeds, and that times may be in another unit."""
+    from fmuid.reports.console import layout as console
+
+    simulators = study.simulators()
+    console.note_sources(study)
+    console.warn_unfed(simulators)
+    console.warn_of_time(study, simulators)
 
 
 def _sensitivities(study: Study, folder: Path) -> list[Path]:
@@ -105,28 +106,22 @@ def identify(
     study: StudyFile,
     output: Folder = None,
     set_: Overrides = None,
-    in_process: InProcess = False,
+    no_isolation: NoIsolation = False,
     resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume", help="Start from the values in the output folder's result.json, without a global search."
-        ),
+        bool, typer.Option("--resume", help="Start at the output folder's result.json, without a global search.")
     ] = False,
     figures: Figures = None,
     no_report: NoReport = False,
 ) -> int:
-    """Identify the parameters of a study and write result, tables and a report."""
+    """Identify the parameters of a study; write result, tables and a report."""
     folder = folder_of(output, study)
-    with opened(study, set_, in_process, folder) as read:
+    with opened(study, set_, no_isolation, folder) as read:
         from fmuid.reports import SearchInterruptedError, run_study
         from fmuid.reports.console import layout as console
         from fmuid.reports.console import result as console_result
         from fmuid.reports.console.progress import Display
 
-        console.note_sources(read)
-        simulators = read.simulators()
-        console.warn_unfed(simulators)
-        console.warn_of_time(read, simulators)
+        _warn(read)
         try:
             with answering("saving what has been found (Ctrl-C again ends it without)"), Display() as display:
                 shown = partial(_show_event, display, read)
@@ -176,13 +171,13 @@ def diagnose(
     study: StudyFile,
     output: Folder = None,
     set_: Overrides = None,
-    in_process: InProcess = False,
+    no_isolation: NoIsolation = False,
     figures: Figures = None,
     no_report: NoReport = False,
 ) -> int:
-    """Look for the faults that a study names, and write verdict, tables and a report; exit code 1 for a fault."""
+    """Diagnose the faults that a study names; exit code 1 for a fault."""
     folder = folder_of(output, study)
-    with opened(study, set_, in_process, folder) as read:
+    with opened(study, set_, no_isolation, folder) as read:
         from fmuid.reports import run_diagnosis
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.progress import Display
@@ -200,26 +195,25 @@ def diagnose(
 
 def monitor(
     study: StudyFile,
-    tables: Annotated[
+    data: Annotated[
         list[Path],
-        typer.Argument(metavar="TABLE", help="Records, or folders of records, in their order.", show_default=False),
+        typer.Argument(metavar="DATA", help="Recordings, or folders of recordings, in order.", show_default=False),
     ],
     output: Folder = None,
     set_: Overrides = None,
-    in_process: InProcess = False,
-    append: Annotated[
-        bool, typer.Option("--append", help="Go on with the run in the output folder; records of it are left out.")
+    no_isolation: NoIsolation = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue the run in the output folder; skip its recordings.")
     ] = False,
     follow: Annotated[
-        bool,
-        typer.Option("--follow", help="Wait for what a logger writes into the folder or file; a restart goes on."),
+        bool, typer.Option("--follow", help="Wait for what a logger writes; the same command resumes.")
     ] = False,
     figures: Figures = None,
     no_report: NoReport = False,
 ) -> int:
-    """Look for the faults that a study names in records, window by window; exit code 1 for an alarm."""
+    """Monitor recordings for the faults that a study names; exit code 1 for an alarm."""
     folder = folder_of(output, study)
-    with opened(study, set_, in_process, folder) as read:
+    with opened(study, set_, no_isolation, folder) as read:
         from fmuid.reports import run_monitoring
         from fmuid.reports.console import layout as console
         from fmuid.reports.console.progress import Display
@@ -227,32 +221,32 @@ def monitor(
         if read.diagnosis is not None:
             console.note_sources(read)
         if follow:
-            return _follow(read, tables, folder, append=append, figures=figures, report=not no_report)
-        saving = "saving the records examined so far, with which --append goes on"
+            return _follow(read, data, folder, resume=resume, figures=figures, report=not no_report)
+        saving = "saving the records examined so far, with which --resume goes on"
         with answering(saving), Display() as display:
             shown = partial(_show_judged, display)
             found = run_monitoring(
-                read, tables, folder, figures=figures, report=not no_report, append=append, progress=shown
+                read, data, folder, figures=figures, report=not no_report, append=resume, progress=shown
             )
         console.show_files(found.files)
         return DONE if found.healthy else NOT_SUCCEEDED
 
 
 def _follow(
-    study: Study, tables: list[Path], folder: Path, *, append: bool, figures: FigureFormat | None, report: bool
+    study: Study, data: list[Path], folder: Path, *, resume: bool, figures: FigureFormat | None, report: bool
 ) -> int:
     """Monitor what a logger writes until it is interrupted."""
     from fmuid.reports import run_following
     from fmuid.reports.console.following import FollowingDisplay
     from fmuid.reports.console.layout import show_files
 
-    for word, given in (("several folders", len(tables) > 1), ("--append", append), ("--figures", bool(figures))):
+    for word, given in (("several folders", len(data) > 1), ("--resume", resume), ("--figures", bool(figures))):
         if given:
             raise InputError(
                 f"--follow and {word} do not go together: it follows one folder or file, and goes on by itself"
             )
     with answering("saving where it is; the same command goes on"), FollowingDisplay() as display:
-        found = run_following(study, tables[0], folder, report=report, show=display)
+        found = run_following(study, data[0], folder, report=report, show=display)
     show_files(found.files)
     return DONE if found.healthy else NOT_SUCCEEDED
 
@@ -273,36 +267,105 @@ def _show_judged(display: Display, event: Event, /) -> None:
         show_monitoring(event.findings.monitor)
 
 
-def report(
-    results: Annotated[
-        Path, typer.Argument(metavar="RESULTS", help="The folder that a command has written into.", show_default=False)
+def design(
+    study: StudyFile,
+    data: Annotated[
+        list[Path],
+        typer.Argument(metavar="DATA", help="Excitations (inputs only), or folders of them.", show_default=False),
     ],
+    output: Folder = None,
+    criterion: Annotated[
+        str, typer.Option("--criterion", metavar="NAME", help="Rank by 'determinant' or by the 'worst' relative σ.")
+    ] = "determinant",
+    fault: Annotated[
+        str | None,
+        typer.Option("--fault", metavar="NAME", help="Rank by the minimum detectable size of this fault."),
+    ] = None,
+    set_: Overrides = None,
+    no_isolation: NoIsolation = False,
+    no_report: NoReport = False,
 ) -> int:
-    """Write report.html from what is in a folder of results: all of it on one page that asks no host."""
-    from fmuid.reports.console import layout as console
-    from fmuid.reports.page.write import write_report
+    """Compare excitations before measuring, by accuracy of estimates or detectable fault size."""
+    folder = folder_of(output, study)
+    with opened(study, set_, no_isolation, folder) as read:
+        from fmuid import files
+        from fmuid.reports import healthy_record_words, write_origin
+        from fmuid.reports.console import layout as console
+        from fmuid.reports.page.write import show_results
+        from fmuid.runs import healthy_record_cost, ranked_excitations
 
-    console.show_files([write_report(results)])
+        files.make_folder(folder)
+        ranked = ranked_excitations(read, data, by=criterion, fault=fault)
+        written = [files.write_table(folder / "design.csv", ranked), write_origin(folder / "design.json", read, data)]
+        console.show_frame("Excitations, the best first", ranked)
+        if fault is not None:
+            best = str(ranked["excitation"].iloc[0])
+            cost = healthy_record_cost(read, data, fault, best)
+            console.show_frame(f"Healthy records, in lengths of {best}: the smallest size found", cost)
+            console.show_remarks(healthy_record_words(cost))
+        console.show_files([*written, *show_results(folder, report=not no_report)])
+        return DONE
+
+
+def workbench(
+    target: Annotated[
+        Path,
+        typer.Argument(metavar="[STUDY or FOLDER]", help="A study file, or a folder with studies.", show_default=False),
+    ] = Path(),
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Start the browser, or print the address only.")
+    ] = True,
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", help="TCP port (default: any free one).", show_default=False)
+    ] = 0,
+) -> int:
+    """Open the workbench in the browser: studies, sliders, identification, results."""
+    from fmuid.processes import AVAILABLE
+    from fmuid.simulation import start_server
+
+    if AVAILABLE:
+        start_server()  # it loads its code while this process loads its own
+    from fmuid.apps.workbench import Folder, Workbench, entry_file, start_browser
+    from fmuid.reports.console.layout import show_notes
+
+    study = None if is_folder(target) else target
+    if study is not None and not study.is_file():
+        raise InputError(f"{target}: there is no such study file or folder")
+    bench = Workbench(Folder(target if study is None else study.parent), study, port=port)
+
+    def ready() -> None:
+        print(bench.address, flush=True)
+        if browser:
+            start_browser(kept.enter_context(entry_file(bench)), refused)
+
+    def refused() -> None:
+        if bench.awaits_browser:
+            show_notes(["No browser could be started. Open the address above by hand."])
+
+    print("Ctrl-C ends the workbench; what it is running then is interrupted and saved.", flush=True)
+    print("Until then this address opens it:", flush=True)
+    with ExitStack() as kept, suppress(KeyboardInterrupt):  # how it is meant to end
+        bench.run(ready)
     return DONE
 
 
 @contextmanager
-def opened(study: Path, set_: list[str] | None, in_process: bool, folder: Path) -> Iterator[Study]:
+def opened(study: Path, set_: list[str] | None, no_isolation: bool, folder: Path) -> Iterator[Study]:
     """Read a study whose FMUs run in a process of their own; what they print goes into the output folder."""
-    with logged(folder, in_process) as isolated:
+    with logged(folder, no_isolation) as isolated:
         from fmuid.studies import Study
 
         yield Study.read(study, set_ or (), isolated=isolated)
 
 
 @contextmanager
-def logged(folder: Path, in_process: bool) -> Iterator[bool]:
+def logged(folder: Path, no_isolation: bool) -> Iterator[bool]:
     """Say whether FMUs run in a process of their own, as they do unless asked otherwise; their output goes to a log."""
     from fmuid.processes import AVAILABLE
 
-    if in_process or not AVAILABLE:
+    if no_isolation or not AVAILABLE:
         with telling_files():
-            yield not in_process
+            yield not no_isolation
         return
     from fmuid.reports.console.layout import show_notes
     from fmuid.simulation import start_server
@@ -316,6 +379,20 @@ def logged(folder: Path, in_process: bool) -> Iterator[bool]:
             yield True
     finally:
         show_notes(_write_log(folder / FMU_LOG, printed()))
+
+
+@contextmanager
+def telling_files() -> Iterator[None]:
+    """Say which files were written before something went wrong."""
+    with noted() as written:
+        try:
+            yield
+        except (Exception, KeyboardInterrupt):
+            if written:
+                from fmuid.reports.console.layout import show_files
+
+                show_files(dict.fromkeys(written))
+            raise
 
 
 def _write_log(log: Path, text: str) -> list[str]:

@@ -1,6 +1,4 @@
 from .opening import entry_file as entry_file
 from .opening import start_browser as start_browser
 from .project_folder import Folder as Folder
-from .server import LOCAL as LOCAL
-from .server import Certificate as Certificate
 from .server import Workbench as Workbench

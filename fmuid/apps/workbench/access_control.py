@@ -42,8 +42,6 @@ class Guard(BokehTornado):  # type: ignore[misc]
         ``name:port`` as they may stand in an address, the one for people first.
     patterns : list
         Handlers of plain pages.
-    secure : bool
-        Whether it is served by TLS.
 
     Attributes
     ----------
@@ -51,14 +49,11 @@ class Guard(BokehTornado):  # type: ignore[misc]
         Token of the address for people, valid as long as the server runs.
     """
 
-    def __init__(
-        self, applications: Mapping[str, Any], hosts: Sequence[str], patterns: list[Any], *, secure: bool = False
-    ) -> None:
+    def __init__(self, applications: Mapping[str, Any], hosts: Sequence[str], patterns: list[Any]) -> None:
         self.token, self._secret, self._hosts = secrets.token_urlsafe(24), secrets.token_urlsafe(24), tuple(hosts)
         self._single_use_tokens: set[str] = set()
         self._cookie = f"fmuid-{secrets.token_hex(4)}"  # cookies do not tell ports apart
-        self._origins = {f"{'https' if secure else 'http'}://{host}" for host in hosts}
-        self._secure = secure
+        self._origins = {f"http://{host}" for host in hosts}
         super().__init__(
             dict(applications),
             extra_websocket_origins=list(hosts),
@@ -75,7 +70,7 @@ class Guard(BokehTornado):  # type: ignore[misc]
             unused_session_lifetime_milliseconds=15_000,
             websocket_max_message_size_bytes=LARGEST_MESSAGE,
         )
-        self.add_transform(_headers(_policy(self._hosts, secure=secure), self._secure))
+        self.add_transform(_headers(_policy(self._hosts)))
 
     def single_use_token(self) -> str:
         """Return a token that lets a browser in once."""
@@ -105,8 +100,7 @@ class Guard(BokehTornado):  # type: ignore[misc]
             return self._refuse(request)
         given = request.arguments.get("token", [b""])[-1]
         if request.method == "GET" and given and self._accept(given):
-            found = {"secret": self._secret, "name": self._cookie, "secure": self._secure}
-            return self.get_handler_delegate(request, Enter, found)
+            return self.get_handler_delegate(request, Enter, {"secret": self._secret, "name": self._cookie})
         cookies, site = _cookies(request), request.headers.get("Sec-Fetch-Site", "none")
         if site not in ("none", "same-origin"):
             return self._refuse(request)
@@ -127,9 +121,9 @@ class Guard(BokehTornado):  # type: ignore[misc]
 class Enter(RequestHandler):
     """Exchange of a token for the cookie; no later address carries a token."""
 
-    def initialize(self, secret: str, name: str, secure: bool) -> None:
+    def initialize(self, secret: str, name: str) -> None:
         """Take the content of the cookie."""
-        self._given = name, secret, secure
+        self._given = name, secret
 
     def get(self) -> None:
         """Set the cookie and lead on without the token.
@@ -137,8 +131,7 @@ class Enter(RequestHandler):
         A redirect would go on as a request of the page before, with which a browser sends no cookie of
         ``SameSite=Strict``.
         """
-        name, secret, secure = self._given
-        self.set_cookie(name, secret, httponly=True, samesite="Strict", secure=secure)
+        self.set_cookie(*self._given, httponly=True, samesite="Strict")
         rest = [(key, value) for key, value in parse_qsl(self.request.query) if key != "token"]
         self.write(redirecting_page("/" + self.request.path.lstrip("/") + ("?" + urlencode(rest) if rest else "")))
 
@@ -163,8 +156,8 @@ def _cookies(request: HTTPServerRequest) -> dict[str, str]:
     return {name: morsel.value for name, morsel in found.items()}
 
 
-def _policy(hosts: Sequence[str], *, secure: bool) -> str:
-    sockets = " ".join(f"{'wss' if secure else 'ws'}://{host}" for host in hosts)
+def _policy(hosts: Sequence[str]) -> str:
+    sockets = " ".join(f"ws://{host}" for host in hosts)
     return (
         f"default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
         f"font-src data:; connect-src 'self' {sockets}; frame-ancestors 'none'; base-uri 'none'; form-action 'self'"
@@ -175,7 +168,7 @@ def _policy(hosts: Sequence[str], *, secure: bool) -> str:
 _REPORT_POLICY = "sandbox allow-scripts allow-popups allow-downloads allow-modals; frame-ancestors 'none'"
 
 
-def _headers(policy: str, secure: bool) -> type[OutputTransform]:
+def _headers(policy: str) -> type[OutputTransform]:
     """Return what adds headers to every answer, refusals and static files included."""
     always = {
         "X-Frame-Options": "DENY",
@@ -183,7 +176,6 @@ def _headers(policy: str, secure: bool) -> type[OutputTransform]:
         "Referrer-Policy": "no-referrer",
         "Cross-Origin-Opener-Policy": "same-origin",
         "Cross-Origin-Resource-Policy": "same-origin",
-        **({"Strict-Transport-Security": "max-age=86400"} if secure else {}),
     }
 
     class Headers(OutputTransform):

@@ -34,7 +34,7 @@
   // the page is loaded anew, with what its sliders show.
   function cut(doc) {
     say(
-      "The workbench does not answer. This page is loaded anew as soon as it does; if fmuid open has ended, start it again " +
+      "The workbench does not answer. This page is loaded anew as soon as it does; if fmuid workbench has ended, start it again " +
         "and open the address that it prints. What it was running is not lost: it goes on, or has saved what it had found."
     );
     setTimeout(async function ask() {

@@ -196,6 +196,30 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == out
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("open",), "open is now workbench"),
+        (("workbench", "--listen", "me"), "--listen was removed: the workbench serves this machine only"),
+        (("identify", "s.toml", "--in-process"), "--in-process is now --no-isolation"),
+        (("monitor", "s.toml", "a.csv", "--append"), "--append is now --resume"),
+        (("predict", "results", "--like=a"), "--like is now --experiment"),
+        (("predict", "results", "--free", "R"), "--free is now --refit"),
+        (("predict", "results", "--level", "0.9"), "--level is now --confidence"),
+        (("compare", "results", "--table", "a.csv"), "--table is now --data"),
+        (("init", "a.fmu", "a.csv", "--prepare", "low_pass=1"), "--prepare is now --preprocess KEY=VALUE"),
+        (("design", "s.toml", "a.csv", "--by", "worst"), "--by is now --criterion"),
+    ],
+)
+def test_an_old_name_is_refused_with_its_new_one(
+    words: tuple[str, ...], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fmuid_(*words) == WRONG_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: fmuid")
+    assert sentence in line
+
+
 def test_exit_code_of_the_process(folder: Path) -> None:
     """The installed entry point is `main`; ``python -m fmuid`` is the same."""
     run_ = subprocess.run(

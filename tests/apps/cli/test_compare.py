@@ -27,9 +27,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, held in {"both": "", "right": "L = 0.1", "wrong": "L = 0.15"}.items():
         study = text.replace(free_l, "") if held else text
         (folder / f"{name}.toml").write_text(study.replace("[model.values]", f"[model.values]\n{held}"))
-        assert fmuid_("identify", folder / f"{name}.toml", "-o", folder / name, "--in-process") == DONE
+        assert fmuid_("identify", folder / f"{name}.toml", "-o", folder / name, "--no-isolation") == DONE
     other = ("--set", "experiments.0.table=second.csv", "-o", folder / "other")
-    assert fmuid_("identify", folder / "both.toml", *other, "--in-process") == DONE
+    assert fmuid_("identify", folder / "both.toml", *other, "--no-isolation") == DONE
     return folder
 
 
@@ -42,7 +42,7 @@ def rows(folder: Path) -> dict[str, dict[str, float]]:
 @pytest.mark.usefixtures("drawn_figures")
 def test_on_the_same_data(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = [made / name for name in ("both", "right", "wrong")]
-    assert fmuid_("compare", *paths, "-o", tmp_path, "--in-process") == DONE
+    assert fmuid_("compare", *paths, "-o", tmp_path, "--no-isolation") == DONE
     out = " ".join(capsys.readouterr().out.split())
     assert "wrong is rejected against both" in out
     assert "right is not rejected against both" in out
@@ -67,8 +67,8 @@ def test_on_the_same_data(made: Path, tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_on_a_common_table(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = (made / "both", made / "other", made / "wrong", "--table", made / "third.csv", "-o", tmp_path)
-    assert fmuid_("compare", *words, "--in-process") == DONE
+    words = (made / "both", made / "other", made / "wrong", "--data", made / "third.csv", "-o", tmp_path)
+    assert fmuid_("compare", *words, "--no-isolation") == DONE
     out = " ".join(capsys.readouterr().out.split())
     assert "both and other were made from different measurements" in out
     assert "On the common tables" in out
@@ -84,8 +84,8 @@ def test_on_a_common_table(made: Path, tmp_path: Path, capsys: pytest.CaptureFix
 def test_compare_on_constant_output_gives_rmse(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Where the measured output never changes there is no fit to draw or to rank by."""
     pd.read_csv(made / "third.csv").assign(i=0.1).to_csv(tmp_path / "still.csv", index=False)
-    words = (made / "both", made / "other", "--table", tmp_path / "still.csv", "-o", tmp_path / "out")
-    assert fmuid_("compare", *words, "--in-process") == DONE
+    words = (made / "both", made / "other", "--data", tmp_path / "still.csv", "-o", tmp_path / "out")
+    assert fmuid_("compare", *words, "--no-isolation") == DONE
     assert "On the common tables no fit has a meaning: compare the RMSE" in " ".join(capsys.readouterr().out.split())
     table = rows(tmp_path / "out")
     assert np.isnan([each["fit"] for each in table.values()]).all()
@@ -105,14 +105,14 @@ def test_compare_on_constant_output_gives_rmse(made: Path, tmp_path: Path, capsy
         (("both",), "give at least two results"),
         (("both", "both"), "is given twice"),
         (("both", "nothing"), "there is no such result"),
-        (("both", "other", "--table", "missing.csv"), "missing.csv"),
+        (("both", "other", "--data", "missing.csv"), "missing.csv"),
     ],
 )
 def test_wrong_input_is_one_sentence(
     made: Path, words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     paths = [word if word.startswith("--") else made / word for word in words]
-    assert fmuid_("compare", *paths, "--in-process") == WRONG_INPUT
+    assert fmuid_("compare", *paths, "--no-isolation") == WRONG_INPUT
     error = capsys.readouterr().err
     assert error.startswith("error: ")
     assert len(error.splitlines()) == 1

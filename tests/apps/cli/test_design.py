@@ -30,8 +30,8 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.mark.usefixtures("drawn_figures")
 def test_design(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = (folder / "study.toml", folder / "constant.csv", folder / "square.csv", "--in-process")
-    assert fmuid_("design", *words, "-o", folder / "out", "--by", "worst") == DONE
+    words = (folder / "study.toml", folder / "constant.csv", folder / "square.csv", "--no-isolation")
+    assert fmuid_("design", *words, "-o", folder / "out", "--criterion", "worst") == DONE
     found = pd.read_csv(folder / "out" / "design.csv")
     assert list(found["excitation"]) == ["square", "constant"]
     assert found["worst"].is_monotonic_increasing
@@ -41,7 +41,7 @@ def test_design(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_what_healthy_records_cost_the_best_excitation(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study, tables = coil.HERE / "test.toml", [folder / "constant.csv", folder / "square.csv"]
-    words = ("--fault", "turns", "-o", folder / "out", "--in-process", "--no-report")
+    words = ("--fault", "turns", "-o", folder / "out", "--no-isolation", "--no-report")
     assert fmuid_("design", study, *tables, *words) == DONE
     said = " ".join(capsys.readouterr().out.split())
     square = fmuid.trial(pd.read_csv(folder / "square.csv"), ["u"], ["i"])
@@ -62,19 +62,19 @@ def test_the_length_of_a_healthy_record_that_is_enough_is_said() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--by", "size"), '"determinant" or "worst"'),
+        (("--criterion", "size"), '"determinant" or "worst"'),
         (("--fault", "x"), "has no [diagnosis]"),
         (("--set", "noise.variance=estimate"), "does not say how large the noise of 'i' is"),
     ],
 )
 def test_wrong_words(folder: Path, words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    code = fmuid_("design", folder / "study.toml", folder / "square.csv", *words, "--in-process")
+    code = fmuid_("design", folder / "study.toml", folder / "square.csv", *words, "--no-isolation")
     assert code == WRONG_INPUT
     assert said in capsys.readouterr().err
 
 
 def test_sensitivities(folder: Path) -> None:
-    words = (folder / "study.toml", "--sensitivities", "-o", folder / "out", "--in-process")
+    words = (folder / "study.toml", "--sensitivities", "-o", folder / "out", "--no-isolation")
     assert fmuid_("simulate", *words) == DONE
     table = pd.read_csv(folder / "out" / "sensitivities.csv")
     assert list(table.columns) == ["time", "i/R", "i/L"]

@@ -150,7 +150,7 @@ def test_what_the_fmu_prints_does_not_come_out_of_a_command(
 def test_a_command_can_run_the_fmu_in_its_own_process(tmp_path: Path, fmu: Path) -> None:
     """Which then has the fate of the FMU's: that it does crash is what makes the tests of isolation show something."""
     study = write_study(tmp_path, fmu, Mode.ABORT)
-    command = [sys.executable, "-m", "fmuid", "simulate", str(study), "--in-process"]
+    command = [sys.executable, "-m", "fmuid", "simulate", str(study), "--no-isolation"]
     assert subprocess.run(command, capture_output=True, timeout=600).returncode == -signal.SIGABRT
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from experiments.coil import study as coil
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
-from fmuid.apps.cli.outputs import Output
+from fmuid.apps.cli.signals import Output
 from tests.support.coil_records import warming
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 

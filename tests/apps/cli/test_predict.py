@@ -23,13 +23,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for k, name in enumerate(("first", "second", "third")):
         coil_table(folder / f"{name}.csv", 0.1 * k, seed=k)
     (folder / "study.toml").write_text(STUDY)
-    assert fmuid_("identify", folder / "study.toml", "--in-process") == DONE
+    assert fmuid_("identify", folder / "study.toml", "--no-isolation") == DONE
     return folder
 
 
 def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tables = (made / "second.csv", made / "third.csv")
-    words = ("--free", "i_start", "-o", tmp_path, "--in-process")
+    words = ("--refit", "i_start", "-o", tmp_path, "--no-isolation")
     assert fmuid_("predict", made / "results", *tables, *words, "--figures", "png") == DONE
     out, error = capsys.readouterr()
     assert error == ""
@@ -60,7 +60,7 @@ def test_predict_constant_output_gives_rmse(made: Path, tmp_path: Path, capsys: 
     """A fit in % has no meaning there, in no file and on no page."""
     table = pd.read_csv(made / "second.csv")
     table.assign(i=0.1).to_csv(tmp_path / "still.csv", index=False)
-    words = ("-o", tmp_path / "out", "--in-process")
+    words = ("-o", tmp_path / "out", "--no-isolation")
     assert fmuid_("predict", made / "results", tmp_path / "still.csv", *words) == DONE
     out = " ".join(capsys.readouterr().out.split())
     assert "i in still is predicted with an RMSE of " in out
@@ -75,7 +75,7 @@ def test_predict_constant_output_gives_rmse(made: Path, tmp_path: Path, capsys: 
 def test_the_record_of_the_result_is_no_prediction(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert fmuid_("predict", made / "results", made / "first.csv", "-o", tmp_path, "--in-process") == DONE
+    assert fmuid_("predict", made / "results", made / "first.csv", "-o", tmp_path, "--no-isolation") == DONE
     out, error = capsys.readouterr()
     assert "the result was made from first: this is no prediction" in error
     content = json.loads((tmp_path / "prediction.json").read_text())
@@ -97,8 +97,8 @@ def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     several = [
         f'{{table="{name}.csv", inputs=["u"], outputs=["i"], interpolation="hold"}}' for name in ("first", "second")
     ]
-    with_both = ("--set", f"experiments=[{', '.join(several)}]", "--free", "i_start")
-    code = fmuid_("predict", made / "results", "--folds", "2", *with_both, "-o", tmp_path, "--in-process")
+    with_both = ("--set", f"experiments=[{', '.join(several)}]", "--refit", "i_start")
+    code = fmuid_("predict", made / "results", "--folds", "2", *with_both, "-o", tmp_path, "--no-isolation")
     assert code == DONE
     out = capsys.readouterr().out
     assert "Left out in turn" in " ".join(out.split())
@@ -124,9 +124,9 @@ def test_from_python(made: Path) -> None:
         (("nothing", "second.csv"), "there is no such result"),
         (("results", "missing.csv"), "missing.csv"),
         (("results", "study.toml"), "study.toml"),
-        (("results", "second.csv", "--free", "Rr"), "'Rr'"),
-        (("results", "second.csv", "--level", "2"), "the level of a band must lie between 0 and 1"),
-        (("results", "second.csv", "--like", "x"), "has no experiment 'x'"),
+        (("results", "second.csv", "--refit", "Rr"), "'Rr'"),
+        (("results", "second.csv", "--confidence", "2"), "the level of a band must lie between 0 and 1"),
+        (("results", "second.csv", "--experiment", "x"), "has no experiment 'x'"),
         (("results", "other.csv"), "'u'"),
         (("results", "volts.csv"), "V"),
     ],
@@ -138,7 +138,7 @@ def test_wrong_input_is_one_sentence(
     (made / "other.csv").write_text(text.replace("time,u,i", "time,v,i"))
     (made / "volts.csv").write_text(text.replace("time,u,i", "time,u,i [V]"))
     paths = [made / word if word in ("results", "nothing") or "." in word else word for word in words]
-    assert fmuid_("predict", *paths, "--in-process") == WRONG_INPUT
+    assert fmuid_("predict", *paths, "--no-isolation") == WRONG_INPUT
     error = capsys.readouterr().err
     assert error.startswith("error: ")
     assert len(error.splitlines()) == 1

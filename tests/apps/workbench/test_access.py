@@ -16,8 +16,9 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from fmuid.apps.workbench import Certificate, Folder, Workbench, server
+from fmuid.apps.workbench import Folder, Workbench, server
 from fmuid.errors import InputError
+from tests.support import plain_page
 
 OTHER_COOKIE = "jupyter=secret-of-another-server"
 PATIENCE = 60.0
@@ -82,7 +83,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     (folder / "outside.csv").write_text("secret")
     (folder / "work/link.csv").symlink_to(folder / "outside.csv")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(server, "_PAGES", {"/study": "tests.support.plain_page"})
+        patch.setattr(server, "_pages", lambda: {"/study": plain_page.build})
         patch.setenv("BOKEH_ALLOW_WS_ORIGIN", "*")
         bench, ready = Workbench(Folder(folder / "work")), threading.Event()
         thread = threading.Thread(target=bench.run, args=(ready.set,))
@@ -178,10 +179,10 @@ def test_what_a_folder_refuses_is_said(tmp_path: Path) -> None:
         Folder(tmp_path).path("..")
 
 
-def test_other_machines_need_a_certificate(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--certificate and --key"):
-        Workbench(Folder(tmp_path), host="0.0.0.0")
-    (tmp_path / "key.pem").write_text("none")
-    with pytest.raises(InputError, match="no certificate and key"):
-        wrong = Certificate(tmp_path / "key.pem", tmp_path / "key.pem")
-        Workbench(Folder(tmp_path), host="0.0.0.0", certificate=wrong)
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Tornado leaves a socket open
+def test_a_port_in_use_is_said(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(InputError, match=r"cannot be used .*: give a free --port"):
+            Workbench(Folder(tmp_path), port=taken.getsockname()[1])

@@ -15,8 +15,9 @@ from urllib.parse import urlsplit
 import pytest
 
 from fmuid.apps.cli.options import DONE
-from fmuid.apps.cli.workbench import open_
+from fmuid.apps.cli.studies import workbench
 from fmuid.apps.workbench import Folder, Workbench, entry_file, server, start_browser
+from tests.support import plain_page
 from tests.support.isolated import wait_until
 
 PATIENCE = 60.0
@@ -46,7 +47,7 @@ def browser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Workbench]:
-    monkeypatch.setattr(server, "_PAGES", {"/study": "tests.support.plain_page"})
+    monkeypatch.setattr(server, "_pages", lambda: {"/study": plain_page.build})
     found, ready = Workbench(Folder(tmp_path / "work")), threading.Event()
     thread = threading.Thread(target=found.run, args=(ready.set,))
     thread.start()
@@ -122,7 +123,7 @@ def test_open_names_a_browser_that_does_not_start(
     monkeypatch.setattr(webbrowser, "register_standard_browsers", lambda: setattr(webbrowser, "_tryorder", [command]))
     monkeypatch.setattr(threading.Thread, "start", threading.Thread.run)
     monkeypatch.setattr(Workbench, "run", answer_nobody)
-    assert open_(browser / "work") == DONE
+    assert workbench(browser / "work") == DONE
     told = capsys.readouterr()
     assert told.err == "note: No browser could be started. Open the address above by hand.\n"
     assert told.out.splitlines()[-1].startswith("http://127.0.0.1:")
@@ -135,5 +136,5 @@ def test_open_says_nothing_of_a_browser_that_ends_badly_later(
     monkeypatch.setattr(Workbench, "awaits_browser", False)  # it had shown the first page
     monkeypatch.setattr(threading.Thread, "start", threading.Thread.run)
     monkeypatch.setattr(Workbench, "run", answer_nobody)
-    assert open_(browser / "work") == DONE
+    assert workbench(browser / "work") == DONE
     assert capsys.readouterr().err == ""

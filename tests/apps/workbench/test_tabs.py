@@ -30,7 +30,7 @@ NEEDS_PROCESSES = pytest.mark.skipif(not AVAILABLE, reason="FMUs are not run in 
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Workbench]:
-    monkeypatch.setattr(server, "_PAGES", {"/study": "tests.support.waiting_page"})
+    monkeypatch.setattr(server, "_pages", lambda: {"/study": waiting_page.build})
     found, ready = Workbench(Folder(tmp_path)), threading.Event()
     thread = threading.Thread(target=found.run, args=(ready.set,))
     thread.start()

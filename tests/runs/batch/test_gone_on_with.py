@@ -106,12 +106,12 @@ def test_full_disk(folder: Path, here: Any, monkeypatch: pytest.MonkeyPatch, cap
     first = here(3)
     with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", full)
-        assert fmuid_("batch", folder / "study.toml", "-o", folder / "out", "--in-process") == 1
+        assert fmuid_("batch", folder / "study.toml", "-o", folder / "out", "--no-isolation") == 1
     out, error = capsys.readouterr()
     assert error.startswith(f"error: {folder / 'out'} cannot be written to: No space left on device; the cases")
     assert error.count("\n") == 1
     second = here(4)
-    assert fmuid_("batch", folder / "study.toml", "-o", folder / "out", "--in-process") == 0
+    assert fmuid_("batch", folder / "study.toml", "-o", folder / "out", "--no-isolation") == 0
     assert len(first.ran) + len(second.ran) >= DRAWS
     assert len(second.ran) < DRAWS
     same(pd.read_parquet(folder / "out" / "cases"), expected(folder))
@@ -126,14 +126,14 @@ def test_full_disk(folder: Path, here: Any, monkeypatch: pytest.MonkeyPatch, cap
 
 def test_a_lost_scheduler_keeps_what_there_is(folder: Path, here: Any, capsys: Any) -> None:
     lost = here(3, stop_after=12, error=FmuidError("the scheduler was lost"))
-    assert fmuid_("batch", folder / "study.toml", "-o", folder / "out", "--in-process") == 1
+    assert fmuid_("batch", folder / "study.toml", "-o", folder / "out", "--no-isolation") == 1
     assert "error: the scheduler was lost" in capsys.readouterr().err
     assert sorted(pd.read_parquet(folder / "out" / "cases")["case"]) == sorted(lost.ran)
 
 
 def test_ctrl_c_on_the_command_line(folder: Path, here: Any, capsys: Any) -> None:
     ran = here(3, stop_after=12).ran
-    assert fmuid_("batch", folder / "study.toml", "-o", folder / "out", "--in-process") == 1
+    assert fmuid_("batch", folder / "study.toml", "-o", folder / "out", "--no-isolation") == 1
     out, error = capsys.readouterr()
     assert error.endswith(f"interrupted: {len(ran)} of {DRAWS} cases are finished; the same command goes on\n")
     assert "summary.csv" in out

@@ -82,7 +82,7 @@ def test_a_script_without_a_guard(folder: Path) -> None:
 
 
 def started(folder: Path, workers: int) -> subprocess.Popen[str]:
-    line = command(folder / "study.toml", folder / "out", "--workers", str(workers), "--in-process")
+    line = command(folder / "study.toml", folder / "out", "--workers", str(workers), "--no-isolation")
     (folder / "scratch").mkdir(exist_ok=True)
     environment = os.environ | {"TMPDIR": str(folder / "scratch")}
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)

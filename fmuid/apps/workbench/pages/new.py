@@ -105,7 +105,9 @@ class NewPage:
         options += [("--time-unit", asked.time_unit or ""), ("--sample-rate", self.rate.value.strip())]
         options += [("--sheet", self.sheet.value.strip())]
         options += [("--map", f"{name}={value}") for name, value in asked.columns.items()]
-        options += [("--prepare", f"{word}={each.value}") for word, each in self.prepare.items() if each.value.strip()]
+        options += [
+            ("--preprocess", f"{word}={each.value}") for word, each in self.prepare.items() if each.value.strip()
+        ]
         return ["init", self.fmu.value, *self.tables.value, *(each for pair in options if pair[1] for each in pair)]
 
     # --- what is shown
