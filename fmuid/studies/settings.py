@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, Tag
 
@@ -114,6 +114,9 @@ class NoiseForms(Words):
 class NoiseWords(NoiseForms):
     """The noise of the measurements."""
 
+    retired: ClassVar[Mapping[str, str]] = {
+        "coloured": "leave it out, confidence intervals allow for colored noise without it"
+    }
     start: PositiveOrEach | None = word(
         None, "where the estimation of the variance starts; default: from the residual", 0.01
     )

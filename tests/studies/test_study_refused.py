@@ -153,6 +153,11 @@ REFUSED = {
         "[uncertainty]\nposterior = { burn = 500 }\n[noise]",
         "[uncertainty.posterior] is refused: the setting burn of the sampler must be a share",
     ),
+    "retired key": (
+        "[noise]",
+        "[noise]\ncoloured = true",
+        "[noise] has no key 'coloured' any more: leave it out, confidence intervals allow for colored noise without it",
+    ),
     "uncertainty key": (
         "[noise]",
         "[uncertainty]\nprofiles = true\n[noise]",
