@@ -1,47 +1,281 @@
-"""What a diagnosis found, in numbers and JSON."""
+"""What a diagnosis found, in numbers and JSON: causes, their sizes, and the odds between them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import numpy as np
 import pandas as pd
+from pydantic import BeforeValidator, TypeAdapter
+from scipy import special
 
-from fmuid.diagnosis.cause_results import Evidence
-from fmuid.diagnosis.fault_fits import Checked
-from fmuid.diagnosis.hypothesis import Estimate, Hypothesis, Strain, estimates_of
+from fmuid.diagnosis.baseline.stored_baseline import Basis
+from fmuid.diagnosis.cause_analysis import Examination
+from fmuid.diagnosis.change_detection.cause_ranking import angle
+from fmuid.diagnosis.change_detection.causes import Cause
+from fmuid.diagnosis.change_detection.detection import CauseFit, fit, probability
+from fmuid.diagnosis.change_detection.unexplained_residual import Remainder, VarianceRatio
+from fmuid.diagnosis.change_parameters import CauseKind, Coordinates, name_of
+from fmuid.diagnosis.faults import Fault
 from fmuid.display_mixins import Plotted
 from fmuid.errors import InputError
-from fmuid.estimation import Result
+from fmuid.estimation import Accuracy, Result, check_level
 from fmuid.files import as_json, content_of, write_json
 
-# A fault whose model explains less than this share of what exceeds the noise is not what is wrong.
+# A cause whose model explains less than this share of what exceeds the noise is not what is wrong.
 EXPLAINED_SHARE = 0.5
+
+Estimate = tuple[float, float]
+"""Value and standard deviation."""
+
+
+def _instead(missing: float) -> BeforeValidator:
+    """Return what stands for None in a file, where numbers that are not finite are None."""
+    return BeforeValidator(lambda value: missing if value is None else value)
+
+
+Unknown = Annotated[float, _instead(math.nan)]
+Unlimited = Annotated[float, _instead(math.inf)]
+Unbounded = Annotated[float, _instead(-math.inf)]
 
 
 @dataclass(frozen=True)
-class Test:
-    """The residual of the most likely model against the noise of the healthy machine.
+class Change:
+    """A cause and its size.
 
     Attributes
     ----------
-    ratio : float
-        Of the variances.
-    probability : float
-        That noise alone gives as much.
-    larger : bool
-        Whether that is too unlikely.
-    explained : float
-        How much of what exceeds the noise without a fault the fault explains; 0 where none was named.
+    kind : CauseKind
+    variable : str
+        Parameter, fault parameter, output or input.
+    fault : str
+        The fault of a fault parameter, "" otherwise.
+    value, std : float
+        Of gains a share, of delays s; the standard deviation is infinite where the record does not determine it.
+    unit : str
+        "" without.
+    min, max : float
+        Bounds.
+    angle : str
+        The parameter that locates a fault, "" without.
+    angle_value, angle_std : float
+        NaN without.
     """
 
-    ratio: float
+    kind: CauseKind
+    variable: str
+    fault: str
+    value: float
+    std: Unlimited
+    unit: str
+    min: Unbounded = -math.inf
+    max: Unlimited = math.inf
+    angle: str = ""
+    angle_value: Unknown = math.nan
+    angle_std: Unknown = math.nan
+
+    @property
+    def label(self) -> str:
+        """What it is called in tables: ``turns.dR``, ``gain(i)``, ``R``."""
+        return name_of(self.kind, self.variable, self.fault)
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the record determines it beside all that may change."""
+        return math.isfinite(self.std)
+
+    def interval(self, level: float = 0.95) -> tuple[float, float]:
+        """Return the confidence interval, cut at the bounds.
+
+        Raises
+        ------
+        InputError
+            If the level is not between 0 and 1.
+        """
+        check_level(level)
+        half = float(special.ndtri(0.5 + level / 2.0)) * self.std
+        return max(self.value - half, self.min), min(self.value + half, self.max)
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A cause alone, as it explains the record.
+
+    Attributes
+    ----------
+    change : Change
+        At the healthy machine, or where the models were linearised last.
+    statistic : float
+        D.
+    probability : float
+        That chance explains as much, of this cause by itself.
+    rival : str
+        The cause whose signature is nearest, "" without others.
+    rival_angle : float
+        Between the two signatures, rad.
+    """
+
+    change: Change
+    statistic: float
     probability: float
-    larger: bool
-    explained: float = 0.0
+    rival: str
+    rival_angle: Unknown
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One or two changes that explain the record.
+
+    Attributes
+    ----------
+    changes : tuple of Change
+    odds : float
+        Against the best explanation, at most 1.
+    """
+
+    changes: tuple[Change, ...]
+    odds: float
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """The faults among them."""
+        return tuple(dict.fromkeys(each.fault for each in self.changes if each.fault))
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is new in a record.
+
+    Attributes
+    ----------
+    probability : float
+        That chance makes any cause as likely where nothing is new.
+    alarm : bool
+        Whether that is below the level.
+    explanations : tuple of Explanation
+        The best one first, then all that the record does not exclude beside it.
+    suspects : tuple of Suspect
+        Every cause alone.
+    model_error : float
+        κ, stated or measured on trials.
+    temper : float
+        By which evidence is divided after the alarm, for the models' own error.
+    ratio, without : float
+        Variance of the residual over the noise, with the best explanation and without any.
+    samples : int
+    steady : bool
+        Whether the name stayed when the models were linearised there.
+    remainder : Remainder
+        What no cause explains beside healthy records.
+    basis : Basis
+        Where the healthy machine is from.
+    """
+
+    probability: float
+    alarm: bool
+    explanations: tuple[Explanation, ...]
+    suspects: tuple[Suspect, ...]
+    model_error: float
+    temper: float
+    ratio: float
+    without: float
+    samples: int
+    steady: bool
+    remainder: Remainder
+    basis: Basis = Basis.RECORDS
+
+    @property
+    def explained(self) -> float:
+        """How much of what is new the best explanation explains, a share; 0 without an alarm."""
+        if not self.alarm:
+            return 0.0
+        if self.basis is Basis.RESULT:
+            return min(1.0, max(0.0, (self.without - self.ratio) / (self.without - 1.0))) if self.without > 1 else 0.0
+        statistic = max(each.statistic for each in self.suspects) / self.temper
+        rest = max(0.0, self.remainder.statistic - self.remainder.degrees)
+        return statistic / (statistic + rest) if statistic > 0 else 0.0
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """The faults named, the most likely first."""
+        return tuple(dict.fromkeys(name for each in self.explanations for name in each.faults))
+
+    @classmethod
+    def of(cls, found: Examination, faults: Mapping[str, Fault], basis: Basis) -> Evidence:
+        """Return the numbers of an examination."""
+        naming, coordinates = found.naming, found.coordinates
+        return cls(
+            naming.probability,
+            naming.alarm,
+            tuple(Explanation(changes(each.causes, each.fit, coordinates, faults), each.odds) for each in naming.named),
+            tuple(_suspect(found, cause, faults) for cause in coordinates.causes),
+            found.model_error,
+            naming.temper,
+            found.ratio,
+            found.without,
+            found.samples,
+            found.steady,
+            found.remainder,
+            basis,
+        )
+
+
+def changes(
+    causes: Sequence[Cause], found: CauseFit, coordinates: Coordinates, faults: Mapping[str, Fault]
+) -> tuple[Change, ...]:
+    """Return causes with their sizes; a vector of the plane is a size with its angle."""
+    said, first = [], 0
+    for cause in causes:
+        at = slice(first, first + len(cause.columns))
+        first = at.stop
+        size, covariance, of = found.sizes[at], found.covariance[at, at], coordinates.each[cause.columns[0]]
+        if len(size) == 1:
+            change = Change(of.kind, of.variable, of.fault, float(size[0]), math.sqrt(float(covariance[0, 0])), of.unit)
+            if of.fault:
+                parameter = faults[of.fault].parameters[of.variable]
+                change = replace(change, min=parameter.min, max=parameter.max)
+            said.append(change)
+            continue
+        length = float(np.hypot(*size))
+        along = size / length if length else np.array([1.0, 0.0])
+        across = np.array([-along[1], along[0]])
+        std, aside = (math.sqrt(float(each @ covariance @ each)) for each in (along, across))
+        name, value, turn = faults[of.fault].direction(of.variable, size.tolist())
+        off = turn * aside / length if length else math.inf
+        change = Change(of.kind, of.variable, of.fault, length, std, of.unit, min=0.0)
+        said.append(replace(change, angle=name, angle_value=value, angle_std=off))
+    return tuple(said)
+
+
+def _suspect(found: Examination, cause: Cause, faults: Mapping[str, Fault]) -> Suspect:
+    if cause not in found.at.causes:
+        at, none = found.coordinates.each[cause.columns[0]], math.inf
+        return Suspect(Change(at.kind, at.variable, at.fault, 0.0, none, at.unit), 0.0, 1.0, "", math.nan)
+    alone = fit(found.at.news, (cause,))
+    change = changes((cause,), alone, found.coordinates, faults)[0]
+    near = {other.name: angle(found.at.news, cause, other) for other in found.at.causes if other is not cause}
+    rival = min(near, key=lambda each: near[each], default="")
+    return Suspect(change, alone.statistic, probability(alone.statistic, cause), rival, near.get(rival, math.nan))
+
+
+@dataclass(frozen=True)
+class BaselineDeviation:
+    """A nominal parameter that has left what was foreseen.
+
+    Attributes
+    ----------
+    name : str
+    distance : float
+        From the baseline to what the record says, in standard deviations of the two together.
+    """
+
+    name: str
+    distance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,129 +286,117 @@ class Diagnosis(Plotted):
     ----------
     level : float
         Probability of an alarm where nothing is wrong.
-    hypotheses : tuple of Hypothesis
-    called : tuple of str
-        The hypotheses that are significant.
-    named : tuple of str
-        Of these the most likely one, and those that the data do not tell apart from it.
-    unexplained : Test
-        Whether the residual is larger than the noise even so.
-    samples : int
-    noise_variance : dict of str to float
+    evidence : Evidence
+        What is new: all causes, and what is named.
+    unexplained : VarianceRatio
+        Whether the residual is larger than the noise even so, or owes more to the inputs than in healthy records.
     nominal : dict of str to (value, std)
-        The healthy model fitted.
-    ended : bool
-        Whether that fit ended at a minimum.
-    strain : Strain or None
-        The nominal parameter that has left what was foreseen.
+        The healthy machine's parameters beside what was named.
+    noise_variance : dict of str to float
+    deviation : BaselineDeviation or None
+        The nominal parameter that has left what was foreseen; where there are healthy records it is a cause.
     version : str
         Of fmuid.
+    accuracy : Accuracy or None
+        What the error of the simulation does to the fit of the fault named; None without such a fit.
+    fitted : tuple of str
+        The parameters of that fit, in the order of `Accuracy.shift`.
     result : Result or None
-        The fit of the healthy model; not kept in a file.
-    checked : Checked
-        What the error of the simulation does to it.
-    evidence : Evidence or None
-        What is new beside the healthy records, faults and all other causes; None where there are none. It decides
-        what is named.
+        That fit; not kept in a file.
+    mismatched : tuple of str
+        The faults whose models, without their fault, are not the healthy machine.
+    residuals : DataFrame or None
+        Of the first experiment, ``healthy.`` and ``fault.`` before each output; not kept in a file.
 
     Examples
     --------
     >>> coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
     >>> turns = fmuid.Fault(test.fmu, {"dR": test.parameters["dR"]})
     >>> found = fmuid.diagnose(test.experiment, fmuid.identify(coil.problem()), {"turns": turns}, coil.fmu)
-    >>> round(found["turns"]["dR"].value, 2)
+    >>> round(found["turns.dR"].value, 2)
     -0.08
     """
 
     level: float
-    hypotheses: tuple[Hypothesis, ...]
-    called: tuple[str, ...]
-    named: tuple[str, ...]
-    unexplained: Test
-    samples: int
-    noise_variance: Mapping[str, float]
+    evidence: Evidence
+    unexplained: VarianceRatio
     nominal: Mapping[str, Estimate]
-    ended: bool
-    strain: Strain | None
+    noise_variance: Mapping[str, float]
+    deviation: BaselineDeviation | None
     version: str
+    accuracy: Accuracy | None = None
+    fitted: tuple[str, ...] = ()
     result: Result | None = None
-    checked: Checked = field(default_factory=Checked)
-    evidence: Evidence | None = None
+    mismatched: tuple[str, ...] = ()
+    residuals: pd.DataFrame | None = None
 
     def __repr__(self) -> str:
         return f"Diagnosis({self.kind}{': ' if self.named else ''}{', '.join(self.named)})"
 
-    def __getitem__(self, name: str) -> Hypothesis:
-        """Return one hypothesis."""
-        for each in self.hypotheses:
-            if each.name == name:
-                return each
-        raise InputError(f"the diagnosis has no fault {name!r}; it has {', '.join(h.name for h in self.hypotheses)}")
+    def __getitem__(self, name: str) -> Change:
+        """Return a change that is named, or what a cause would be alone: ``turns.dR``, ``gain(i)``, ``R``."""
+        found = {each.change.label: each.change for each in self.evidence.suspects}
+        found |= {each.label: each for one in reversed(self.evidence.explanations) for each in one.changes}
+        if name not in found:
+            raise InputError(f"the diagnosis has no cause {name!r}; it has {', '.join(found)}")
+        return found[name]
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The faults that are named: the most likely one, and those that the data do not tell apart from it."""
+        return self.evidence.faults
 
     @property
     def kind(self) -> str:
         """What it is.
 
         ``"fault"``, ``"other"`` (a sensor, the supply or a parameter), ``"ambiguous"`` (which one is open),
-        ``"unexplained"``, ``"undecided"`` or ``"healthy"``.
+        ``"unexplained"``, ``"undecided"`` (the record does not determine a fault) or ``"healthy"``.
         """
-        if self.unexplained.larger and self.unexplained.explained < EXPLAINED_SHARE:
+        if self.unexplained.larger and self.evidence.explained < EXPLAINED_SHARE:
             return "unexplained"
-        if self.evidence is not None and self.evidence.alarm:
+        if self.evidence.alarm:
             if len(self.evidence.explanations) > 1:
                 return "ambiguous"
-            return "fault" if self.evidence.faults else "other"
-        if self.evidence is None and self.called:
-            return "fault" if len(self.named) == 1 else "ambiguous"
-        open_ = not self.ended or any(not each.ended or each.undetermined for each in self.hypotheses)
-        return "undecided" if open_ else "healthy"
+            return "fault" if self.named else "other"
+        return "undecided" if self.undetermined else "healthy"
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """The sizes of faults that the record does not determine beside all that may change."""
+        each = (one.change for one in self.evidence.suspects)
+        return tuple(one.label for one in each if one.fault and not one.is_determined)
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row a size of each hypothesis."""
-        rows = [
-            {
-                "fault": each.name,
-                "parameter": size.name,
-                "value": size.value,
-                "std": size.std,
-                "lower": size.interval()[0],
-                "upper": size.interval()[1],
-                "unit": size.unit,
-                "probability": size.probability,
-                "angle": size.angle,
-                "angle_value": size.angle_value if each.located(size, self.level) else math.nan,
-                "angle_std": size.angle_std if each.located(size, self.level) else math.nan,
-                "D": each.statistic,
-                "threshold": each.threshold,
-                "fault_probability": each.adjusted,
-                "information": each.information,
-                "called": each.name in self.called,
-                "named": each.name in self.named,
-            }
-            for each in self.hypotheses
-            for size in each.sizes
-        ]
+        """One row a cause, with the sizes of the best explanation for those it names."""
+        odds = {each.label: one.odds for one in reversed(self.evidence.explanations) for each in one.changes}
+        rows = []
+        for one in self.evidence.suspects:
+            each = self[one.change.label]
+            row: dict[str, Any] = {"cause": each.label, "kind": each.kind.value, "value": each.value, "std": each.std}
+            row |= dict(zip(("lower", "upper"), each.interval(), strict=True)) | {"unit": each.unit}
+            row |= {"angle": each.angle, "angle_value": each.angle_value, "angle_std": each.angle_std}
+            row |= {"D": one.statistic, "probability": one.probability, "odds": odds.get(each.label, 0.0)}
+            rows.append(row | {"rival": one.rival, "rival_angle": one.rival_angle})
         return pd.DataFrame(rows)
 
     # --- JSON
 
     def to_json_dict(self) -> dict[str, Any]:
         """Return the content of ``diagnosis.json``; what is not a finite number is None."""
+        shift = None if self.accuracy is None else dict(zip(self.fitted, self.accuracy.shift.tolist(), strict=True))
         content = {
             "kind": self.kind,
-            "called": self.called,
             "named": self.named,
             "level": self.level,
             "unexplained": self.unexplained,
-            "samples": self.samples,
             "noise_variance": dict(self.noise_variance),
             "nominal": {n: {"value": v, "std": s} for n, (v, s) in self.nominal.items()},
-            "ended": self.ended,
-            "faults": {each.name: each.to_json_dict(self.level) for each in self.hypotheses},
-            "strain": self.strain,
+            "deviation": self.deviation,
+            "mismatched": self.mismatched,
             "evidence": self.evidence,
-            "accuracy": self.checked.to_json_dict(),
+            "accuracy": None if self.accuracy is None else {**vars(self.accuracy), "shift": shift},
             "version": self.version,
         }
         plain: dict[str, Any] = as_json(content)
@@ -192,7 +414,7 @@ class Diagnosis(Plotted):
 
     @classmethod
     def from_json(cls, path: str | Path) -> Diagnosis:
-        """Read a ``diagnosis.json``; the fits, which are not in it, are None.
+        """Read a ``diagnosis.json``; fit and residuals, which are not in it, are None.
 
         Raises
         ------
@@ -200,18 +422,26 @@ class Diagnosis(Plotted):
             If the file cannot be read or is no such file.
         """
         with content_of(Path(path), "the diagnosis.json of a diagnosis", "run fmuid diagnose again") as data:
+            accuracy, fitted = data["accuracy"], ()
+            if accuracy is not None:
+                fitted = tuple(accuracy["shift"])
+                shift = [math.nan if each is None else float(each) for each in accuracy["shift"].values()]
+                accuracy = Accuracy.of_json(accuracy, np.array(shift))
             return cls(
                 level=float(data["level"]),
-                hypotheses=tuple(Hypothesis.of_json(name, each) for name, each in data["faults"].items()),
-                called=tuple(data["called"]),
-                named=tuple(data["named"]),
-                unexplained=Test(**data["unexplained"]),
-                samples=int(data["samples"]),
-                noise_variance=dict(data["noise_variance"]),
-                nominal=estimates_of(data["nominal"]),
-                ended=bool(data["ended"]),
-                strain=None if data["strain"] is None else Strain(**data["strain"]),
+                evidence=reader(Evidence).validate_python(data["evidence"]),
+                unexplained=reader(VarianceRatio).validate_python(data["unexplained"]),
+                nominal={name: (float(each["value"]), float(each["std"])) for name, each in data["nominal"].items()},
+                noise_variance={name: float(each) for name, each in data["noise_variance"].items()},
+                deviation=None if data["deviation"] is None else BaselineDeviation(**data["deviation"]),
                 version=str(data["version"]),
-                checked=Checked.of_json(data.get("accuracy")),
-                evidence=None if data["evidence"] is None else Evidence.of_json(data["evidence"]),
+                accuracy=accuracy,
+                fitted=fitted,
+                mismatched=tuple(map(str, data["mismatched"])),
             )
+
+
+@cache
+def reader(kind: type) -> TypeAdapter[Any]:
+    """Return what reads a dataclass of a file."""
+    return TypeAdapter(kind)

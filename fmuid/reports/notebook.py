@@ -24,7 +24,7 @@ from fmuid.reports.page import batches, faults, identification
 from fmuid.reports.page.batches import summary_table
 from fmuid.reports.page.contents import Identification
 from fmuid.reports.page.document import Section, table
-from fmuid.reports.page.faults import faults_table
+from fmuid.reports.page.faults import causes_table
 from fmuid.reports.page.identification import estimates_table
 from fmuid.runs import Batch, BatchResult
 from fmuid.runs import predicted as predicted
@@ -46,7 +46,7 @@ def html(found: object) -> str | None:
         case Result():
             return _with_words(found, estimates_table(found, found.units))
         case Diagnosis():
-            return _with_words(found, faults_table(found))
+            return _with_words(found, causes_table(found))
         case Study():
             return _study(found)
         case FMU():

@@ -35,11 +35,11 @@ def monitor_of(study: Study, rule: Rule) -> Monitor:
         If the study has none, or models and healthy result do not fit together.
     """
     settings = study.fault_search
-    hypotheses = settings.hypotheses(study.system, study.model, study.data)
+    faults = settings.fault_models(study.system, study.model, study.data)
     try:
         return Monitor(
             _healthy(study),
-            hypotheses,
+            faults,
             study.system,
             rule,
             settings.causes,
@@ -88,7 +88,7 @@ def shown_by(study: Study) -> Callable[[Result], HealthyEvidence] | None:
     for name, parameter in study.parameters.items():
         if parameter.per_experiment:
             raise InputError(f"{settings.where}: {name} is one per experiment, which does not go with a diagnosis")
-    faults = settings.hypotheses(study.system, study.model, study.data)
+    faults = settings.fault_models(study.system, study.model, study.data)
     variance = study.noise.given_variance()
 
     def shown(result: Result) -> HealthyEvidence:
