@@ -19,9 +19,9 @@ from fmuid.diagnosis.change_detection.unexplained_residual import UNEXPLAINED_SH
 from fmuid.estimation.covariance import UNDETERMINED_STD, WEAK_STD
 from fmuid.estimation.identification import VARIANCE_CHANGE
 from fmuid.estimation.marquardt.search import OFFSET_TOLERANCE
+from fmuid.estimation.noise.whiteness_tests import WhitenessSettings
 from fmuid.estimation.simulation_noise import NOISE_POINTS
 from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
-from fmuid.identification.residual_series import TESTED_LAGS
 from fmuid.models.component import DEFAULT_TOLERANCE
 from fmuid.runs.batch.cases import Cases
 from fmuid.simulation.grid import LINEAR_SUBSTEPS
@@ -107,7 +107,7 @@ def test_the_numbers_of_the_method() -> None:
         f"until none moves by more than {VARIANCE_CHANGE:.0%}".replace("%", " %"),
         f"a difference of less than {SAME_VARIANCE_RATIO - 1.0:.0%} is not called one".replace("%", " %"),
         f"all within {ODDS:g} : 1 are named",
-        f"over up to {TESTED_LAGS} lags",
+        f"over up to {WhitenessSettings().tested_lags} lags",
         "divided in ten" if LINEAR_SUBSTEPS == 10 else "",
         "tested at a tenth of the level" if UNEXPLAINED_SHARE == 0.1 else "",
     ):

@@ -24,7 +24,7 @@ from fmuid.estimation.iteration_history import History
 from fmuid.estimation.linearized_problem import LocalModel
 from fmuid.estimation.marquardt.outcome import Outcome
 from fmuid.estimation.model_sensitivities import Sensitivity
-from fmuid.estimation.noise.sandwich import ColouredNoise
+from fmuid.estimation.noise.sandwich import ResidualNoise
 from fmuid.estimation.solver_check.outcome import Accuracy
 from fmuid.estimation.starting_points.outcome import Attempt, ChoiceTried
 
@@ -85,7 +85,7 @@ class Result(CanPredict):
     local : LocalModel or None
         The problem made linear at the estimate, with the given noise variances or else the estimated ones. None where
         it was not kept in a file.
-    noise : ColouredNoise or None
+    noise : ResidualNoise or None
         The noise of all rows of the data, as the residual shows it. None where it was not kept in a file.
     history : History or None
         What `trace`, `rounds` and `fit` are made of, which are empty where it was not kept in a file.
@@ -142,7 +142,7 @@ class Result(CanPredict):
     sensitivity: Sensitivity | None = None
     moved_start: tuple[str, ...] = ()
     local: LocalModel | None = None
-    noise: ColouredNoise | None = None
+    noise: ResidualNoise | None = None
     history: History | None = None
     optima: tuple[Optimum, ...] = ()
     fits: int | None = None

@@ -36,10 +36,7 @@ from .residual_analysis import Diagnostics as Diagnostics
 from .residual_analysis import Finding as Finding
 from .residual_analysis import Trait as Trait
 from .residual_analysis import examine_residuals as examine_residuals
-from .residual_analysis import residuals_of as residuals_of
-from .residual_series import LARGE_KURTOSIS as LARGE_KURTOSIS
-from .residual_series import LEAST_SAMPLES as LEAST_SAMPLES
-from .residual_series import OUTLIER_STDS as OUTLIER_STDS
+from .residual_series import RESIDUAL_SETTINGS as RESIDUAL_SETTINGS
 from .residual_series import ResidualSeries as ResidualSeries
 from .restarting_search import identify as identify
 from .sampling.posterior import LARGEST_R_HAT as LARGEST_R_HAT

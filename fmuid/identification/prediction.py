@@ -38,7 +38,8 @@ from fmuid.errors import NO_EXPERIMENT, InputError, check_kind
 from fmuid.estimation import Result, check_level
 from fmuid.formatting import nearest
 from fmuid.identification.problem import Problem, refinement_of
-from fmuid.identification.residual_analysis import Diagnostics, residuals_of
+from fmuid.identification.residual_analysis import Diagnostics
+from fmuid.identification.residual_series import examine_outputs
 from fmuid.identification.solver_checked_search import identify
 from fmuid.identification.uncertainty import CONFIDENCE_LEVEL
 from fmuid.models import FMU, System
@@ -329,7 +330,7 @@ class _Record:
         scores = tuple(
             _score(fit, j, variance[:, j], half[:, j]) for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()
         )
-        tests = Diagnostics(tuple(residuals_of(experiment, simulated)), {})
+        tests = Diagnostics(tuple(examine_outputs(experiment, simulated)), {})
         return Prediction(fit, std, self.noise_std, half, level, scores, tests, again, lost)
 
     def _simulated(self, simulator: Simulator, point: Floats, scatter: Floats) -> tuple[Floats, Floats]:

@@ -21,7 +21,7 @@ import numpy as np
 from scipy import special
 
 from fmuid.errors import InputError
-from fmuid.estimation import ColouredNoise, LeastSquares, LocalModel, Result
+from fmuid.estimation import LeastSquares, LocalModel, ResidualNoise, Result
 from fmuid.formatting import nearest
 from fmuid.identification.residual_analysis import Diagnostics
 
@@ -92,14 +92,14 @@ class Agreement:
         return self.probability >= SIGNIFICANCE_LEVEL
 
 
-def agree(local: LocalModel, noise: ColouredNoise) -> Agreement | None:
+def agree(local: LocalModel, noise: ResidualNoise) -> Agreement | None:
     """Test the prior against the data, by the paraboloids of a local model and the colour of the noise.
 
     Parameters
     ----------
     local : LocalModel
         At the optimum of the data alone or, where the problem is linear enough, at the estimate.
-    noise : ColouredNoise
+    noise : ResidualNoise
     """
     if not len(local.prior_residual):
         return None
@@ -155,7 +155,7 @@ def variance_tests(
         free = max(float(problem.counts[j] - leverage[j]), 1.0)
         parts = [each for each in diagnostics.series if each.output == output]
         # sums of squares of several experiments: their variances add (Welch and Satterthwaite)
-        worth = problem.counts[j] ** 2 / sum(each.samples**2 / each.variance_samples for each in parts)
+        worth = problem.counts[j] ** 2 / sum(each.samples * each.noise.variance_factor(2) for each in parts)
         ratio = result.noise_variance[output] / variance
         freedom = free / problem.counts[j] * worth
         tests.append(_test(output, variance, result.noise_variance[output], ratio, freedom))

@@ -24,11 +24,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
-from fmuid.data import Measurements
 from fmuid.errors import InputError
-from fmuid.estimation import ColouredNoise, LeastSquares, Result, Taken
+from fmuid.estimation import LeastSquares, NoiseModel, ResidualNoise, Result, Taken
 from fmuid.files import as_json
 from fmuid.identification.residual_series import InputCorrelation, ResidualSeries, examine_outputs
 
@@ -89,15 +87,15 @@ class Finding:
 def _findings(series: ResidualSeries, outputs: int, inputs: int) -> list[Finding]:
     """Return what is unlikely by chance in one of so many residuals, which go with so many inputs all together."""
     level, found = RESIDUAL_LEVEL / outputs, []
-    if series.whiteness_probability <= level:
-        found.append(Finding(Trait.COLOURED, abs(series.strongest_autocorrelation[1]) >= LARGE_AUTOCORRELATION, series))
+    if series.whiteness.probability <= level:
+        found.append(Finding(Trait.COLOURED, abs(series.whiteness.strongest[1]) >= LARGE_AUTOCORRELATION, series))
     if series.mean_probability < level:
         found.append(Finding(Trait.OFFSET, abs(series.mean) > LARGE_OFFSET_STDS * series.std, series))
     for each in series.inputs:
         if each.probability < RESIDUAL_LEVEL / inputs:
             found.append(Finding(Trait.INPUT, abs(each.correlation) > LARGE_CORRELATION, series, each))
-    if series.normality_probability < level:
-        found.append(Finding(Trait.SHAPE, series.lopsided or series.tailed, series))
+    if series.normality.probability < level:
+        found.append(Finding(Trait.SHAPE, series.is_lopsided or series.is_tailed, series))
     return found
 
 
@@ -145,21 +143,21 @@ class LongMemory(NoiseFinding):
     record: float
 
 
-def _slow(noise: ColouredNoise) -> tuple[tuple[SlowResidual, ...], tuple[LongMemory, ...]]:
-    """Return the slow noise of each model that has some, and whose memory is long for the record."""
-    pools: dict[int, list[int]] = {}
-    for index, series in enumerate(noise.series):
-        pools.setdefault(series.pool, []).append(index)
+def _slow(noise: ResidualNoise) -> tuple[tuple[SlowResidual, ...], tuple[LongMemory, ...]]:
+    """Return the slow noise of each process that has some, and whose memory is long for the record."""
+    pools: dict[int, list[NoiseModel]] = {}
+    for model in noise.models:
+        pools.setdefault(model.series.pool, []).append(model)
     slow, long = [], []
     for members in pools.values():
-        series, model = noise.series[members[0]], noise.models[members[0]]
-        names = tuple(dict.fromkeys(noise.series[i].experiment for i in members))
-        constant = series.step * model.time_constant
-        record = series.step * (1 + max(int(noise.series[i].places[-1]) for i in members))
-        if model.pole:
-            slow.append(SlowResidual(series.output, names, -series.step / math.log(model.pole), model.slow_share))
+        first, process = members[0].series, members[0].process
+        names = tuple(dict.fromkeys(each.series.experiment for each in members))
+        constant = members[0].time_constant
+        record = first.step * (1 + max(int(each.series.places[-1]) for each in members))
+        if process.pole:
+            slow.append(SlowResidual(first.output, names, -first.step / math.log(process.pole), process.slow_share))
         if constant > LONG_MEMORY * record:
-            long.append(LongMemory(series.output, names, min(constant, record), record))
+            long.append(LongMemory(first.output, names, min(constant, record), record))
     return tuple(slow), tuple(long)
 
 
@@ -243,10 +241,10 @@ class Diagnostics:
         """
         parts = []
         for each in self.series:
-            lags = np.arange(1, each.autocorrelation.size)
-            own = (each.output, lags, lags * each.step, each.autocorrelation[1:], each.band)
-            others = [(one.input, one.lags / each.step, one.lags, one.values, one.band) for one in each.inputs]
-            for name, places, times, values, band in (own, *others) if each.examined else ():
+            lags, step = np.arange(1, each.whiteness.autocorrelation.size), each.noise.series.step
+            own = (each.output, lags, lags * step, each.whiteness.autocorrelation[1:], each.whiteness.band)
+            others = [(one.input, one.lags / step, one.lags, one.values, one.band) for one in each.inputs]
+            for name, places, times, values, band in (own, *others) if each.is_tested else ():
                 columns = (each.experiment, each.output, name, np.rint(places), times, values, band)
                 parts.append(pd.DataFrame(dict(zip(CORRELATIONS, columns, strict=True))))
         return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=CORRELATIONS)
@@ -304,13 +302,15 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     if result.noise is None or result.local is None:
         raise InputError("a result read from a file has no residuals to examine; identify the study again")
     series: list[ResidualSeries] = []
-    columns, first = result.local.jacobian @ result.local.root, 0
+    columns = result.local.jacobian @ result.local.root
     taken = Taken(columns, columns.T @ columns)
     for experiment, fit in zip(problem.experiments, result.fit, strict=True):
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
-        series += residuals_of(experiment, simulated, first, taken, problem.levels.scale)
-        first += int(experiment.counted.sum())
-    off_grid = tuple((each.experiment, each.output) for each in result.noise.series if not each.regular)
+        models = [each for each in result.noise.models if each.series.experiment == experiment.name]
+        series += examine_outputs(experiment, simulated, models, taken, problem.levels.scale)
+    off_grid = tuple(
+        (each.series.experiment, each.series.output) for each in result.noise.models if not each.series.regular
+    )
     widening = dict(zip(result.names, result.widening.tolist(), strict=True))
     shares: dict[tuple[str, str, float], float] = {}
     for found in result.noise.returning:
@@ -321,28 +321,3 @@ def examine_residuals(problem: LeastSquares, result: Result) -> Diagnostics:
     returning = tuple(ReturningResidual(*key, share) for key, share in shares.items())
     slow, long = _slow(result.noise)
     return Diagnostics(tuple(series), widening, off_grid, slow, returning, long)
-
-
-def residuals_of(
-    experiment: Measurements,
-    simulated: Floats,
-    first: int = 0,
-    taken: Taken | None = None,
-    scale: Floats | None = None,
-) -> list[ResidualSeries]:
-    """Examine measured − simulated of an experiment, output by output.
-
-    Parameters
-    ----------
-    experiment : Measurements
-    simulated : (K, n_outputs) array
-    first : int
-        Which row of a problem's residual the first of its counted samples is.
-    taken : Taken, optional
-        What a fit has taken out of the noise of all rows; default: nothing has been fitted.
-    scale : (n,) array, optional
-        The standard deviation of the noise of each row against that of its output; default 1.
-    """
-    counted, outputs = np.flatnonzero(experiment.counted), len(experiment.output_names)
-    rows = [first + np.flatnonzero(counted % outputs == column) for column in range(outputs)]
-    return examine_outputs(experiment, simulated, rows, taken, scale)

@@ -15,9 +15,10 @@ from fmuid.array_types import Floats
 from fmuid.data import Table
 from fmuid.estimation.noise import autoregression
 from fmuid.estimation.noise.autoregression import Autoregression, impulse_response, most_orders
+from fmuid.estimation.noise.model import NoiseModel
 from fmuid.estimation.noise.output_series import Series, series_of, table_grid
 from fmuid.estimation.noise.sample_grid import Grid, Rows
-from fmuid.estimation.noise.sandwich import ColouredNoise, sandwich
+from fmuid.estimation.noise.sandwich import ResidualNoise, sandwich
 from tests.support.problems import ar1
 
 SLOW, OSCILLATING = np.array([0.8]), np.array([1.6, -0.9])
@@ -175,7 +176,7 @@ def test_the_gram_matrix_is_that_of_the_dense_covariance(share: float) -> None:
     columns = grid.rows.columns
     expected = columns.T @ covariance @ columns
     np.testing.assert_allclose(grid.take(models, grid.rows.columns, grid.innovations), expected, rtol=2e-3)
-    noise = ColouredNoise(tuple(grid.series), tuple(models), (grid.innovations,))
+    noise = ResidualNoise(tuple(map(NoiseModel, grid.series, models)), (grid.innovations,))
     np.testing.assert_allclose(noise.gram(columns), expected, rtol=2e-3)
 
 
@@ -216,7 +217,7 @@ def test_a_prior_adds_its_own_error() -> None:
     prior = np.diag([3.0, 0.0, 5.0])
     noise = ar1(np.random.default_rng(6), 0.8, 200)
     found = sandwich(made(jacobian, noise, prior), [series(np.arange(200), np.arange(200))])
-    own = found.noise.models[0]
+    own = found.noise.models[0].process
     inverse = np.linalg.inv(jacobian.T @ jacobian + prior.T @ prior)
     inner = jacobian.T @ dense(own, own, own.variance, 200) @ jacobian + prior.T @ prior
     np.testing.assert_allclose(found.covariance, inverse @ inner @ inverse, rtol=2e-3)
@@ -296,7 +297,7 @@ def test_short_experiments_share_a_model() -> None:
     lags = np.arange(1, count)
     true = (1.0 + 2.0 * float((1.0 - lags / count) @ 0.8**lags)) / count / tests
     assert found.covariance[0, 0] == pytest.approx(true, rel=0.3)
-    assert {each.samples for each in found.noise.models} == {count * tests}
+    assert {each.process.samples for each in found.noise.models} == {count * tests}
 
 
 def test_what_a_fit_hardly_takes_is_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:

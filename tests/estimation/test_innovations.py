@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from fmuid.array_types import Floats, Indices
 from fmuid.estimation.noise.autoregression import Autoregression, impulse_response
-from fmuid.estimation.noise.prewhitening import innovations_matrix
+from fmuid.estimation.noise.model import innovations_matrix
 
 FIRST = np.array([0.8])
 SECOND = np.array([1.6, -0.9])

@@ -88,7 +88,7 @@ def test_residuals_are_examined_by_their_own_standard_deviations() -> None:
     (found,) = examine_residuals(problem, result).series
     residual = problem.experiments[0].output_values[:, 0] - PHI @ result.values
     assert found.std == pytest.approx(float(residual.std()))
-    assert found.kurtosis == pytest.approx(float(stats.kurtosis(residual / STD)))
+    assert found.normality.kurtosis == pytest.approx(float(stats.kurtosis(residual / STD)))
 
 
 def test_weights_for_each_sample_leave_one_variance_to_be_estimated() -> None:

@@ -32,7 +32,7 @@ def candidate(y: Floats, order: int, name: str, held: dict[str, float] | None = 
     (series,) = examine_residuals(problem, result).series
     object.__setattr__(result, "models", MODEL)
     rest = {f"c{k}": 0.0 for k in range(order, 4)} if held is None else held
-    return Compared(name, result, max(1.0, series.correlation_samples), rest)
+    return Compared(name, result, max(1.0, series.noise.variance_factor()), rest)
 
 
 def line(seed: int, colour: float = 0.0) -> Floats:

@@ -17,7 +17,7 @@ from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.identification import identify
 from fmuid.estimation.marquardt.linear import linear_least_squares
 from fmuid.estimation.noise.autoregression import Autoregression
-from fmuid.estimation.noise.sandwich import ColouredNoise, Sandwich
+from fmuid.estimation.noise.sandwich import ResidualNoise, Sandwich
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.identification import Problem
@@ -65,9 +65,12 @@ def information() -> Floats:
 def white_reading(problem: LeastSquares, result: Result, **words: Any) -> Reading:
     """Read a result with residuals that are taken for white."""
     found = examine_residuals(problem, result)
-    series = tuple(dataclasses.replace(each, noise_correlation=np.ones(1)) for each in found.series)
     assert result.noise is not None
-    models = tuple(Autoregression(np.zeros(0), 1.0, each.samples) for each in result.noise.models)
+    models = tuple(
+        dataclasses.replace(each, process=Autoregression(np.zeros(0), 1.0, each.process.samples))
+        for each in result.noise.models
+    )
+    series = tuple(dataclasses.replace(each, noise=own) for each, own in zip(found.series, models, strict=True))
     noise = dataclasses.replace(result.noise, models=models, innovations=tuple(map(np.eye, _outputs(result.noise))))
     taken = dataclasses.replace(result, noise=noise, covariance=result.white_covariance)
     with pytest.MonkeyPatch.context() as patched:  # also where the optimum of the data is searched
@@ -78,7 +81,7 @@ def white_reading(problem: LeastSquares, result: Result, **words: Any) -> Readin
         return read_result(problem, taken, diagnostics=Diagnostics(series, found.widening), **words)
 
 
-def _outputs(noise: ColouredNoise) -> list[int]:
+def _outputs(noise: ResidualNoise) -> list[int]:
     """Return how many series each grid has."""
     return [len(each) for each in noise.innovations]
 

@@ -69,7 +69,7 @@ def test_of_white_noise_words_say_what_was_tested() -> None:
     series = only(found)
     assert series.samples == COUNT
     assert series.std == pytest.approx(1.0, rel=0.1)
-    assert series.tested_lags == 25
+    assert series.whiteness.lags == 25
 
 
 @pytest.mark.slow
@@ -107,27 +107,26 @@ def test_coloured_noise_in_words() -> None:
     assert factor.startswith("Since neighbouring samples are not independent, the standard deviations are 0.")
     assert "(fast) to 4" in factor
     assert factor.endswith(") those that white noise of this size would give")
-    assert only(found).correlation_samples == pytest.approx(19.0, rel=0.4)
+    assert only(found).noise.variance_factor() == pytest.approx(19.0, rel=0.4)
     assert found.table["correlation_time"][0] == pytest.approx(0.19, rel=0.4)
 
 
 def test_slightly_coloured_noise_is_no_matter() -> None:
     """With 1000 samples an autocorrelation of 0.2 is significant and said, but costs little precision."""
     found = examined(ar1(np.random.default_rng(4), 0.2, COUNT))
-    assert only(found).whiteness_probability < 0.01
+    assert only(found).whiteness.probability < 0.01
     first, second = residual_words(found)
     assert first.startswith("The residual of y is not white (autocorrelation 0.1")
     assert second == "For the estimates this makes little difference; their standard deviations allow for it"
 
 
 def test_what_is_significant_but_slight_is_not_called_white() -> None:
-    """Of 20 000 samples, an autocorrelation of 0.07 and a correlation of 0.05 with the input."""
+    """Unlikely by chance, an autocorrelation of 0.07 and a correlation of 0.05 with the input."""
     series = only(examined(white(1)))
     u = dataclasses.replace(series.inputs[0], correlation=0.05, probability=1e-9)
     correlations = np.concatenate([[1.0, 0.07], np.zeros(24)])
-    slight = dataclasses.replace(
-        series, samples=20_000, autocorrelation=correlations, whiteness_probability=1e-9, inputs=(u,)
-    )
+    whiteness = dataclasses.replace(series.whiteness, autocorrelation=correlations, probability=1e-9)
+    slight = dataclasses.replace(series, whiteness=whiteness, inputs=(u,))
     found = Diagnostics((slight,), {"level": 1.0})
     assert [(each.trait, each.large) for each in found.findings] == [(Trait.COLOURED, False), (Trait.INPUT, False)]
     first, second = residual_words(found)
@@ -141,7 +140,8 @@ def test_what_is_significant_but_slight_is_not_called_white() -> None:
 @pytest.mark.parametrize("probability", [1e-9, 0.02, 0.5])
 def test_no_residual_is_called_white_where_its_colour_counts(probability: float) -> None:
     """Small autocorrelations over many lags, none of them worth a sentence, add up where sensitivities are slow."""
-    series = dataclasses.replace(only(examined(white(1))), whiteness_probability=probability)
+    series = only(examined(white(1)))
+    series = dataclasses.replace(series, whiteness=dataclasses.replace(series.whiteness, probability=probability))
     (said,) = residual_words(Diagnostics((series,), {"level": 1.3, "slow": 1.0}))
     sure = "Since neighbouring samples are not independent, the"
     chance = "Neighbouring samples of the residual look correlated, if not strongly enough to rule out chance: the"
@@ -284,8 +284,8 @@ def test_what_cannot_be_examined_is_said() -> None:
     assert sentence == "The residual of y is too short, or nothing but rounding, to be examined"
     series = only(examined(white(1), discard=TIMES[-1] - 0.1))
     assert series.samples == 11
-    assert not series.examined
-    assert math.isnan(series.ljung_box)
+    assert not series.is_tested
+    assert math.isnan(series.whiteness.statistic)
 
 
 def several() -> tuple[LeastSquares, Result]:
@@ -312,15 +312,15 @@ def test_rows_of_several_outputs_and_experiments() -> None:
         (experiment, output) for experiment in ("first", "second") for output in ("a", "b")
     ]
     assert result.local is not None
-    rows = np.concatenate([each.rows for each in found.series])
+    rows = np.concatenate([each.noise.series.rows for each in found.series])
     assert sorted(rows.tolist()) == list(range(problem.measured.size))
     for each in found.series:
         assert np.isnan(each.residual[each.times < 0.5]).all()
         whitened = each.residual[np.isfinite(each.residual)] / math.sqrt(result.variance[each.output])
-        np.testing.assert_allclose(whitened, result.local.residual[each.rows], rtol=1e-9)
+        np.testing.assert_allclose(whitened, result.local.residual[each.noise.series.rows], rtol=1e-9)
         kept = np.flatnonzero(np.isfinite(each.residual))
-        np.testing.assert_array_equal(each.places, kept - kept[0])
-        assert each.step == pytest.approx(0.01)
+        np.testing.assert_array_equal(each.noise.series.places, kept)
+        assert each.noise.series.step == pytest.approx(0.01)
     assert (
         "residuals of a in first, b in first, a in second and b in second look like white" in residual_words(found)[0]
     )
@@ -343,8 +343,7 @@ def several_outputs() -> tuple[Experiment, Floats]:
 def test_correlations_with_inputs_are_those_of_the_definition() -> None:
     """Mean of the products over the pairs there are, against both standard deviations, lag by lag."""
     experiment, simulated = several_outputs()
-    rows = [np.arange(int(counted.sum())) for counted in experiment.counted.T]
-    series = examine_outputs(experiment, simulated, rows)
+    series = examine_outputs(experiment, simulated)
     assert [each.output for each in series] == ["y", "z", "g"]
     for column, each in enumerate(series):
         there = np.flatnonzero(experiment.counted[:, column])
@@ -368,8 +367,7 @@ def test_outputs_that_count_alike_share_the_work_on_the_inputs(monkeypatch: pyte
 
     monkeypatch.setattr("fmuid.identification.residual_series.LaggedSeries", Counted)
     experiment, simulated = several_outputs()
-    rows = [np.arange(int(counted.sum())) for counted in experiment.counted.T]
-    examine_outputs(experiment, simulated, rows)
+    examine_outputs(experiment, simulated)
     assert len(made) == 4  # two inputs that move, for y and z together and for g
 
 

@@ -9,20 +9,31 @@ from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
 from fmuid.data.predictors import Table
+from fmuid.estimation.noise.autoregression import Autoregression
+from fmuid.estimation.noise.model import NoiseModel
+from fmuid.estimation.noise.output_series import Series
 from fmuid.estimation.noise.whiteness_tests import (
     LaggedSeries,
     Taken,
     autocorrelation,
-    lag_sum,
     ljung_box,
-    noise_model,
     normality,
-    on_grid,
-    positions,
     whiteness,
 )
 from fmuid.identification.residual_series import examine_outputs
 from tests.support.problems import ar1
+
+
+def noise_model(grid: Floats) -> NoiseModel:
+    """Return the noise of a series on a grid, NaN where a sample is missing."""
+    places = np.flatnonzero(np.isfinite(grid))
+    return NoiseModel.of(Series("run", "y", 0, np.arange(places.size), places, 1.0, True, 0, 0), grid[places])
+
+
+def white_model(count: int) -> NoiseModel:
+    places = np.arange(count)
+    series = Series("run", "y", 0, places, places, 1.0, True, 0, 0)
+    return NoiseModel(series, Autoregression(np.zeros(0), 1.0, count))
 
 
 def with_gaps(rng: np.random.Generator, values: Floats, share: float) -> Floats:
@@ -30,24 +41,6 @@ def with_gaps(rng: np.random.Generator, values: Floats, share: float) -> Floats:
     values[rng.random(values.size) < share] = np.nan
     values[[0, -1]] = 0.1, -0.1
     return values
-
-
-def test_places_on_the_grid() -> None:
-    times = np.array([0.0, 0.1, 0.2, 0.5, 0.6, 0.7, 0.8])
-    places, step = positions(times + 1e-4 * np.sin(37.0 * times))
-    assert places.tolist() == [0, 1, 2, 5, 6, 7, 8]
-    assert step == pytest.approx(0.1, abs=1e-3)
-    np.testing.assert_array_equal(np.isnan(on_grid(times, places)), [False] * 3 + [True] * 2 + [False] * 4)
-    # many steps that each are a little off do not add up
-    drifting = np.cumsum(np.full(1000, 1.0) + 1e-3)
-    assert positions(drifting)[0].tolist() == list(range(1000))
-
-
-@pytest.mark.parametrize("times", [[0.0, 1.0, 1.0, 2.0, 3.0], np.cumsum(np.linspace(1.0, 5.0, 30))])
-def test_times_without_a_grid_are_counted(times: list[float]) -> None:
-    places, step = positions(np.array(times))
-    assert places.tolist() == list(range(len(times)))
-    assert step == pytest.approx((times[-1] - times[0]) / (len(times) - 1))
 
 
 def test_autocorrelation_by_hand() -> None:
@@ -93,9 +86,9 @@ def test_correlation_times_of_autoregressive_noise(share: float, missing: float)
     times, squares = [], []
     for _ in range(30):
         model = noise_model(with_gaps(rng, ar1(rng, share, 5000), missing))
-        assert model[0] == 1.0
-        times.append(lag_sum(model, 5000))
-        squares.append(lag_sum(model, 5000, 2))
+        assert model.correlation[0] == 1.0
+        times.append(model.variance_factor())
+        squares.append(model.variance_factor(2))
     assert np.mean(times) == pytest.approx((1 + share) / (1 - share), rel=0.08)
     assert np.mean(squares) == pytest.approx((1 + share**2) / (1 - share**2), rel=0.08)
 
@@ -108,14 +101,14 @@ def test_the_model_of_an_oscillation() -> None:
     rho = [1.0, first / (1.0 - second)]
     while len(rho) < 60:
         rho.append(first * rho[-1] + second * rho[-2])
-    np.testing.assert_allclose(noise_model(x)[:60], rho, atol=0.06)
+    np.testing.assert_allclose(noise_model(x).correlation[:60], rho, atol=0.06)
 
 
 def test_a_series_that_never_decays_has_a_model() -> None:
     ramp = np.linspace(-1.0, 1.0, 400) + 1e-6 * np.random.default_rng(1).standard_normal(400)
     model = noise_model(ramp)
-    assert np.isfinite(model).all()
-    assert lag_sum(model, 400) > 20.0
+    assert np.isfinite(model.correlation).all()
+    assert model.variance_factor() > 20.0
 
 
 def test_every_other_sample() -> None:
@@ -123,7 +116,7 @@ def test_every_other_sample() -> None:
     grid = np.full(400, np.nan)
     grid[::2] = np.random.default_rng(2).standard_normal(200)
     assert np.isnan(autocorrelation(grid, 3)[0][1])
-    assert noise_model(grid).tolist() == [1.0]
+    assert noise_model(grid).variance_factor() == 1.0
 
 
 @pytest.mark.parametrize("gaps", [False, True])
@@ -134,10 +127,10 @@ def test_whiteness_in_short_records_that_a_fit_has_smoothed(gaps: bool) -> None:
     rng, tested, limit = np.random.default_rng(3), [], []
     for _ in range(400):
         noise = rng.standard_normal(places.size)
-        grid = on_grid(noise - columns @ (columns.T @ noise), places)
-        found = autocorrelation(grid, 6)
-        limit.append(ljung_box(*found)[1])
-        tested.append(whiteness(*found, np.isfinite(grid), Taken(columns, np.eye(5)))[1])
+        grid = np.full(int(places[-1]) + 1, np.nan)
+        grid[places] = noise - columns @ (columns.T @ noise)
+        limit.append(ljung_box(*autocorrelation(grid, 6))[1])
+        tested.append(whiteness(grid, Taken(columns, np.eye(5))).probability)
     assert np.mean(np.array(limit) < 0.05) > 0.1
     assert np.mean(np.array(tested) < 0.05) == pytest.approx(0.05, abs=0.033)  # three standard errors
     assert np.mean(np.array(tested) < 0.01) < 0.03
@@ -153,10 +146,10 @@ def test_what_a_fit_of_several_outputs_takes_from_one() -> None:
 
 def test_normality_of_white_noise_is_jarque_and_bera() -> None:
     x = np.random.default_rng(11).exponential(size=80)
-    skewness, kurtosis, probability = normality(x, np.ones(1))
-    assert skewness == pytest.approx(stats.skew(x))
-    assert kurtosis == pytest.approx(stats.kurtosis(x))
-    assert probability == pytest.approx(stats.jarque_bera(x).pvalue, rel=1e-9)
+    found = normality(x, white_model(80))
+    assert found.skewness == pytest.approx(stats.skew(x))
+    assert found.kurtosis == pytest.approx(stats.kurtosis(x))
+    assert found.probability == pytest.approx(stats.jarque_bera(x).pvalue, rel=1e-9)
 
 
 @pytest.mark.slow
@@ -164,8 +157,8 @@ def test_normal_coloured_noise_is_called_normal() -> None:
     """As if it were white, skewness and kurtosis of strongly coloured noise would be rejected most of the time."""
     rng = np.random.default_rng(12)
     draws = [ar1(rng, 0.95, 4000) for _ in range(300)]
-    coloured = np.mean([normality(x, noise_model(x))[2] < 0.05 for x in draws])
-    white = np.mean([normality(x, np.ones(1))[2] < 0.05 for x in draws])
+    coloured = np.mean([normality(x, noise_model(x)).probability < 0.05 for x in draws])
+    white = np.mean([normality(x, white_model(4000)).probability < 0.05 for x in draws])
     assert 0.02 <= coloured <= 0.09
     assert white > 0.5
 
@@ -181,7 +174,7 @@ def test_unrelated_series_are_related_by_chance_only(one: float, other: float) -
     single, any_lag = [], []
     for _ in range(300):
         x, u = ar1(rng, one, 1000), ar1(rng, other, 1000)
-        cross = LaggedSeries(lagged(u, 10), u).correlate(x, noise_model(x))
+        cross = LaggedSeries(lagged(u, 10), u).correlate(x, noise_model(x).correlation)
         single.append(abs(cross.values[0]) > 1.96 * cross.std)
         any_lag.append(cross.probability < 0.05)
     assert 0.02 <= np.mean(single) <= 0.09
@@ -203,7 +196,7 @@ def test_the_band_is_bartletts_sum() -> None:
     """Σ ρ(k) ρ'(k)/n over all k of both signs, by a loop over the definitions."""
     rng = np.random.default_rng(15)
     x, u = ar1(rng, 0.8, 400), ar1(rng, 0.9, 400)
-    noise = noise_model(x)
+    noise = noise_model(x).correlation
     centred = u - u.mean()
     own = [float(centred[: 400 - k] @ centred[k:]) / float(centred @ centred) for k in range(noise.size)]
     total = noise[0] * own[0] + 2.0 * sum(noise[k] * own[k] for k in range(1, noise.size))
@@ -217,7 +210,7 @@ def test_a_mean_is_judged_by_the_independent_samples_it_is_of(share: float) -> N
     """Of noise with the autocorrelation share^lag, n samples are worth n (1 - share)/(1 + share) in a mean."""
     values = 0.1 + ar1(np.random.default_rng(3), share, 4000)
     table = Table("run", np.arange(4000.0), ("y",), values[:, None], np.ones((4000, 1), dtype=np.bool_))
-    (series,) = examine_outputs(table, np.zeros((4000, 1)), [np.arange(4000)])
+    (series,) = examine_outputs(table, np.zeros((4000, 1)))
     score = values.mean() / values.std() * math.sqrt(4000 * (1.0 - share) / (1.0 + share))
     assert abs(score) > 2.0
     assert stats.norm.isf(series.mean_probability / 2.0) == pytest.approx(abs(score), rel=0.1)

@@ -65,7 +65,7 @@ class Whitening:
     def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
         """Return the innovations of columns (K, n_outputs, m) at the counted samples, in units of their std (n, m).
 
-        A sample is foretold by those before it that there are (`fmuid.estimation.noise.prewhitening`).
+        A sample is foretold by those before it that there are (`fmuid.estimation.noise.model`).
         """
         return np.vstack([white for _, white in self.of_outputs(experiment, columns)])
 
@@ -83,9 +83,7 @@ def _placed(experiment: Experiment, residual: Floats, name: str) -> Floats:
     for series in series_of([experiment], experiment.output_names):
         if series.output == name:
             j = experiment.output_names.index(name)
-            grid = np.full(1 + int(series.places[-1]), np.nan)
-            grid[series.places] = residual[experiment.counted[:, j], j]
-            return grid
+            return series.on_grid(residual[experiment.counted[:, j], j])
     return np.zeros(0)
 
 

@@ -109,6 +109,13 @@ class Autoregression:
             response = fft.irfft(fft.rfft(response, size) * fft.rfft(slow, size), size)[:count]
         return float(response @ response)
 
+    @cached_property
+    def correlation(self) -> Floats:
+        """The autocorrelation (memory + 1,), from lag 0 on."""
+        size = fft.next_fast_len(2 * self.memory + 1, real=True)
+        power = fft.irfft(np.abs(self.transfer(size)) ** 2, size)[: self.memory + 1]
+        return np.asarray(power / power[0])
+
     @property
     def slow_share(self) -> float:
         """The share of the variance of the process that its slow noise has."""

@@ -64,6 +64,12 @@ class Series:
     grid: int
     pool: int
 
+    def on_grid(self, values: Floats) -> Floats:
+        """Return its samples (n,) on the grid (m,), NaN where one is missing."""
+        grid = np.full(int(self.places[-1]) + 1, np.nan)
+        grid[self.places] = values
+        return grid
+
 
 def series_of(experiments: Sequence[Measurements], outputs: Sequence[str]) -> tuple[Series, ...]:
     """Return the series of all counted samples, experiment by experiment, output by output.

@@ -42,8 +42,9 @@ from scipy import fft, linalg
 from fmuid.array_types import Complexes, Flags, Floats
 from fmuid.data import Noise
 from fmuid.errors import InputError
-from fmuid.estimation.noise.autoregression import ENOUGH, Autoregression
+from fmuid.estimation.noise.autoregression import ENOUGH
 from fmuid.estimation.noise.low_frequency import Bins, rises
+from fmuid.estimation.noise.model import NoiseModel
 from fmuid.estimation.noise.output_series import LONGEST, Series
 
 # Periods are whole numbers of samples to this.
@@ -160,8 +161,9 @@ class Folded:
     square: float
 
     @classmethod
-    def of(cls, rows: Floats, series: Series, model: Autoregression, period: float, *, given: bool) -> Folded | None:
+    def of(cls, rows: Floats, noise: NoiseModel, period: float, *, given: bool) -> Folded | None:
         """Return that of all rows (n, 1 + k); None where they have no whole cycles."""
+        series, model = noise.series, noise.process
         time, residual = period / series.step, rows[series.rows, 0]
         samples, square = round(time), float(residual @ residual) / residual.size
         if samples < max(ENOUGH, 2 * (rows.shape[1] - 1)) or abs(time - samples) > WHOLE:
@@ -178,7 +180,7 @@ def returning(
     residual: Floats,
     basis: Floats,
     periods: Mapping[str, float],
-    grids: Sequence[tuple[Sequence[tuple[Series, Autoregression]], Floats]],
+    grids: Sequence[tuple[Sequence[NoiseModel], Floats]],
     given: Flags,
 ) -> tuple[Returning, ...]:
     """Return what returns with each cycle of the excitation, in the series of experiments that have some.
@@ -189,16 +191,16 @@ def returning(
         As in `fmuid.estimation.noise.sample_grid.Rows`.
     periods : mapping of str to float
         Of the excitation of each experiment, s; 0 where it does not repeat.
-    grids : sequence of (sequence of (Series, Autoregression), (m, m) array)
-        The series of each grid with their noise, and the covariance of their innovations.
+    grids : sequence of (sequence of NoiseModel, (m, m) array)
+        The noise of the series of each grid, and the covariance of their innovations.
     given : (n_outputs,) array of bool
         Outputs whose variance was given.
     """
     rows, found = np.column_stack([residual, basis]), []
     for noise, innovations in grids:
         each = [
-            Folded.of(rows, series, model, periods[series.experiment], given=bool(given[series.group]))
-            for series, model in noise
+            Folded.of(rows, model, periods[model.series.experiment], given=bool(given[model.series.group]))
+            for model in noise
         ]
         known = [index for index, own in enumerate(each) if own is not None]
         folded, common = [own for own in each if own is not None], innovations[np.ix_(known, known)]

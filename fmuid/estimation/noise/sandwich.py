@@ -44,6 +44,7 @@ import numpy as np
 
 from fmuid.array_types import Flags, Floats
 from fmuid.estimation.noise.autoregression import Autoregression, fit, most_orders
+from fmuid.estimation.noise.model import NoiseModel
 from fmuid.estimation.noise.output_series import Series
 from fmuid.estimation.noise.periodic_error import Returning, returning
 from fmuid.estimation.noise.sample_grid import Grid, Rows, Spectra
@@ -66,32 +67,35 @@ LEAST_FREEDOM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class ColouredNoise:
+class ResidualNoise:
     """The noise of all rows of data.
 
     Attributes
     ----------
-    series : tuple of Series
-    models : tuple of Autoregression
-        The noise of each of them.
+    models : tuple of NoiseModel
+        Experiment by experiment, output by output.
     innovations : tuple of (m, m) arrays
         The covariance S of the innovations of the series of each grid, in the order of the series.
     returning : tuple of Returning
         Errors that come back with each cycle of the excitation.
     """
 
-    series: tuple[Series, ...]
-    models: tuple[Autoregression, ...]
+    models: tuple[NoiseModel, ...]
     innovations: tuple[Floats, ...]
     returning: tuple[Returning, ...] = ()
 
     def gram(self, columns: Floats) -> Floats:
         """Return XᵀΓX (k, k) of columns X (n, k) over the rows, Γ the covariance of their whitened noise."""
         total = np.zeros((columns.shape[1], columns.shape[1]))
-        for members, common in zip(_members([each.grid for each in self.series]), self.innovations, strict=True):
-            spectra = Spectra.of(columns, [self.series[i] for i in members], [self.models[i] for i in members])
+        for members, common in self.grids():
+            spectra = Spectra.of(columns, [each.series for each in members], [each.process for each in members])
             total += spectra.gram(spectra.coupled(common))
         return total + sum(each.gram(columns) for each in self.returning)
+
+    def grids(self) -> list[tuple[list[NoiseModel], Floats]]:
+        """Return the models of each grid, and the covariance of their innovations."""
+        grids = _members([each.series.grid for each in self.models])
+        return [([self.models[i] for i in own], s) for own, s in zip(grids, self.innovations, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,12 +108,12 @@ class Sandwich:
         V.
     freedom : (N,) array
         Degrees of freedom of its diagonal.
-    noise : ColouredNoise
+    noise : ResidualNoise
     """
 
     covariance: Floats
     freedom: Floats
-    noise: ColouredNoise
+    noise: ResidualNoise
 
 
 def sandwich_of(problem: LeastSquares, local: LocalModel, rounding: Flags) -> Sandwich:
@@ -176,8 +180,8 @@ def sandwich(rows: Rows, series: Sequence[Series]) -> Sandwich:
     inner = gram + rows.prior
     covariance = rows.root @ inner @ rows.root.T
     freedom = _freedom(rows, np.diag(covariance), series, parts, pools)
-    noise = ColouredNoise(
-        tuple(series), tuple(models[i] for i in range(len(series))), tuple(part.innovations for part in parts)
+    noise = ResidualNoise(
+        tuple(NoiseModel(each, models[i]) for i, each in enumerate(series)), tuple(part.innovations for part in parts)
     )
     return Sandwich(covariance, freedom, noise)
 
@@ -186,10 +190,9 @@ def _with_returning(found: Sandwich, rows: Rows, periods: Mapping[str, float]) -
     """Return a sandwich with what returns with each cycle of the excitation."""
     own = found.noise
     known = []
-    for members, common in zip(_members([each.grid for each in own.series]), own.innovations, strict=True):
-        told = [k for k, i in enumerate(members) if not rows.white[own.series[i].group]]
-        noises = [(own.series[members[k]], own.models[members[k]]) for k in told]
-        known.append((noises, common[np.ix_(told, told)]))
+    for members, common in own.grids():
+        told = [k for k, each in enumerate(members) if not rows.white[each.series.group]]
+        known.append(([members[k] for k in told], common[np.ix_(told, told)]))
     returns = returning(rows.residual, rows.basis, periods, known, rows.given)
     noise = replace(own, returning=returns)
     if not returns:

@@ -1,8 +1,8 @@
 """What a series of samples says of itself: its autocorrelation, whether it is white, whether it is normal.
 
-Samples may be missing. The noise behind a series is described by an autoregressive model: its autocorrelation decays,
-so that sums over all lags converge, and belongs to a positive spectrum, which the sample autocorrelation cut off
-somewhere does not. Its order is Akaike's choice, as in R's ``ar`` and in coda's effective sample sizes.
+Samples may be missing. What noise of its colour shows by chance is said by its model (`fmuid.estimation.noise.model`):
+the model's autocorrelation decays, so that sums over all lags converge, and belongs to a positive spectrum, which the
+sample autocorrelation cut off somewhere does not.
 
 References
 ----------
@@ -10,54 +10,43 @@ G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", 
 D. S. Stoffer, C. M. C. Toloi, "A note on the Ljung–Box–Pierce portmanteau statistic with missing data", Statistics &
 Probability Letters 13 (5), 1992;
 M. S. Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", Supplement to
-the J. of the Royal Statistical Society 8 (1), 1946 (variances of correlations and of a variance);
-Z. A. Lomnicki, "Tests for departure from normality in the case of linear stochastic processes", Metrika 4, 1961;
+the J. of the Royal Statistical Society 8 (1), 1946 (variances of correlations);
 P. J. Brockwell, R. A. Davis, "Time Series: Theory and Methods", 2nd ed., Springer 1991, sections 5.2 and 11.2.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft, special
 
 from fmuid.array_types import Flags, Floats, Indices
-from fmuid.estimation.noise.output_series import table_grid
-
-# The autocorrelation of a model is followed until it stays below this.
-NEGLIGIBLE_CORRELATION = 1e-6
-# Reflection coefficients do not exceed this; gaps can make them, and beyond 1 no noise has such correlations.
-LARGEST_REFLECTION = 1.0 - 1e-9
-# Whiteness of longer records is as its limit says, and of shorter ones drawn ...
-SHORT_RECORD = 500
-# ... but for what nobody would doubt, for or against.
-CLEAR_PROBABILITIES = (1e-9, 0.15)
-DRAWS, SEED = 600, 0
+from fmuid.estimation.noise.model import NoiseModel
 
 
-def positions(times: Floats) -> tuple[Indices, float]:
-    """Return where samples stand on the grid of their usual step, and that step in s.
+@dataclass(frozen=True)
+class WhitenessSettings:
+    """Numbers of the tests."""
 
-    Parameters
-    ----------
-    times : (n,) array
-        Never decreasing, s; n ≥ 2. Where they are not near a grid, or two are the same, the samples themselves are
-        counted, and the step is the mean one.
-    """
-    places, step, _ = table_grid(times)
-    if (np.diff(places) == 0).any():
-        return np.arange(times.size), float(times[-1] - times[0]) / (times.size - 1)
-    return places, step
+    tested_lags: int = 25
+    """Whiteness is tested over so many lags, the habit of the field, ..."""
+    lags_divisor: int = 5
+    """... but over no more than this part of the samples."""
+    shown_lags: int = 40
+    """The autocorrelation is kept for figures to this lag."""
+    short_record: int = 500
+    """Whiteness of longer records is as its limit says, and of shorter ones drawn, ..."""
+    clear_probabilities: tuple[float, float] = (1e-9, 0.15)
+    """... but for what nobody would doubt, for or against."""
+    draws: int = 600
+    """Enough for the mean and variance of the statistic to some percent."""
+    seed: int = 0
+    """The same record has the same probability each time."""
 
 
-def on_grid(values: Floats, places: Indices) -> Floats:
-    """Return the series with its gaps, NaN where a sample is missing."""
-    grid = np.full(int(places[-1]) + 1, np.nan)
-    grid[places] = values
-    return grid
+SETTINGS = WhitenessSettings()
 
 
 def autocorrelation(grid: Floats, lags: int) -> tuple[Floats, Floats]:
@@ -132,8 +121,39 @@ class Taken:
         return np.asarray(noise - (noise @ self.columns + others) @ self.columns.T, dtype=np.float64)
 
 
-def whiteness(correlations: Floats, pairs: Floats, there: Flags, taken: Taken) -> tuple[float, float]:
-    """Return Ljung and Box's statistic, and the probability that the residual of white noise exceeds it.
+@dataclass(frozen=True, eq=False)
+class WhitenessTest:
+    """Ljung and Box's test of a series.
+
+    Attributes
+    ----------
+    lags : int
+        Over which whiteness was tested.
+    statistic : float
+    probability : float
+        That the residual of white noise exceeds it.
+    autocorrelation : (m,) array
+        From lag 0 on, for figures; NaN where no two samples are so far apart.
+    band : float
+        Half-width of the 95 % band of each of them, if the series were white.
+    """
+
+    lags: int
+    statistic: float
+    probability: float
+    autocorrelation: Floats
+    band: float
+
+    @property
+    def strongest(self) -> tuple[int, float]:
+        """The lag, in samples, at which the autocorrelation is largest, of those tested, and its value there."""
+        tested = np.nan_to_num(self.autocorrelation[: self.lags + 1])
+        lag = 1 + int(np.argmax(np.abs(tested[1:])))
+        return lag, float(tested[lag])
+
+
+def whiteness(grid: Floats, taken: Taken) -> WhitenessTest:
+    """Test whether a series is the residual of white noise.
 
     The statistic is χ² of as many degrees of freedom as lags in long records. In short ones its tail is heavier, and
     parameters make the residual of white noise look coloured: a test at 1 % then alarms in 2 to 6 %. Its mean and
@@ -142,18 +162,23 @@ def whiteness(correlations: Floats, pairs: Floats, there: Flags, taken: Taken) -
 
     Parameters
     ----------
-    correlations, pairs : (lags + 1,) arrays
-        Of `autocorrelation`.
-    there : (m,) array of bool
-        Which samples of the grid there are, n of them.
+    grid : (m,) array
+        NaN where a sample is missing; not constant.
     taken : Taken
+        By the fit that left the series.
     """
-    statistic, probability = ljung_box(correlations, pairs)
-    if pairs[0] > SHORT_RECORD or not CLEAR_PROBABILITIES[0] < probability < CLEAR_PROBABILITIES[1]:
-        return statistic, probability
-    drawn = _statistics(taken.draws(np.random.default_rng(SEED), DRAWS), pairs, there)
-    mean, variance = float(drawn.mean()), float(drawn.var())
-    return statistic, float(special.chdtrc(2.0 * mean**2 / variance, 2.0 * mean * statistic / variance))
+    there = np.isfinite(grid)
+    count, most = int(there.sum()), len(grid) - 1
+    lags = min(SETTINGS.tested_lags, count // SETTINGS.lags_divisor, most)
+    shown, known = autocorrelation(grid, min(SETTINGS.shown_lags, most))
+    pairs = known[: lags + 1]
+    statistic, probability = ljung_box(shown[: lags + 1], pairs)
+    certain, possible = SETTINGS.clear_probabilities
+    if count <= SETTINGS.short_record and certain < probability < possible:
+        drawn = _statistics(taken.draws(np.random.default_rng(SETTINGS.seed), SETTINGS.draws), pairs, there)
+        mean, variance = float(drawn.mean()), float(drawn.var())
+        probability = float(special.chdtrc(2.0 * mean**2 / variance, 2.0 * mean * statistic / variance))
+    return WhitenessTest(lags, statistic, probability, shown, 1.96 / math.sqrt(count))
 
 
 def _statistics(residuals: Floats, pairs: Floats, there: Flags) -> Floats:
@@ -167,85 +192,35 @@ def _statistics(residuals: Floats, pairs: Floats, there: Flags) -> Floats:
     return np.asarray((pairs[0] + 2.0) / pairs[0] * (found**2 @ pairs[known]), dtype=np.float64)
 
 
-def noise_model(grid: Floats) -> Floats:
-    """Return the autocorrelation of the autoregressive model of a series, (m,) from lag 0 on to where it has decayed.
+@dataclass(frozen=True)
+class NormalityTest:
+    """Shape of a distribution against that of normal noise (Jarque and Bera).
 
-    The orders up to 10 log₁₀ n are fitted one after the other (Durbin and Levinson), and Akaike's criterion chooses
-    among them; up to its order the model's autocorrelation is the series' own.
-    """
-    count, length = int(np.isfinite(grid).sum()), len(grid)
-    own, pairs = autocorrelation(grid, max(0, min(int(10.0 * math.log10(count)), count // 4, length - 1)))
-    usable = int(np.argmin(pairs > 0)) if (pairs == 0).any() else len(pairs)
-    # without gaps the sums divided by n, which belong to a positive spectrum
-    known = own[:usable] * (1.0 - np.arange(usable) / length)
-    best, model = 0.0, np.zeros(0)
-    for order, (variance, coefficients) in enumerate(_levinson(known), start=1):
-        akaike = count * math.log(variance) + 2.0 * order
-        if akaike < best:
-            best, model = akaike, coefficients
-    if not model.size:
-        return np.ones(1)
-    start = np.clip(known[: model.size + 1], -1.0, 1.0)
-    whole = _continued(start, model, length)
-    return whole[: int(np.flatnonzero(np.abs(whole) >= NEGLIGIBLE_CORRELATION)[-1]) + 1]
-
-
-def _continued(start: Floats, model: Floats, length: int) -> Floats:
-    """Return the autocorrelation (length,) that begins with `start` and goes on as the model says."""
-    whole = np.zeros(length)  # scipy.signal would do this too, and takes half a second to import
-    whole[: start.size] = start
-    for lag in range(start.size, length):
-        before = whole[lag - model.size : lag]
-        if lag % model.size == 0 and np.abs(before).max() < NEGLIGIBLE_CORRELATION * NEGLIGIBLE_CORRELATION:
-            break
-        whole[lag] = before @ model[::-1]
-    return whole
-
-
-def _levinson(correlations: Floats) -> Iterator[tuple[float, Floats]]:
-    """Yield the variance that is left, relative to the series', and the coefficients of each order (Durbin)."""
-    variance, model = 1.0, np.zeros(0)
-    for order in range(1, len(correlations)):
-        reflection = (correlations[order] - model @ correlations[order - 1 : 0 : -1]) / variance
-        impossible = abs(reflection) > LARGEST_REFLECTION
-        reflection = min(max(reflection, -LARGEST_REFLECTION), LARGEST_REFLECTION)
-        model = np.concatenate([model - reflection * model[::-1], [reflection]])
-        variance *= 1.0 - reflection**2
-        yield variance, model
-        if impossible:
-            return
-
-
-def lag_sum(correlation: Floats, count: int, power: int = 1) -> float:
-    """Return Σ (1 − |k|/n) ρ(k)^power over all lags of both signs, of n samples; not less than 1/n.
-
-    Power 1: by so much the variance of a mean is larger than that of white noise, the integrated correlation time in
-    samples. Power 2: likewise of a variance (Bartlett); powers 3 and 4: of skewness and kurtosis (Lomnicki).
-    """
-    rest = correlation[1:count]
-    weights = 1.0 - np.arange(1, rest.size + 1) / count
-    return max(1.0 + 2.0 * float(weights @ rest**power), 1.0 / count)
-
-
-def normality(values: Floats, correlation: Floats) -> tuple[float, float, float]:
-    """Return skewness, excess kurtosis, and the probability that normal noise shows as much (Jarque and Bera).
-
-    The variances of both, 6/n and 24/n for white noise, are those of noise that has the given autocorrelation.
-
-    Parameters
+    Attributes
     ----------
-    values : (n,) array
-        Not constant.
-    correlation : (m,) array
-        Of `noise_model`.
+    skewness, kurtosis : float
+        Of the normal distribution 0 and (excess) 0.
+    probability : float
+        That normal noise of this colour shows as much.
+    """
+
+    skewness: float
+    kurtosis: float
+    probability: float
+
+
+def normality(values: Floats, noise: NoiseModel) -> NormalityTest:
+    """Test whether samples (n,), not constant, are normal.
+
+    The variances of skewness and kurtosis, 6/n and 24/n for white noise, are those of noise of this colour.
     """
     centred = values - values.mean()
     spread = math.sqrt(float(np.mean(centred**2)))
     skewness = float(np.mean((centred / spread) ** 3))
     kurtosis = float(np.mean((centred / spread) ** 4)) - 3.0
-    third, fourth = (values.size / lag_sum(correlation, values.size, power) for power in (3, 4))
+    third, fourth = (values.size / noise.variance_factor(power) for power in (3, 4))
     statistic = third * skewness**2 / 6.0 + fourth * kurtosis**2 / 24.0
-    return skewness, kurtosis, float(special.chdtrc(2, statistic))
+    return NormalityTest(skewness, kurtosis, float(special.chdtrc(2, statistic)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +276,7 @@ class LaggedSeries:
         ----------
         values : (n,) array
         correlation : (m,) array
-            Of this series' noise, from `noise_model`.
+            Of this series' noise.
         """
         sums = (values - values.mean()) @ self._centred
         found = np.where(self._known, sums / self._pairs / (values.std() * self._spread), np.nan)

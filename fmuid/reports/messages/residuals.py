@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from fmuid.formatting import listed, two_digits, unit_text
-from fmuid.identification import LARGE_KURTOSIS, LEAST_STD_FACTOR, OUTLIER_STDS, RESIDUAL_LEVEL, Trait
+from fmuid.identification import LEAST_STD_FACTOR, RESIDUAL_LEVEL, RESIDUAL_SETTINGS, Trait
 
 if TYPE_CHECKING:
     from fmuid.identification import Diagnostics, Finding, ResidualSeries
@@ -46,7 +46,7 @@ def _large(found: Diagnostics, finding: Finding, units: Mapping[str, str | None]
     """Return a sentence on what is large enough to be said by itself."""
     series, name = finding.series, _series_name(found, finding.series)
     if finding.trait is Trait.COLOURED:
-        lag, largest = series.strongest_autocorrelation
+        lag, largest = series.whiteness.strongest
         far = "far from white" if abs(largest) >= FAR_FROM_WHITE else "not white"
         return (
             f"The residual of {name} is {far} (autocorrelation {largest:.2f} at a lag of {_count(lag, 'sample')}): "
@@ -65,13 +65,14 @@ def _large(found: Diagnostics, finding: Finding, units: Mapping[str, str | None]
             f"The residual of {name} is correlated with the input {one.input} ({one.correlation:+.2f}, {delay}; "
             f"by chance within {one.band:.2g}): part of how {one.input} acts is not in the model"
         )
-    traits = ["is lopsided"] if series.lopsided else []
-    traits += [f"has {'heavy' if series.kurtosis > 0 else 'light'} tails"] if series.tailed else []
-    remedy = ": look for outliers, or use a robust loss" if series.kurtosis > LARGE_KURTOSIS else ""
+    shape = series.normality
+    traits = ["is lopsided"] if series.is_lopsided else []
+    traits += [f"has {'heavy' if shape.kurtosis > 0 else 'light'} tails"] if series.is_tailed else []
+    remedy = ": look for outliers, or use a robust loss" if shape.kurtosis > RESIDUAL_SETTINGS.large_kurtosis else ""
     return (
-        f"The residual of {name} {listed(traits)}, unlike normal noise (skewness {two_digits(series.skewness)}, "
-        f"excess kurtosis {two_digits(series.kurtosis)}, {_count(series.outliers, 'sample')} beyond "
-        f"{OUTLIER_STDS:g} standard deviations){remedy}"
+        f"The residual of {name} {listed(traits)}, unlike normal noise (skewness {two_digits(shape.skewness)}, "
+        f"excess kurtosis {two_digits(shape.kurtosis)}, {_count(series.outliers, 'sample')} beyond "
+        f"{RESIDUAL_SETTINGS.outlier_stds:g} standard deviations){remedy}"
     )
 
 
@@ -136,9 +137,9 @@ def _off_grid(found: Diagnostics) -> list[str]:
 
 def _summary(found: Diagnostics, *, quiet: bool) -> list[str]:
     """Say where there was nothing to examine and, where nothing else is to be said, what was tested."""
-    idle = [_series_name(found, each) for each in found.series if not each.examined]
+    idle = [_series_name(found, each) for each in found.series if not each.is_tested]
     lines = [f"The residual of {listed(idle)} is too short, or nothing but rounding, to be examined"] if idle else []
-    examined = [each for each in found.series if each.examined]
+    examined = [each for each in found.series if each.is_tested]
     if not quiet or not examined:
         return lines
     slight = {
@@ -162,19 +163,20 @@ def _slight(finding: Finding) -> str:
     """Return what is significant, but not large enough to be said by itself."""
     series = finding.series
     if finding.trait is Trait.COLOURED:
-        lag, largest = series.strongest_autocorrelation
+        lag, largest = series.whiteness.strongest
         return f"an autocorrelation of {largest:.2g} at a lag of {_count(lag, 'sample')}"
     if finding.trait is Trait.OFFSET:
         return f"a mean of {series.mean / series.std:.2g} standard deviations"
     if finding.input is not None:
         return f"a correlation of {finding.input.correlation:+.2g} with the input {finding.input.input}"
-    return f"a skewness of {two_digits(series.skewness)} and an excess kurtosis of {two_digits(series.kurtosis)}"
+    shape = series.normality
+    return f"a skewness of {two_digits(shape.skewness)} and an excess kurtosis of {two_digits(shape.kurtosis)}"
 
 
 def _tested(series: list[ResidualSeries]) -> str:
     """Return what was tested, of how many samples and at what level."""
     inputs = list(dict.fromkeys(one.input for each in series for one in each.inputs))
-    lags, samples = _range([each.tested_lags for each in series]), _range([each.samples for each in series])
+    lags, samples = _range([each.whiteness.lags for each in series]), _range([each.samples for each in series])
     crossed = [f"correlation with {listed(inputs)}"] if inputs else []
     tests = listed([f"whiteness (Ljung–Box over {lags} lags)", "mean", *crossed, "normality (Jarque–Bera)"])
     return f"{tests}, each at a level of {100 * RESIDUAL_LEVEL:g} %, with {samples} samples"
