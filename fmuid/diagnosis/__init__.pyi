@@ -2,6 +2,10 @@ from .baseline.baseline import Baseline as Baseline
 from .baseline.stored_baseline import Basis as Basis
 from .baseline.stored_baseline import HealthyEvidence as HealthyEvidence
 from .baseline_comparator import show as show
+from .cause_results import Change as Change
+from .cause_results import Evidence as Evidence
+from .cause_results import Explanation as Explanation
+from .cause_results import Suspect as Suspect
 from .change_detection.cause_ranking import MODEL_ERROR as MODEL_ERROR
 from .change_detection.detection import FALSE_ALARM_LEVEL as FALSE_ALARM_LEVEL
 from .change_detection.onset import Shape as Shape
@@ -14,11 +18,7 @@ from .design import trial as trial
 from .diagnose import DiagnosisSettings as DiagnosisSettings
 from .diagnose import diagnose as diagnose
 from .diagnosis_result import BaselineDeviation as BaselineDeviation
-from .diagnosis_result import Change as Change
 from .diagnosis_result import Diagnosis as Diagnosis
-from .diagnosis_result import Evidence as Evidence
-from .diagnosis_result import Explanation as Explanation
-from .diagnosis_result import Suspect as Suspect
 from .faults import Angle as Angle
 from .faults import Fault as Fault
 from .monitoring.alarms import SOMETHING_ELSE as SOMETHING_ELSE

@@ -24,11 +24,12 @@ from fmuid.diagnosis.baseline.baseline import Baseline
 from fmuid.diagnosis.baseline.stored_baseline import Basis
 from fmuid.diagnosis.baseline_comparator import Juxtaposition
 from fmuid.diagnosis.cause_analysis import Examination, examine
+from fmuid.diagnosis.cause_results import Change, Evidence, Explanation
 from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, OWN_SHARE
 from fmuid.diagnosis.change_detection.detection import FALSE_ALARM_LEVEL
 from fmuid.diagnosis.change_detection.unexplained_residual import UNEXPLAINED_SHARE, VarianceRatio
 from fmuid.diagnosis.change_parameters import CauseKind, Causes
-from fmuid.diagnosis.diagnosis_result import BaselineDeviation, Change, Diagnosis, Evidence, Explanation
+from fmuid.diagnosis.diagnosis_result import BaselineDeviation, Diagnosis
 from fmuid.diagnosis.faults import Fault
 from fmuid.diagnosis.linearisation import Machine
 from fmuid.errors import InputError

@@ -49,7 +49,7 @@ def suspects(found: fmuid.Diagnosis) -> dict[str, Suspect]:
 
 
 def test_estimates_and_statistics_are_those_of_least_squares(look: Look, healthy: fmuid.Result) -> None:
-    experiment = record(np.random.default_rng(3), eb=0.05)
+    experiment = record(np.random.default_rng(3), eb=0.08)
     found = look(experiment, noise_variance=STD**2)
     nothing = least_squares(healthy, experiment, 5.0, [0, 1])
     alone = suspects(found)

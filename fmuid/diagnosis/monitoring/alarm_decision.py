@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from fmuid.diagnosis.cause_results import Explanation, changes
 from fmuid.diagnosis.change_detection.cause_ranking import weighed
 from fmuid.diagnosis.change_detection.onset import Dated, Shape, dated
 from fmuid.diagnosis.change_detection.onset_tracker import Watch
 from fmuid.diagnosis.change_parameters import Coordinates
-from fmuid.diagnosis.diagnosis_result import Explanation, changes
 from fmuid.diagnosis.faults import Fault
 
 

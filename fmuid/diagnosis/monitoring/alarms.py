@@ -10,9 +10,9 @@ import numpy as np
 from scipy import special
 
 from fmuid.array_types import Floats
+from fmuid.diagnosis.cause_results import Explanation
 from fmuid.diagnosis.change_detection.detection import FALSE_ALARM_LEVEL
 from fmuid.diagnosis.change_detection.onset import Shape
-from fmuid.diagnosis.diagnosis_result import Explanation
 from fmuid.errors import InputError
 from fmuid.estimation import check_level
 

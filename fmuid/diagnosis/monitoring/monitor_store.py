@@ -20,8 +20,8 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data import read_arrays_isolated, write_arrays
+from fmuid.diagnosis.cause_results import reader
 from fmuid.diagnosis.change_detection.onset_tracker import Watch
-from fmuid.diagnosis.diagnosis_result import reader
 from fmuid.diagnosis.monitoring.alarms import Alarm
 from fmuid.diagnosis.monitoring.window_evaluation import Now, WatchedRecord
 from fmuid.errors import InputError

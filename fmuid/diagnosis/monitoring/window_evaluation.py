@@ -13,6 +13,7 @@ import pandas as pd
 from fmuid.array_types import Floats
 from fmuid.data import BEGIN, Experiment
 from fmuid.diagnosis.baseline_comparator import Juxtaposition
+from fmuid.diagnosis.cause_results import Explanation, changes
 from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.detection import fit
 from fmuid.diagnosis.change_detection.false_alarms import log_chances, log_limit
@@ -20,7 +21,7 @@ from fmuid.diagnosis.change_detection.information_matrix import LEAST, Known, Ne
 from fmuid.diagnosis.change_detection.onset_tracker import Watch, statistics_of
 from fmuid.diagnosis.change_detection.unexplained_residual import VarianceRatio
 from fmuid.diagnosis.change_parameters import DIFFERENCE_STEP, CauseKind
-from fmuid.diagnosis.diagnosis_result import EXPLAINED_SHARE, Explanation, changes
+from fmuid.diagnosis.diagnosis_result import EXPLAINED_SHARE
 from fmuid.diagnosis.monitoring.alarm_decision import Judgement, judged
 from fmuid.diagnosis.monitoring.alarms import SOMETHING_ELSE, Alarm, Moment, Onset, Rule, label_of
 from fmuid.diagnosis.monitoring.window_statistics import WindowSums
