@@ -23,7 +23,7 @@ from experiments import pages
 from experiments.machine_faults import models
 from experiments.machine_faults.machine import BARS, TURNS, bar_angle
 from experiments.machine_faults.make_tables import CASES, add_noise, simulate, table
-from fmuid.diagnosis import Change
+from fmuid.diagnosis import EstimatedChange
 from fmuid.reports.figures.style import AMBER, BLUE, DPI, INK, WIDTH, style
 
 HERE = Path(__file__).parent
@@ -40,7 +40,7 @@ def verdict(found: fmuid.Diagnosis) -> str:
     return "none" if found.kind == "healthy" else found.kind
 
 
-def _short(change: Change) -> str:
+def _short(change: EstimatedChange) -> str:
     return "rotor" if change.fault == "rotor" else f"stator {change.variable[-1]}"
 
 

@@ -12,13 +12,13 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline.baseline import Baseline
-from fmuid.diagnosis.baseline.stored_baseline import Basis, HealthyEvidence, MachineDigest
+from fmuid.diagnosis.baseline.stored_baseline import BaselineSource, MachineDigest, StoredBaseline
 from fmuid.diagnosis.baseline.whitening import Whitening, whitening_of
-from fmuid.diagnosis.cause_analysis import Healthy, error_of, healthy_of, shown_by
-from fmuid.diagnosis.change_detection.information_matrix import Known
-from fmuid.diagnosis.change_parameters import OPEN, Causes, Coordinates, coordinates_of
+from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, healthy_of, shown_by
+from fmuid.diagnosis.change_detection.information_matrix import ChangePrior
+from fmuid.diagnosis.change_parameters import OPEN, Causes, ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.linearisation import LinearizedMachine
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.models import System
@@ -27,7 +27,7 @@ NOTHING_BESIDE = Causes(None, None, None, None, None)
 
 
 @dataclass(frozen=True, eq=False)
-class Juxtaposition:
+class BaselineComparator:
     """A healthy machine, as records are compared with it.
 
     Attributes
@@ -36,21 +36,21 @@ class Juxtaposition:
         The healthy machine.
     baseline : Baseline
     faults : mapping of str to Fault
-    coordinates : Coordinates
-    healthy : Healthy
-    basis : Basis
+    coordinates : ChangeParameterSet
+    healthy : BaselineStatistics
+    basis : BaselineSource
         Where the healthy machine is from.
-    shown : HealthyEvidence or None
+    shown : StoredBaseline or None
         What the healthy records showed.
     """
 
     system: System
     baseline: Baseline
     faults: Mapping[str, Fault]
-    coordinates: Coordinates
-    healthy: Healthy
-    basis: Basis = Basis.RECORDS
-    shown: HealthyEvidence | None = None
+    coordinates: ChangeParameterSet
+    healthy: BaselineStatistics
+    basis: BaselineSource = BaselineSource.RECORDS
+    shown: StoredBaseline | None = None
 
     @classmethod
     def of(
@@ -63,7 +63,7 @@ class Juxtaposition:
         *,
         planned: bool = False,
         fewer: bool = False,
-    ) -> Juxtaposition:
+    ) -> BaselineComparator:
         """Return that of a baseline with its records; without them, of its result alone and with the faults as causes.
 
         Parameters
@@ -102,8 +102,8 @@ class Juxtaposition:
         coordinates = coordinates_of(system, baseline.common, faults, first, noise, beside)
         drift = _drift(baseline, coordinates)
         if not baseline.beside:
-            healthy = Healthy(_by_result(baseline, coordinates), Whitening.white(variance), drift)
-            return cls(system, baseline, faults, coordinates, healthy, Basis.RESULT)
+            healthy = BaselineStatistics(_by_result(baseline, coordinates), Whitening.white(variance), drift)
+            return cls(system, baseline, faults, coordinates, healthy, BaselineSource.RESULT)
         basis, shown = _shown(system, baseline, faults, coordinates, variance, fewer=fewer)
         return cls(system, baseline, faults, coordinates, healthy_of(shown, coordinates, drift), basis, shown)
 
@@ -130,21 +130,23 @@ class Juxtaposition:
                 found.append(shown)
         return max(found)
 
-    def machine(self, experiment: Experiment) -> Machine:
+    def machine(self, experiment: Experiment) -> LinearizedMachine:
         """Return the machine over a record."""
         return _machine(self.system, self.baseline, self.faults, self.coordinates, experiment)
 
 
 @single_threaded
-def show(baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes) -> HealthyEvidence:
+def compute_stored_baseline(
+    baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes
+) -> StoredBaseline:
     """Return what the records of a baseline show of the healthy machine and of all causes.
 
     Raises
     ------
     InputError, SimulationError
-        As `Juxtaposition.of`.
+        As `BaselineComparator.of`.
     """
-    shown = Juxtaposition.of(system, baseline, faults, causes, []).shown
+    shown = BaselineComparator.of(system, baseline, faults, causes, []).shown
     assert shown is not None  # there are records
     return shown
 
@@ -153,19 +155,19 @@ def _shown(
     system: System,
     baseline: Baseline,
     faults: Mapping[str, Fault],
-    coordinates: Coordinates,
+    coordinates: ChangeParameterSet,
     variance: Mapping[str, float],
     *,
     fewer: bool,
-) -> tuple[Basis, HealthyEvidence]:
+) -> tuple[BaselineSource, StoredBaseline]:
     """Return what healthy records showed, of the file where that fits, and where it is from."""
-    given, known, basis = baseline.noise_variance, baseline.shown, Basis.RECORDS
+    given, known, basis = baseline.noise_variance, baseline.shown, BaselineSource.RECORDS
     how = system, baseline.values, baseline.refinement
     asked = MachineDigest.of(how, faults, coordinates, given, baseline.records)
     if known is not None and known.subject is not None:
         unlike = known.subject.unlike(asked, fewer=fewer)
         if unlike is None:
-            return Basis.FILE, known.subject.among(known, asked)
+            return BaselineSource.FILE, known.subject.among(known, asked)
         if not baseline.records:
             raise InputError(
                 f"{known.path} is of {unlike.value} than this study: identify the healthy study again with these, or "
@@ -173,7 +175,7 @@ def _shown(
             )
         basis = unlike
     elif known is not None and known.path is not None:
-        basis = Basis.DAMAGED
+        basis = BaselineSource.DAMAGED
     records = [_machine(system, baseline, faults, coordinates, each) for each in baseline.records]
     whitening = whitening_of(records, coordinates.healthy, coordinates.normal, None if given is None else variance)
     return basis, replace(shown_by(records, whitening, coordinates), subject=asked)
@@ -183,19 +185,21 @@ def _machine(
     system: System,
     baseline: Baseline,
     faults: Mapping[str, Fault],
-    coordinates: Coordinates,
+    coordinates: ChangeParameterSet,
     experiment: Experiment,
-) -> Machine:
-    return Machine(system, baseline.values, baseline.common, faults, coordinates, experiment, baseline.refinement)
+) -> LinearizedMachine:
+    return LinearizedMachine(
+        system, baseline.values, baseline.common, faults, coordinates, experiment, baseline.refinement
+    )
 
 
-def _by_result(baseline: Baseline, coordinates: Coordinates) -> Known:
+def _by_result(baseline: Baseline, coordinates: ChangeParameterSet) -> ChangePrior:
     """Return what the healthy result alone says: its estimates, and no fault."""
     std = np.zeros(len(coordinates.each))
     known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
     for i, name in enumerate(baseline.common):
         std[i] = known.get(name, 0.0)
-    return Known(np.zeros(std.size), np.diag(std**2))
+    return ChangePrior(np.zeros(std.size), np.diag(std**2))
 
 
 def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) -> None:
@@ -215,7 +219,7 @@ def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) 
             )
 
 
-def _drift(baseline: Baseline, coordinates: Coordinates) -> Floats:
+def _drift(baseline: Baseline, coordinates: ChangeParameterSet) -> Floats:
     """Return what the healthy parameters may have changed by without being a fault (N,): what `inflate` adds."""
     drift = np.zeros(len(coordinates.each))
     known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))

@@ -16,22 +16,27 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline.stored_baseline import HealthyEvidence
+from fmuid.diagnosis.baseline.stored_baseline import StoredBaseline
 from fmuid.diagnosis.baseline.whitening import Whitening, whitening_of
-from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, Naming, name
+from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, CauseRanking, name
 from fmuid.diagnosis.change_detection.causes import Cause
-from fmuid.diagnosis.change_detection.detection import Chance, fit
-from fmuid.diagnosis.change_detection.information_matrix import Information, Known, News, is_determined
+from fmuid.diagnosis.change_detection.detection import MinPDistribution, fit
+from fmuid.diagnosis.change_detection.information_matrix import (
+    ChangePrior,
+    InformationMatrix,
+    ScoreStatistics,
+    is_determined,
+)
 from fmuid.diagnosis.change_detection.unexplained_residual import (
     NOTHING_LEFT,
-    Remainder,
+    UnexplainedResidual,
     change,
     lagged,
     probability,
     regression,
 )
-from fmuid.diagnosis.change_parameters import OPEN, Coordinates
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.change_parameters import OPEN, ChangeParameterSet
+from fmuid.diagnosis.linearisation import LinearizedMachine
 from fmuid.errors import SimulationError
 
 
@@ -65,17 +70,17 @@ class Linearization:
     Attributes
     ----------
     point : (N,) array
-    said : Information
+    said : InformationMatrix
         On all coordinates, relative to the healthy ones.
-    news : News
+    news : ScoreStatistics
         What is new of it.
     causes : tuple of Cause
         Those that the records determine beside all that may change.
     """
 
     point: Floats
-    said: Information
-    news: News
+    said: InformationMatrix
+    news: ScoreStatistics
     causes: tuple[Cause, ...]
 
 
@@ -85,8 +90,8 @@ class Examination:
 
     Attributes
     ----------
-    coordinates : Coordinates
-    naming : Naming
+    coordinates : ChangeParameterSet
+    naming : CauseRanking
         Sizes in the order of each explanation's coordinates.
     at : Linearization
         Where the models were linearised last.
@@ -99,58 +104,60 @@ class Examination:
     samples : int
     steady : bool
         Whether the name stayed when the models were linearised again.
-    remainder : Remainder
+    remainder : UnexplainedResidual
         What no cause explains.
-    estimate : Known
+    estimate : ChangePrior
         All coordinates, relative to the healthy ones, beside what was named.
     residuals : pair of (K, n_outputs) array
         Of the first record, without anything new and with what was named.
     """
 
-    coordinates: Coordinates
-    naming: Naming
+    coordinates: ChangeParameterSet
+    naming: CauseRanking
     at: Linearization
     model_error: float
     ratio: float
     without: float
     samples: int
     steady: bool
-    remainder: Remainder
-    estimate: Known
+    remainder: UnexplainedResidual
+    estimate: ChangePrior
     residuals: tuple[Floats, Floats]
 
 
 @dataclass(frozen=True, eq=False)
-class Healthy:
+class BaselineStatistics:
     """What the healthy machine is like, as new records are compared with it.
 
     Attributes
     ----------
-    known : Known
+    known : ChangePrior
         Of all coordinates, relative to the healthy ones.
     whitening : Whitening
     drift : (N,) array
         Standard deviation of what may change without being a fault.
-    owed : Information or None
+    owed : InformationMatrix or None
         What the residuals of the healthy records owe to the inputs. None without records: the noise then has the
         color of what the new record leaves beside all coordinates.
     """
 
-    known: Known
+    known: ChangePrior
     whitening: Whitening
     drift: Floats
-    owed: Information | None = None
+    owed: InformationMatrix | None = None
 
 
-def shown_by(records: Sequence[Machine], whitening: Whitening, coordinates: Coordinates) -> HealthyEvidence:
+def shown_by(
+    records: Sequence[LinearizedMachine], whitening: Whitening, coordinates: ChangeParameterSet
+) -> StoredBaseline:
     """Return what healthy records showed.
 
     Parameters
     ----------
-    records : sequence of Machine
+    records : sequence of LinearizedMachine
         Over at least one healthy record.
     whitening : Whitening
-    coordinates : Coordinates
+    coordinates : ChangeParameterSet
 
     Raises
     ------
@@ -158,18 +165,20 @@ def shown_by(records: Sequence[Machine], whitening: Whitening, coordinates: Coor
         If the healthy machine cannot be simulated.
     """
     said = [_information(machine, whitening, coordinates.healthy, coordinates.healthy) for machine in records]
-    return HealthyEvidence(tuple(said), _owed(records, whitening, coordinates.healthy), whitening)
+    return StoredBaseline(tuple(said), _owed(records, whitening, coordinates.healthy), whitening)
 
 
-def healthy_of(shown: HealthyEvidence, coordinates: Coordinates, drift: Floats) -> Healthy:
+def healthy_of(shown: StoredBaseline, coordinates: ChangeParameterSet, drift: Floats) -> BaselineStatistics:
     """Return what healthy records leave known; `drift` (N,) as the class has it."""
-    return Healthy(Known.after_several(shown.said, coordinates.normal), shown.whitening, drift, shown.owed)
+    return BaselineStatistics(
+        ChangePrior.after_several(shown.said, coordinates.normal), shown.whitening, drift, shown.owed
+    )
 
 
 def examine(
-    machines: Sequence[Machine],
-    healthy: Healthy,
-    coordinates: Coordinates,
+    machines: Sequence[LinearizedMachine],
+    healthy: BaselineStatistics,
+    coordinates: ChangeParameterSet,
     level: float,
     model_error: float = MODEL_ERROR,
 ) -> Examination:
@@ -177,10 +186,10 @@ def examine(
 
     Parameters
     ----------
-    machines : sequence of Machine
+    machines : sequence of LinearizedMachine
         Over the new records.
-    healthy : Healthy
-    coordinates : Coordinates
+    healthy : BaselineStatistics
+    coordinates : ChangeParameterSet
     level : float
         Probability of an alarm where nothing is new.
     model_error : float
@@ -191,11 +200,11 @@ def examine(
     SimulationError
         If the healthy machine cannot be simulated.
     """
-    work = _Examining(machines, healthy, coordinates, level, model_error)
+    work = _CauseAnalyzer(machines, healthy, coordinates, level, model_error)
     at = work.at(coordinates.healthy)
     for _ in range(SETTINGS.null_steps):
         at = work.at(coordinates.healthy + work.null(at.news))
-    chance, null = Chance.of(at.news, at.causes), at.point
+    chance, null = MinPDistribution.of(at.news, at.causes), at.point
     naming, steady = work.named(at, chance), True
     without = ratio = work.variance(null)
     if naming.named:
@@ -216,17 +225,19 @@ def examine(
     )
 
 
-def error_of(trial: Machine, healthy: Healthy, coordinates: Coordinates, cause: Cause, level: float) -> float:
+def error_of(
+    trial: LinearizedMachine, healthy: BaselineStatistics, coordinates: ChangeParameterSet, cause: Cause, level: float
+) -> float:
     """Return κ of a trial: how much of a fault's effect its model leaves along another cause's signature.
 
     A third of the largest √(D₂|₁/D₁), what chance adds on the average taken off: pairs are named from about 4 κ on.
 
     Parameters
     ----------
-    trial : Machine
+    trial : LinearizedMachine
         Over a record in which this cause is there, and nothing else is new.
-    healthy : Healthy
-    coordinates : Coordinates
+    healthy : BaselineStatistics
+    coordinates : ChangeParameterSet
     cause : Cause
     level : float
         As for `examine`; a trial that shows nothing new says nothing.
@@ -246,14 +257,14 @@ def error_of(trial: Machine, healthy: Healthy, coordinates: Coordinates, cause: 
     return math.sqrt(max(0.0, *left) / own) / SETTINGS.tolerated if left else 0.0
 
 
-class _Examining:
+class _CauseAnalyzer:
     """What all steps of an examination share."""
 
     def __init__(
         self,
-        machines: Sequence[Machine],
-        healthy: Healthy,
-        coordinates: Coordinates,
+        machines: Sequence[LinearizedMachine],
+        healthy: BaselineStatistics,
+        coordinates: ChangeParameterSet,
         level: float,
         model_error: float,
     ) -> None:
@@ -269,16 +280,16 @@ class _Examining:
             whitening = whitening_of(self.machines, point, OPEN * self.coordinates.normal, variances)
         first, *others = (_information(machine, whitening, point, healthy) for machine in self.machines)
         said = sum(others, start=first)
-        news = News.of(said, self.known)
+        news = ScoreStatistics.of(said, self.known)
         causes = (each for each in self.coordinates.causes if is_determined(news, said, each.columns))
         return Linearization(point, said, news, tuple(causes))
 
-    def null(self, news: News, new: Floats | None = None) -> Floats:
+    def null(self, news: ScoreStatistics, new: Floats | None = None) -> Floats:
         """Return the estimate of everything beside what is new (N,), relative to the healthy machine."""
         score = news.score if new is None else news.score - news.information @ new
         return np.asarray(self.known.mean + self.known.covariance @ score)
 
-    def estimate(self, at: Linearization, naming: Naming) -> Known:
+    def estimate(self, at: Linearization, naming: CauseRanking) -> ChangePrior:
         """Return the estimate of everything beside what was named, relative to the healthy machine."""
         new, columns, spread = np.zeros(at.point.size), list[int](), np.zeros((0, 0))
         if naming.named:
@@ -286,9 +297,9 @@ class _Examining:
             new[columns] = naming.named[0].fit.sizes
         shared = self.known.covariance @ at.news.information[:, columns]
         covariance = self.known.after_also(at.said).covariance
-        return Known(self.null(at.news, new), covariance + shared @ spread @ shared.T)
+        return ChangePrior(self.null(at.news, new), covariance + shared @ spread @ shared.T)
 
-    def named(self, at: Linearization, chance: Chance) -> Naming:
+    def named(self, at: Linearization, chance: MinPDistribution) -> CauseRanking:
         """Return what is new."""
         return name(at.news, at.causes, self.level, chance=chance, model_error=self.model_error)
 
@@ -301,17 +312,17 @@ class _Examining:
             squares, samples = squares + float(np.sum(white**2)), samples + white.size
         return squares / samples
 
-    def remainder(self, at: Linearization, naming: Naming) -> Remainder:
+    def remainder(self, at: Linearization, naming: CauseRanking) -> UnexplainedResidual:
         """Return the change of what the residual owes to the inputs, beside all causes and the models' error."""
         if self.healthy.owed is None:
             return NOTHING_LEFT
         statistic, degrees = change(self.healthy.owed, _owed(self.machines, self.healthy.whitening, at.point))
         statistic /= naming.temper
-        return Remainder(statistic, degrees, probability(statistic, degrees))
+        return UnexplainedResidual(statistic, degrees, probability(statistic, degrees))
 
     def settled(
-        self, naming: Naming, at: Linearization, chance: Chance, ratio: float
-    ) -> tuple[Naming, Linearization, float, bool]:
+        self, naming: CauseRanking, at: Linearization, chance: MinPDistribution, ratio: float
+    ) -> tuple[CauseRanking, Linearization, float, bool]:
         """Linearise at the cause named until the name stays: what is named, where, with which variance, and if so."""
         steady = False
         for _ in range(SETTINGS.name_steps):
@@ -333,29 +344,29 @@ class _Examining:
         return naming, at, ratio, steady
 
 
-def _moved(naming: Naming, sizes: Floats) -> float:
+def _moved(naming: CauseRanking, sizes: Floats) -> float:
     """Return by how many standard deviations the sizes have moved at most."""
     now = naming.named[0].fit
     std = np.sqrt(np.diag(now.covariance))
     return float(np.max(np.abs(now.sizes - sizes) / np.where(std > 0, std, math.inf), initial=0.0))
 
 
-def _information(machine: Machine, whitening: Whitening, point: Floats, healthy: Floats) -> Information:
+def _information(machine: LinearizedMachine, whitening: Whitening, point: Floats, healthy: Floats) -> InformationMatrix:
     """Return what a record says of all coordinates, linearised at a point and relative to the healthy ones."""
     experiment = machine.experiment
     outputs, columns = machine.linearise(point)
     residual = _residual(experiment, outputs) + columns @ (point - healthy)
     white = whitening(experiment, np.concatenate([residual[:, :, None], columns], axis=2))
-    return Information.of(white[:, 1:], white[:, 0])
+    return InformationMatrix.of(white[:, 1:], white[:, 0])
 
 
-def _owed(machines: Sequence[Machine], whitening: Whitening, point: Floats) -> Information:
+def _owed(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Floats) -> InformationMatrix:
     """Return what the residuals of records at a point (N,) owe to the inputs before, beside all coordinates."""
     each = [_regressed(machine, whitening, point) for machine in machines]
     return sum(each[1:], start=each[0])
 
 
-def _regressed(machine: Machine, whitening: Whitening, point: Floats) -> Information:
+def _regressed(machine: LinearizedMachine, whitening: Whitening, point: Floats) -> InformationMatrix:
     experiment = machine.experiment
     outputs, columns = machine.linearise(point)
     inputs = lagged(experiment.input_values)

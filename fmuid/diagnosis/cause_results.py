@@ -12,13 +12,13 @@ import numpy as np
 from pydantic import BeforeValidator, TypeAdapter
 from scipy import special
 
-from fmuid.diagnosis.baseline.stored_baseline import Basis
+from fmuid.diagnosis.baseline.stored_baseline import BaselineSource
 from fmuid.diagnosis.cause_analysis import Examination
 from fmuid.diagnosis.change_detection.cause_ranking import angle
 from fmuid.diagnosis.change_detection.causes import Cause
 from fmuid.diagnosis.change_detection.detection import CauseFit, fit, probability
-from fmuid.diagnosis.change_detection.unexplained_residual import Remainder
-from fmuid.diagnosis.change_parameters import CauseKind, Coordinates, name_of
+from fmuid.diagnosis.change_detection.unexplained_residual import UnexplainedResidual
+from fmuid.diagnosis.change_parameters import CauseKind, ChangeParameterSet, name_of
 from fmuid.diagnosis.faults import Fault
 from fmuid.estimation import check_level
 
@@ -34,7 +34,7 @@ Unbounded = Annotated[float, _instead(-math.inf)]
 
 
 @dataclass(frozen=True)
-class Change:
+class EstimatedChange:
     """A cause and its size.
 
     Attributes
@@ -92,12 +92,12 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Suspect:
+class CauseScore:
     """A cause alone, as it explains the record.
 
     Attributes
     ----------
-    change : Change
+    change : EstimatedChange
         At the healthy machine, or where the models were linearised last.
     statistic : float
         D.
@@ -109,7 +109,7 @@ class Suspect:
         Between the two signatures, rad.
     """
 
-    change: Change
+    change: EstimatedChange
     statistic: float
     probability: float
     rival: str
@@ -122,12 +122,12 @@ class Explanation:
 
     Attributes
     ----------
-    changes : tuple of Change
+    changes : tuple of EstimatedChange
     odds : float
         Against the best explanation, at most 1.
     """
 
-    changes: tuple[Change, ...]
+    changes: tuple[EstimatedChange, ...]
     odds: float
 
     @property
@@ -137,7 +137,7 @@ class Explanation:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ChangeEvidence:
     """What is new in a record.
 
     Attributes
@@ -148,7 +148,7 @@ class Evidence:
         Whether that is below the level.
     explanations : tuple of Explanation
         The best one first, then all that the record does not exclude beside it.
-    suspects : tuple of Suspect
+    suspects : tuple of CauseScore
         Every cause alone.
     model_error : float
         κ, stated or measured on trials.
@@ -159,31 +159,31 @@ class Evidence:
     samples : int
     steady : bool
         Whether the name stayed when the models were linearised there.
-    remainder : Remainder
+    remainder : UnexplainedResidual
         What no cause explains beside healthy records.
-    basis : Basis
+    basis : BaselineSource
         Where the healthy machine is from.
     """
 
     probability: float
     alarm: bool
     explanations: tuple[Explanation, ...]
-    suspects: tuple[Suspect, ...]
+    suspects: tuple[CauseScore, ...]
     model_error: float
     temper: float
     ratio: float
     without: float
     samples: int
     steady: bool
-    remainder: Remainder
-    basis: Basis = Basis.RECORDS
+    remainder: UnexplainedResidual
+    basis: BaselineSource = BaselineSource.RECORDS
 
     @property
     def explained(self) -> float:
         """How much of what is new the best explanation explains, a share; 0 without an alarm."""
         if not self.alarm:
             return 0.0
-        if self.basis is Basis.RESULT:
+        if self.basis is BaselineSource.RESULT:
             return min(1.0, max(0.0, (self.without - self.ratio) / (self.without - 1.0))) if self.without > 1 else 0.0
         statistic = max(each.statistic for each in self.suspects) / self.temper
         rest = max(0.0, self.remainder.statistic - self.remainder.degrees)
@@ -195,7 +195,7 @@ class Evidence:
         return tuple(dict.fromkeys(name for each in self.explanations for name in each.faults))
 
     @classmethod
-    def of(cls, found: Examination, faults: Mapping[str, Fault], basis: Basis) -> Evidence:
+    def of(cls, found: Examination, faults: Mapping[str, Fault], basis: BaselineSource) -> ChangeEvidence:
         """Return the numbers of an examination."""
         naming, coordinates = found.naming, found.coordinates
         return cls(
@@ -215,8 +215,8 @@ class Evidence:
 
 
 def changes(
-    causes: Sequence[Cause], found: CauseFit, coordinates: Coordinates, faults: Mapping[str, Fault]
-) -> tuple[Change, ...]:
+    causes: Sequence[Cause], found: CauseFit, coordinates: ChangeParameterSet, faults: Mapping[str, Fault]
+) -> tuple[EstimatedChange, ...]:
     """Return causes with their sizes; a vector of the plane is a size with its angle."""
     said, first = [], 0
     for cause in causes:
@@ -224,7 +224,9 @@ def changes(
         first = at.stop
         size, covariance, of = found.sizes[at], found.covariance[at, at], coordinates.each[cause.columns[0]]
         if len(size) == 1:
-            change = Change(of.kind, of.variable, of.fault, float(size[0]), math.sqrt(float(covariance[0, 0])), of.unit)
+            change = EstimatedChange(
+                of.kind, of.variable, of.fault, float(size[0]), math.sqrt(float(covariance[0, 0])), of.unit
+            )
             if of.fault:
                 parameter = faults[of.fault].parameters[of.variable]
                 change = replace(change, min=parameter.min, max=parameter.max)
@@ -236,20 +238,20 @@ def changes(
         std, aside = (math.sqrt(float(each @ covariance @ each)) for each in (along, across))
         name, value, turn = faults[of.fault].direction(of.variable, size.tolist())
         off = turn * aside / length if length else math.inf
-        change = Change(of.kind, of.variable, of.fault, length, std, of.unit, min=0.0)
+        change = EstimatedChange(of.kind, of.variable, of.fault, length, std, of.unit, min=0.0)
         said.append(replace(change, angle=name, angle_value=value, angle_std=off))
     return tuple(said)
 
 
-def _suspect(found: Examination, cause: Cause, faults: Mapping[str, Fault]) -> Suspect:
+def _suspect(found: Examination, cause: Cause, faults: Mapping[str, Fault]) -> CauseScore:
     if cause not in found.at.causes:
         at, none = found.coordinates.each[cause.columns[0]], math.inf
-        return Suspect(Change(at.kind, at.variable, at.fault, 0.0, none, at.unit), 0.0, 1.0, "", math.nan)
+        return CauseScore(EstimatedChange(at.kind, at.variable, at.fault, 0.0, none, at.unit), 0.0, 1.0, "", math.nan)
     alone = fit(found.at.news, (cause,))
     change = changes((cause,), alone, found.coordinates, faults)[0]
     near = {other.name: angle(found.at.news, cause, other) for other in found.at.causes if other is not cause}
     rival = min(near, key=lambda each: near[each], default="")
-    return Suspect(change, alone.statistic, probability(alone.statistic, cause), rival, near.get(rival, math.nan))
+    return CauseScore(change, alone.statistic, probability(alone.statistic, cause), rival, near.get(rival, math.nan))
 
 
 @cache

@@ -21,17 +21,17 @@ from scipy import special
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis.baseline.baseline import Baseline
-from fmuid.diagnosis.baseline.stored_baseline import Basis
-from fmuid.diagnosis.baseline_comparator import Juxtaposition
+from fmuid.diagnosis.baseline.stored_baseline import BaselineSource
+from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_analysis import Examination, examine
-from fmuid.diagnosis.cause_results import Change, Evidence, Explanation
+from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.change_detection.cause_ranking import MODEL_ERROR, OWN_SHARE
 from fmuid.diagnosis.change_detection.detection import FALSE_ALARM_LEVEL
 from fmuid.diagnosis.change_detection.unexplained_residual import UNEXPLAINED_SHARE, VarianceRatio
 from fmuid.diagnosis.change_parameters import CauseKind, Causes
 from fmuid.diagnosis.diagnosis_result import BaselineDeviation, Diagnosis
 from fmuid.diagnosis.faults import Fault
-from fmuid.diagnosis.linearisation import Machine
+from fmuid.diagnosis.linearisation import LinearizedMachine
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt, Result, check_level
 from fmuid.formatting import nearest
@@ -135,12 +135,12 @@ def diagnose(
     listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
     how, tell = settings or DiagnosisSettings(), progress or (lambda _: None)
     tell(FaultStep(share=0.0, fault=None))
-    made = Juxtaposition.of(System.of(model), Baseline.of(baseline), faults, how.causes, listed)
+    made = BaselineComparator.of(System.of(model), Baseline.of(baseline), faults, how.causes, listed)
     kappa = made.model_error(how.model_error, how.level)
     machines = [made.machine(each) for each in listed]
     found = examine(machines, made.healthy, made.coordinates, how.level, kappa)
-    evidence, fitted = Evidence.of(found, faults, made.basis), None
-    if made.basis is Basis.RESULT and evidence.explanations:
+    evidence, fitted = ChangeEvidence.of(found, faults, made.basis), None
+    if made.basis is BaselineSource.RESULT and evidence.explanations:
         best = evidence.explanations[0]
         if len(best.faults) == 1:
             tell(FaultStep(share=0.5, fault=best.faults[0]))
@@ -158,7 +158,7 @@ def diagnose(
             for i, name in enumerate(made.baseline.common)
         },
         noise_variance=made.baseline.variance(listed[0].output_names),
-        deviation=_deviation(found) if made.basis is Basis.RESULT else None,
+        deviation=_deviation(found) if made.basis is BaselineSource.RESULT else None,
         version=__version__,
         accuracy=None if fitted is None else fitted.accuracy,
         fitted=() if fitted is None else fitted.names,
@@ -168,7 +168,7 @@ def diagnose(
     )
 
 
-def _mismatched(machines: Sequence[Machine], made: Juxtaposition) -> tuple[str, ...]:
+def _mismatched(machines: Sequence[LinearizedMachine], made: BaselineComparator) -> tuple[str, ...]:
     """Return the faults whose models are not the healthy machine without their fault."""
     squares = dict.fromkeys(made.faults, 0.0)
     for machine in machines:
@@ -178,9 +178,9 @@ def _mismatched(machines: Sequence[Machine], made: Juxtaposition) -> tuple[str, 
     return tuple(name for name, value in squares.items() if value > SAME_CRITERION)
 
 
-def _unexplained(evidence: Evidence, freedom: float, level: float) -> VarianceRatio:
+def _unexplained(evidence: ChangeEvidence, freedom: float, level: float) -> VarianceRatio:
     """Test the residual: its variance, or with healthy records whether it owes more to the inputs than theirs."""
-    if evidence.basis is Basis.RESULT:
+    if evidence.basis is BaselineSource.RESULT:
         return VarianceRatio.of(evidence.ratio, evidence.samples, freedom, level)
     p = evidence.remainder.probability
     return VarianceRatio(evidence.ratio, p, p < UNEXPLAINED_SHARE * level)
@@ -214,7 +214,7 @@ def _residuals(experiment: Experiment, found: Examination) -> pd.DataFrame:
 
 
 def _fitted(
-    made: Juxtaposition,
+    made: BaselineComparator,
     found: Examination,
     best: Explanation,
     experiments: Sequence[Experiment],
@@ -249,7 +249,7 @@ def _fitted(
     )
 
 
-def _refined(change: Change, fault: Fault, fitted: Result, kappa: float) -> Change:
+def _refined(change: EstimatedChange, fault: Fault, fitted: Result, kappa: float) -> EstimatedChange:
     """Return a change with the size of the fit, whose variance has the model's error added; as it was without one."""
     std = float(fitted.std[fitted.names.index(change.variable)])
     if not (fitted.converged and math.isfinite(std)):

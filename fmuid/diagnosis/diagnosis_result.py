@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.diagnosis.cause_results import Change, Evidence, reader
+from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange, reader
 from fmuid.diagnosis.change_detection.unexplained_residual import VarianceRatio
-from fmuid.display_mixins import Plotted
+from fmuid.display_mixins import PlotMixin
 from fmuid.errors import InputError
-from fmuid.estimation import Accuracy, Result
+from fmuid.estimation import Result, SolverCheck
 from fmuid.files import as_json, content_of, write_json
 
 # A cause whose model explains less than this share of what exceeds the noise is not what is wrong.
@@ -41,14 +41,14 @@ class BaselineDeviation:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis(Plotted):
+class Diagnosis(PlotMixin):
     """What a diagnosis found.
 
     Attributes
     ----------
     level : float
         Probability of an alarm where nothing is wrong.
-    evidence : Evidence
+    evidence : ChangeEvidence
         What is new: all causes, and what is named.
     unexplained : VarianceRatio
         Whether the residual is larger than the noise even so, or owes more to the inputs than in healthy records.
@@ -59,10 +59,10 @@ class Diagnosis(Plotted):
         The nominal parameter that has left what was foreseen; where there are healthy records it is a cause.
     version : str
         Of fmuid.
-    accuracy : Accuracy or None
+    accuracy : SolverCheck or None
         What the error of the simulation does to the fit of the fault named; None without such a fit.
     fitted : tuple of str
-        The parameters of that fit, in the order of `Accuracy.shift`.
+        The parameters of that fit, in the order of `SolverCheck.shift`.
     result : Result or None
         That fit; not kept in a file.
     mismatched : tuple of str
@@ -80,13 +80,13 @@ class Diagnosis(Plotted):
     """
 
     level: float
-    evidence: Evidence
+    evidence: ChangeEvidence
     unexplained: VarianceRatio
     nominal: Mapping[str, Estimate]
     noise_variance: Mapping[str, float]
     deviation: BaselineDeviation | None
     version: str
-    accuracy: Accuracy | None = None
+    accuracy: SolverCheck | None = None
     fitted: tuple[str, ...] = ()
     result: Result | None = None
     mismatched: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ class Diagnosis(Plotted):
     def __repr__(self) -> str:
         return f"Diagnosis({self.kind}{': ' if self.named else ''}{', '.join(self.named)})"
 
-    def __getitem__(self, name: str) -> Change:
+    def __getitem__(self, name: str) -> EstimatedChange:
         """Return a change that is named, or what a cause would be alone: ``turns.dR``, ``gain(i)``, ``R``."""
         found = {each.change.label: each.change for each in self.evidence.suspects}
         found |= {each.label: each for one in reversed(self.evidence.explanations) for each in one.changes}
@@ -188,10 +188,10 @@ class Diagnosis(Plotted):
             if accuracy is not None:
                 fitted = tuple(accuracy["shift"])
                 shift = [math.nan if each is None else float(each) for each in accuracy["shift"].values()]
-                accuracy = Accuracy.of_json(accuracy, np.array(shift))
+                accuracy = SolverCheck.of_json(accuracy, np.array(shift))
             return cls(
                 level=float(data["level"]),
-                evidence=reader(Evidence).validate_python(data["evidence"]),
+                evidence=reader(ChangeEvidence).validate_python(data["evidence"]),
                 unexplained=reader(VarianceRatio).validate_python(data["unexplained"]),
                 nominal={name: (float(each["value"]), float(each["std"])) for name, each in data["nominal"].items()},
                 noise_variance={name: float(each) for name, each in data["noise_variance"].items()},

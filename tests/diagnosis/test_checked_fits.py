@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import expm
 
 import fmuid
-from fmuid.estimation import AccuracyOutcome, Kept
+from fmuid.estimation import AccuracyOutcome, RefinementRefusal
 from fmuid.reports.messages.diagnosis import diagnosis_words
 from tests.support.stepping import MOTOR, stepping_fmu
 
@@ -84,7 +84,7 @@ def test_what_is_not_cured_is_said_and_kept(motor: fmuid.System, healthy: fmuid.
     for each in (found, again):
         assert each.named == ("friction",)
         assert each.accuracy is not None
-        assert (each.accuracy.outcome, each.accuracy.kept) == (AccuracyOutcome.SHIFTED, Kept.ASKED)
+        assert (each.accuracy.outcome, each.accuracy.kept) == (AccuracyOutcome.SHIFTED, RefinementRefusal.ASKED)
         assert any(f"F by {each.accuracy.shift[1]:+.2g}" in words for words in diagnosis_words(each))
 
 

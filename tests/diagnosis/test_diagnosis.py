@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 import fmuid
-from fmuid.diagnosis import MODEL_ERROR, Suspect
+from fmuid.diagnosis import MODEL_ERROR, CauseScore
 from fmuid.diagnosis.faults import common_mode
 from fmuid.models import System
 from fmuid.reports.messages.diagnosis import deviation_words, diagnosis_words, verdict
@@ -44,7 +44,7 @@ def least_squares(healthy: fmuid.Result, experiment: fmuid.Experiment, inflate: 
     )
 
 
-def suspects(found: fmuid.Diagnosis) -> dict[str, Suspect]:
+def suspects(found: fmuid.Diagnosis) -> dict[str, CauseScore]:
     return {each.change.label: each for each in found.evidence.suspects}
 
 
@@ -259,7 +259,7 @@ def test_a_file_keeps_the_diagnosis(look: Look, tmp_path: Path) -> None:
         (
             {
                 "parameters": {name: fmuid.Parameter(0.0, nominal=1.0) for name in ("s", "a", "b")},
-                "angles": {"a": fmuid.Angle("s"), "b": fmuid.Angle("s")},
+                "angles": {"a": fmuid.FaultAngle("s"), "b": fmuid.FaultAngle("s")},
             },
             "the size 's' has two angles: one locates it",
         ),

@@ -12,7 +12,7 @@ from scipy import special
 from fmuid.array_types import Floats
 from fmuid.diagnosis.cause_results import Explanation
 from fmuid.diagnosis.change_detection.detection import FALSE_ALARM_LEVEL
-from fmuid.diagnosis.change_detection.onset import Shape
+from fmuid.diagnosis.change_detection.onset import OnsetShape
 from fmuid.errors import InputError
 from fmuid.estimation import check_level
 
@@ -85,7 +85,7 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Moment:
+class RecordTime:
     """A time of a record.
 
     Attributes
@@ -108,16 +108,16 @@ class Onset:
 
     Attributes
     ----------
-    likely, first, last : Moment
+    likely, first, last : RecordTime
         The most likely one, and the set that holds the true one with 95 %.
-    shape : Shape
+    shape : OnsetShape
         Whether it came at once, or grows.
     """
 
-    likely: Moment
-    first: Moment
-    last: Moment
-    shape: Shape
+    likely: RecordTime
+    first: RecordTime
+    last: RecordTime
+    shape: OnsetShape
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from fmuid.reports.messages.diagnosis import change_name, change_size
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.diagnosis import Evidence
+    from fmuid.diagnosis import ChangeEvidence
 
 # More causes than these make a figure nobody reads: the most significant are kept.
 MAX_FAULTS = 12
@@ -52,7 +52,7 @@ def _intervals(text: str, names: list[str], values: list[float], ends: list[tupl
     return plot
 
 
-def causes(found: Evidence) -> Any:
+def causes(found: ChangeEvidence) -> Any:
     """Draw what each cause alone lowers the criterion by, the likeliest first; what explains the record is red.
 
     The pointer shows the size, and which other cause has the nearest signature, at which angle.
@@ -84,7 +84,7 @@ def causes(found: Evidence) -> Any:
     return plot
 
 
-def changes(found: Evidence) -> list[Any]:
+def changes(found: ChangeEvidence) -> list[Any]:
     """Draw the size of each change that explains the record, with its interval of 95 %; shares in percent."""
     plots, drawn = [], set()
     for each in (change for one in found.explanations for change in one.changes):

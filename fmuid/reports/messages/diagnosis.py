@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from fmuid.diagnosis import Basis
+from fmuid.diagnosis import BaselineSource
 from fmuid.formatting import has_unit, listed, rounded, with_std
 from fmuid.reports.messages.accuracy import accuracy_words
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.diagnosis import BaselineDeviation, Change, Diagnosis, Explanation
+    from fmuid.diagnosis import BaselineDeviation, Diagnosis, EstimatedChange, Explanation
 
 # A healthy record is long enough where a longer one lowers the smallest size found by no more than this.
 ENOUGH = 1.1
@@ -38,7 +38,7 @@ def verdict(found: Diagnosis) -> str:
     evidence = found.evidence
     said = [explanation_words(each) for each in evidence.explanations]
     likely = f"probability if nothing is new {chance(evidence.probability)}"
-    if found.kind == "unexplained" and evidence.basis is Basis.RESULT:
+    if found.kind == "unexplained" and evidence.basis is BaselineSource.RESULT:
         head = (
             f"Something else is wrong: the residual's variance is {found.unexplained.ratio:.3g} times the noise "
             f"of the healthy machine (probability {chance(found.unexplained.probability)})"
@@ -82,14 +82,14 @@ CHANGES = {
 }
 
 
-def change_words(change: Change) -> str:
+def change_words(change: EstimatedChange) -> str:
     """Return a change with its size."""
     if change.fault:
         return f"{change.fault}, {change.variable} = {change_size(change)}"
     return f"{change_name(change)}, {change_size(change)}"
 
 
-def change_size(change: Change) -> str:
+def change_size(change: EstimatedChange) -> str:
     """Return the size of a change with its standard deviation; shares in percent."""
     if change.kind.is_share:
         return f"{with_std(100 * change.value, 100 * change.std)} %"
@@ -98,7 +98,7 @@ def change_size(change: Change) -> str:
     return f"{with_std(change.value, change.std)}{unit}{at}"
 
 
-def change_name(change: Change) -> str:
+def change_name(change: EstimatedChange) -> str:
     """Return what has changed, without its size."""
     if change.fault:
         return f"{change.fault} ({change.variable})"
@@ -118,7 +118,7 @@ def _rest(found: Diagnosis) -> str:
 def scope_notes(found: Diagnosis) -> list[str]:
     """Return what was not looked at, or did not settle."""
     said = basis_notes(found.evidence.basis)
-    if found.evidence.basis is Basis.RESULT:
+    if found.evidence.basis is BaselineSource.RESULT:
         said = [
             "errors of sensors and of the supply were not looked at, and may look like a fault: name the tables of the "
             "healthy machine as [diagnosis] records"
@@ -130,19 +130,19 @@ def scope_notes(found: Diagnosis) -> list[str]:
 
 # What the file of the healthy study is of, where it does not serve.
 UNLIKE = {
-    Basis.DAMAGED: "damaged",
-    Basis.OTHER_MODELS: "of other models or values",
-    Basis.OTHER_CAUSES: "of other faults or causes",
-    Basis.OTHER_NOISE: "of another noise variance",
-    Basis.OTHER_RECORDS: "of other records",
+    BaselineSource.DAMAGED: "damaged",
+    BaselineSource.OTHER_MODELS: "of other models or values",
+    BaselineSource.OTHER_CAUSES: "of other faults or causes",
+    BaselineSource.OTHER_NOISE: "of another noise variance",
+    BaselineSource.OTHER_RECORDS: "of other records",
 }
 
 
-def basis_notes(basis: Basis) -> list[str]:
+def basis_notes(basis: BaselineSource) -> list[str]:
     """Say where the healthy machine is from, nothing where only records can be."""
-    if basis in (Basis.RECORDS, Basis.RESULT):
+    if basis in (BaselineSource.RECORDS, BaselineSource.RESULT):
         return []
-    if basis is Basis.FILE:
+    if basis is BaselineSource.FILE:
         return ["what the healthy records show is from the baseline.npz beside the healthy result"]
     return [
         f"the baseline.npz beside the healthy result is {UNLIKE[basis]} and was not used: "

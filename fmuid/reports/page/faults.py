@@ -17,7 +17,7 @@ from fmuid.reports.page.contents import read_table
 from fmuid.reports.page.document import Part, Section, table
 from fmuid.reports.page.provenance import origin
 from fmuid.reports.page.saved import read_json
-from fmuid.reports.page.verdict import Said
+from fmuid.reports.page.verdict import ReportStatement
 
 PREPARED_FILE, MONITORED_FILE = "diagnosis-preparation.csv", "monitoring-preparation.csv"
 """What was done with the tables of a diagnosis, and of a monitoring, as in ``preparation.csv``."""
@@ -50,7 +50,7 @@ def part_of_diagnosis(folder: Path) -> Part:
     content = read_json(folder / "diagnosis.json")
     units = content.get("units") or {}
     first, *others = diagnosis_words(found)
-    said = [Said(first, "causes"), *(Said(text, "changes", doubtful=True) for text in others)]
+    said = [ReportStatement(first, "causes"), *(ReportStatement(text, "changes", doubtful=True) for text in others)]
     sections = sections_of(found)
     residuals = folder / "diagnosis-residuals.csv"
     if is_file(residuals):
@@ -102,7 +102,7 @@ def part_of_monitoring(folder: Path) -> Part:
     content = read_json(folder / "monitoring.json")
     rows = read_table(folder / "monitoring.csv") if content.get("windows") else pd.DataFrame()
     try:
-        said = [Said(text, "timeline") for text in content["words"]]
+        said = [ReportStatement(text, "timeline") for text in content["words"]]
         alarms = content["alarms"]
         drawn = _timelines(rows, content)
         shown = _alarms(alarms)
