@@ -29,7 +29,7 @@ class Message(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Remark:
+class ProfileEndNote:
     """A sentence.
 
     Attributes

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from fmuid.estimation import Determined, Direction
+from fmuid.estimation import Identifiability, WeakDirection
 from fmuid.formatting import listed, two_digits
-from fmuid.identification import TimeScale
-from fmuid.studies import SourceDoubt
+from fmuid.identification import TimeScaleMismatch
+from fmuid.studies import SourceIssue
 
 if TYPE_CHECKING:
-    from fmuid.identification import TimeScaleDoubt
-    from fmuid.studies import SourceNote
+    from fmuid.identification import TimeScaleWarning
+    from fmuid.studies import SourceWarning
 
 # Steps along a direction are told in percent of values, but of magnitudes where values are below this share of them.
 # The largest is 1 %, which is small enough for the linear model: that of the first parameter within this share of it.
@@ -23,24 +23,24 @@ FAR_MAGNITUDES = 10.0
 DIGITS = 3
 
 
-def direction_words(direction: Direction) -> str:
+def direction_words(direction: WeakDirection) -> str:
     """Say in words what is not known along a direction."""
-    if direction.determined in (Determined.NOT, Determined.HIDDEN):
+    if direction.determined in (Identifiability.NOT, Identifiability.HIDDEN):
         return _lost(direction)
-    return _open(direction) if direction.determined is Determined.NOT_IN_EFFECT else _weak(direction)
+    return _open(direction) if direction.determined is Identifiability.NOT_IN_EFFECT else _weak(direction)
 
 
-def open_words(determined: Determined, names: Sequence[str]) -> str:
+def open_words(determined: Identifiability, names: Sequence[str]) -> str:
     """Say in words, without numbers, which parameters the data leave open."""
-    effect = " in effect" if determined is Determined.NOT_IN_EFFECT else ""
+    effect = " in effect" if determined is Identifiability.NOT_IN_EFFECT else ""
     return f"{listed(names)} {'is not determined' if len(names) == 1 else 'cannot be told apart'}{effect}"
 
 
-def _lost(direction: Direction) -> str:
+def _lost(direction: WeakDirection) -> str:
     names = direction.names
     who = listed(names)
     no_output = "no output"
-    if direction.determined is Determined.HIDDEN:
+    if direction.determined is Identifiability.HIDDEN:
         no_output = "the outputs by no more than the simulation's errors"
     if len(names) == 1:
         return f"{who} is not determined: changing it changes {no_output}"
@@ -69,7 +69,7 @@ def _lost(direction: Direction) -> str:
     )
 
 
-def _open(direction: Direction) -> str:
+def _open(direction: WeakDirection) -> str:
     who, std = listed(direction.names), f"{direction.std:.{DIGITS}g}"
     if len(direction.names) == 1:
         return f"{who} is not determined in effect: its standard deviation is {std} times its magnitude"
@@ -79,7 +79,7 @@ def _open(direction: Direction) -> str:
     )
 
 
-def _weak(direction: Direction) -> str:
+def _weak(direction: WeakDirection) -> str:
     who, std = listed(direction.names), f"{direction.std:.0%}"
     if len(direction.names) == 1 and direction.std > FAR_MAGNITUDES:  # it happens to lie near zero, as at a bound
         own = direction.std * abs(direction.coefficients[0])
@@ -92,11 +92,11 @@ def _weak(direction: Direction) -> str:
     )
 
 
-def _verb(direction: Direction) -> str:
+def _verb(direction: WeakDirection) -> str:
     return "is" if len(direction.names) == 2 else "are"
 
 
-def _combinations(direction: Direction) -> str:
+def _combinations(direction: WeakDirection) -> str:
     """Return the combinations that stay the same along a direction: θ_i − (v_i/v_last) θ_last."""
     last = direction.coefficients[-1]
     shares = [-coefficient / last for coefficient in direction.coefficients[:-1]]
@@ -124,14 +124,14 @@ def dropout_words(source: str, times: Sequence[float]) -> str:
     return f"{source}: rows are missing after t = {some} s; inputs go on there as between any samples"
 
 
-def time_words(doubt: TimeScaleDoubt) -> str:
+def time_words(doubt: TimeScaleWarning) -> str:
     """Return why the unit of a record's time is to be looked at."""
     lasts = f"{doubt.source} lasts {doubt.duration:.3g} s in steps of {doubt.step:.3g} s"
     look = 'look at the unit of its time, and say it by time_unit = "ms" or what it is'
     match doubt.kind:
-        case TimeScale.TOO_LONG:
+        case TimeScaleMismatch.TOO_LONG:
             return f"{lasts}, and what the model does is over in {doubt.time_constant:.2g} s (ms?): {look}"
-        case TimeScale.TOO_SHORT:
+        case TimeScaleMismatch.TOO_SHORT:
             return f"{lasts}, and the model takes {doubt.time_constant:.2g} s for what it does (s, not ms?): {look}"
 
 
@@ -143,13 +143,13 @@ def size_words(source: str, column: str, ratio: float) -> str:
     )
 
 
-def source_words(note: SourceNote) -> str:
+def source_words(note: SourceWarning) -> str:
     """Return why an earlier result, of which something is taken, is to be taken with care."""
     match note.doubt:
-        case SourceDoubt.DID_NOT_SUCCEED:
+        case SourceIssue.DID_NOT_SUCCEED:
             return f"{note.path}, an earlier result, did not succeed: {note.outcome.value}"
-        case SourceDoubt.NO_MODEL:
+        case SourceIssue.NO_MODEL:
             return f"{note.path} does not say of which model it is a result"
-        case SourceDoubt.OTHER_BUILD:
+        case SourceIssue.OTHER_BUILD:
             assert note.fmu is not None
             return f"{note.path} was made with another build of {note.fmu.name} than {note.fmu.path}"

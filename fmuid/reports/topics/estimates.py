@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.estimation import Outcome
+from fmuid.estimation import TerminationReason
 from fmuid.formatting import listed, rounded, two_digits, unit_text, with_std
 from fmuid.identification import CONFIDENCE_LEVEL, LEAST_STD_FACTOR, region_rise
 from fmuid.reports.chart import MAX_PARAMETERS, Axis, Chart, Data, Layer, Shades, Units, named
@@ -81,7 +81,7 @@ def estimates_table(result: Result, level: float = CONFIDENCE_LEVEL) -> Table:
     # where nothing is known of a value, its digits must not look as if there were
     value = [f"{value:.2g} ± ?" if std == math.inf else with_std(value, std) for _, value, std in rows]
     columns = {"parameter": list(result.names), "value": value}
-    if result.outcome is not Outcome.STALLED:  # which has no intervals
+    if result.outcome is not TerminationReason.STALLED:  # which has no intervals
         columns["rel. std"] = [
             f"{100 * std / abs(value):.2g} %" if value and math.isfinite(std) else "" for _, value, std in rows
         ]

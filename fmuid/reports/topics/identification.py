@@ -11,7 +11,7 @@ import pandas as pd
 
 from fmuid.formatting import unit_text
 from fmuid.identification import SIGNIFICANCE_LEVEL, Deviation
-from fmuid.models import HowRun
+from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Document, Message, Remark, Section, Tone, capitalised
 from fmuid.reports.shared_phrases import dropout_words
 from fmuid.reports.topics.estimates import correlation_sections, estimates_section, precision_remarks
@@ -32,8 +32,8 @@ from fmuid.reports.topics.uncertainty import (
 
 if TYPE_CHECKING:
     from fmuid.estimation import Result
-    from fmuid.reports.identification_run import Findings
-    from fmuid.simulation import Fit
+    from fmuid.reports.identification_run import IdentificationRun
+    from fmuid.simulation import OutputFit
 
 _ODD = (Deviation.LARGER, Deviation.SMALLER)
 
@@ -52,7 +52,7 @@ class RunMessage(Message):
     INTERRUPTED = ("Interrupted: this is what there is", "Ctrl-C ended what was asked for beside the estimates")
 
 
-def identification_document(found: Findings) -> Document:
+def identification_document(found: IdentificationRun) -> Document:
     """Return the document of an identification."""
     result, more = found.result, found.uncertainty
     good = result.converged and (more is None or more.succeeded)
@@ -63,7 +63,7 @@ def identification_document(found: Findings) -> Document:
     return Document("identification", "Identification", state, tone, tuple(_remarks(found)), tuple(sections), **origin)
 
 
-def _told(found: Findings) -> dict[str, object]:
+def _told(found: IdentificationRun) -> dict[str, object]:
     return dict((found.origin or {}).get("study") or {})
 
 
@@ -74,7 +74,7 @@ def _effort(result: Result) -> dict[str, str]:
     return {**models, "search": effort_words(result)}
 
 
-def _remarks(found: Findings) -> list[Remark]:
+def _remarks(found: IdentificationRun) -> list[Remark]:
     """Return the sentences on an identification, the verdict first."""
     result, names, more = found.result, found.result.names, found.uncertainty
     coloured: Tone = "doubt" if any(each.large for each in found.diagnostics.findings) else "plain"
@@ -89,7 +89,7 @@ def _remarks(found: Findings) -> list[Remark]:
     said += [Remark(text, coloured, "residuals") for text in residual_words(found.diagnostics, found.output_units)]
     said.append(RunMessage.NOISE.said("plain", "residuals", noise=_noise(result, found.fits)))
     for component, model in result.models.items():
-        run = run_words(HowRun(**model["run"]))
+        run = run_words(SolverConfiguration(**model["run"]))
         said.append(RunMessage.RUN.said("plain", "", (), model=component or model["name"], run=run))
     if result.sensitivity is not None:
         said.append(RunMessage.SENSITIVITIES.said(how=sensitivity_words(result.sensitivity)))
@@ -101,7 +101,7 @@ def _remarks(found: Findings) -> list[Remark]:
     return said
 
 
-def _noise(result: Result, fits: Sequence[Fit]) -> str:
+def _noise(result: Result, fits: Sequence[OutputFit]) -> str:
     """Return the standard deviation of each output's residual."""
     units = {output: unit for fit in fits for output, unit in zip(fit.outputs, fit.units, strict=True)}
     words = []
@@ -112,7 +112,7 @@ def _noise(result: Result, fits: Sequence[Fit]) -> str:
     return ", ".join(words)
 
 
-def identification_sections(found: Findings) -> list[Section]:
+def identification_sections(found: IdentificationRun) -> list[Section]:
     """Return the sections of an identification."""
     result, fits, units, estimates = found.result, found.fits, found.unit_of, found.estimates
     optima = found.optima if result.optima else pd.DataFrame()
@@ -135,7 +135,7 @@ def identification_sections(found: Findings) -> list[Section]:
     return [each for each in sections if each.charts or each.table]
 
 
-def result_sections(result: Result, fits: Sequence[Fit]) -> list[Section]:
+def result_sections(result: Result, fits: Sequence[OutputFit]) -> list[Section]:
     """Return the sections that a result has by itself."""
     estimates = result.to_frame().reset_index()
     units = dict(result.units)

@@ -18,7 +18,7 @@ from fmuid.reports.topics.termination import ENDS
 
 if TYPE_CHECKING:
     from fmuid.identification import OutputScore, Prediction
-    from fmuid.reports.predictions import PredictionFindings
+    from fmuid.reports.predictions import PredictionRun
 
 LEAST_RATIO = 1.25
 """Residuals that are larger than expected by this factor are an error of the model rather than chance."""
@@ -68,7 +68,7 @@ class PredictionMessage(Message):
     )
 
 
-def prediction_document(found: PredictionFindings) -> Document:
+def prediction_document(found: PredictionRun) -> Document:
     """Return the document of predictions."""
     predictions = found.predictions
     ratios = [score.ratio for each in predictions for score in each.scores if math.isfinite(score.ratio)]

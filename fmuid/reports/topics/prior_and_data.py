@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmuid.estimation import Outcome
+from fmuid.estimation import TerminationReason
 from fmuid.formatting import listed, two_digits, unit_text, with_std, with_unit
-from fmuid.identification import Deviation, both_known, parabolas
+from fmuid.identification import Deviation, parabolas, parameters_with_prior_and_data
 from fmuid.reports.chart import DENSITY, MAX_PARAMETERS, Axis, Chart, Color, Layer, Units, named, normal
 from fmuid.reports.document import CONSOLE, Section, Table, table_of
 from fmuid.reports.shared_phrases import direction_words
@@ -19,15 +19,15 @@ from fmuid.reports.topics.termination import ENDS
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.identification import Agreement, Influence, Obstacle, Reading
+    from fmuid.identification import ExtrapolationReason, PriorDataComparison, PriorDataTest, PriorInfluence
 
 
-def reading_words(reading: Reading, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
+def reading_words(reading: PriorDataComparison, units: Mapping[str, str | None] | None = None) -> tuple[str, ...]:
     """Return what is to be known of it; nothing where there is neither a prior nor a known variance.
 
     Parameters
     ----------
-    reading : Reading
+    reading : PriorDataComparison
     units : mapping of str to str, optional
         Of the outputs.
     """
@@ -39,7 +39,7 @@ def reading_words(reading: Reading, units: Mapping[str, str | None] | None = Non
     return tuple(said)
 
 
-def _agreement(reading: Reading, agreement: Agreement) -> str:
+def _agreement(reading: PriorDataComparison, agreement: PriorDataTest) -> str:
     """Say whether prior and data agree and, where not, on which parameter they disagree most."""
     chance = (
         f"χ² {agreement.statistic:.3g} with {agreement.degrees_of_freedom} degrees of freedom, "
@@ -56,7 +56,7 @@ def _agreement(reading: Reading, agreement: Agreement) -> str:
     )
 
 
-def _influence(reading: Reading, found: Influence) -> str:
+def _influence(reading: PriorDataComparison, found: PriorInfluence) -> str:
     """Say of an estimate that it rests on a prior, or that a prior has moved it."""
     i = reading.names.index(found.name)
     std = float(reading.data_std[i])
@@ -71,7 +71,7 @@ def _influence(reading: Reading, found: Influence) -> str:
     )
 
 
-def _bent(reading: Reading) -> str:
+def _bent(reading: PriorDataComparison) -> str:
     i = reading.names.index(reading.bent)
     return (
         f"Between prior and data the model is not linear: their barycentre has {reading.bent} at "
@@ -81,7 +81,7 @@ def _bent(reading: Reading) -> str:
     )
 
 
-def _variances(reading: Reading, units: Mapping[str, str | None]) -> list[str]:
+def _variances(reading: PriorDataComparison, units: Mapping[str, str | None]) -> list[str]:
     """Say which residuals are larger or smaller than the known noise, or that all are as large."""
     blame = "the model or the prior" if np.isfinite(reading.prior_mean).any() else "the model"
     said, outputs = [], [test for test in reading.variances if test.output]
@@ -108,7 +108,7 @@ def _variances(reading: Reading, units: Mapping[str, str | None]) -> list[str]:
     return said
 
 
-def obstacle_words(obstacle: Obstacle) -> str:
+def obstacle_words(obstacle: ExtrapolationReason) -> str:
     """Say why the optimum of the data alone is extrapolated."""
     if obstacle.at_bounds:
         return f"The data alone would push {listed(obstacle.at_bounds)} to a bound, so their optimum is extrapolated"
@@ -116,7 +116,7 @@ def obstacle_words(obstacle: Obstacle) -> str:
         what = listed(tuple(map(direction_words, obstacle.undetermined)))
         return f"At the optimum of the data alone {what}, so it is extrapolated"
     if obstacle.outcome is not None:
-        why = "interrupted" if obstacle.outcome is Outcome.INTERRUPTED else ENDS[obstacle.outcome]
+        why = "interrupted" if obstacle.outcome is TerminationReason.INTERRUPTED else ENDS[obstacle.outcome]
         return f"The search for the optimum of the data alone did not converge, so it is extrapolated: {why}"
     return "With a robust loss the optimum of the data alone is extrapolated"
 
@@ -149,7 +149,7 @@ PARTS: tuple[tuple[str, str, Color, float], ...] = (
 )
 
 
-def prior_sections(reading: Reading, units: Units) -> list[Section]:
+def prior_sections(reading: PriorDataComparison, units: Units) -> list[Section]:
     """Return prior, data and both of each parameter: side by side, as densities, and as the cost of each."""
     table = reading.table
     return [
@@ -164,7 +164,7 @@ def prior_sections(reading: Reading, units: Units) -> list[Section]:
     ]
 
 
-def _table(reading: Reading, units: Units) -> Table:
+def _table(reading: PriorDataComparison, units: Units) -> Table:
     """Return prior, data and both, how far the prior is, and what moved the data's optimum by how much."""
     rows = {
         "prior": (reading.prior_mean, reading.prior_std),
@@ -216,7 +216,7 @@ def parabola_charts(table: pd.DataFrame, names: Sequence[str] = (), units: Units
     Parameters
     ----------
     table : DataFrame
-        Of `Reading`.
+        Of `PriorDataComparison`.
     names : sequence of str
         Default: all that prior and data both speak of.
     units : mapping of str to str, optional
@@ -227,7 +227,7 @@ def parabola_charts(table: pd.DataFrame, names: Sequence[str] = (), units: Units
     InputError
         If there is no such parameter, or it has no standard deviation.
     """
-    for name in list(names or both_known(table))[:MAX_PARAMETERS]:
+    for name in list(names or parameters_with_prior_and_data(table))[:MAX_PARAMETERS]:
         curves = parabolas(table, name)
         value = curves["value"].to_numpy(np.float64)
         layers = [

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmuid.array_types import Flags
-from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Kept, SwitchCause
-from fmuid.models import HowRun
+from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, RefinementRefusal, SwitchCause
+from fmuid.models import SolverConfiguration
 from fmuid.reports.chart import MAX_PARAMETERS, Axis, Color, Data, Layer, picked, rows_of
 from fmuid.reports.document import Section
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.estimation import Accuracy, Sensitivity, Switch
+    from fmuid.estimation import RefinementStep, SensitivityMethod, SolverCheck
 
 # Attributes of <CoSimulation>, <ModelExchange> and <ScheduledExecution> in words (FMI 2.0.4, sections 3.3.1 and 4.3.1;
 # FMI 3.0.2, section 2.4.8). The versions of the standard spell some names differently.
@@ -42,7 +42,7 @@ _CAPABILITIES = {
 
 
 def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
-    """Return what an interface of an FMU can do beyond the obligatory, from what it declares (`Facts.capabilities`)."""
+    """Return what an interface of an FMU can do beyond the obligatory, from what it declares (`FmuSummary.capabilities`)."""
     given = {name for name, value in declared.items() if value.strip() in ("true", "1")}
     words = [word for name, word in _CAPABILITIES.items() if name in given]
     if interface == "co-simulation":
@@ -55,7 +55,7 @@ def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
     return list(dict.fromkeys(words))
 
 
-def run_words(run: HowRun) -> str:
+def run_words(run: SolverConfiguration) -> str:
     """Return with which interface, integrator, tolerance and step an FMU is run."""
     words = f"FMI {run.fmi_version} {run.interface}"
     if run.integrator is not None:
@@ -70,12 +70,12 @@ def run_words(run: HowRun) -> str:
 
 
 def runs_words(runs: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return how each component of a model is run, from the fields of its `HowRun`."""
-    told = {name: run_words(HowRun(**run)) for name, run in runs.items()}
+    """Return how each component of a model is run, from the fields of its `SolverConfiguration`."""
+    told = {name: run_words(SolverConfiguration(**run)) for name, run in runs.items()}
     return "; ".join(f"{name}: {words}" if name else words for name, words in told.items())
 
 
-def sensitivity_words(used: Sensitivity) -> str:
+def sensitivity_words(used: SensitivityMethod) -> str:
     """Return how the derivatives by the parameters were found."""
     if used.refusal:
         return f"finite differences ({used.method} sensitivities are refused: {used.refusal})"
@@ -88,24 +88,24 @@ def sensitivity_words(used: Sensitivity) -> str:
 
 
 KEPT = {
-    Kept.ASKED: "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search",
-    Kept.FITS_BETTER: "the finer simulation fits clearly worse, as if the table came from this very solver",
-    Kept.NO_SEARCH: "a search by the finer simulation does not end",
-    Kept.FINEST: "there is no finer simulation to go on by",
+    RefinementRefusal.ASKED: "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search",
+    RefinementRefusal.FITS_BETTER: "the finer simulation fits clearly worse, as if the table came from this very solver",
+    RefinementRefusal.NO_SEARCH: "a search by the finer simulation does not end",
+    RefinementRefusal.FINEST: "there is no finer simulation to go on by",
 }
 """Why a simulation that shifts the estimates serves all the same."""
 LEAST_SHOWN = 0.005
 """Standard deviations: a smaller shift is none to a reader."""
 
 
-def accuracy_words(names: Sequence[str], found: Accuracy | None) -> tuple[str, ...]:
+def accuracy_words(names: Sequence[str], found: SolverCheck | None) -> tuple[str, ...]:
     """Return the sentences on a simulation that cannot be taken for exact, or was not to begin with.
 
     Parameters
     ----------
     names : sequence of str
-        The parameters, in the order of `Accuracy.shift`.
-    found : Accuracy or None
+        The parameters, in the order of `SolverCheck.shift`.
+    found : SolverCheck or None
     """
     if found is None:
         return ()
@@ -118,7 +118,7 @@ def accuracy_words(names: Sequence[str], found: Accuracy | None) -> tuple[str, .
     return tuple(filter(None, words))
 
 
-def passed_words(found: Accuracy) -> str:
+def passed_words(found: SolverCheck) -> str:
     """Return the sentence on a simulation that has passed its check, nothing for others."""
     if found.outcome is not AccuracyOutcome.PASSED or not found.finer:
         return ""
@@ -132,7 +132,7 @@ def _optima(count: int) -> str:
     return "another optimum" if count == 1 else f"{count} other optima"
 
 
-def _switch(switch: Switch) -> str:
+def _switch(switch: RefinementStep) -> str:
     before, after = runs_words(switch.before), runs_words(switch.after)
     if switch.cause is SwitchCause.START_FAILED:
         return f"simulated by {before} the start fails: the search went by {after}"
@@ -149,7 +149,7 @@ def _switch(switch: Switch) -> str:
     return f"the error of {before} {moved}: the search went on by {after}, in {switch.simulations} simulations"
 
 
-def _outcome(names: Sequence[str], found: Accuracy) -> str:
+def _outcome(names: Sequence[str], found: SolverCheck) -> str:
     used, finer = runs_words(found.used), runs_words(found.finer)
     match found.outcome:
         case AccuracyOutcome.PASSED:
@@ -185,7 +185,7 @@ def _outcome(names: Sequence[str], found: Accuracy) -> str:
             return "the error of the simulation was not checked: interrupted"
 
 
-def _shifts(names: Sequence[str], found: Accuracy) -> str:
+def _shifts(names: Sequence[str], found: SolverCheck) -> str:
     """Return which estimates are moved, and by how much; just that they may be where no standard deviation is known."""
     pairs = zip(names, found.shift.tolist(), strict=True)
     moved = ", ".join(f"{name} by {shift:+.2g}" for name, shift in pairs if abs(shift) > SHIFT_LIMIT)

@@ -6,7 +6,14 @@ import math
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from fmuid.estimation import Attempt, ChoiceTried, Determined, Outcome, Remedy, Trouble
+from fmuid.estimation import (
+    CombinationFit,
+    Identifiability,
+    RestartAttempt,
+    SearchFailure,
+    StartingPointSource,
+    TerminationReason,
+)
 from fmuid.formatting import listed
 from fmuid.identification import RIVAL_CRITERION
 from fmuid.reports.document import Remark, capitalised
@@ -17,28 +24,28 @@ if TYPE_CHECKING:
     from fmuid.estimation import Result
 
 ENDS = {
-    Outcome.CONVERGED: "converged",
-    Outcome.ACCURACY: (
+    TerminationReason.CONVERGED: "converged",
+    TerminationReason.ACCURACY: (
         "converged to the accuracy of the simulation: make it more accurate (step_size, its tolerance) for more digits"
     ),
-    Outcome.UNDETERMINED: "undetermined",
-    Outcome.UNSETTLED: (
+    TerminationReason.UNDETERMINED: "undetermined",
+    TerminationReason.UNSETTLED: (
         "the noise variances still move from one repetition of the search to the next: give them as noise.variance"
     ),
-    Outcome.ITERATION_LIMIT: "stopped at the iteration limit: raise max_iterations or start nearer",
-    Outcome.RUNAWAY: (
+    TerminationReason.ITERATION_LIMIT: "stopped at the iteration limit: raise max_iterations or start nearer",
+    TerminationReason.RUNAWAY: (
         "stopped: parameters run away by orders of magnitude, and the fit gains nothing by it: "
         "give a prior, bounds or a start nearer by, or measure more"
     ),
-    Outcome.STALLED: (
+    TerminationReason.STALLED: (
         "stalled: no step lowers the criterion although its slope says so; "
         "make the simulation more accurate (step_size, its tolerance) or start elsewhere"
     ),
-    Outcome.FAILING: (
+    TerminationReason.FAILING: (
         "stopped at the edge of what can be simulated, every step that would lower the criterion fails: "
         "give bounds that keep the search where the model is sound, or start elsewhere"
     ),
-    Outcome.INTERRUPTED: "interrupted: these are the best values so far",
+    TerminationReason.INTERRUPTED: "interrupted: these are the best values so far",
 }
 
 
@@ -52,14 +59,14 @@ def result_words(result: Result) -> tuple[str, ...]:
 
 def ending(result: Result) -> str:
     """Return how an identification ended and, where that is needed, the remedy."""
-    words = [ENDS[result.outcome] + (_so_far(result) if result.outcome is Outcome.INTERRUPTED else "")]
+    words = [ENDS[result.outcome] + (_so_far(result) if result.outcome is TerminationReason.INTERRUPTED else "")]
     if result.undetermined:
         told = (
             "; ".join(map(direction_words, result.undetermined))
             + ": give a prior, hold one of them at a value, or measure more"
-            + (_FINER if any(each.determined is Determined.HIDDEN for each in result.undetermined) else "")
+            + (_FINER if any(each.determined is Identifiability.HIDDEN for each in result.undetermined) else "")
         )
-        words = [f"{words[0]}: {told}"] if result.outcome is Outcome.UNDETERMINED else [*words, told]
+        words = [f"{words[0]}: {told}"] if result.outcome is TerminationReason.UNDETERMINED else [*words, told]
     if result.at_bounds:
         bounds = "; ".join(f"{each.name} is at its bound {each.value:g}" for each in result.at_bounds)
         words.append(f"{bounds}, and the data would move it further: widen the bound or check the model")
@@ -127,21 +134,21 @@ def effort_words(result: Result) -> str:
 # --- starts ---------------------------------------------------------------------------------
 
 PLACES = {
-    Remedy.GIVEN: "the start that was given",
-    Remedy.EQUATION_ERROR: "where the model's equations hold best at the measured states",
-    Remedy.CORRECTION: "where simulations fit best that the measurements correct at each sample",
-    Remedy.SOBOL: "a point of the box",
+    StartingPointSource.GIVEN: "the start that was given",
+    StartingPointSource.EQUATION_ERROR: "where the model's equations hold best at the measured states",
+    StartingPointSource.CORRECTION: "where simulations fit best that the measurements correct at each sample",
+    StartingPointSource.SOBOL: "a point of the box",
 }
 """Where a search set out from."""
 
 TROUBLES = {
-    Trouble.NONE: "ended well",
-    Trouble.FAR: "was put off, for it explains too little of the data",
-    Trouble.FAILED: "could not be simulated",
-    Trouble.NO_EFFECT: "could not be searched from",
-    Trouble.UNFINISHED: "did not come to an end",
-    Trouble.LARGE_RESIDUAL: "left {ratio:.3g} times the noise that the data show",
-    Trouble.MODEL_ERROR: "left {ratio:.3g} times the noise that the data show",
+    SearchFailure.NONE: "ended well",
+    SearchFailure.FAR: "was put off, for it explains too little of the data",
+    SearchFailure.FAILED: "could not be simulated",
+    SearchFailure.NO_EFFECT: "could not be searched from",
+    SearchFailure.UNFINISHED: "did not come to an end",
+    SearchFailure.LARGE_RESIDUAL: "left {ratio:.3g} times the noise that the data show",
+    SearchFailure.MODEL_ERROR: "left {ratio:.3g} times the noise that the data show",
 }
 """What became of it."""
 
@@ -163,7 +170,7 @@ def combination_words(result: Result) -> tuple[str, ...]:
     return (said,)
 
 
-def _values(each: ChoiceTried) -> str:
+def _values(each: CombinationFit) -> str:
     said = {name: str(value).lower() if isinstance(value, bool) else value for name, value in each.values.items()}
     return ", ".join(f"{name} = {value}" for name, value in said.items())
 
@@ -176,18 +183,18 @@ def attempt_words(result: Result) -> tuple[str, ...]:
     counts = ((one, len(list(alike))) for one, alike in each_told)
     told = [one if count == 1 else f"{one} ({count} times)" for one, count in counts]
     kept = next((each for each in result.attempts if each.kept), None)
-    if kept is None or kept.trouble is Trouble.NONE:
+    if kept is None or kept.trouble is SearchFailure.NONE:
         return (f"several starts were tried: {listed(told)}",)
-    if kept.trouble is Trouble.MODEL_ERROR:
+    if kept.trouble is SearchFailure.MODEL_ERROR:
         reason = "; the model does not explain the data, other starts end there too: check the model and its inputs"
         return (f"several starts were tried: {listed(told)}{reason}",)
-    if kept.trouble is Trouble.LARGE_RESIDUAL:
+    if kept.trouble is SearchFailure.LARGE_RESIDUAL:
         reason = "; other starts fit no better: look at the model, or at what else moves the outputs"
         return (f"several starts were tried: {listed(told)}{reason}",)
     return (f"several starts were tried: {listed(told)}; none ended well",)
 
 
-def _end(attempt: Attempt) -> str:
+def _end(attempt: RestartAttempt) -> str:
     words = TROUBLES[attempt.trouble].format(ratio=attempt.noise_ratio)
     return f"{words}, which is kept" if attempt.kept else words
 

@@ -11,7 +11,7 @@ from contourpy import LineType, contour_generator
 
 from fmuid.array_types import Floats
 from fmuid.formatting import rounded, unit_text, with_std
-from fmuid.identification import CONFIDENCE_LEVEL, LARGEST_R_HAT, EndKind, SamplingDoubt, better_point
+from fmuid.identification import CONFIDENCE_LEVEL, LARGEST_R_HAT, EndKind, SamplingWarning, better_point
 from fmuid.reports.chart import (
     DENSITY,
     MAX_PARAMETERS,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmuid.estimation import Result
-    from fmuid.identification import CriterionMap, Posterior, Profile, Remark, Uncertainty
+    from fmuid.identification import CostMap, Posterior, Profile, ProfileEndNote, Uncertainty
 
 # A chain that is advised is longer than what is foreseen to suffice by this factor.
 STEPS_MARGIN = 1.2
@@ -56,7 +56,7 @@ def profile_words(profile: Profile) -> tuple[str, ...]:
     return *said, *([f"interrupted: the profile of {profile.name} is not complete"] if profile.interrupted else [])
 
 
-def _remark_words(profile: Profile, remark: Remark) -> str:
+def _remark_words(profile: Profile, remark: ProfileEndNote) -> str:
     name, value, end = profile.name, f"{remark.value:.6g}", "upper" if remark.upper else "lower"
     risen = (
         f"the criterion has risen by only {max(remark.rise, 0.0):.2g} of the {profile.threshold:.3g} "
@@ -86,7 +86,7 @@ def _remark_words(profile: Profile, remark: Remark) -> str:
     return f"the end of {name} near {value} could not be found more precisely"
 
 
-def _map_words(chart: CriterionMap) -> list[str]:
+def _map_words(chart: CostMap) -> list[str]:
     """Say where a map shows a lower criterion than the estimate has."""
     better = better_point(chart)
     if better is None:
@@ -115,23 +115,23 @@ def posterior_words(found: Posterior) -> str:
 def _doubt_words(found: Posterior) -> str:
     length, name = len(found.chain), found.doubtful
     i = found.names.index(name) if name else int(np.argmin(found.effective_size))
-    if found.doubt is SamplingDoubt.RUNAWAY:
+    if found.doubt is SamplingWarning.RUNAWAY:
         return f"nothing holds {name}, the samples run away: give a prior or bounds, or measure more"
-    if found.doubt is SamplingDoubt.TOO_SHORT:
+    if found.doubt is SamplingWarning.TOO_SHORT:
         return f"{length} steps are too few to judge: raise steps, or let it go on"
-    if found.doubt is SamplingDoubt.STUCK:
+    if found.doubt is SamplingWarning.STUCK:
         return (
             f"the walkers hardly move, {found.acceptance:.1%} of the proposals are accepted: look for several "
             "optima and for simulations that fail, and narrow the bounds around what is meant"
         )
-    if found.doubt is SamplingDoubt.DISAGREEING:
+    if found.doubt is SamplingWarning.DISAGREEING:
         return (
             f"not converged: the walkers do not agree on {name} (R-hat {found.r_hat[i]:.3f}, {LARGEST_R_HAT} is the "
             f"most) after {length} steps: raise steps; if that does not help, the data leave it open or there are "
             "several optima, so give a prior or narrower bounds"
         )
     worth = float(found.effective_size[i])
-    if found.doubt is SamplingDoubt.TOO_FEW:
+    if found.doubt is SamplingWarning.TOO_FEW:
         return (
             f"not enough: the samples of {name} are worth {worth:.0f} independent ones instead of {found.wanted}: "
             f"raise steps to about {math.ceil(STEPS_MARGIN * found.wanted / worth * length)}"
@@ -153,7 +153,7 @@ def interval_section(found: Uncertainty, result: Result, level: float) -> Sectio
         columns[kind] = [
             _interval(low, high, value) for (low, high), value in zip(ends, result.values.tolist(), strict=True)
         ]
-    if posterior is not None and posterior.doubt is not SamplingDoubt.RUNAWAY:
+    if posterior is not None and posterior.doubt is not SamplingWarning.RUNAWAY:
         pairs = zip(posterior.mean.tolist(), posterior.std.tolist(), strict=True)
         columns["posterior mean"] = [with_std(mean, std) for mean, std in pairs]
     columns["unit"] = [unit_text(result.units.get(name)) for name in result.names]
@@ -383,7 +383,7 @@ def _walkers(posterior: Posterior, units: Units) -> Iterator[Chart]:
         yield Chart(Axis("step"), Axis(named(name, units)), (line, *grey), 150)
 
 
-def _map(chart: CriterionMap, units: Units, optima: pd.DataFrame) -> Chart:
+def _map(chart: CostMap, units: Units, optima: pd.DataFrame) -> Chart:
     """Return by how much the cost exceeds its minimum over two parameters, the estimate and its ellipse.
 
     The dashed line is where the section itself has risen by as much as the border of the confidence region allows:
@@ -422,7 +422,7 @@ def _map(chart: CriterionMap, units: Units, optima: pd.DataFrame) -> Chart:
     return Chart(x, y, tuple(layers), 420)
 
 
-def _others(chart: CriterionMap, optima: pd.DataFrame) -> Floats:
+def _others(chart: CostMap, optima: pd.DataFrame) -> Floats:
     """Return the optima on the map (n, 2) that are not the estimate."""
     if not len(optima):
         return np.empty((0, 2))
@@ -433,7 +433,7 @@ def _others(chart: CriterionMap, optima: pd.DataFrame) -> Floats:
     return np.asarray(places[inside & apart])
 
 
-def _cells(chart: CriterionMap, excess: Floats) -> Data:
+def _cells(chart: CostMap, excess: Floats) -> Data:
     first, second, _ = chart.grid
     x, y = (_edges(each, logarithmic=log) for each, log in zip((first, second), chart.logarithmic, strict=True))
     shape = excess.shape
