@@ -9,7 +9,7 @@ _by: list[str] = []
 
 
 def shown_by(module: str) -> None:
-    """Name the module with ``html(found)``, ``text(found)``, ``plots(found)`` and ``predict_experiments(found, ...)``."""
+    """Name the module with ``html(found)``, ``text(found)``, ``plots(found)`` and ``predict_experiments(found, …)``."""
     _by[:] = [module]
 
 
