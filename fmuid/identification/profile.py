@@ -79,7 +79,7 @@ class Profile:
         where no interval can be given. `remarks` say which.
     minimum, threshold : float
         J_min, and the rise above it at which the interval ends.
-    remarks : tuple of Remark
+    remarks : tuple of ProfileEndNote
         On the ends; empty for an ordinary profile.
     interrupted : bool
         Whether the keyboard ended it before both ends were found.
