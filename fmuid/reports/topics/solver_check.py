@@ -42,7 +42,7 @@ _CAPABILITIES = {
 
 
 def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
-    """Return what an interface of an FMU can do beyond the obligatory, from what it declares (`FmuSummary.capabilities`)."""
+    """Return what an interface of an FMU can do beyond the obligatory, from what it declares (`FmuSummary`)."""
     given = {name for name, value in declared.items() if value.strip() in ("true", "1")}
     words = [word for name, word in _CAPABILITIES.items() if name in given]
     if interface == "co-simulation":
@@ -88,8 +88,12 @@ def sensitivity_words(used: SensitivityMethod) -> str:
 
 
 KEPT = {
-    RefinementRefusal.ASKED: "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search",
-    RefinementRefusal.FITS_BETTER: "the finer simulation fits clearly worse, as if the table came from this very solver",
+    RefinementRefusal.ASKED: (
+        "it is simulated as it was asked for: leave interface, tolerance and accuracy open for a finer search"
+    ),
+    RefinementRefusal.FITS_BETTER: (
+        "the finer simulation fits clearly worse, as if the table came from this very solver"
+    ),
     RefinementRefusal.NO_SEARCH: "a search by the finer simulation does not end",
     RefinementRefusal.FINEST: "there is no finer simulation to go on by",
 }
