@@ -272,11 +272,11 @@ def planned_experiment(
     outputs: Sequence[str] | Mapping[str, str],
     *,
     time: str = "time",
-    interpolation: str | Mapping[str, str] = "hold",
+    interpolation: str | Mapping[str, str] = "zoh",
     discard: float = 0.0,
     name: str = "trial",
 ) -> Experiment:
-    """Return an experiment that has not been made yet, from its excitation (`fmuid.data.excitation`).
+    """Return an experiment that has not been made yet, from its excitation (`fmuid.data.signals`).
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ def record(
         x[i + 1] = exact[:2, :2] @ x[i] + exact[:2, 2] * u[i]
     x += rng.standard_normal(x.shape) * noise
     frame = pd.DataFrame({"time": STEP * np.arange(u.size), "u": u, "i": x[:, 0], "w": x[:, 1]})
-    return fmuid.Experiment(frame, inputs=["u"], outputs=["i", "w"], interpolation="hold")
+    return fmuid.Experiment(frame, inputs=["u"], outputs=["i", "w"], interpolation="zoh")
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def healthy(motor: fmuid.System) -> fmuid.Result:
 
 
 def look(
-    motor: fmuid.System, healthy: fmuid.Result, experiment: fmuid.Experiment, accuracy: str = "switch"
+    motor: fmuid.System, healthy: fmuid.Result, experiment: fmuid.Experiment, accuracy: str = "refine"
 ) -> fmuid.Diagnosis:
     noise = dict(zip("iw", np.square(NOISE).tolist(), strict=True))
     baseline = fmuid.Baseline(healthy, noise_variance=noise, values={**HELD, "F": 0.0})
@@ -79,7 +79,7 @@ def test_a_fault_has_its_size(motor: fmuid.System, healthy: fmuid.Result) -> Non
 
 def test_what_is_not_cured_is_said_and_kept(motor: fmuid.System, healthy: fmuid.Result, tmp_path: Path) -> None:
     """Of a healthy machine that was identified coarsely, where the error is checked and left."""
-    found = look(motor, replace(healthy, accuracy=None), record(FRICTION, 3), "check")
+    found = look(motor, replace(healthy, accuracy=None), record(FRICTION, 3), "report")
     again = fmuid.Diagnosis.from_json(found.to_json(tmp_path / "diagnosis.json"))
     for each in (found, again):
         assert each.named == ("friction",)

@@ -11,20 +11,20 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
+from fmuid.data.clock import column_of, missing_column
+from fmuid.data.data_file import UNITS, numeric_column
 from fmuid.data.experiment import Experiment
+from fmuid.data.expressions import evaluate
+from fmuid.data.filters import detrended, filled, low_passed, resampled, with_missing_rows
 from fmuid.data.interpolation import HELD, interpolation_words
-from fmuid.data.preprocessing.expressions import evaluate
-from fmuid.data.preprocessing.filters import detrended, filled, low_passed, resampled, with_missing_rows
-from fmuid.data.tables import UNITS, numeric_column
-from fmuid.data.times import column_of, missing_column
-from fmuid.data.transforms import inverse_park, park_transform
+from fmuid.data.signals import inverse_park, park_transform
 from fmuid.errors import InputError
 from fmuid.units import parse_unit, unit_in_name
 
 Table = TypeVar("Table", pd.DataFrame, Experiment)
 TRENDS = {"mean": 0, "linear": 1}
 """What `detrend` takes away, by the degree of the polynomial."""
-FILLS = ("linear", "hold")
+FILLS = ("linear", "zoh")
 """How `fill` goes over a gap: on a straight line, or by the sample before it."""
 
 
@@ -71,22 +71,22 @@ class Preprocessing:
     Attributes
     ----------
     columns : mapping of str to str
-        New columns, or others in place of what is there, by expressions (`fmuid.data.preprocessing.expressions`), one
+        New columns, or others in place of what is there, by expressions (`fmuid.data.expressions`), one
         after the other.
     axes : sequence of ParkTransform
     low_pass : float or None
-        Hz: signals without what is faster (`fmuid.data.preprocessing.filters.low_passed`).
+        Hz: signals without what is faster (`fmuid.data.filters.low_passed`).
     start, end : float or None
         Times, s, between which the table is kept.
     resample : float or None
         Step of time, s.
     detrend : "mean", "linear", mapping of str to these, or None
         What is taken from signals, or from some.
-    fill : mapping of str to "linear" or "hold"
+    fill : mapping of str to "linear" or "zoh"
         Columns whose missing samples are filled, after `columns` and before `axes`; rows that are missing, too
-        (`fmuid.data.preprocessing.filters.missing_rows`).
+        (`fmuid.data.filters.missing_rows`).
     longest_gap : float or None
-        s: a longer one is not filled; None: 20 usual steps (`fmuid.data.preprocessing.filters.filled`).
+        s: a longer one is not filled; None: 20 usual steps (`fmuid.data.filters.filled`).
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -144,7 +144,7 @@ class Preprocessing:
             for column in names:
                 if between.get(column) in HELD:
                     raise InputError(
-                        f'{source}: {column!r} holds between samples (interpolation = "hold") and is low-passed: what '
+                        f'{source}: {column!r} holds between samples (interpolation = "zoh") and is low-passed: what '
                         "is filtered does not hold; leave out one of the two"
                     )
             work.put(names, low_passed(work.times, work.values(names), self.low_pass, source))
@@ -227,7 +227,7 @@ class _Work:
         within = _kept(self.times, asked.start, asked.end)
         for name, how in asked.fill.items():
             if how not in FILLS:
-                raise InputError(f'{self.source}: fill = {how!r} is not known: write "linear" or "hold"')
+                raise InputError(f'{self.source}: fill = {how!r} is not known: write "linear" or "zoh"')
             values, called = self.column(name), f"{self.source}: the column {name!r}"
             found = column_of([str(column) for column in self.frame.columns], name) or name
             self.put([found], filled(self.times, values, how, asked.longest_gap, within, called)[:, None])
@@ -315,7 +315,7 @@ def preprocess(
     longest_gap: float | None = None,
     time: str = "time",
 ) -> Table:
-    """Do with a table, or with that of an experiment, what ``[experiments.prepare]`` of a study does, in this order.
+    """Do with a table, or with that of an experiment, what ``[experiments.preprocess]`` of a study does, in this order.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def preprocess(
     resample : float
         Step of time, s.
     detrend : "mean", "linear" or mapping of column to these
-    fill : mapping of column to "linear" or "hold"
+    fill : mapping of column to "linear" or "zoh"
         Columns whose missing samples are filled, on straight lines or by the sample before; after `columns`, before
         all else. Those of outputs do not count and need no filling. Rows that are missing for more than 20 steps are
         put in first.
