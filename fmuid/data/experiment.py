@@ -18,7 +18,7 @@ from fmuid.data.clock import column_of, missing_column
 from fmuid.data.data_file import SOURCE, UNITS, numeric_column
 from fmuid.data.filters import missing_rows, usual_step
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
-from fmuid.display_mixins import Displayed
+from fmuid.display_mixins import HtmlTableMixin
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import unit_in_name
@@ -28,7 +28,7 @@ _TIME_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment(Displayed):
+class Experiment(HtmlTableMixin):
     """A table with roles: columns that drive the model, and columns that it must reproduce.
 
     Checked on construction. The table is copied, and the arrays are read-only. Rows are counted from 1 in messages,

@@ -12,7 +12,7 @@ from scipy.signal import butter, sosfiltfilt
 
 import fmuid
 from fmuid.array_types import Floats
-from fmuid.data import Axes, Experiment, Preparation, reduce
+from fmuid.data import Experiment, ParkTransform, Preprocessing, preprocess
 from fmuid.data.expressions import evaluate
 from fmuid.errors import InputError
 
@@ -24,7 +24,7 @@ def frame(**columns: Any) -> pd.DataFrame:
 
 
 def reduced(given: Any, **how: Any) -> Any:
-    return reduce(given, Preparation(**how))
+    return preprocess(given, Preprocessing(**how))
 
 
 # --- expressions --------------------------------------------------------------------------
@@ -82,7 +82,7 @@ def test_refusals_name_the_remedy() -> None:
     with pytest.raises(InputError, match="an expression has 1201 characters: write at most 1000"):
         value("a" + "+a" * 600)
     with pytest.raises(InputError, match="the axes d, q need an angle or a speed"):
-        reduced(frame(a=1.0, b=1.0, c=1.0), axes=[Axes(("a", "b", "c"), ("d", "q"))])
+        reduced(frame(a=1.0, b=1.0, c=1.0), axes=[ParkTransform(("a", "b", "c"), ("d", "q"))])
     with pytest.raises(InputError, match=r"^the frame: column 'x': the prepared column 'pulse' is missing"):
         reduced(frame(pulses=1.0), columns={"x": "pulse * 2"})
 
@@ -214,8 +214,8 @@ def test_axes_by_angle_and_by_speed_of_any_unit() -> None:
     length = 10 * np.sqrt(1.5)
     hows: list[dict[str, Any]] = [{"angle": "theta"}, {"speed": "n", "pole_pairs": 2.0, "start": 0.7}]
     for how in hows:
-        axes = Axes(("ia", "ib", "ic"), ("id", "iq"), **how)
-        back = Axes(("id", "iq"), ("a", "b", "c"), **how)
+        axes = ParkTransform(("ia", "ib", "ic"), ("id", "iq"), **how)
+        back = ParkTransform(("id", "iq"), ("a", "b", "c"), **how)
         found = reduced(table, axes=[axes, back])
         np.testing.assert_allclose(found["id"], length * np.cos(0.3), rtol=1e-4)
         np.testing.assert_allclose(found["iq"], length * np.sin(0.3), rtol=1e-4)
@@ -225,7 +225,7 @@ def test_axes_by_angle_and_by_speed_of_any_unit() -> None:
 
 def test_axes_are_refused() -> None:
     table = frame(**phases(T), n=np.where(T == 0.5, np.nan, 1.0))
-    axes = Axes(("ia", "ib", "ic"), ("id", "iq"), speed="n")
+    axes = ParkTransform(("ia", "ib", "ic"), ("id", "iq"), speed="n")
     with pytest.raises(InputError, match="the speed 'n' has no value in row 501"):
         reduced(table, axes=[axes])
     table.attrs["units"] = {"n": "A", "ia": "A"}
@@ -236,7 +236,7 @@ def test_axes_are_refused() -> None:
         reduced(table, axes=[axes])
     del table.attrs["units"]
     with pytest.raises(InputError, match="column 'ix' is missing"):
-        reduced(table, axes=[Axes(("ia", "ib", "ix"), ("id", "iq"), angle="n")])
+        reduced(table, axes=[ParkTransform(("ia", "ib", "ix"), ("id", "iq"), angle="n")])
 
 
 # --- fill ---------------------------------------------------------------------------------
@@ -261,7 +261,7 @@ def test_gaps_are_filled_on_lines_or_by_the_sample_before() -> None:
 
 def test_filling_comes_between_columns_and_axes() -> None:
     table = gappy().assign(ia=3.0, ib=-1.5, ic=-1.5)
-    axes = Axes(("ia", "ib", "ic"), ("id", "iq"), speed="w")
+    axes = ParkTransform(("ia", "ib", "ic"), ("id", "iq"), speed="w")
     found = reduced(table, columns={"w": "5 * u"}, fill={"w": "hold"}, axes=[axes])
     assert np.isfinite(found[["w", "id"]]).all(axis=None)
     assert found["u"].isna().sum() == 15  # what is not named stays

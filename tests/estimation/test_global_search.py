@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from fmuid.array_types import Floats
-from fmuid.data.data_file import read_table
+from fmuid.data.data_file import read_data
 from fmuid.data.noise import Noise
 from fmuid.data.parameters import Normal, Parameter
 from fmuid.errors import InputError
@@ -19,7 +19,7 @@ from fmuid.estimation.global_search import search as global_search
 from fmuid.estimation.global_search.optima import optima_table
 from fmuid.estimation.global_search.search import GlobalSearch, Strategy
 from fmuid.estimation.identification import identify
-from fmuid.estimation.marquardt.outcome import Outcome
+from fmuid.estimation.marquardt.outcome import TerminationReason
 from fmuid.estimation.method import Marquardt
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
@@ -134,7 +134,7 @@ def test_valley_is_one_optimum(method: Strategy) -> None:
     assert optimum.hits >= (12 if method == "multistart" else 1)
     assert not optimum.converged
     assert not found.converged
-    assert optimum.outcome is Outcome.UNDETERMINED
+    assert optimum.outcome is TerminationReason.UNDETERMINED
     assert optimum.theta[0] * optimum.theta[1] == pytest.approx(2.0, abs=0.1)
 
 
@@ -156,7 +156,7 @@ def test_induction_machine_from_a_wide_box() -> None:
     from fmuid.data.experiment import Experiment
 
     table = ROOT / "experiments" / "induction_machine" / "table.csv"
-    experiment = Experiment(read_table(table), inputs=["uds", "uqs", "w"], outputs=["ids", "iqs"])
+    experiment = Experiment(read_data(table), inputs=["uds", "uqs", "w"], outputs=["ids", "iqs"])
     box = {"Rs": (1.0, 50.0), "Rr": (0.5, 20.0), "Lm": (0.05, 2.0), "Lf": (0.005, 0.5)}
     truth = np.array([9.8, 3.8, 0.436, 0.0762])
     problem = Problem(
